@@ -1,0 +1,226 @@
+"""The adapter contract: what a kind of ROS system must offer so that rosld can serve it.
+
+Outsiders implement `Adapter` and publish a factory in the entry-point group `rosld.adapters`, under the scheme of
+their sources (`myros` for `rosld serve myros://...`). The built-in adapters come through the same door, and
+`tests/contracts/` runs one suite on each of them.
+
+Rules, each of which a contract test holds:
+
+- All methods are called on the server's event loop; no call blocks it. A live adapter does its I/O on a thread of
+  its own, so that a busy server never makes a robot's publisher wait.
+- Deadlines are absolute times of the running loop (`loop.time()`). Cancelling an await stops waiting; it undoes nothing.
+- Errors are `rosld.adapters.model`'s; each tells whether the robot may have received the request.
+- Reconnection is the adapter's business: the graph goes `Stale`, never empty, and subscriptions stay valid.
+- Looking leaves no trace in the robot's system; whatever was registered is unregistered by `close`.
+- What rosld publishes is a sample of the publisher `graph.own_node` like anyone's: any subscription to that topic,
+  made before or after, shows it, with no subscription to ourselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Protocol, TypeAlias
+
+from rosld.adapters.model import Encoding, Graph, Operation, Ref, Sample, Schema, TypeRef
+
+ParameterValue: TypeAlias = (
+    "bool | int | float | str | bytes | datetime | list[ParameterValue] | dict[str, ParameterValue]"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """What an adapter's kind of system can do at all, for what `allows` cannot tell thing by thing.
+
+    `system` names it ("ROS 1", "recording", ...); `encoding` is what `publish` and `call` take and `call` returns;
+    `parameter_trees`: parameters form one tree of namespaces (ROS 1), so that a namespace can be read and deleted
+    whole; `writes`: anything can be written at all; `creates_topics`: a topic that is not there may be published.
+    """
+
+    system: str
+    encoding: Encoding
+    writes: bool
+    creates_topics: bool
+    parameter_trees: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """What became of a publish: how many subscribers were connected when the message was handed over."""
+
+    matched: int
+
+
+class Watch(Protocol):
+    """A running watch of a subscription."""
+
+    def close(self) -> None:
+        """Stop waking. Idempotent."""
+        ...
+
+
+class Subscription(Protocol):
+    """A counted interest in one topic."""
+
+    def latest(self) -> Sequence[Sample]:
+        """The newest sample of each publisher (the newest `depth`, oldest first, where more was asked for).
+
+        Cheap: the very same sequence object comes back while nothing new has arrived.
+        """
+        ...
+
+    def watch(self, wake: Callable[[], None]) -> Watch:
+        """Call `wake` on the server's loop after something new arrived: coalesced, carrying nothing."""
+        ...
+
+    def close(self) -> None:
+        """Give this interest back. Idempotent."""
+        ...
+
+
+class Sink(Protocol):
+    """Where an adapter tells of changes. Thread-safe, never blocks, never raises."""
+
+    def graph_changed(self, graph: Graph) -> None:
+        """The computation graph is now `graph`; several changes may come as one."""
+        ...
+
+    def parameter_changed(self, name: str) -> None:
+        """A hint that the value of this parameter (or of something below it) should be read again."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedTopic:
+    """A topic of a recording: its type, how many messages, and why they cannot be decoded (None: they can)."""
+
+    name: str
+    type: TypeRef
+    count: int
+    unreadable: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedMessage:
+    """Message `index` (from 0, in recorded order) of a recording."""
+
+    index: int
+    topic: str
+    sample: Sample
+
+
+class Recording(Protocol):
+    """A recording (a ROS bag) that can be read message by message."""
+
+    name: str
+    path: Path
+    format: str
+    count: int
+    start_ns: int
+    end_ns: int
+    topics: Mapping[str, RecordedTopic]
+
+    def message(self, index: int) -> RecordedMessage:
+        """Message `index`; raises NotFound outside 0 to count-1. Quick, but reads the disk."""
+        ...
+
+    def messages(self) -> Iterator[RecordedMessage]:
+        """All messages in recorded order, those that cannot be decoded included."""
+        ...
+
+    def schema(self, ref: TypeRef) -> Schema:
+        """The schema of a type of this recording; raises UnknownType."""
+        ...
+
+
+class Adapter(Protocol):
+    """One ROS system, live, embedded or recorded."""
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What this kind of system can do; constant."""
+        ...
+
+    @property
+    def graph(self) -> Graph:
+        """The computation graph as last known; immutable."""
+        ...
+
+    @property
+    def recordings(self) -> Mapping[str, Recording]:
+        """The recordings this source offers, by name; empty for most."""
+        ...
+
+    async def open(self, sink: Sink, *, deadline: float) -> None:
+        """Connect. When it returns the graph is there; raises Unreachable (or NotFound for a missing file)."""
+        ...
+
+    async def close(self) -> None:
+        """Leave without a trace: quick (two seconds at most) and idempotent."""
+        ...
+
+    def allows(self, ref: Ref) -> frozenset[Operation]:
+        """What ROS can do with this thing now: pure, from the graph. Unknown things allow nothing,
+
+        but a topic that is not there allows PUBLISH where `creates_topics`, and a parameter SET_PARAMETER.
+        """
+        ...
+
+    async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
+        """The schema of a type; without a hash, the one in use. Raises UnknownType."""
+        ...
+
+    def known_types(self) -> Sequence[TypeRef]:
+        """The types in use or met so far (what `/types/` lists); cheap."""
+        ...
+
+    async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
+        """Begin to receive a topic: counted, and fine before a publisher is there. Returns at once."""
+        ...
+
+    async def publish(
+        self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
+    ) -> Published:
+        """Publish, advertising first if need be and then waiting for a subscriber to match until `deadline`.
+
+        With no match by then the message is still handed over and `matched` is 0. Raises Refused, Unreachable.
+        """
+        ...
+
+    async def unadvertise(self, topic: str) -> None:
+        """Stop advertising what rosld advertised; NotFound where it advertised nothing."""
+        ...
+
+    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        """Call a service. Raises Refused with the node's words, TimedOut, Unreachable, NotFound."""
+        ...
+
+    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
+        """The values of those names that exist; a name that is a tree gives a dict, `/` all."""
+        ...
+
+    async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
+        """Set them, all or none where ROS can. Raises Refused naming the parameter."""
+        ...
+
+    async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
+        """Delete them (trees whole). Raises NotFound."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class AdapterOptions:
+    """The options of `rosld serve` that concern adapters; each adapter takes what applies to it."""
+
+    types: tuple[Path, ...] = ()
+    ros_ip: str | None = None
+    host_map: Mapping[str, str] = field(default_factory=dict)
+    rate: float = 1.0
+    once: bool = False
+
+
+Factory: TypeAlias = Callable[[str, AdapterOptions], Adapter]
+"""Makes an adapter (not yet open) from a source as given on the command line. Raises ValueError for a bad source."""

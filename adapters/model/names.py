@@ -1,0 +1,33 @@
+"""ROS graph names: slash-separated paths such as `/camera/image_raw`.
+
+rosld accepts every Unicode name that a master can hold, even those that ROS's own rules would refuse
+(they exist in the wild); only the empty name and names without a leading slash are not global names.
+"""
+
+from __future__ import annotations
+
+
+def segments(name: str) -> tuple[str, ...]:
+    """The segments of a global name: `/a/b` has two, `/` none, `/a//b` three with an empty one between.
+
+    Raises ValueError for a name that does not begin with a slash.
+    """
+    if not name.startswith("/"):
+        raise ValueError(f"{name!r} is no global ROS name: it must begin with '/'")
+    return () if name == "/" else tuple(name[1:].split("/"))
+
+
+def join(parts: tuple[str, ...]) -> str:
+    """The global name of these segments: the inverse of `segments`."""
+    return "/" + "/".join(parts)
+
+
+def namespace(name: str) -> str:
+    """The namespace a name lies in: that of `/a/b` is `/a`, that of `/a` is `/`."""
+    head, _, _ = name.rpartition("/")
+    return head or "/"
+
+
+def global_name(name: str) -> str:
+    """The name with a leading slash, as the master stores it."""
+    return name if name.startswith("/") else "/" + name

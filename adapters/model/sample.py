@@ -1,0 +1,34 @@
+"""Samples: messages as they came, each with where it came from and when."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple
+
+from rosld.adapters.model.schema import TypeRef
+
+
+class Encoding(Enum):
+    """How the bytes of a message are laid out."""
+
+    ROS1 = "ros1"
+    CDR = "cdr"
+
+
+class Sample(NamedTuple):
+    """One message as received: owned bytes, never a view of a receive buffer.
+
+    Identity: (publisher, epoch, sequence) tells two samples of one topic apart.
+    `sequence` counts this publisher's messages on this topic from 1 as this side saw them; `epoch` rises
+    when that count begins anew (a loop of a recording, a restarted node); `received_ns` is wall-clock time
+    in nanoseconds (for a recording: when it was recorded).
+    """
+
+    data: bytes
+    encoding: Encoding
+    schema: TypeRef
+    publisher: str
+    received_ns: int
+    sequence: int
+    epoch: int = 0
+    latched: bool = False

@@ -1,0 +1,135 @@
+"""Schemas: what a message or a service is made of, self-contained and immutable.
+
+Names are rosbags' (`geometry_msgs/msg/Twist`, `std_srvs/srv/Trigger`) for ROS 1 and ROS 2 alike. The two halves
+of a service are messages named `std_srvs/srv/Trigger_Request` and `std_srvs/srv/Trigger_Response`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, TypeAlias
+
+if TYPE_CHECKING:
+    from rosld.adapters.model.sample import Encoding
+
+
+@dataclass(frozen=True, slots=True)
+class TypeRef:
+    """A type by name and hash (ROS 1: MD5 in hex; ROS 2: `RIHS01_...`); without a hash, whatever is known."""
+
+    name: str
+    hash: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Primitive:
+    """A primitive: bool, byte, char, int8 ... uint64, float32, float64, string, wstring; `bound` limits a string."""
+
+    name: str
+    bound: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Nested:
+    """A field that is itself a message; its `MessageType` is in the schema's `types`."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Array:
+    """An array: of exactly `length` elements, of at most `bound`, or (both None) of any number."""
+
+    element: Primitive | Nested
+    length: int | None = None
+    bound: int | None = None
+
+
+FieldType: TypeAlias = Primitive | Nested | Array
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A field: its ROS name, its type, and the attribute that holds it on a decoded message."""
+
+    name: str
+    type: FieldType
+    attribute: str
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A constant of a message definition."""
+
+    name: str
+    type: str
+    value: bool | int | float | str
+
+
+@dataclass(frozen=True, slots=True)
+class MessageType:
+    """The layout of one message type. Types without fields have none (the wire's dummy member is not shown)."""
+
+    name: str
+    fields: tuple[Field, ...]
+    constants: tuple[Constant, ...] = ()
+
+
+class Message(Protocol):
+    """A decoded message: an object whose attributes are its fields.
+
+    Numbers are Python's; a string is `str` (bytes that are not UTF-8 come as surrogate escapes); a nested
+    message is a message; an array of numbers or bools is a read-only numpy array, any other array a list.
+    """
+
+    __msgtype__: str
+
+
+class Codec(Protocol):
+    """Turns bytes into messages and back for all types of one schema."""
+
+    def decode(self, data: bytes, encoding: Encoding) -> Message:
+        """The message in `data`. Raises ValueError for bytes that are no message of this type."""
+        ...
+
+    def encode(self, message: Message, encoding: Encoding) -> bytes:
+        """The bytes of `message`. Raises ValueError naming the field that does not fit."""
+        ...
+
+    def build(self, type_name: str, values: Mapping[str, object]) -> Message:
+        """A message of a type of this schema from its attributes' values, which must be complete and right."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class MessageSchema:
+    """A message type with everything needed to read, write and describe it.
+
+    `types` is closed: it holds the type itself (under `ref.name`) and every type nested in it. `definition` is the
+    text as ROS has it (dependencies appended after `===` lines). Two schemas of one `ref` are interchangeable,
+    and a hash is always set.
+    """
+
+    ref: TypeRef
+    types: Mapping[str, MessageType]
+    definition: str
+    codec: Codec
+
+    @property
+    def type(self) -> MessageType:
+        """The message type itself."""
+        return self.types[self.ref.name]
+
+
+@dataclass(frozen=True, eq=False)
+class ServiceSchema:
+    """A service type: its two messages and the text of its definition."""
+
+    ref: TypeRef
+    request: MessageSchema
+    response: MessageSchema
+    definition: str
+
+
+Schema: TypeAlias = MessageSchema | ServiceSchema

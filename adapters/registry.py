@@ -1,0 +1,47 @@
+"""Finding the adapter for a source: by its scheme, among the entry points of `rosld.adapters`.
+
+`aircraft` and `ros1://host:11311` name their adapter; anything else is the path of a recording.
+"""
+
+from __future__ import annotations
+
+import re
+from importlib.metadata import EntryPoint, entry_points
+from typing import cast
+
+from rosld.adapters.base import Adapter, AdapterOptions, Factory
+
+GROUP = "rosld.adapters"
+RECORDING = "recording"
+_SCHEME = re.compile(r"([a-z][a-z0-9+.-]+):(?!\\)")
+
+
+def scheme_of(source: str, known: frozenset[str]) -> str:
+    """The scheme of a source: a bare adapter name, `scheme:...` of a known scheme, else a recording's path.
+
+    Raises ValueError for `scheme://...` of a scheme that no installed adapter has.
+    """
+    if source in known:
+        return source
+    found = _SCHEME.match(source)
+    if found and found[1] in known:
+        return found[1]
+    if found and source[found.end() :].startswith("//"):
+        names = ", ".join(sorted(known))
+        raise ValueError(f"no adapter for {found[1]!r} in {source!r}; installed: {names}")
+    return RECORDING
+
+
+def installed() -> dict[str, EntryPoint]:
+    """The installed adapters by scheme."""
+    return {point.name: point for point in entry_points(group=GROUP)}
+
+
+def adapter_for(source: str, options: AdapterOptions) -> Adapter:
+    """The adapter of a source, not yet open. Raises ValueError with a sentence for the user."""
+    points = installed()
+    scheme = scheme_of(source, frozenset(points))
+    if scheme not in points:
+        raise ValueError(f"no adapter {scheme!r} is installed; is rosld installed with pip?")
+    factory = cast(Factory, points[scheme].load())
+    return factory(source, options)

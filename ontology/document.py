@@ -1,0 +1,46 @@
+"""Documents: what a resource says, before any syntax is chosen.
+
+A `Document` is the RDF of one resource: triples of description and, for what carries ROS messages, the messages
+still as ROS has them, each with the compiled `Lifter` that writes it. Serialisation (`ontology/serialize.py`) joins both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from pyoxigraph import Triple
+
+from rosld.adapters.model import Message
+from rosld.ontology.lift import Lifter
+
+
+class Envelope(NamedTuple):
+    """What came with a message: when it was received (ns, wall clock), its number, its publisher's URL."""
+
+    received_ns: int
+    sequence: int
+    publisher: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LiftedMessage:
+    """A message within a document: `node` is its fragment (`#message`); the link to it is among the triples."""
+
+    node: str
+    lifter: Lifter
+    message: Message
+    envelope: Envelope | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """The RDF of the resource at `url`: its description, and the messages it carries.
+
+    `simulated_time`: stamps are no wall-clock times, so no xsd:dateTime is derived from them.
+    """
+
+    url: str
+    triples: tuple[Triple, ...]
+    messages: tuple[LiftedMessage, ...] = ()
+    simulated_time: bool = False

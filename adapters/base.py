@@ -8,7 +8,8 @@ Rules, each of which a contract test holds:
 
 - All methods are called on the server's event loop; no call blocks it. A live adapter does its I/O on a thread of
   its own, so that a busy server never makes a robot's publisher wait.
-- Deadlines are absolute times of the running loop (`loop.time()`). Cancelling an await stops waiting; it undoes nothing.
+- Deadlines are absolute times of the running loop (`loop.time()`). Cancelling an await stops waiting, it undoes
+  nothing.
 - Errors are `rosld.adapters.model`'s; each tells whether the robot may have received the request.
 - Reconnection is the adapter's business: the graph goes `Stale`, never empty, and subscriptions stay valid.
 - Looking leaves no trace in the robot's system; whatever was registered is unregistered by `close`.

@@ -1,6 +1,6 @@
 """Plain ROS as values: names, the computation graph, schemas, samples and errors. Knows no RDF, no HTTP, no I/O."""
 
-from rosld.adapters.model.errors import NotFound, Refused, RosError, Sent, TimedOut, Unreachable, UnknownType
+from rosld.adapters.model.errors import NotFound, Refused, RosError, Sent, TimedOut, UnknownType, Unreachable
 from rosld.adapters.model.graph import (
     Endpoint,
     Graph,
@@ -66,7 +66,7 @@ __all__ = [
     "TimedOut",
     "Topic",
     "TypeRef",
-    "Unreachable",
     "UnknownType",
+    "Unreachable",
     "frozen",
 ]

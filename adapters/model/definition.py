@@ -1,0 +1,136 @@
+"""Definitions: the texts of messages and services, split, named and hashed as genmsg does."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Mapping
+
+_SEPARATOR = re.compile(r"^=+[ \t]*\r?$", re.MULTILINE)
+_SECTION = re.compile(r"\s*MSG:[ \t]*([A-Za-z0-9_]+)/(?:msg/|srv/)?([A-Za-z0-9_]+)[ \t]*\r?(?:\n|$)")
+_SERVICE = re.compile(r"^---[ \t]*\r?$", re.MULTILINE)
+_PRIMITIVES = frozenset(
+    [
+        "bool",
+        "byte",
+        "char",
+        "float32",
+        "float64",
+        "int8",
+        "uint8",
+        "int16",
+        "uint16",
+        "int32",
+        "uint32",
+        "int64",
+        "uint64",
+        "string",
+        "wstring",
+    ]
+)
+_ALIASES = {
+    "time": "builtin_interfaces/msg/Time",
+    "duration": "builtin_interfaces/msg/Duration",
+    "Header": "std_msgs/msg/Header",
+    "roslib/Header": "std_msgs/msg/Header",
+}
+_MAX_DEPTH = 64
+
+
+def sections(name: str, definition: str) -> dict[str, str]:
+    """The texts in a concatenated definition: the type itself first, then those after `===` and `MSG:` lines.
+
+    The old `roslib/Header` is read as `std_msgs/Header`, of which it is the former name.
+    Raises ValueError for a section without its `MSG:` line.
+    """
+    first, *rest = _SEPARATOR.split(definition)
+    texts = {name: first.strip("\n")}
+    for part in rest:
+        found = _SECTION.match(part)
+        if not found:
+            raise ValueError(f"the definition of {name} has a section without a 'MSG: package/Name' line")
+        package, short = found.groups()
+        nested = _ALIASES.get(f"{package}/{short}", f"{package}/msg/{short}")
+        texts.setdefault(nested, part[found.end() :].strip("\n"))
+    return texts
+
+
+def halves(definition: str) -> tuple[str, str]:
+    """Request and response of a service definition; raises ValueError unless exactly one `---` line parts them."""
+    parts = _SERVICE.split(definition)
+    if len(parts) != 2:
+        raise ValueError(f"a service definition has one '---' line, this one has {len(parts) - 1}")
+    return parts[0].strip("\n"), parts[1].strip("\n")
+
+
+def resolve(reference: str, package: str) -> str | None:
+    """The full name of a field's base type as written in `package`; None for a primitive."""
+    base = reference.partition("[")[0].partition("<=")[0]
+    if base in _PRIMITIVES:
+        return None
+    if base in _ALIASES:
+        return _ALIASES[base]
+    *packages, short = base.split("/")
+    return f"{packages[0] if packages else package}/msg/{short}"
+
+
+def references(name: str, text: str) -> frozenset[str]:
+    """The message types that a text mentions, by full name."""
+    package = name.partition("/")[0]
+    resolved = (resolve(words[0], package) for words in map(str.split, _lines(text)) if words)
+    return frozenset(found for found in resolved if found is not None)
+
+
+def _lines(text: str) -> list[str]:
+    return [line for line in (raw.partition("#")[0].strip() for raw in text.splitlines()) if line]
+
+
+def _declarations(text: str) -> tuple[list[str], list[tuple[str, str]]]:
+    """The constants as genmsg hashes them, and the fields as (type, name)."""
+    constants: list[str] = []
+    fields: list[tuple[str, str]] = []
+    for raw in text.splitlines():
+        clean = raw.partition("#")[0].strip()
+        if not clean:
+            continue
+        words = clean.split()
+        if words[0].partition("<=")[0] in ("string", "wstring") and "=" in clean.partition(words[0])[2]:
+            head, _, value = raw.strip().partition("=")  # a string constant runs to the end of its line, '#' included
+            constants.append(f"{words[0]} {head.split()[1]}={value.strip()}")
+        elif "=" in clean and words[0] in _PRIMITIVES:
+            head, _, value = clean.partition("=")
+            constants.append(f"{words[0]} {head.split()[1]}={value.strip()}")
+        else:
+            fields.append((words[0], words[1]))
+    return constants, fields
+
+
+def md5_text(name: str, text: str, md5_of: Callable[[str], str]) -> str:
+    """The text that genmsg hashes: constants, then fields with each nested type as its own MD5."""
+    constants, fields = _declarations(text)
+    package = name.partition("/")[0]
+    lines = list(constants)
+    for written, field in fields:
+        base = written.partition("[")[0]
+        nested = resolve(written, package)
+        hashed = written if nested is None or base in ("time", "duration") else md5_of(nested)
+        lines.append(f"{hashed} {field}")
+    return "\n".join(lines).strip()
+
+
+def md5(name: str, texts: Mapping[str, str], _depth: int = 0) -> str:
+    """The MD5 of a message type, in hex, as genmsg computes it. `texts` must be closed; KeyError names what lacks."""
+    return hashlib.md5(message_text(name, texts, _depth).encode(), usedforsecurity=False).hexdigest()
+
+
+def message_text(name: str, texts: Mapping[str, str], _depth: int = 0) -> str:
+    """The text whose hash is the MD5 of a type; raises ValueError for types nested in themselves."""
+    if _depth > _MAX_DEPTH:
+        raise ValueError(f"{name} is nested more than {_MAX_DEPTH} deep")
+    return md5_text(name, texts[name], lambda nested: md5(nested, texts, _depth + 1))
+
+
+def service_md5(name: str, texts: Mapping[str, str]) -> str:
+    """The MD5 of a service type: that of the texts of its two halves, one after the other."""
+    joined = message_text(f"{name}_Request", texts) + message_text(f"{name}_Response", texts)
+    return hashlib.md5(joined.encode(), usedforsecurity=False).hexdigest()

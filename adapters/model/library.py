@@ -1,0 +1,223 @@
+"""The type library: schemas from definitions, learnt from the robot, shipped with rosld, or lying in folders.
+
+Every schema is closed and has a type store of its own, so that two definitions of one name (two publishers,
+an old recording) live side by side, told apart by their hash.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.base import TypesysError
+
+from rosld.adapters.model.codec import RosbagsCodec, message_types, store_name, typestore_of
+from rosld.adapters.model.definition import halves, md5, references, sections, service_md5
+from rosld.adapters.model.errors import UnknownType
+from rosld.adapters.model.schema import MessageSchema, Schema, ServiceSchema, TypeRef
+
+SHIPPED = Path(__file__).parent / "definitions"
+_BUILTIN = {
+    "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
+    "builtin_interfaces/msg/Duration": "int32 sec\nuint32 nanosec",
+}
+_MOST_FILES = 50_000
+
+
+class TypeLibrary:
+    """Schemas by name and hash, learnt or found. Thread-safe.
+
+    `ros_version` decides what a hash is: 1, the MD5 of genmsg; 2, RIHS01. `folders` are looked through, before the
+    definitions shipped with rosld, for `PACKAGE/msg/NAME.msg` and `PACKAGE/srv/NAME.srv` at any depth.
+    """
+
+    def __init__(self, *, ros_version: Literal[1, 2], folders: Sequence[Path] = ()) -> None:
+        self._ros_version = ros_version
+        self._folders = tuple(folders)
+        self._learnt: dict[str, dict[str, Schema]] = {}
+        self._files: Mapping[tuple[str, str], Path] | None = None
+        self._lock = threading.RLock()
+
+    def learn_message(self, name: str, definition: str, hash: str | None = None) -> MessageSchema:
+        """The schema of a message type from its text, whose dependencies may be appended or are found.
+
+        Raises ValueError for a text that cannot be read, lacks a dependency, or (`hash` given) hashes to another.
+        """
+        with self._lock:
+            if hash is not None and isinstance(known := self._learnt.get(name, {}).get(hash), MessageSchema):
+                return known
+            schema = self._message(name, sections(name, definition), definition, hash)
+            self._keep(schema)
+            return schema
+
+    def learn_service(self, name: str, definition: str, hash: str | None = None) -> ServiceSchema:
+        """The schema of a service type from its text (request, `---`, response); errors as `learn_message`."""
+        with self._lock:
+            schema = self._service(name, definition, hash)
+            self._keep(schema)
+            return schema
+
+    def find(self, ref: TypeRef) -> Schema:
+        """The schema of a type: learnt, else from the folders, else shipped; a hash in `ref` is proved.
+
+        Raises UnknownType saying what was looked at.
+        """
+        with self._lock:
+            learnt = self._learnt.get(ref.name, {})
+            if ref.hash is not None and ref.hash in learnt:
+                return learnt[ref.hash]
+            if ref.hash is None and learnt:
+                return next(reversed(learnt.values()))
+            return self._look_for(ref)
+
+    def known(self) -> Sequence[TypeRef]:
+        """Every type learnt or found so far, in the order of its learning."""
+        with self._lock:
+            return [schema.ref for schemas in self._learnt.values() for schema in schemas.values()]
+
+    def conflicts(self, name: str) -> Sequence[TypeRef]:
+        """The definitions known for `name`: more than one is a conflict."""
+        with self._lock:
+            return [schema.ref for schema in self._learnt.get(name, {}).values()]
+
+    def _keep(self, schema: Schema) -> None:
+        self._learnt.setdefault(schema.ref.name, {})[schema.ref.hash or ""] = schema
+
+    def _look_for(self, ref: TypeRef) -> Schema:
+        half = _half(ref.name)
+        if half is not None:
+            service = self.find(TypeRef(half))
+            if isinstance(service, ServiceSchema):
+                return service.request if ref.name.endswith("_Request") else service.response
+        reason = "its definition is neither shipped with rosld nor in the folders given; name one with --types DIR"
+        for text in self._candidates(ref.name):
+            try:
+                if "/srv/" in ref.name:
+                    return self.learn_service(ref.name, text, ref.hash)
+                return self.learn_message(ref.name, text, ref.hash)
+            except ValueError as error:
+                reason = f"{error}; name a folder with the robot's own definition with --types DIR"
+        wanted = f" with hash {ref.hash}" if ref.hash else ""
+        raise UnknownType(f"the type {ref.name}{wanted} is not known: {reason}")
+
+    def _candidates(self, name: str) -> Iterator[str]:
+        """Texts for a name: the user's folders, what rosld ships, what rosbags ships."""
+        if name in _BUILTIN:
+            yield _BUILTIN[name]
+        package, _, rest = name.partition("/")
+        kind, _, short = rest.partition("/")
+        if path := self._index().get((package, f"{short}.{kind}")):
+            yield path.read_text("utf-8", "replace")
+        path = SHIPPED / package / kind / f"{short}.{kind}"
+        if _plain(package, kind, short) and path.is_file():
+            yield path.read_text("utf-8")
+        if (text := _stored_texts(self._ros_version).get(name)) is not None:
+            yield text
+
+    def _index(self) -> Mapping[tuple[str, str], Path]:
+        if self._files is None:
+            self._files = _definition_files(self._folders)
+        return self._files
+
+    def _closure(self, name: str, texts: Mapping[str, str]) -> dict[str, str]:
+        """`texts` of `name` and of all it nests, looked for where they are lacking; ValueError names what is not."""
+        closed: dict[str, str] = {}
+        wanted = [name]
+        while wanted:
+            current = wanted.pop()
+            if current in closed:
+                continue
+            found = texts.get(current)
+            if found is None or current in _BUILTIN:
+                found = next(self._candidates(current), None)
+            if found is None:
+                raise ValueError(f"{name} needs {current}, whose definition is not known")
+            own = sections(current, found)
+            closed[current] = own[current]
+            texts = {**own, **texts}
+            wanted.extend(references(current, own[current]) - closed.keys())
+        return closed
+
+    def _message(self, name: str, texts: Mapping[str, str], definition: str, hash: str | None) -> MessageSchema:
+        try:
+            closed = self._closure(name, texts)
+            proved = self._prove(name, closed, hash)
+        except (KeyError, IndexError, RecursionError) as error:
+            raise ValueError(f"the definition of {name} cannot be read: {error}") from error
+        store = typestore_of(closed)
+        types = message_types(store, {each: store_name(each) for each in closed})
+        return MessageSchema(
+            TypeRef(name, proved), types, _full_text(name, closed, definition), RosbagsCodec(name, store, types)
+        )
+
+    def _prove(self, name: str, closed: Mapping[str, str], hash: str | None) -> str:
+        found = md5(name, closed) if self._ros_version == 1 else _rihs01(name, closed)
+        if hash is not None and found != hash:
+            raise ValueError(f"the definition found for {name} has the hash {found}, the robot uses {hash}")
+        return found
+
+    def _service(self, name: str, definition: str, hash: str | None) -> ServiceSchema:
+        first, second = halves(definition.partition("\n===")[0])
+        texts = {f"{name}_Request": first, f"{name}_Response": second}
+        shared = sections(name, definition)
+        closed = {each: self._closure(each, {**shared, **texts}) for each in texts}
+        if self._ros_version == 1:
+            found = service_md5(name, {**closed[f"{name}_Request"], **closed[f"{name}_Response"]})
+            if hash is not None and found != hash:
+                raise ValueError(f"the definition found for {name} has the MD5 {found}, the robot uses {hash}")
+            hash = found
+        request, response = (self._message(each, closed[each], texts[each], None) for each in texts)
+        return ServiceSchema(TypeRef(name, hash), request, response, definition)
+
+
+def _half(name: str) -> str | None:
+    for suffix in ("_Request", "_Response"):
+        if "/srv/" in name and name.endswith(suffix):
+            return name.removesuffix(suffix)
+    return None
+
+
+def _plain(*parts: str) -> bool:
+    return all(part.isidentifier() for part in parts)
+
+
+def _rihs01(name: str, closed: Mapping[str, str]) -> str:
+    try:
+        return typestore_of(closed).hash_rihs01(store_name(name))
+    except (TypesysError, KeyError, ValueError):
+        return "MD5_" + md5(name, closed)  # halves of services and odd types have no RIHS01 of their own
+
+
+def _full_text(name: str, closed: Mapping[str, str], definition: str) -> str:
+    """The concatenated definition: as given where it is whole, else with the dependencies appended as ROS 1 does."""
+    given = sections(name, definition)
+    lacking = [each for each in closed if each not in given and each not in _BUILTIN]
+    parts = [f"{'=' * 80}\nMSG: {each.replace('/msg/', '/')}\n{closed[each]}" for each in lacking]
+    return "\n".join([definition.rstrip("\n"), *parts]) + "\n"
+
+
+def _definition_files(folders: Sequence[Path]) -> Mapping[tuple[str, str], Path]:
+    """(package, file name) to path, for every definition in these folders; the first folder wins."""
+    found: dict[tuple[str, str], Path] = {}
+    for folder in folders:
+        for pattern in ("*.msg", "*.srv"):
+            for count, path in enumerate(sorted(folder.rglob(pattern))):
+                if count > _MOST_FILES:
+                    break
+                found.setdefault((path.parent.parent.name, path.name), path)
+    return found
+
+
+@cache
+def _stored_texts(ros_version: Literal[1, 2]) -> Mapping[str, str]:
+    """The texts of the types that rosbags ships, by name."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros_version == 1 else Stores.ROS2_JAZZY)
+    texts: dict[str, str] = {}
+    for name in store.fielddefs:
+        text, _ = store.generate_msgdef(name, ros_version=ros_version)
+        texts[name] = sections(name, text)[name]
+    return texts

@@ -1,0 +1,16 @@
+"""The paper's aircraft, embedded: `rosld serve aircraft`."""
+
+from rosld.adapters.aircraft.adapter import Aircraft
+from rosld.adapters.base import Adapter, AdapterOptions
+
+SCHEME = "aircraft"
+
+
+def adapter(source: str, options: AdapterOptions) -> Adapter:
+    """The adapter of the source `aircraft`, the only aircraft there is. Raises ValueError for anything after it."""
+    if source.rstrip(":/") != SCHEME:
+        raise ValueError(f"there is only one aircraft: say {SCHEME!r}, not {source!r}")
+    return Aircraft(options)
+
+
+__all__ = ["Aircraft", "adapter"]

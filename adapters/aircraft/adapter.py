@@ -1,0 +1,272 @@
+"""The embedded aircraft: a small ROS system that lives on the server's own loop and needs nothing else installed.
+
+It answers at once, so that a deadline matters only when it has passed already, and whatever is asked of it before
+`open` or after `close` is `Unreachable`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+from rosld.adapters import parameters
+from rosld.adapters.aircraft.flight import Flight
+from rosld.adapters.aircraft.graph import AIRCRAFT, DISPLAY, ROSLD, SPEED, Advertised, aircraft_graph
+from rosld.adapters.aircraft.services import SERVICES
+from rosld.adapters.base import (
+    AdapterOptions,
+    Capabilities,
+    ParameterValue,
+    Published,
+    Recording,
+    Sink,
+    Subscription,
+)
+from rosld.adapters.model import (
+    Encoding,
+    Graph,
+    Kind,
+    MessageSchema,
+    NotFound,
+    Operation,
+    Ref,
+    Refused,
+    Sample,
+    Schema,
+    ServiceSchema,
+    TimedOut,
+    TypeRef,
+    Unreachable,
+)
+from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.slots import Slot
+
+PERIOD = 0.1
+"""Seconds between two messages of the speed."""
+
+_TOPIC_TYPES = {SPEED: "std_msgs/msg/Float64", DISPLAY: "std_msgs/msg/String"}
+_CAPABILITIES = Capabilities(
+    system="aircraft", encoding=Encoding.ROS1, writes=True, creates_topics=True, parameter_trees=True
+)
+_KNOWN_TOPIC = frozenset({Operation.SUBSCRIBE, Operation.PUBLISH})
+_KNOWN_PARAMETER = frozenset({Operation.GET_PARAMETER, Operation.SET_PARAMETER, Operation.DELETE_PARAMETER})
+_MOST_ADVERTISED = 10_000
+
+
+def initial_parameters() -> parameters.Tree:
+    """The parameters that the aircraft starts with."""
+    return {
+        "aircraft": {
+            "registration": "RO-SLD",
+            "seats": 2,
+            "engine": {"cylinders": 6, "limits": {"oil_pressure": 4.5, "temperature": 230.0}},
+        },
+        "cockpit": {"brightness": 0.8, "night": False, "checklist": ["fuel", "flaps", "radio"]},
+    }
+
+
+class Aircraft:
+    """The aircraft of the paper's Listing 1 as an `Adapter`."""
+
+    def __init__(self, options: AdapterOptions) -> None:
+        self._library = TypeLibrary(ros_version=1, folders=options.types)
+        self._types = {name: self._library.find(TypeRef(kind)).ref for name, kind in _TOPIC_TYPES.items()}
+        self._types |= {name: self._library.find(TypeRef(service.type)).ref for name, service in SERVICES.items()}
+        self._speed = self._message(self._types[SPEED])
+        self._slots = {SPEED: Slot(), DISPLAY: Slot()}
+        self._advertised: dict[str, Advertised] = {}
+        self._advertisings = 0
+        self._parameters = initial_parameters()
+        self._flight = Flight()
+        self._sink: Sink | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._ticks = 0
+        self._graph = self._as_it_is(1)
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """ROS 1 as it is, with a parameter tree, but without a master."""
+        return _CAPABILITIES
+
+    @property
+    def graph(self) -> Graph:
+        """The aircraft, its cockpit, and rosld while it advertises something."""
+        return self._graph
+
+    @property
+    def recordings(self) -> Mapping[str, Recording]:
+        """None."""
+        return MappingProxyType({})
+
+    async def open(self, sink: Sink, *, deadline: float) -> None:
+        """Bring the aircraft to life: off, at rest. Nothing happens when it lives already."""
+        if self._sink is not None:
+            return
+        self._sink = sink
+        self._flight = Flight(since_ns=time.monotonic_ns())
+        self._tick(asyncio.get_running_loop().time(), 0)
+
+    async def close(self) -> None:
+        """Let the aircraft rest, with nothing left advertised. Idempotent."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        for topic in tuple(self._advertised):
+            await self.unadvertise(topic)
+        self._sink = None
+
+    def allows(self, ref: Ref) -> frozenset[Operation]:
+        """What ROS 1 can do with this thing."""
+        if ref.kind is Kind.TOPIC:
+            return _KNOWN_TOPIC if ref.name in self._graph.topics else frozenset({Operation.PUBLISH})
+        if ref.kind is Kind.SERVICE:
+            return frozenset({Operation.CALL}) if ref.name in self._graph.services else frozenset()
+        if ref.kind is Kind.PARAMETER:
+            known = parameters.read(self._parameters, ref.name) is not None
+            deletable = _KNOWN_PARAMETER if ref.name != "/" else _KNOWN_PARAMETER - {Operation.DELETE_PARAMETER}
+            return deletable if known else frozenset({Operation.SET_PARAMETER})
+        return frozenset()
+
+    async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
+        """The schema of a type that is shipped or in the folders given."""
+        return self._library.find(ref)
+
+    def known_types(self) -> Sequence[TypeRef]:
+        """The types of the aircraft's topics and services, and of what rosld advertises."""
+        return list(dict.fromkeys([*self._types.values(), *(each.type for each in self._advertised.values())]))
+
+    async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
+        """Begin to look at a topic, whether or not it is there yet."""
+        return self._slot(topic).subscribe(depth)
+
+    async def publish(
+        self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
+    ) -> Published:
+        """Publish; nobody can come to match later, so that this never waits. Refused where the type is another."""
+        self._reachable(deadline)
+        own = self._advertised.get(topic)
+        if own is None or own.latched != latch or own.type != type:
+            own = self._advertise(topic, type, latch)
+        own.sequence += 1
+        self._slot(topic).put(
+            Sample(data, Encoding.ROS1, own.type, ROSLD, time.time_ns(), own.sequence, own.epoch, latch)
+        )
+        return Published(own.matched)
+
+    async def unadvertise(self, topic: str) -> None:
+        """Stop advertising; what rosld sent there is gone with it."""
+        if self._advertised.pop(topic, None) is None:
+            raise NotFound(f"rosld does not advertise {topic}")
+        self._slots[topic].drop(ROSLD)
+        if topic not in _TOPIC_TYPES and not self._slots[topic].subscriptions:
+            del self._slots[topic]
+        self._revise()
+
+    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        """Call a service of the aircraft. Refused for another type, and for bytes that are no request."""
+        self._reachable(deadline)
+        if service not in SERVICES:
+            raise NotFound(f"there is no service {service}")
+        schema = self._library.find(self._types[service])
+        assert isinstance(schema, ServiceSchema)
+        if not _same(schema.ref, type):
+            raise Refused(f"the service {service} is a {schema.ref.name}, not this {type.name}")
+        try:
+            asked = schema.request.codec.decode(request, Encoding.ROS1)
+        except ValueError as error:
+            raise Refused(f"{service} cannot read the request", words=str(error)) from error
+        self._flight, values = SERVICES[service].answer(self._flight, asked, time.monotonic_ns())
+        codec = schema.response.codec
+        return codec.encode(codec.build(schema.response.ref.name, values), Encoding.ROS1)
+
+    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
+        """The values of those names that exist."""
+        self._reachable(deadline)
+        found = {name: parameters.read(self._parameters, name) for name in names}
+        return {name: parameters.copied(value) for name, value in found.items() if value is not None}
+
+    async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
+        """Set all of them or, when one is refused, none."""
+        self._reachable(deadline)
+        tree = self._parameters
+        for name, value in values.items():
+            parameters.check(name, value)
+            tree = parameters.with_value(tree, name, parameters.copied(value))
+        self._replace_parameters(tree, values)
+
+    async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
+        """Delete all of them or, when one is not there, none."""
+        self._reachable(deadline)
+        tree = self._parameters
+        for name in names:
+            tree = parameters.without(tree, name)
+        self._replace_parameters(tree, names)
+
+    def _replace_parameters(self, tree: parameters.Tree, names: Sequence[str] | Mapping[str, ParameterValue]) -> None:
+        self._parameters = tree
+        if self._graph.parameters.keys() != set(parameters.leaves(tree)):
+            self._revise()
+        if self._sink is not None:
+            for name in names:
+                self._sink.parameter_changed(name)
+
+    def _reachable(self, deadline: float) -> None:
+        if self._sink is None:
+            raise Unreachable("the aircraft is not there: the adapter is closed")
+        if asyncio.get_running_loop().time() > deadline:
+            raise TimedOut("the deadline had passed before the aircraft was asked")
+
+    def _message(self, ref: TypeRef) -> MessageSchema:
+        schema = self._library.find(ref)
+        if not isinstance(schema, MessageSchema):
+            raise Refused(f"{ref.name} is a service type: only messages can be published")
+        return schema
+
+    def _slot(self, topic: str) -> Slot:
+        slot = self._slots.get(topic)
+        if slot is None:
+            slot = self._slots[topic] = Slot()
+        return slot
+
+    def _advertise(self, topic: str, type: TypeRef, latch: bool) -> Advertised:
+        """Advertise a topic, or take note of another way of publishing on it."""
+        kind = self._message(type).ref
+        there = self._graph.topics.get(topic)
+        if there is not None and kind not in there.types:
+            carried = ", ".join(each.name for each in there.types)
+            raise Refused(f"the topic {topic} carries {carried}, not this {kind.name}")
+        own = self._advertised.get(topic)
+        if own is not None and own.latched == latch:
+            return own
+        if own is None and len(self._advertised) >= _MOST_ADVERTISED:
+            raise Refused(f"rosld advertises {_MOST_ADVERTISED} topics already: DELETE one first")
+        self._advertisings += 1
+        own = Advertised(kind, latch, epoch=self._advertisings, matched=int(topic == DISPLAY))
+        self._advertised[topic] = own
+        self._revise()
+        return own
+
+    def _as_it_is(self, revision: int) -> Graph:
+        return aircraft_graph(revision, self._types, self._advertised, parameters.leaves(self._parameters))
+
+    def _revise(self) -> None:
+        self._graph = self._as_it_is(self._graph.revision + 1)
+        if self._sink is not None:
+            self._sink.graph_changed(self._graph)
+
+    def _tick(self, began: float, turn: int) -> None:
+        """Publish the speed, and again at the next whole period; periods that a busy loop missed are left out."""
+        loop = asyncio.get_running_loop()
+        self._ticks += 1
+        speed = self._flight.speed_at(time.monotonic_ns())
+        codec = self._speed.codec
+        data = codec.encode(codec.build(self._speed.ref.name, {"data": speed}), Encoding.ROS1)
+        self._slots[SPEED].put(Sample(data, Encoding.ROS1, self._speed.ref, AIRCRAFT, time.time_ns(), self._ticks))
+        following = max(turn, int((loop.time() - began) / PERIOD)) + 1
+        self._timer = loop.call_at(began + following * PERIOD, self._tick, began, following)
+
+
+def _same(ref: TypeRef, asked: TypeRef) -> bool:
+    return asked.name == ref.name and asked.hash in (None, ref.hash)

@@ -1,0 +1,88 @@
+"""The flight model: what the aircraft of the paper is at a time, and what becomes of it when it is told something.
+
+A `Flight` is a frozen state and a time; everything else follows from them, so that no clock is needed to test it.
+Times are nanoseconds of any monotonic clock.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+MOST_SPEED = 1000.0
+MOST_DIRECTION = 360.0
+ACCELERATION = 100.0
+"""How much the speed changes in a second, up or down."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """The aircraft since `since_ns`, when it had `speed` and began to change towards `commanded`."""
+
+    on: bool = False
+    speed: float = 0.0
+    commanded: float = 0.0
+    direction: float = 0.0
+    since_ns: int = 0
+
+    @property
+    def power(self) -> str:
+        """The power in the paper's words."""
+        return "on" if self.on else "off"
+
+    def speed_at(self, now_ns: int) -> float:
+        """The speed at a time not before `since_ns`; exactly the commanded one as soon as it is reached."""
+        way = self.commanded - self.speed
+        gone = ACCELERATION * (now_ns - self.since_ns) / 1e9
+        return self.commanded if abs(way) <= gone else self.speed + math.copysign(gone, way)
+
+
+class Declined(Exception):
+    """The aircraft does not do this now; its text is what it answers."""
+
+
+def started(flight: Flight, now_ns: int) -> Flight:
+    """Switched on. Declined when it is on already."""
+    if flight.on:
+        raise Declined("the aircraft is already started")
+    return replace(flight, on=True, since_ns=now_ns)
+
+
+def stopped(flight: Flight, now_ns: int) -> Flight:
+    """Switched off; nothing changes when it is off already. Declined while it moves."""
+    speed = flight.speed_at(now_ns)
+    if flight.on and speed > 0:
+        raise Declined(f"the aircraft still moves at {speed:g}: set the speed to 0 first")
+    return replace(flight, on=False, speed=0.0, commanded=0.0, since_ns=now_ns)
+
+
+def powered(flight: Flight, power: str, now_ns: int) -> Flight:
+    """Switched "on" or "off", which is to start or to stop. Declined for other words."""
+    if power == "on":
+        return started(flight, now_ns)
+    if power == "off":
+        return stopped(flight, now_ns)
+    raise Declined(f"the power is 'on' or 'off', not {power!r}")
+
+
+def hastened(flight: Flight, speed: float, now_ns: int) -> Flight:
+    """On its way to another speed. Declined while off and outside 0 to 1000."""
+    _on_and_within(flight, "speed", speed, MOST_SPEED)
+    return replace(flight, speed=flight.speed_at(now_ns), commanded=_positive(speed), since_ns=now_ns)
+
+
+def turned(flight: Flight, direction: float, now_ns: int) -> Flight:
+    """Heading to another direction, at once. Declined while off and outside 0 to 360."""
+    _on_and_within(flight, "direction", direction, MOST_DIRECTION)
+    return replace(flight, speed=flight.speed_at(now_ns), direction=_positive(direction), since_ns=now_ns)
+
+
+def _on_and_within(flight: Flight, what: str, value: float, most: float) -> None:
+    if not flight.on:
+        raise Declined(f"the aircraft is off: start it before setting its {what}")
+    if not 0 <= value <= most:  # NaN is within nothing
+        raise Declined(f"the {what} must be between 0 and {most:g}, not {value:g}")
+
+
+def _positive(value: float) -> float:
+    return value + 0.0  # -0.0 is 0.0 to a pilot

@@ -1,0 +1,54 @@
+"""The computation graph of the aircraft, as a pure function of what rosld advertises and which parameters there are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from rosld.adapters.aircraft.services import SERVICES
+from rosld.adapters.model import Endpoint, Graph, Node, Parameter, Service, Topic, TypeRef, frozen
+
+AIRCRAFT = "/aircraft"
+COCKPIT = "/cockpit"
+ROSLD = "/rosld"
+SPEED = "/aircraft/engine/speed"
+DISPLAY = "/cockpit/display"
+
+
+@dataclass(slots=True)
+class Advertised:
+    """A topic that rosld advertises; `epoch` tells one advertising from the next, `sequence` counts its messages."""
+
+    type: TypeRef
+    latched: bool
+    epoch: int
+    matched: int
+    sequence: int = 0
+
+
+def aircraft_graph(
+    revision: int,
+    types: Mapping[str, TypeRef],
+    advertised: Mapping[str, Advertised],
+    parameters: Iterable[str],
+) -> Graph:
+    """The graph: `types` holds the types of the aircraft's own topics and services by the names of these."""
+    nodes = [AIRCRAFT, COCKPIT, *([ROSLD] if advertised else [])]
+    return Graph(
+        revision,
+        own_node=ROSLD,
+        nodes=frozen({name: Node(name) for name in nodes}),
+        topics=frozen({name: _topic(name, types, advertised) for name in (SPEED, DISPLAY, *sorted(advertised))}),
+        services=frozen({name: Service(name, types[name], (AIRCRAFT,)) for name in SERVICES}),
+        parameters=frozen({name: Parameter(name) for name in sorted(parameters)}),
+    )
+
+
+def _topic(name: str, types: Mapping[str, TypeRef], advertised: Mapping[str, Advertised]) -> Topic:
+    own = advertised.get(name)
+    kind = own.type if own else types[name]
+    publishers = [Endpoint(AIRCRAFT, kind)] if name == SPEED else []
+    if own:
+        publishers.append(Endpoint(ROSLD, kind, latched=own.latched))
+    subscribers = (Endpoint(COCKPIT, kind),) if name == DISPLAY else ()
+    return Topic(name, (kind,), tuple(publishers), subscribers)

@@ -1,0 +1,116 @@
+"""Parameter trees as ROS 1's master keeps them: pure functions of immutable trees, and the refusals of the wire.
+
+A tree is a dict of values and trees; no function here changes the one it is given. Names are global ROS names,
+whose empty segments count for nothing, as at the master.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime
+from typing import TypeAlias
+
+from rosld.adapters.base import ParameterValue
+from rosld.adapters.model import NotFound, Refused
+from rosld.adapters.model.names import segments
+
+Tree: TypeAlias = dict[str, ParameterValue]
+
+_MOST_NESTED = 64
+_INT32 = range(-(2**31), 2**31)
+
+
+def read(tree: Tree, name: str) -> ParameterValue | None:
+    """The value of a name, a dict where it is a tree; None where there is nothing."""
+    found: ParameterValue = tree
+    for step in _path(name):
+        if not isinstance(found, dict) or step not in found:
+            return None
+        found = found[step]
+    return found
+
+
+def with_value(tree: Tree, name: str, value: ParameterValue) -> Tree:
+    """The tree with `name` set, as the master does it: a scalar on the way becomes a namespace.
+
+    Raises Refused for a root that is no dict.
+    """
+    path = _path(name)
+    if not path and not isinstance(value, dict):
+        raise Refused("the root of the parameter tree, '/', can only be set to a dict")
+    return _with(tree, path, value)
+
+
+def _with(tree: Tree, path: Sequence[str], value: ParameterValue) -> Tree:
+    if not path:
+        assert isinstance(value, dict)
+        return dict(value)
+    step, *rest = path
+    if not rest:
+        return {**tree, step: value}
+    below = tree.get(step)
+    return {**tree, step: _with(below if isinstance(below, dict) else {}, rest, value)}
+
+
+def without(tree: Tree, name: str) -> Tree:
+    """The tree without `name` and all below it. Raises NotFound, and Refused for the root."""
+    path = _path(name)
+    if not path:
+        raise Refused("the root of the parameter tree, '/', cannot be deleted")
+    if read(tree, name) is None:
+        raise NotFound(f"there is no parameter {name!r}")
+    return _without(tree, path)
+
+
+def _without(tree: Tree, path: Sequence[str]) -> Tree:
+    step, *rest = path
+    if not rest:
+        return {key: value for key, value in tree.items() if key != step}
+    below = tree[step]
+    assert isinstance(below, dict)
+    return {**tree, step: _without(below, rest)}
+
+
+def leaves(tree: Mapping[str, ParameterValue], prefix: str = "") -> Iterator[str]:
+    """The names of all values that are no trees, as `getParamNames` lists them (an empty tree is not listed)."""
+    for key, value in tree.items():
+        name = f"{prefix}/{key}"
+        if isinstance(value, dict):
+            yield from leaves(value, name)
+        else:
+            yield name
+
+
+def check(name: str, value: object, depth: int = 0) -> None:
+    """Raises Refused, naming the parameter, for a value that ROS 1's parameter server could not hold."""
+    if depth > _MOST_NESTED:
+        raise Refused(f"the parameter {name} is nested more than {_MOST_NESTED} deep")
+    if isinstance(value, int) and not isinstance(value, bool) and value not in _INT32:
+        raise Refused(f"the parameter {name} cannot be {value}: ROS 1 parameters hold integers of 32 bits")
+    if isinstance(value, dict):
+        for key, below in value.items():
+            _check_key(name, key)
+            check(f"{name}/{key}", below, depth + 1)
+    elif isinstance(value, list):
+        for item in value:
+            check(name, item, depth + 1)
+    elif not isinstance(value, (bool, int, float, str, bytes, datetime)):
+        raise Refused(f"the parameter {name} cannot be {value!r}: it is no value that ROS 1 parameters hold")
+
+
+def copied(value: ParameterValue) -> ParameterValue:
+    """A value that shares no list and no dict with `value`."""
+    if isinstance(value, dict):
+        return {key: copied(below) for key, below in value.items()}
+    if isinstance(value, list):
+        return [copied(item) for item in value]
+    return value
+
+
+def _check_key(name: str, key: object) -> None:
+    if not isinstance(key, str) or not key or "/" in key:
+        raise Refused(f"the parameter {name} cannot hold the key {key!r}: a key is a non-empty name without slashes")
+
+
+def _path(name: str) -> tuple[str, ...]:
+    return tuple(step for step in segments(name) if step)

@@ -1,0 +1,140 @@
+"""Slots: the newest samples of each publisher of one topic, and the wakes of those who wait for more.
+
+For adapters whose samples arrive on the server's loop. Nothing here is thread-safe, and nothing costs more than a
+few microseconds: a sample that nobody looks at replaces one entry.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable, Sequence
+
+from rosld.adapters.base import Watch
+from rosld.adapters.model import Sample
+
+
+class Watches:
+    """Those to be woken on the running loop when something new arrives, each at most once a turn of the loop."""
+
+    def __init__(self) -> None:
+        self._watches: dict[LoopWatch, None] = {}
+
+    def __len__(self) -> int:
+        return len(self._watches)
+
+    def add(self, wake: Callable[[], None]) -> LoopWatch:
+        """Wake from now on, until the watch is closed. To be called on the loop."""
+        watch = LoopWatch(wake, self._watches)
+        self._watches[watch] = None
+        return watch
+
+    def notify(self) -> None:
+        """Something new is there."""
+        for watch in self._watches:
+            watch.notify()
+
+
+class LoopWatch:
+    """One running watch: coalesces what arrives in one turn of the loop into one wake."""
+
+    def __init__(self, wake: Callable[[], None], among: dict[LoopWatch, None]) -> None:
+        self._wake: Callable[[], None] | None = wake
+        self._among = among
+        self._loop = asyncio.get_running_loop()
+        self._due = False
+
+    def notify(self) -> None:
+        """Wake in the next turn of the loop."""
+        if not self._due:
+            self._due = True
+            self._loop.call_soon(self._run)
+
+    def _run(self) -> None:
+        self._due = False
+        if self._wake is not None:
+            self._wake()
+
+    def close(self) -> None:
+        """Stop waking, one that is already due included. Idempotent."""
+        self._wake = None
+        self._among.pop(self, None)
+
+
+class Slot:
+    """The newest samples of each publisher of one topic."""
+
+    def __init__(self) -> None:
+        self.watches = Watches()
+        self.subscriptions = 0
+        self._depth = 1
+        self._kept: dict[str, deque[Sample]] = {}
+        self._views: dict[int, tuple[Sample, ...]] = {}
+
+    def put(self, sample: Sample) -> None:
+        """Keep a sample as its publisher's newest."""
+        kept = self._kept.get(sample.publisher)
+        if kept is None:
+            kept = self._kept[sample.publisher] = deque(maxlen=self._depth)
+        kept.append(sample)
+        self._changed()
+
+    def drop(self, publisher: str) -> None:
+        """Forget what a publisher sent; nothing happens where it sent nothing."""
+        if self._kept.pop(publisher, None) is not None:
+            self._changed()
+
+    def latest(self, depth: int = 1) -> Sequence[Sample]:
+        """The newest `depth` samples of each publisher in order of receipt; the same object until one arrives."""
+        view = self._views.get(depth)
+        if view is None:
+            newest = [sample for kept in self._kept.values() for sample in tuple(kept)[-depth:]]
+            view = self._views[depth] = tuple(sorted(newest, key=_received))
+        return view
+
+    def subscribe(self, depth: int = 1) -> SlotSubscription:
+        """One more interest in this topic; from now on at least `depth` samples of each publisher are kept."""
+        if depth < 1:
+            raise ValueError(f"a depth of {depth} holds no sample: it must be 1 or more")
+        if depth > self._depth:
+            self._depth = depth
+            self._kept = {publisher: deque(kept, maxlen=depth) for publisher, kept in self._kept.items()}
+        return SlotSubscription(self, depth)
+
+    def _changed(self) -> None:
+        self._views.clear()
+        self.watches.notify()
+
+
+def _received(sample: Sample) -> int:
+    return sample.received_ns
+
+
+class SlotSubscription:
+    """A counted interest in one slot. Closed, it shows nothing and wakes nobody."""
+
+    def __init__(self, slot: Slot, depth: int) -> None:
+        self._slot: Slot | None = slot
+        self._depth = depth
+        self._watches: list[LoopWatch] = []
+        slot.subscriptions += 1
+
+    def latest(self) -> Sequence[Sample]:
+        """The newest samples of each publisher, in order of receipt."""
+        return () if self._slot is None else self._slot.latest(self._depth)
+
+    def watch(self, wake: Callable[[], None]) -> Watch:
+        """Wake on the loop after something new arrived; ends with the subscription."""
+        if self._slot is None:
+            return LoopWatch(wake, {})
+        watch = self._slot.watches.add(wake)
+        self._watches.append(watch)
+        return watch
+
+    def close(self) -> None:
+        """Give this interest back. Idempotent."""
+        if self._slot is not None:
+            self._slot.subscriptions -= 1
+            self._slot = None
+            for watch in self._watches:
+                watch.close()

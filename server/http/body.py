@@ -1,0 +1,71 @@
+"""Reading a request's body: whole, within a size and a time (RFC 9110 8.4 to 8.6)."""
+
+from __future__ import annotations
+
+import anyio
+from starlette.requests import ClientDisconnect, Request
+
+from rosld.server.http.problem import Problem
+
+TIMEOUT = 30.0
+"""Seconds a client has to send its body."""
+
+
+async def read_body(request: Request, *, limit: int, timeout: float = TIMEOUT) -> bytes:
+    """The body of a request, of at most `limit` bytes, sent within `timeout` seconds.
+
+    Raises Problems: 413 too large (before reading where Content-Length says so), 415 compressed, 408 too slow, 400 cut
+    off or not as long as Content-Length says. A connection whose body was not read to its end is not used again.
+    """
+    headers = request.headers
+    refuse_coding(headers.get("content-encoding"))
+    declared = declared_length(headers.get("content-length"))
+    if declared is not None and declared > limit:
+        raise _too_large(limit)
+    try:
+        with anyio.fail_after(timeout):
+            body = await _collect(request, limit)
+    except TimeoutError as error:
+        raise Problem(408, f"The body did not arrive within {timeout:g} s.", headers=_CLOSE) from error
+    except ClientDisconnect as error:
+        raise Problem(400, "The connection ended within the body.", headers=_CLOSE) from error
+    if declared is not None and len(body) != declared:
+        raise Problem(400, f"Content-Length says {declared} bytes, the body has {len(body)}.", headers=_CLOSE)
+    return body
+
+
+def refuse_coding(coding: str | None) -> None:
+    """Raises a 415 Problem for a compressed body, which could grow without limit (RFC 9110 15.5.16)."""
+    if coding is not None and coding.strip().lower() not in ("", "identity"):
+        raise Problem(
+            415,
+            f"Content-Encoding: {coding} is not read here. Send the body as it is.",
+            headers={"Accept-Encoding": "identity", **_CLOSE},
+        )
+
+
+def declared_length(text: str | None) -> int | None:
+    """The number in Content-Length, None where there is none; a 400 Problem where it is no number."""
+    if text is None:
+        return None
+    if not (text.isascii() and text.isdigit() and len(text) < 20):
+        raise Problem(400, f"Content-Length: {text[:100]!r} is no number of bytes.", headers=_CLOSE)
+    return int(text)
+
+
+_CLOSE = {"Connection": "close"}
+
+
+async def _collect(request: Request, limit: int) -> bytes:
+    chunks: list[bytes] = []
+    size = 0
+    async for chunk in request.stream():
+        size += len(chunk)
+        if size > limit:
+            raise _too_large(limit)
+        chunks.append(chunk)
+    return chunks[0] if len(chunks) == 1 else b"".join(chunks)
+
+
+def _too_large(limit: int) -> Problem:
+    return Problem(413, f"The body is larger than {limit} bytes, the most that is read here.", headers=_CLOSE)

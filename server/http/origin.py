@@ -1,0 +1,144 @@
+"""Who may talk to this server by which name: Host (RFC 9110 7.2), Origin (RFC 6454) and sharing (the Fetch standard).
+
+A robot on somebody's own machine is reached by every page their browser shows. So a request must name this server
+(which stops DNS rebinding), and one that may change something must not come from a foreign page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from ipaddress import ip_address
+from urllib.parse import urlsplit
+
+from rosld.server.http.problem import Problem
+
+SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+_LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
+_DEFAULT_PORTS = {"http": 80, "https": 443}
+_OWN_FETCH_SITES = (None, "same-origin", "none")
+_METHODS = "GET, HEAD, OPTIONS, PUT, POST, PATCH, DELETE"
+_READS = "GET, HEAD, OPTIONS"
+_REQUEST_HEADERS = "Accept, Content-Type, If-Match, If-None-Match, Prefer, Link, Slug, Idempotency-Key, Last-Event-ID"
+_EXPOSED = (
+    "ETag, Link, Location, Content-Location, Allow, Accept-Post, Accept-Patch, Accept-Put, Age, Retry-After, "
+    "Preference-Applied"
+)
+ANYBODY = "*"
+"""`--cors-origin '*'` shares reads with every page; writes stay with the origins that are named."""
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """This server's names: its base, the Hosts it answers to, its own origins and those it shares with."""
+
+    base: str
+    hosts: frozenset[str]
+    origins: frozenset[str]
+    shared: frozenset[str] = frozenset()
+
+
+def site(base: str, bound_host: str, bound_port: int, shared: Iterable[str] = ()) -> Site:
+    """The names of a server with this base URL that is bound to this address.
+
+    Accepted are the base's own and, where the address is loopback, the loopback names with the bound port.
+    """
+    scheme, authority = _split(base)
+    hosts, origins = {authority}, {f"{scheme}://{authority}"}
+    if is_loopback(bound_host):
+        local = {normal_authority(f"{name}:{bound_port}", "http") for name in _LOOPBACK_NAMES}
+        hosts |= local
+        origins |= {f"http://{name}" for name in local}
+    return Site(base, frozenset(hosts), frozenset(origins), frozenset(map(normal_origin, shared)))
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address to bind to is reached from this machine only."""
+    try:
+        return ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def is_wildcard(host: str) -> bool:
+    """Whether an address to bind to stands for all addresses of this machine."""
+    try:
+        return ip_address(host.strip("[]")).is_unspecified
+    except ValueError:
+        return host in ("", "*")
+
+
+def normal_authority(authority: str, scheme: str) -> str:
+    """An authority in lower case, without its scheme's default port and without a final dot of the name."""
+    name, colon, port = authority.lower().rpartition(":")
+    if not colon or not (port.isdigit() or not port):
+        name, port = authority.lower(), ""
+    name = name.removesuffix(".")
+    return name if not port or int(port) == _DEFAULT_PORTS.get(scheme) else f"{name}:{int(port)}"
+
+
+def normal_origin(origin: str) -> str:
+    """An origin as browsers write it (RFC 6454 6.2). Raises ValueError for what is none."""
+    if origin == ANYBODY:
+        return origin
+    scheme, authority = _split(origin)
+    return f"{scheme}://{authority}"
+
+
+def check_host(site: Site, hosts: Sequence[str]) -> None:
+    """Raises a Problem unless the request names this server: 400 without exactly one Host, 421 for another's."""
+    if len(hosts) != 1:
+        raise Problem(400, f"A request has one Host header, this one has {len(hosts)} (RFC 9112 3.2).")
+    named = hosts[0]
+    if named not in site.hosts and normal_authority(named, urlsplit(site.base).scheme) not in site.hosts:
+        raise Problem(421, f"This server is not {named[:200]!r}. It is {site.base}", extra={"base": site.base})
+
+
+def check_origin(site: Site, method: str, origin: str | None, fetch_site: str | None = None) -> None:
+    """Raises a 403 Problem for a method that is not safe from a page of somebody else.
+
+    Without an Origin the request is no page's (curl, a robot), unless Sec-Fetch-Site says that it is.
+    """
+    if method in SAFE_METHODS:
+        return
+    if origin is None and fetch_site in _OWN_FETCH_SITES:
+        return
+    if origin is None or not (_is_own(site, origin) or origin in site.shared):
+        raise Problem(
+            403,
+            f"Pages of {(origin or 'another site')[:200]!r} may not change anything here. "
+            "To let them, start the server with --cors-origin.",
+        )
+
+
+def sharing(site: Site, method: str, origin: str | None, *, preflight: bool = False) -> Mapping[str, str]:
+    """The CORS headers of an answer: none for an origin that nothing is shared with.
+
+    `preflight`: the request is an OPTIONS with Access-Control-Request-Method. `vary` is among them whenever the answer
+    depends on the origin; the caller adds it to the answer's own Vary.
+    """
+    headers = {"vary": "Origin"} if site.shared else {}
+    named = origin in site.shared
+    if origin is None or not (named or (ANYBODY in site.shared and method in SAFE_METHODS)):
+        return headers
+    headers["access-control-allow-origin"] = origin if named else ANYBODY
+    if preflight:
+        return headers | {
+            "access-control-allow-methods": _METHODS if named else _READS,
+            "access-control-allow-headers": _REQUEST_HEADERS,
+            "access-control-max-age": "600",
+        }
+    return headers | {"access-control-expose-headers": _EXPOSED}
+
+
+def _is_own(site: Site, origin: str) -> bool:
+    return origin.lower() in site.origins
+
+
+def _split(url: str) -> tuple[str, str]:
+    """Scheme and normal authority of an http(s) URL. Raises ValueError."""
+    parts = urlsplit(url)
+    if parts.scheme not in _DEFAULT_PORTS or not parts.hostname or parts.username is not None:
+        raise ValueError(f"{url!r} is no http or https URL")
+    assert parts.port is None or parts.port >= 0  # reading it raises ValueError for a bad one
+    return parts.scheme, normal_authority(parts.netloc, parts.scheme)

@@ -1,0 +1,193 @@
+"""Names to URLs and back: the one place that knows where things live (DESIGN section 3). Pure.
+
+Each segment of a ROS name is one segment of the path, percent-encoded as UTF-8 by itself. Three segments cannot stand
+in a URL as they are: the empty one (it would read as the slash of a container) and `.` and `..` (clients remove them,
+and `%2E` too: RFC 3986 5.2.4, WHATWG URL "dot segments"). They are written with a `~` before them, and so is every
+segment that looks like one of these: `~`, `~.`, `~..`, `~~`, ... So `/a//b` is `a/~/b`, and no two names share a URL.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import NamedTuple
+from urllib.parse import quote, unquote_to_bytes, urlsplit
+
+from rosld.adapters.model import TypeRef, names
+
+TYPES = "https://w3id.org/rosld/types/"
+
+_ESCAPED = re.compile(r"~*\.{0,2}")
+_MALFORMED = re.compile(r"%(?![0-9A-Fa-f]{2}).{0,2}", re.DOTALL)
+
+
+def encode_segment(segment: str) -> str:
+    """One segment as it stands in a path. Raises ValueError for lone surrogates, which UTF-8 cannot carry."""
+    text = "~" + segment if _ESCAPED.fullmatch(segment) else segment
+    try:
+        return quote(text, safe="")
+    except UnicodeEncodeError as error:
+        raise ValueError(f"{segment!r} holds a lone surrogate, which no URL can carry") from error
+
+
+def decode_segment(raw: str) -> str:
+    """The segment written as `raw`: the inverse of `encode_segment`.
+
+    Raises ValueError for a malformed escape, for bytes that are not UTF-8, and for an empty or dot segment.
+    """
+    if malformed := _MALFORMED.search(raw):
+        raise ValueError(f"malformed percent-escape {malformed[0]!r} in {raw!r}: write '%25' for a percent sign")
+    try:
+        text = unquote_to_bytes(raw).decode()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{raw!r} is not percent-encoded UTF-8: {error.reason} at byte {error.start}") from error
+    if not _ESCAPED.fullmatch(text):
+        return text
+    if not text.startswith("~"):
+        raise ValueError(f"a path segment cannot be {text!r}: write '~{text}' where a name has such a segment")
+    return text[1:]
+
+
+class Location(NamedTuple):
+    """What a path points at: `kind` is its first segment (`topics`; empty for `/`), `segments` the decoded others.
+
+    `is_container`: the path ends in a slash. `/` itself is a container of the empty kind.
+    """
+
+    kind: str
+    segments: tuple[str, ...]
+    is_container: bool
+
+    @property
+    def name(self) -> str:
+        """The global ROS name (`/camera/image_raw`), or the namespace for a container.
+
+        Raises ValueError where a segment holds a slash (`%2F`): no ROS name is written so.
+        """
+        for segment in self.segments:
+            if "/" in segment:
+                raise ValueError(f"the segment {segment!r} holds a slash: give each part of a ROS name its own segment")
+        return names.join(self.segments)
+
+
+def locate(raw_path: str | bytes) -> Location:
+    """Where a path (below the base, beginning with a slash, still percent-encoded) points.
+
+    Raises ValueError naming the segment that is malformed.
+    """
+    try:
+        path = raw_path.decode() if isinstance(raw_path, bytes) else raw_path
+    except UnicodeDecodeError as error:
+        raise ValueError(f"the path {raw_path!r} is not UTF-8: {error.reason} at byte {error.start}") from error
+    if not path.startswith("/"):
+        raise ValueError(f"the path {path!r} must begin with '/'")
+    kind, *rest = path[1:].split("/")
+    if not rest:
+        return Location(decode_segment(kind) if kind else "", (), not kind)
+    is_container = rest[-1] == ""
+    segments = rest[:-1] if is_container else rest
+    return Location(decode_segment(kind), tuple(map(decode_segment, segments)), is_container)
+
+
+@dataclass(frozen=True, slots=True)
+class Space:
+    """The URLs of one server. `base` ends in a slash; `types` is the namespace of the classes of message types.
+
+    Every method raises ValueError for names that are not global ROS names or hold lone surrogates.
+    """
+
+    base: str
+    types: str = TYPES
+
+    def __post_init__(self) -> None:
+        parts = urlsplit(self.base)
+        if not (parts.scheme and parts.netloc and self.base.endswith("/")) or parts.query or parts.fragment:
+            raise ValueError(f"the base {self.base!r} must be an absolute URL that ends in '/', such as 'http://host/'")
+
+    @property
+    def path(self) -> str:
+        """The path of the base: `/`, or what a proxy puts this server below."""
+        return urlsplit(self.base).path
+
+    def location(self, url: str) -> Location | None:
+        """Where a URL of this space points, whatever its query and fragment; None for all other URLs."""
+        if not url.startswith(self.base):
+            return None
+        path = url[len(self.base) - 1 :].partition("#")[0].partition("?")[0]
+        try:
+            return locate(path)
+        except ValueError:
+            return None
+
+    def url(self, kind: str, segments: tuple[str, ...]) -> str:
+        """The URL of a leaf: `kind` and the segments below it."""
+        return self.base + "/".join((kind, *map(encode_segment, segments)))
+
+    def container(self, kind: str, namespace: tuple[str, ...] = ()) -> str:
+        """The URL of the container of a namespace: `topics/` and its segments, ending in a slash."""
+        return self.url(kind, namespace) + "/"
+
+    def _named(self, kind: str, name: str) -> str:
+        if not name.startswith("/"):
+            raise ValueError(f"{name!r} is no global ROS name: it must begin with '/'")
+        # Not names.segments: as a leaf, "/" is one empty segment, so that it never shares the URL of the container.
+        return self.url(kind, tuple(name[1:].split("/")))
+
+    def node(self, name: str) -> str:
+        """`/talker` -> `nodes/talker`."""
+        return self._named("nodes", name)
+
+    def topic(self, name: str) -> str:
+        """`/camera/image_raw` -> `topics/camera/image_raw`."""
+        return self._named("topics", name)
+
+    def service(self, name: str) -> str:
+        """`/aircraft/start` -> `services/aircraft/start`."""
+        return self._named("services", name)
+
+    def parameter(self, name: str, node: str | None = None) -> str:
+        """A parameter; where parameters belong to nodes (ROS 2), its whole name is one segment below its node."""
+        if node is None:
+            return self._named("parameters", name)
+        return self._named("parameters", node) + "/" + encode_segment(name)
+
+    def type(self, ref: TypeRef | str) -> str:
+        """`geometry_msgs/msg/Twist` -> `types/geometry_msgs/msg/Twist`; a hash makes it that variant."""
+        name, hash = (ref, None) if isinstance(ref, str) else (ref.name, ref.hash)
+        return self.url("types", tuple(name.split("/"))) + (f"?hash={quote(hash, safe='')}" if hash else "")
+
+    def shape(self, name: str) -> str:
+        """The SHACL shape of a type."""
+        return self.url("shapes", tuple(name.split("/")))
+
+    def call(self, id: str) -> str:
+        """One call of a service."""
+        return self.url("calls", (id,))
+
+    def query(self, name: str) -> str:
+        """A stored query."""
+        return self.url("queries", (name,))
+
+    def bag(self, name: str) -> str:
+        """A recording: a container of its parts."""
+        return self.container("bags", (name,))
+
+    def bag_messages(self, name: str) -> str:
+        """The messages of a recording."""
+        return self.container("bags", (name, "messages"))
+
+    def bag_message(self, name: str, index: int) -> str:
+        """Message `index` of a recording."""
+        return self.url("bags", (name, "messages", str(index)))
+
+    def class_of(self, name: str) -> str:
+        """The class of a message or service type: an IRI in the types' namespace, not of this server."""
+        return self.types + "/".join(map(encode_segment, name.split("/")))
+
+    def property_of(self, name: str, field: str) -> str:
+        """The property of a field (or a constant) of a type."""
+        return f"{self.class_of(name)}#{quote(field, safe='')}"
+
+    def fragment(self, document: str, *parts: str) -> str:
+        """A node within a document: `#from/talker`; parts are encoded and joined by slashes."""
+        return f"{document}#" + "/".join(quote(part, safe="") for part in parts)

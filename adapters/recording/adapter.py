@@ -1,0 +1,222 @@
+"""A recording as a system: its topics play as they were recorded, and nothing in it can be written to."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import NoReturn
+
+from rosld.adapters.base import (
+    AdapterOptions,
+    Capabilities,
+    ParameterValue,
+    Published,
+    Recording,
+    Sink,
+    Subscription,
+)
+from rosld.adapters.model import (
+    Encoding,
+    Endpoint,
+    Graph,
+    Kind,
+    Node,
+    NotFound,
+    Operation,
+    Ref,
+    Refused,
+    Schema,
+    Topic,
+    TypeRef,
+    UnknownType,
+    Unreachable,
+    frozen,
+)
+from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.recording.bag import Bag, log
+from rosld.adapters.recording.files import open_storage, recording_name
+from rosld.adapters.recording.playback import Playback
+from rosld.adapters.recording.player import PlayerSubscription, TopicPlayer
+
+_READ_ONLY = "a recording cannot be written to"
+
+
+class RecordingAdapter:
+    """A recording as an `Adapter`. It begins to play when it is opened, by `clock` (monotonic ns)."""
+
+    def __init__(self, path: Path, options: AdapterOptions, *, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        Playback(0, 0, options.rate)  # refuses a rate that is none before any file is read
+        self._path = path
+        self._options = options
+        self._clock = clock
+        self._began = 0
+        self._bag: Bag | None = None
+        self._library: TypeLibrary | None = None
+        self._players: dict[str, TopicPlayer] = {}
+        self._graph = Graph(1)
+        self._encoding = Encoding.CDR
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Reading only."""
+        return Capabilities("recording", self._encoding, writes=False, creates_topics=False, parameter_trees=False)
+
+    @property
+    def graph(self) -> Graph:
+        """The topics of the recording and, where it names them, the nodes that published them."""
+        return self._graph
+
+    @property
+    def recordings(self) -> Mapping[str, Recording]:
+        """The recording, by its name."""
+        return MappingProxyType({} if self._bag is None else {self._bag.name: self._bag})
+
+    async def open(self, sink: Sink, *, deadline: float) -> None:
+        """Read the index on a thread of its own, then play. Raises NotFound, or Unreachable saying what is wrong."""
+        if self._bag is not None:
+            return
+        remaining = deadline - asyncio.get_running_loop().time()
+        try:
+            bag = await asyncio.wait_for(_on_a_thread(self._opened, lambda bag: bag.close()), remaining)
+        except asyncio.TimeoutError:
+            raise Unreachable(f"{str(self._path)!r} was not read in {max(remaining, 0):.0f} s") from None
+        for note in bag.notes:
+            log.warning("the recording %s: %s", bag.name, note)
+        self._bag = bag
+        self._began = self._clock()
+        self._graph = recorded_graph(bag, self._graph.revision + 1)
+
+    async def close(self) -> None:
+        """Stop playing and let go of the file. Idempotent."""
+        for player in self._players.values():
+            player.close()
+        if self._bag is not None:
+            self._bag.close()
+
+    def allows(self, ref: Ref) -> frozenset[Operation]:
+        """Topics may be subscribed to; nothing else."""
+        known = ref.kind is Kind.TOPIC and ref.name in self._graph.topics
+        return frozenset({Operation.SUBSCRIBE}) if known else frozenset()
+
+    async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
+        """The schema of a type: as recorded, else as shipped."""
+        if self._library is None:
+            raise UnknownType(f"the type {ref.name} is not known: the recording is not open")
+        return self._library.find(ref)
+
+    def known_types(self) -> Sequence[TypeRef]:
+        """The types of the recorded topics."""
+        return [] if self._bag is None else self._bag.types()
+
+    async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
+        """Begin to look at a topic, whether or not it is recorded."""
+        return PlayerSubscription(self._player(topic), depth)
+
+    async def publish(
+        self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
+    ) -> Published:
+        """Refused."""
+        _refuse()
+
+    async def unadvertise(self, topic: str) -> None:
+        """Nothing is ever advertised here."""
+        raise NotFound(f"rosld does not advertise {topic}")
+
+    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        """Recordings have no services."""
+        raise NotFound(f"there is no service {service}: a recording has none")
+
+    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
+        """Recordings have no parameters."""
+        return {}
+
+    async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
+        """Refused."""
+        _refuse()
+
+    async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
+        """Recordings have no parameters."""
+        raise NotFound(f"there is no parameter {', '.join(names)}: a recording has none")
+
+    def _opened(self) -> Bag:
+        storage = open_storage(self._path)
+        self._library = TypeLibrary(ros_version=storage.ros_version, folders=self._options.types)
+        self._encoding = Encoding.ROS1 if storage.ros_version == 1 else Encoding.CDR
+        return Bag(recording_name(self._path), self._path, storage, self._library)
+
+    def _player(self, topic: str) -> TopicPlayer:
+        if self._bag is None:
+            raise Unreachable("the recording is not open")
+        player = self._players.get(topic)
+        if player is None:
+            streams = [stream for stream in self._bag.streams if stream.topic == topic]
+            player = TopicPlayer(self._bag, streams, self._playback(self._bag), self._elapsed)
+            if streams:  # names that are not recorded are not worth keeping
+                self._players[topic] = player
+        return player
+
+    def _playback(self, bag: Bag) -> Playback:
+        return Playback(bag.end_ns - bag.start_ns, bag.count, self._options.rate, self._options.once)
+
+    def _elapsed(self) -> int:
+        return self._clock() - self._began
+
+
+def recorded_graph(bag: Bag, revision: int) -> Graph:
+    """The computation graph as far as a recording tells it. A recorded `/clock` means that time was simulated."""
+    publishers = dict.fromkeys(stream.publisher for stream in bag.streams if stream.publisher)
+    return Graph(
+        revision,
+        simulated_time="/clock" in bag.topics,
+        nodes=frozen({name: Node(name) for name in sorted(publishers)}),
+        topics=frozen({name: _topic(bag, name) for name in sorted(bag.topics)}),
+    )
+
+
+def _topic(bag: Bag, name: str) -> Topic:
+    streams = [stream for stream in bag.streams if stream.topic == name]
+    endpoints = [
+        Endpoint(stream.publisher, stream.types[0] if len(stream.types) == 1 else None, stream.latched)
+        for stream in streams
+        if stream.publisher
+    ]
+    types = dict.fromkeys(ref for stream in streams for ref in stream.types)
+    return Topic(name, tuple(types), tuple(endpoints), unreadable=bag.topics[name].unreadable)
+
+
+async def _on_a_thread(work: Callable[[], Bag], discard: Callable[[Bag], None]) -> Bag:
+    """`work` done on a thread that never holds up the end of the process; a result nobody waits for is discarded."""
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[Bag] = loop.create_future()
+
+    def settle(bag: Bag | None, error: BaseException | None) -> None:
+        if done.cancelled():
+            if bag is not None:
+                discard(bag)
+        elif error is not None:
+            done.set_exception(error)
+        elif bag is not None:
+            done.set_result(bag)
+
+    def run() -> None:
+        bag, error = None, None
+        try:
+            bag = work()
+        except BaseException as raised:
+            error = raised
+        try:
+            loop.call_soon_threadsafe(settle, bag, error)
+        except RuntimeError:  # the loop is gone, and with it everybody who waited
+            if bag is not None:
+                discard(bag)
+
+    threading.Thread(target=run, name="rosld-recording", daemon=True).start()
+    return await done
+
+
+def _refuse() -> NoReturn:
+    raise Refused(_READ_ONLY)

@@ -1,0 +1,148 @@
+"""A recording that can be read message by message, whatever its format."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosld.adapters.base import RecordedMessage, RecordedTopic
+from rosld.adapters.model import NotFound, Sample, Schema, TypeRef, Unreachable
+from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.names import global_name
+from rosld.adapters.recording.definitions import learn
+from rosld.adapters.recording.storage import Damaged, RecordedConnection, Storage
+
+log = logging.getLogger("rosld.recording")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Stream:
+    """One publisher's messages on one topic: `positions` holds their indexes in the recording, ascending."""
+
+    topic: str
+    publisher: str
+    types: tuple[TypeRef, ...]
+    latched: bool
+    positions: NDArray[np.int64]
+
+
+class Bag:
+    """An open recording: a `Recording`, and what playing it needs. Any thread may read from it.
+
+    In memory are 24 bytes a message and the chunks read last; the messages stay on the disk.
+    """
+
+    def __init__(self, name: str, path: Path, storage: Storage, library: TypeLibrary) -> None:
+        self.name = name
+        self.path = path
+        self.format = storage.format
+        self.notes = tuple(storage.notes)
+        self._storage = storage
+        self._library = library
+        self._connections = tuple(map(_named, storage.connections))
+        learnt = [learn(library, each, storage.ros_version) for each in self._connections]
+        self._types = [ref for ref, _ in learnt]
+        self._unreadable = [words for _, words in learnt]
+        self._table = storage.messages.in_recorded_order()
+        self.times = self._table.times
+        self.count = len(self.times)
+        self.start_ns = int(self.times[0]) if self.count else 0
+        self.end_ns = int(self.times[-1]) if self.count else 0
+        self.streams, self._stream_of = self._as_streams()
+        self.topics: Mapping[str, RecordedTopic] = MappingProxyType(self._as_topics())
+
+    def message(self, index: int) -> RecordedMessage:
+        """Message `index` in recorded order. Raises NotFound outside 0 to count-1, Unreachable where it is damaged."""
+        if not 0 <= index < self.count:
+            last = f"its messages are 0 to {self.count - 1}" if self.count else "it holds none"
+            raise NotFound(f"the recording {self.name} has no message {index}: {last}")
+        stream = self._stream(index)
+        sequence = int(np.searchsorted(stream.positions, index)) + 1
+        return RecordedMessage(index, stream.topic, self.sample(index, sequence))
+
+    def messages(self) -> Iterator[RecordedMessage]:
+        """All messages in recorded order; those that the disk does not give are left out, with a warning."""
+        sequences: Counter[int] = Counter()
+        for index, connection in enumerate(self._table.connections.tolist()):
+            stream = self._stream_of[connection]
+            sequences[stream] += 1
+            try:
+                sample = self.sample(index, sequences[stream])
+            except Unreachable as error:
+                log.warning("%s", error)
+            else:
+                yield RecordedMessage(index, self.streams[stream].topic, sample)
+
+    def sample(self, index: int, sequence: int, epoch: int = 0) -> Sample:
+        """Message `index` as a sample with this sequence and epoch. Raises Unreachable."""
+        connection = int(self._table.connections[index])
+        try:
+            data = self._storage.read(int(self._table.places[index]), int(self._table.offsets[index]))
+        except Damaged as damage:
+            raise Unreachable(f"message {index} of the recording {self.name} cannot be read: {damage}") from damage
+        said = self._connections[connection]
+        received = int(self.times[index])
+        return Sample(
+            data, said.encoding, self._types[connection], said.publisher, received, sequence, epoch, said.latched
+        )
+
+    def schema(self, ref: TypeRef) -> Schema:
+        """The schema of a type of this recording. Raises UnknownType."""
+        return self._library.find(ref)
+
+    def types(self) -> Sequence[TypeRef]:
+        """The types of its topics."""
+        return list(dict.fromkeys(ref for ref in self._types if ref.name))
+
+    def close(self) -> None:
+        """Let go of the file. Idempotent."""
+        self._storage.close()
+
+    def _stream(self, index: int) -> Stream:
+        return self.streams[self._stream_of[int(self._table.connections[index])]]
+
+    def _as_streams(self) -> tuple[tuple[Stream, ...], list[int]]:
+        """The streams, and the index of each connection's stream among them."""
+        keys = [(each.topic, each.publisher) for each in self._connections]
+        numbers = {key: number for number, key in enumerate(dict.fromkeys(keys))}
+        stream_of = [numbers[key] for key in keys]
+        order = np.argsort(np.asarray(stream_of, np.int64)[self._table.connections], kind="stable")
+        counts = np.bincount(np.asarray(stream_of, np.int64)[self._table.connections], minlength=len(numbers))
+        parts = np.split(order, np.cumsum(counts)[:-1]) if len(numbers) else []
+        streams = tuple(
+            Stream(*key, self._types_of(number, stream_of), self._latched(number, stream_of), positions)
+            for (key, number), positions in zip(numbers.items(), parts, strict=True)
+        )
+        return streams, stream_of
+
+    def _types_of(self, stream: int, stream_of: list[int]) -> tuple[TypeRef, ...]:
+        refs = (ref for ref, each in zip(self._types, stream_of, strict=True) if each == stream and ref.name)
+        return tuple(dict.fromkeys(refs))
+
+    def _latched(self, stream: int, stream_of: list[int]) -> bool:
+        return any(said.latched for said, each in zip(self._connections, stream_of, strict=True) if each == stream)
+
+    def _as_topics(self) -> dict[str, RecordedTopic]:
+        names = dict.fromkeys(each.topic for each in self._connections)
+        return {name: self._topic(name) for name in names}
+
+    def _topic(self, name: str) -> RecordedTopic:
+        """A topic is unreadable where none of its connections can be decoded."""
+        mine = [number for number, each in enumerate(self._connections) if each.topic == name]
+        readable = [number for number in mine if self._unreadable[number] is None]
+        shown = (readable or mine)[0]
+        count = sum(len(stream.positions) for stream in self.streams if stream.topic == name)
+        return RecordedTopic(name, self._types[shown], count, None if readable else self._unreadable[shown])
+
+
+def _named(connection: RecordedConnection) -> RecordedConnection:
+    """With global names, as a master would have them: old recordings leave the slash out."""
+    publisher = global_name(connection.publisher) if connection.publisher else ""
+    return connection._replace(topic=global_name(connection.topic or "unnamed"), publisher=publisher)

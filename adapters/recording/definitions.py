@@ -1,0 +1,82 @@
+"""From a recorded connection to its type: what the recording defines is learnt, what it only names is looked up."""
+
+from __future__ import annotations
+
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_idl, get_typestore
+from rosbags.typesys.base import TypesysError
+
+from rosld.adapters.model import MessageSchema, TypeRef, UnknownType
+from rosld.adapters.model.codec import store_name
+from rosld.adapters.model.definition import halves
+from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.recording.storage import RecordedConnection, RosVersion
+
+_IDL_SEPARATOR = "=" * 80 + "\n"
+_EVENT = "_Event"
+
+
+def type_name(recorded: str) -> str:
+    """The name as rosbags has it: `pkg/Name`, as ROS 1 records it, is `pkg/msg/Name`."""
+    parts = recorded.split("/")
+    return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else recorded
+
+
+def learn(library: TypeLibrary, connection: RecordedConnection, ros_version: RosVersion) -> tuple[TypeRef, str | None]:
+    """The type of a connection, and why its messages cannot be decoded (None: they can)."""
+    name = type_name(connection.type)
+    named = TypeRef(name, connection.hash)
+    if connection.odd is not None:
+        return named, connection.odd
+    try:
+        if not connection.definition.strip() and ros_version == 2:
+            return _found(library, named), None
+        # RIHS01 also hashes what a text does not hold, so that only an MD5 proves the text beside it
+        proof = connection.hash if ros_version == 1 else None
+        return library.learn_message(name, _text(name, connection), proof).ref, None
+    except (ValueError, UnknownType) as error:
+        return named, f"its type {name or '(none)'} cannot be used: {error}"
+
+
+def _found(library: TypeLibrary, named: TypeRef) -> TypeRef:
+    schema = library.find(named)
+    if not isinstance(schema, MessageSchema):
+        raise ValueError("it is no message type")
+    return schema.ref
+
+
+def _text(name: str, connection: RecordedConnection) -> str:
+    if connection.syntax == "idl":
+        return _text_of_idl(name, connection.definition)
+    if connection.syntax != "msg":
+        raise ValueError(f"its definition is in {connection.syntax!r}")
+    if name.endswith(_EVENT) and "/srv/" in name:
+        return _text_of_event(name, connection.definition)
+    return connection.definition
+
+
+def _text_of_event(name: str, definition: str) -> str:
+    """The message of a service's introspection topic: recorders store the service's definition in its stead."""
+    head, separator, nested = definition.partition("\n===")
+    request, response = halves(head)
+    package, _, service = name.removesuffix(_EVENT).partition("/srv/")
+    sections = [
+        "service_msgs/ServiceEventInfo info\n"
+        f"{package}/{service}_Request[<=1] request\n{package}/{service}_Response[<=1] response",
+        f"MSG: {package}/{service}_Request\n{request}",
+        f"MSG: {package}/{service}_Response\n{response}",
+    ]
+    return f"\n{'=' * 80}\n".join(sections) + "\n" + separator.lstrip("\n") + nested
+
+
+def _text_of_idl(name: str, definition: str) -> str:
+    """The definition in message syntax of a type defined in OMG IDL, its dependencies appended."""
+    marked = definition.startswith(f"{_IDL_SEPARATOR}IDL: ")
+    parts = [part.partition("\n")[2] for part in definition.split(_IDL_SEPARATOR)[1:]] if marked else [definition]
+    store = get_typestore(Stores.EMPTY)
+    try:
+        for part in parts:
+            store.register(get_types_from_idl(part))
+        return store.generate_msgdef(store_name(name), ros_version=2)[0]
+    except (TypesysError, SerdeError, KeyError, ValueError, AssertionError, SyntaxError) as error:
+        raise ValueError(f"its IDL cannot be read: {error}") from error

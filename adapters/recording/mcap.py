@@ -1,0 +1,343 @@
+"""MCAP files of ROS 2 and ROS 1, with or without their summary.
+
+A file with a summary is opened by its chunk and message indexes. Without one (the recorder was killed, the file cut
+short), or where the indexes do not hold all messages, it is walked through, and a note says so.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from rosld.adapters.model import Encoding
+from rosld.adapters.recording.octets import ChunkCache, Octets, RandomFile, Source, exactly, inflate
+from rosld.adapters.recording.storage import (
+    Contents,
+    Damaged,
+    MessageTable,
+    RecordedConnection,
+    RosVersion,
+    joined,
+    table,
+)
+
+MAGIC = b"\x89MCAP0\r\n"
+_HEADER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX, _CHUNK_INDEX = 1, 3, 4, 5, 6, 7, 8
+_STATISTICS, _DATA_END = 0x0B, 0x0F
+_FOOTER_SIZE = 1 + 8 + 20 + len(MAGIC)
+_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
+_SYNTAXES = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl", "omgidl": "idl", "": "msg"}
+_ENCODINGS = {"cdr": Encoding.CDR, "ros1": Encoding.ROS1}
+
+
+class _Record(NamedTuple):
+    op: int
+    data_at: int
+    size: int
+
+    @property
+    def end(self) -> int:
+        return self.data_at + self.size
+
+
+class _Chunk(NamedTuple):
+    """A chunk: where its compressed bytes lie, how many, how compressed, how many they become, and their CRC."""
+
+    at: int
+    size: int
+    compression: str
+    inflated: int
+    crc: int
+
+
+class _Schema(NamedTuple):
+    name: str
+    encoding: str
+    data: str
+
+
+class _Fields:
+    """The fields of a record, read one after the other."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._at = 0
+
+    def uint(self, size: int) -> int:
+        return int.from_bytes(self._take(size), "little")
+
+    def text(self) -> str:
+        return self._take(self.uint(4)).decode("utf-8", "replace")
+
+    def texts(self) -> dict[str, str]:
+        inner = _Fields(self._take(self.uint(4)))
+        found: dict[str, str] = {}
+        while inner.more():
+            key = inner.text()
+            found[key] = inner.text()
+        return found
+
+    def octets(self) -> bytes:
+        return self._take(self.uint(4))
+
+    def more(self) -> bool:
+        return self._at < len(self._data)
+
+    def _take(self, size: int) -> bytes:
+        data = self._data[self._at : self._at + size]
+        if len(data) != size:
+            raise Damaged("a record is shorter than its fields")
+        self._at += size
+        return data
+
+
+class _Scan:
+    """What was found so far: schemas, channels as connections, chunks, and tables of messages."""
+
+    def __init__(self) -> None:
+        self.schemas: dict[int, _Schema] = {}
+        self.numbers: dict[int, int] = {}
+        self.connections: list[RecordedConnection] = []
+        self.chunks: list[_Chunk] = []
+        self.tables: list[MessageTable] = []
+        self.notes: list[str] = []
+
+    def describe(self, record: _Record, source: Source) -> None:
+        """Take in a schema or a channel."""
+        fields = _Fields(exactly(source, record.data_at, record.size))
+        number = fields.uint(2)
+        if record.op == _SCHEMA:
+            self.schemas.setdefault(number, _Schema(fields.text(), fields.text(), fields.text()))
+        elif number not in self.numbers:
+            self._add(number, _connection(self.schemas.get(fields.uint(2)), fields))
+
+    def connection(self, number: int) -> int:
+        """The index of channel `number`; one that the file does not describe is kept as an odd one."""
+        if number not in self.numbers:
+            odd = f"the recording does not describe its channel {number}"
+            self._add(number, RecordedConnection(f"/channel_{number}", "", Encoding.CDR, odd=odd))
+        return self.numbers[number]
+
+    def _add(self, number: int, connection: RecordedConnection) -> None:
+        self.numbers[number] = len(self.connections)
+        self.connections.append(connection)
+
+
+class Mcap:
+    """An open MCAP file: a `Storage`."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = RandomFile(path)
+        try:
+            contents, self._chunks = _read(self._file)
+        except BaseException:
+            self._file.close()
+            raise
+        self._cache = ChunkCache(self._load)
+        self.format = contents.format
+        self.ros_version = contents.ros_version
+        self.connections = contents.connections
+        self.messages = contents.messages
+        self.places = contents.places
+        self.notes = contents.notes
+
+    def read(self, place: int, offset: int) -> bytes:
+        """The bytes of the message record at `offset` of the file or of a chunk. Raises Damaged."""
+        source: Source = self._cache.get(place - 1) if place else self._file
+        record = _record_at(source, offset)
+        if record.op != _MESSAGE or record.size < _MESSAGE_HEAD.size:
+            raise Damaged(f"there is no message at {offset}")
+        return exactly(source, record.data_at + _MESSAGE_HEAD.size, record.size - _MESSAGE_HEAD.size)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _load(self, chunk: int) -> bytes:
+        return _inflated(self._file, self._chunks[chunk])
+
+
+def _read(file: RandomFile) -> tuple[Contents, list[_Chunk]]:
+    header = _record_at(file, len(MAGIC))
+    if header.op != _HEADER:
+        raise Damaged("it does not begin with a header")
+    profile = _Fields(exactly(file, header.data_at, header.size)).text()
+    try:
+        scan = _by_summary(file)
+    except Damaged as damage:
+        scan = _by_walking(file, header.end)
+        scan.notes.append(f"its index cannot be used ({damage}), so it was read through")
+        if not scan.connections:
+            raise Damaged(f"{damage}, and no whole channel was found in it either") from damage
+    version: RosVersion = 1 if profile == "ros1" else 2
+    messages = joined(scan.tables)
+    return Contents("MCAP", version, scan.connections, messages, 1 + len(scan.chunks), tuple(scan.notes)), scan.chunks
+
+
+def _by_summary(file: RandomFile) -> _Scan:
+    at = _summary(file)
+    scan = _Scan()
+    indexes: list[_Fields] = []
+    counted: int | None = None
+    for record in _records(file, at, file.size - _FOOTER_SIZE):
+        if record.op in (_SCHEMA, _CHANNEL):
+            scan.describe(record, file)
+        elif record.op == _CHUNK_INDEX:
+            indexes.append(_Fields(exactly(file, record.data_at, record.size)))
+        elif record.op == _STATISTICS:
+            counted = _Fields(exactly(file, record.data_at, record.size)).uint(8)
+    for index in indexes:
+        _chunk_by_index(file, index, scan)
+    found = sum(len(each.times) for each in scan.tables)
+    if counted is None or found != counted:
+        raise Damaged(f"it indexes {found} messages, not {'a known number' if counted is None else counted}")
+    return scan
+
+
+def _summary(file: RandomFile) -> int:
+    footer = exactly(file, file.size - _FOOTER_SIZE, _FOOTER_SIZE)
+    if not footer.endswith(MAGIC):
+        raise Damaged("the recording was never finished")
+    at = int.from_bytes(footer[9:17], "little")
+    if not at:
+        raise Damaged("it has no summary")
+    return at
+
+
+def _chunk_by_index(file: RandomFile, index: _Fields, scan: _Scan) -> None:
+    index.uint(8), index.uint(8)
+    at, _length = index.uint(8), index.uint(8)
+    offsets = _Fields(index.octets())
+    place = _place(file, _record_at(file, at), scan)
+    before = len(scan.tables)
+    while offsets.more():
+        offsets.uint(2)
+        record = _record_at(file, offsets.uint(8))
+        if record.op != _MESSAGE_INDEX:
+            raise Damaged("a message index is not where its chunk says")
+        scan.tables.append(_index_table(file, record, place, scan))
+    if len(scan.tables) == before:
+        _walk(Octets(_inflated(file, scan.chunks[place - 1])), 0, place, scan)
+
+
+def _index_table(file: RandomFile, record: _Record, place: int, scan: _Scan) -> MessageTable:
+    fields = _Fields(exactly(file, record.data_at, record.size))
+    connection = scan.connection(fields.uint(2))
+    data = fields.octets()
+    entries = np.frombuffer(data[: len(data) // _ENTRY.itemsize * _ENTRY.itemsize], _ENTRY)
+    return MessageTable(
+        entries["time"].astype(np.int64),
+        np.full(len(entries), connection, np.int32),
+        np.full(len(entries), place, np.int32),
+        entries["offset"].astype(np.int64),
+    )
+
+
+def _by_walking(file: RandomFile, at: int) -> _Scan:
+    scan = _Scan()
+    _walk(file, at, 0, scan)
+    return scan
+
+
+def _walk(source: Source, at: int, place: int, scan: _Scan) -> None:
+    """Find everything from `at` on; stops, with a note, where the records break off."""
+    rows: list[tuple[int, int, int, int]] = []
+    try:
+        for record in _records(source, at, source.size):
+            if record.op == _DATA_END:
+                break
+            if record.op in (_SCHEMA, _CHANNEL):
+                scan.describe(record, source)
+            elif record.op == _MESSAGE:
+                channel, _, time, _ = _MESSAGE_HEAD.unpack(exactly(source, record.data_at, _MESSAGE_HEAD.size))
+                rows.append((time, scan.connection(channel), place, record.data_at - 9))
+            elif record.op == _CHUNK and place == 0:
+                _walk_chunk(source, record, scan)
+    except Damaged as damage:
+        scan.notes.append(f"it ends early: {damage}")
+    if rows:
+        scan.tables.append(table(*zip(*rows, strict=True)))
+
+
+def _walk_chunk(source: Source, record: _Record, scan: _Scan) -> None:
+    place = _place(source, record, scan)
+    try:
+        data = _inflated(source, scan.chunks[place - 1])
+    except Damaged as damage:
+        scan.notes.append(f"a chunk of it is damaged: {damage}")
+    else:
+        _walk(Octets(data), 0, place, scan)
+
+
+def _place(source: Source, record: _Record, scan: _Scan) -> int:
+    if record.op != _CHUNK:
+        raise Damaged("there is no chunk where the index says")
+    head = _Fields(source.some(record.data_at, min(record.size, 256)))
+    head.uint(8), head.uint(8)
+    inflated, crc, compression, size = head.uint(8), head.uint(4), head.text(), head.uint(8)
+    at = record.data_at + 8 + 8 + 8 + 4 + 4 + len(compression.encode()) + 8
+    scan.chunks.append(_Chunk(at, size, compression, inflated, crc))
+    return len(scan.chunks)
+
+
+def _inflated(source: Source, chunk: _Chunk) -> bytes:
+    data = inflate(chunk.compression, exactly(source, chunk.at, chunk.size), chunk.inflated)
+    if chunk.crc and zlib.crc32(data) != chunk.crc:
+        raise Damaged(f"the checksum of the chunk at {chunk.at} is wrong")
+    return data
+
+
+def _records(source: Source, at: int, end: int) -> Iterator[_Record]:
+    while at < end:
+        record = _record_at(source, at)
+        yield record
+        at = record.end
+
+
+def _record_at(source: Source, at: int) -> _Record:
+    head = exactly(source, at, 9)
+    record = _Record(head[0], at + 9, int.from_bytes(head[1:], "little"))
+    if record.end > source.size:
+        raise Damaged(f"the record at {at} is cut off")
+    return record
+
+
+def _connection(schema: _Schema | None, channel: _Fields) -> RecordedConnection:
+    """A channel as a connection; a format that is not ROS's makes it odd, never the file unreadable."""
+    topic, encoding, said = channel.text(), channel.text(), channel.texts()
+    name, syntax, definition = schema or _Schema("", "", "")
+    odd = None
+    if encoding not in _ENCODINGS:
+        odd = f"its messages are in {encoding!r}, which is neither of {', '.join(_ENCODINGS)}"
+    elif syntax not in _SYNTAXES:
+        odd = f"its schema is in {syntax!r}, which is none of {', '.join(filter(None, _SYNTAXES))}"
+    return RecordedConnection(
+        topic=topic,
+        type=name,
+        encoding=_ENCODINGS.get(encoding, Encoding.CDR),
+        definition=definition if odd is None else "",
+        syntax=_SYNTAXES.get(syntax, syntax),
+        hash=said.get("md5sum") if encoding == "ros1" else said.get("topic_type_hash") or None,
+        publisher=said.get("callerid", ""),
+        latched=said.get("latching") == "1" or latched(said.get("offered_qos_profiles", "")),
+        odd=odd,
+    )
+
+
+def latched(profiles: str) -> bool:
+    """Whether every publisher of a ROS 2 topic kept its last messages for those who come late (transient local)."""
+    try:
+        offered = YAML(typ="safe").load(profiles) if profiles else None
+    except YAMLError:
+        return False
+    if not isinstance(offered, list) or not offered:
+        return False
+    return all(isinstance(each, dict) and each.get("durability") in (1, "transient_local") for each in offered)

@@ -1,0 +1,169 @@
+"""Reading bytes at offsets: of a file, of a decompressed chunk, and the chunks kept for the next reader."""
+
+from __future__ import annotations
+
+import bz2
+import sys
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol, cast
+
+from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+
+from rosld.adapters.recording.storage import Damaged
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+ZstdError = zstd.ZstdError
+ZstdFile = zstd.ZstdFile
+_MOST_INFLATED = 1 << 31
+"""Bytes that one chunk may claim to hold: what a real recorder never comes near."""
+
+
+class Source(Protocol):
+    """Bytes that can be read at any offset."""
+
+    @property
+    def size(self) -> int:
+        """How many there are."""
+        ...
+
+    def some(self, at: int, size: int) -> bytes:
+        """Up to `size` bytes from `at`; fewer at the end."""
+        ...
+
+
+def exactly(source: Source, at: int, size: int) -> bytes:
+    """`size` bytes from `at`. Raises Damaged where the source ends before."""
+    if at < 0 or size < 0 or at + size > source.size:
+        raise Damaged(f"{size} bytes are missing at {at}: it ends at {source.size}")
+    data = source.some(at, size)
+    if len(data) != size:
+        raise Damaged(f"only {len(data)} of {size} bytes could be read at {at}")
+    return data
+
+
+class RandomFile:
+    """A file read at offsets by any thread; the lock is held for one read of the disk, not for decompression."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("rb")
+        self._lock = threading.Lock()
+        self.size = path.stat().st_size
+
+    def some(self, at: int, size: int) -> bytes:
+        """Up to `size` bytes from `at`. Raises Damaged once the file is closed."""
+        try:
+            with self._lock:
+                self._file.seek(at)
+                return self._file.read(size)
+        except (ValueError, OSError) as error:
+            raise Damaged(f"the file cannot be read: {error}") from error
+
+    def close(self) -> None:
+        """Close the file. Idempotent."""
+        with self._lock:
+            self._file.close()
+
+
+class Octets:
+    """Bytes in memory as a `Source`."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self.size = len(data)
+
+    def some(self, at: int, size: int) -> bytes:
+        """Up to `size` bytes from `at`."""
+        return self._data[at : at + size]
+
+
+class _Decompressor(Protocol):
+    def decompress(self, data: bytes, max_length: int = ...) -> bytes: ...
+
+
+_DECOMPRESSORS: dict[str, Callable[[], _Decompressor]] = {
+    "bz2": lambda: cast(_Decompressor, bz2.BZ2Decompressor()),
+    "lz4": lambda: cast(_Decompressor, LZ4FrameDecompressor()),
+    "zstd": lambda: cast(_Decompressor, zstd.ZstdDecompressor()),
+}
+
+
+def inflate(compression: str, data: bytes, size: int) -> bytes:
+    """The `size` bytes that `data` was compressed from; never makes more than that. Raises Damaged."""
+    if compression in ("", "none"):
+        return data
+    if compression not in _DECOMPRESSORS:
+        raise Damaged(f"the compression {compression!r} is not one of {', '.join(_DECOMPRESSORS)}")
+    if size > _MOST_INFLATED:
+        raise Damaged(f"a chunk claims to hold {size} bytes")
+    try:
+        inflated = _DECOMPRESSORS[compression]().decompress(data, max_length=size + 1)
+    except (OSError, EOFError, ValueError, RuntimeError, zstd.ZstdError) as error:
+        raise Damaged(f"a {compression} chunk cannot be decompressed: {error}") from error
+    if len(inflated) != size:
+        raise Damaged(f"a {compression} chunk holds other than the {size} bytes it claims")
+    return inflated
+
+
+def inflate_zstd(data: bytes) -> bytes:
+    """What one zstd frame of unknown size was compressed from. Raises Damaged."""
+    decompressor = zstd.ZstdDecompressor()
+    try:
+        inflated: bytes = decompressor.decompress(data, max_length=_MOST_INFLATED)
+    except zstd.ZstdError as error:
+        raise Damaged(f"it cannot be decompressed: {error}") from error
+    if not decompressor.eof:
+        raise Damaged("it is cut off, or larger than can be")
+    return inflated
+
+
+class ChunkCache:
+    """The chunks read last, decompressed, so that neighbouring messages pay for one decompression.
+
+    A chunk that cannot be read is remembered as such. Thread-safe; two threads may load one chunk at the same time.
+    """
+
+    def __init__(self, load: Callable[[int], bytes], most_bytes: int = 64 << 20) -> None:
+        self._load = load
+        self._most = most_bytes
+        self._held = 0
+        self._chunks: OrderedDict[int, Octets | Damaged] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, chunk: int) -> Octets:
+        """The chunk. Raises Damaged."""
+        with self._lock:
+            found = self._chunks.get(chunk)
+            if found is not None:
+                self._chunks.move_to_end(chunk)
+        if found is None:
+            found = self._keep(chunk, self._loaded(chunk))
+        if isinstance(found, Damaged):
+            raise Damaged(str(found))
+        return found
+
+    def _loaded(self, chunk: int) -> Octets | Damaged:
+        try:
+            return Octets(self._load(chunk))
+        except Damaged as damage:
+            return damage
+
+    def _keep(self, chunk: int, found: Octets | Damaged) -> Octets | Damaged:
+        with self._lock:
+            if chunk not in self._chunks:
+                self._chunks[chunk] = found
+                self._held += _weight(found)
+            while self._held > self._most and len(self._chunks) > 1:
+                _, dropped = self._chunks.popitem(last=False)
+                self._held -= _weight(dropped)
+        return found
+
+
+def _weight(found: Octets | Damaged) -> int:
+    return found.size if isinstance(found, Octets) else 0

@@ -1,0 +1,171 @@
+"""One topic of a playing recording: what is newest is computed when somebody looks, and no message wakes anything.
+
+Only a watch has a timer, set to when the topic's next message is due. `latest` reads the disk on the caller's thread
+when the playback has passed a message of the topic since the last look: microseconds for a file without compression
+or a chunk that is kept, one decompression (some ms for a usual chunk of 1 MB, up to 50 ms for bz2) otherwise.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from rosld.adapters.base import Watch
+from rosld.adapters.model import Sample, Unreachable
+from rosld.adapters.recording.bag import Bag, Stream, log
+from rosld.adapters.recording.playback import Playback, Position
+from rosld.adapters.slots import LoopWatch, Watches
+
+_CALM = 0.005
+"""Seconds that at least lie between two wakes: faster topics coalesce."""
+
+
+class _Due(NamedTuple):
+    """A message to show: its index in the recording, and its stream's count of messages up to it."""
+
+    epoch: int
+    at: int
+    sequence: int
+
+
+class _View(NamedTuple):
+    due: tuple[_Due, ...]
+    samples: tuple[Sample, ...]
+
+
+class TopicPlayer:
+    """The topic of some streams of a bag while it plays; `elapsed` tells how long it has, in ns."""
+
+    def __init__(self, bag: Bag, streams: Sequence[Stream], playback: Playback, elapsed: Callable[[], int]) -> None:
+        self.watches = Watches()
+        self._bag = bag
+        self._streams = streams
+        self._positions = np.sort(np.concatenate([np.empty(0, np.int64), *(each.positions for each in streams)]))
+        self._playback = playback
+        self._elapsed = elapsed
+        self._until = 0
+        self._views: dict[int, _View] = {}
+        self._timer: asyncio.TimerHandle | None = None
+
+    def latest(self, depth: int = 1) -> Sequence[Sample]:
+        """The newest `depth` messages of each publisher at or before the play position, in order of play."""
+        now = self._elapsed()
+        if now >= self._until:
+            self._until = self._next_change(now)
+            self._views = {each: self._renewed(each, view, now) for each, view in self._views.items()}
+        if depth not in self._views:
+            self._views[depth] = self._renewed(depth, _View((), ()), now)
+        return self._views[depth].samples
+
+    def watch(self, wake: Callable[[], None]) -> LoopWatch:
+        """Wake after the topic's next message is due."""
+        watch = self.watches.add(wake)
+        if self._timer is None:
+            self._set_timer(self._next_change(self._elapsed()))
+        return watch
+
+    def _renewed(self, depth: int, view: _View, now: int) -> _View:
+        """The view at `now`: the very same one where nothing has changed."""
+        due = self._due(self._playback.position(now), depth)
+        if due == view.due:
+            return view
+        known = dict(zip(view.due, view.samples, strict=False)) if len(view.due) == len(view.samples) else {}
+        found = ((each, known.get(each) or self._sample(each)) for each in due)
+        shown = [(each, sample) for each, sample in found if sample is not None]
+        return _View(due, tuple(sample for _, sample in shown))
+
+    def _sample(self, due: _Due) -> Sample | None:
+        try:
+            return self._bag.sample(due.at, due.sequence, due.epoch)
+        except Unreachable as error:  # a damaged message is passed over: its neighbours still play
+            log.warning("%s", error)
+            return None
+
+    def _due(self, position: Position, depth: int) -> tuple[_Due, ...]:
+        passed = self._passed(position)
+        due = [each for stream in self._streams for each in _of_stream(stream, position.epoch, passed, depth)]
+        return tuple(sorted(due))
+
+    def _passed(self, position: Position) -> int:
+        """How many messages of the whole bag lie at or before a position."""
+        return int(np.searchsorted(self._bag.times, self._bag.start_ns + position.offset_ns, "right"))
+
+    def _next_change(self, now: int) -> int:
+        """When, in elapsed ns after `now`, the topic's next message is due or the next loop begins."""
+        position = self._playback.position(now)
+        following = int(np.searchsorted(self._positions, self._passed(position)))
+        if following < len(self._positions):
+            offset = int(self._bag.times[self._positions[following]]) - self._bag.start_ns
+            return max(self._playback.elapsed_at(Position(position.epoch, offset)), now + 1)
+        if self._playback.once or not len(self._positions):
+            return _NEVER
+        return max(self._playback.elapsed_at(Position(position.epoch + 1, 0)), now + 1)
+
+    def _set_timer(self, due: int) -> None:
+        if due < _NEVER:
+            delay = max((due - self._elapsed()) / 1e9, _CALM)
+            self._timer = asyncio.get_running_loop().call_later(delay, self._ring, due)
+
+    def _ring(self, due: int) -> None:
+        self._timer = None
+        if not len(self.watches):
+            return
+        now = self._elapsed()
+        if now >= due:
+            self.watches.notify()
+            due = self._next_change(now)
+        self._set_timer(due)
+
+    def close(self) -> None:
+        """Wake nobody any more."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+
+_NEVER = 1 << 63
+
+
+def _of_stream(stream: Stream, epoch: int, passed: int, depth: int) -> list[_Due]:
+    """What one publisher shows once `passed` messages of the bag were played in this loop.
+
+    A latched publisher shows its last messages of the loop before until it says something new.
+    """
+    count = int(np.searchsorted(stream.positions, passed))
+    if not count and stream.latched and epoch:
+        epoch, count = epoch - 1, len(stream.positions)
+    first = max(count - depth, 0)
+    return [_Due(epoch, int(stream.positions[each]), each + 1) for each in range(first, count)]
+
+
+class PlayerSubscription:
+    """A counted interest in one topic of a playing recording. Closed, it shows nothing and wakes nobody."""
+
+    def __init__(self, player: TopicPlayer, depth: int) -> None:
+        if depth < 1:
+            raise ValueError(f"a depth of {depth} holds no sample: it must be 1 or more")
+        self._player: TopicPlayer | None = player
+        self._depth = depth
+        self._watches: list[Watch] = []
+
+    def latest(self) -> Sequence[Sample]:
+        """The newest messages of each publisher at or before the play position."""
+        return () if self._player is None else self._player.latest(self._depth)
+
+    def watch(self, wake: Callable[[], None]) -> Watch:
+        """Wake on the loop after the next message of the topic is due; ends with the subscription."""
+        if self._player is None:
+            return LoopWatch(wake, {})
+        watch = self._player.watch(wake)
+        self._watches.append(watch)
+        return watch
+
+    def close(self) -> None:
+        """Give this interest back. Idempotent."""
+        self._player = None
+        for watch in self._watches:
+            watch.close()
+        self._watches.clear()

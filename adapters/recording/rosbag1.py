@@ -1,0 +1,299 @@
+"""ROS 1 bags (format 2.0), with or without their index, with any of their compressions.
+
+An indexed bag is opened by its index alone. Where the index is missing or damaged (the recorder was killed, the file
+cut short) the chunks that are whole are walked through instead, and a note says so.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from rosld.adapters.model import Encoding
+from rosld.adapters.recording.octets import ChunkCache, Octets, RandomFile, Source, exactly, inflate
+from rosld.adapters.recording.storage import Contents, Damaged, MessageTable, RecordedConnection, joined, table
+
+MAGIC = b"#ROSBAG V"
+_MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
+_MOST_HEADER = 1 << 20
+_ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
+_UINT32 = struct.Struct("<I")
+_UINT64 = struct.Struct("<Q")
+
+
+class _Record(NamedTuple):
+    op: int
+    header: Mapping[bytes, bytes]
+    data_at: int
+    size: int
+
+    @property
+    def end(self) -> int:
+        return self.data_at + self.size
+
+    def uint32(self, name: bytes) -> int:
+        return _uint(_UINT32, self.header, name)
+
+    def uint64(self, name: bytes) -> int:
+        return _uint(_UINT64, self.header, name)
+
+    def time(self) -> int:
+        value = self.uint64(b"time")
+        return (value & 0xFFFFFFFF) * 10**9 + (value >> 32)
+
+
+class _Chunk(NamedTuple):
+    """A compressed chunk: where its bytes lie, how many, how compressed, and how many they become."""
+
+    at: int
+    size: int
+    compression: str
+    inflated: int
+
+
+class _Scan:
+    """What was found so far: connections by their number in the file, chunks, and tables of messages."""
+
+    def __init__(self) -> None:
+        self.numbers: dict[int, int] = {}
+        self.connections: list[RecordedConnection] = []
+        self.chunks: list[_Chunk] = []
+        self.tables: list[MessageTable] = []
+        self.notes: list[str] = []
+
+    def connection(self, number: int) -> int:
+        """The index of connection `number`; one that the file does not describe is kept as an odd one."""
+        if number not in self.numbers:
+            odd = f"the recording does not describe its connection {number}"
+            self.add(number, RecordedConnection(f"/connection_{number}", "", Encoding.ROS1, odd=odd))
+        return self.numbers[number]
+
+    def add(self, number: int, connection: RecordedConnection) -> None:
+        if number not in self.numbers:
+            self.numbers[number] = len(self.connections)
+            self.connections.append(connection)
+
+
+class Rosbag1:
+    """An open ROS 1 bag: a `Storage`."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = RandomFile(path)
+        try:
+            self._contents, self._chunks = _read(self._file)
+        except BaseException:
+            self._file.close()
+            raise
+        self._cache = ChunkCache(self._load)
+        self.format = self._contents.format
+        self.ros_version = self._contents.ros_version
+        self.connections = self._contents.connections
+        self.messages = self._contents.messages
+        self.places = self._contents.places
+        self.notes = self._contents.notes
+
+    def read(self, place: int, offset: int) -> bytes:
+        """The bytes of the message at `offset` of the file or of a chunk. Raises Damaged."""
+        source: Source = self._cache.get(place - 1) if place else self._file
+        record = _record_at(source, offset)
+        while record.op == _CONNECTION:
+            record = _record_at(source, record.end)
+        if record.op != _MESSAGE:
+            raise Damaged(f"there is no message at {offset}")
+        return exactly(source, record.data_at, record.size)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _load(self, chunk: int) -> bytes:
+        return _inflated(self._file, self._chunks[chunk])
+
+
+def _read(file: RandomFile) -> tuple[Contents, list[_Chunk]]:
+    line = file.some(0, 32).partition(b"\n")[0] + b"\n"
+    version = line.strip()[len(MAGIC) :].decode("ascii", "replace")
+    if version != "2.0":
+        raise Damaged(f"it is a bag of version {version}, and only 2.0 is read: convert it with `rosbag fix`")
+    header = _record_at(file, len(line))
+    if header.header.get(b"encryptor"):
+        raise Damaged("it is encrypted")
+    try:
+        scan = _by_index(file, header)
+    except Damaged as damage:
+        scan = _by_walking(file, header.end)
+        scan.notes.append(f"its index cannot be used ({damage}), so it was read through")
+        if not scan.connections:
+            raise Damaged(f"{damage}, and it holds no whole chunk either") from damage
+    return (
+        Contents("ROS 1 bag 2.0", 1, scan.connections, joined(scan.tables), 1 + len(scan.chunks), tuple(scan.notes)),
+        scan.chunks,
+    )
+
+
+def _by_index(file: RandomFile, header: _Record) -> _Scan:
+    at = header.uint64(b"index_pos")
+    if at == 0:
+        raise Damaged("the recording was never finished")
+    scan = _Scan()
+    chunk_infos: list[_Record] = []
+    for record in _records(file, at):
+        if record.op == _CONNECTION:
+            scan.add(*_connection(file, record))
+        elif record.op == _CHUNK_INFO:
+            chunk_infos.append(record)
+    if len(chunk_infos) < header.uint32(b"chunk_count"):
+        raise Damaged(f"it lists {len(chunk_infos)} of {header.uint32(b'chunk_count')} chunks")
+    for info in chunk_infos:
+        _chunk_by_index(file, info, scan)
+    return scan
+
+
+def _chunk_by_index(file: RandomFile, info: _Record, scan: _Scan) -> None:
+    record = _record_at(file, info.uint64(b"chunk_pos"))
+    place, base = _place(file, record, scan)
+    at = record.end
+    tables: list[MessageTable] = []
+    try:
+        for _ in range(info.uint32(b"count")):
+            index = _record_at(file, at)
+            if index.op != _INDEX or index.size % _ENTRY.itemsize:
+                raise Damaged(f"there is no index record at {at}")
+            tables.append(_index_table(file, index, place, base, scan))
+            at = index.end
+    except Damaged:
+        _walk_chunk(file, record, place, base, scan)
+    else:
+        scan.tables.extend(tables)
+
+
+def _index_table(file: RandomFile, index: _Record, place: int, base: int, scan: _Scan) -> MessageTable:
+    entries = np.frombuffer(exactly(file, index.data_at, index.size), _ENTRY)
+    return MessageTable(
+        entries["sec"].astype(np.int64) * 10**9 + entries["nsec"],
+        np.full(len(entries), scan.connection(index.uint32(b"conn")), np.int32),
+        np.full(len(entries), place, np.int32),
+        entries["offset"].astype(np.int64) + base,
+    )
+
+
+def _by_walking(file: RandomFile, at: int) -> _Scan:
+    scan = _Scan()
+    try:
+        for record in _records(file, at):
+            if record.op == _CONNECTION:
+                scan.add(*_connection(file, record))
+            elif record.op == _CHUNK:
+                _walk_chunk(file, record, *_place(file, record, scan), scan)
+    except Damaged as damage:
+        scan.notes.append(f"it ends early: {damage}")
+    return scan
+
+
+def _place(file: RandomFile, record: _Record, scan: _Scan) -> tuple[int, int]:
+    """The place of a chunk, and what to add to its offsets: messages that lie there as they are count from place 0."""
+    if record.op != _CHUNK:
+        raise Damaged(f"there is no chunk where the index says, at {record.data_at}")
+    compression = _text(record.header, b"compression")
+    if compression == "none":
+        return 0, record.data_at
+    scan.chunks.append(_Chunk(record.data_at, record.size, compression, record.uint32(b"size")))
+    return len(scan.chunks), 0
+
+
+def _walk_chunk(file: RandomFile, record: _Record, place: int, base: int, scan: _Scan) -> None:
+    """Find the messages and connections of one chunk by walking through it; a damaged one is left, with a note."""
+    rows: list[tuple[int, int, int, int]] = []
+    try:
+        data = _inflated(file, scan.chunks[place - 1]) if place else exactly(file, record.data_at, record.size)
+        source = Octets(data)
+        at = 0
+        while at < source.size:
+            inner = _record_at(source, at)
+            if inner.op == _CONNECTION:
+                scan.add(*_connection(source, inner))
+            elif inner.op == _MESSAGE:
+                rows.append((inner.time(), scan.connection(inner.uint32(b"conn")), place, at + base))
+            at = inner.end
+    except Damaged as damage:
+        scan.notes.append(f"a chunk of it is damaged: {damage}")
+    if rows:
+        scan.tables.append(table(*zip(*rows, strict=True)))
+
+
+def _inflated(file: RandomFile, chunk: _Chunk) -> bytes:
+    return inflate(chunk.compression, exactly(file, chunk.at, chunk.size), chunk.inflated)
+
+
+def _records(source: Source, at: int) -> Iterator[_Record]:
+    while at < source.size:
+        record = _record_at(source, at)
+        yield record
+        at = record.end
+
+
+def _record_at(source: Source, at: int) -> _Record:
+    head = source.some(at, 256)
+    size = _UINT32.unpack_from(head)[0] if len(head) >= 4 else 0
+    if not 0 < size <= _MOST_HEADER:
+        raise Damaged(f"there is no record at {at}")
+    if len(head) < size + 8:
+        head = exactly(source, at, size + 8)
+    header = _fields(head[4 : 4 + size])
+    (data_size,) = _UINT32.unpack_from(head, 4 + size)
+    data_at = at + size + 8
+    if data_at + data_size > source.size:
+        raise Damaged(f"the record at {at} is cut off")
+    op = header.get(b"op", b"")
+    return _Record(op[0] if op else -1, header, data_at, data_size)
+
+
+def _fields(data: bytes) -> dict[bytes, bytes]:
+    """The fields of a header, `NAME=VALUE` each behind its length."""
+    fields: dict[bytes, bytes] = {}
+    at = 0
+    while at + 4 <= len(data):
+        (size,) = _UINT32.unpack_from(data, at)
+        name, equals, value = data[at + 4 : at + 4 + size].partition(b"=")
+        if not equals or at + 4 + size > len(data):
+            raise Damaged("a record's header has a broken field")
+        fields[name] = value
+        at += 4 + size
+    return fields
+
+
+def _connection(source: Source, record: _Record) -> tuple[int, RecordedConnection]:
+    """A connection's number and description. What its header lacks makes it odd, never the file unreadable."""
+    number = record.uint32(b"conn")
+    try:
+        said = _fields(exactly(source, record.data_at, record.size))
+        odd = None
+    except Damaged as damage:
+        said, odd = {}, f"its connection header cannot be read: {damage}"
+    md5 = _text(said, b"md5sum")
+    return number, RecordedConnection(
+        topic=_text(record.header, b"topic") or _text(said, b"topic"),
+        type=_text(said, b"type"),
+        encoding=Encoding.ROS1,
+        definition=_text(said, b"message_definition"),
+        hash=md5 if md5 not in ("", "*") else None,
+        publisher=_text(said, b"callerid"),
+        latched=_text(said, b"latching") == "1",
+        odd=odd,
+    )
+
+
+def _text(fields: Mapping[bytes, bytes], name: bytes) -> str:
+    return fields.get(name, b"").decode("utf-8", "replace")
+
+
+def _uint(kind: struct.Struct, header: Mapping[bytes, bytes], name: bytes) -> int:
+    value = header.get(name, b"")
+    if len(value) != kind.size:
+        raise Damaged(f"a record has no {name.decode()}")
+    found: int = kind.unpack(value)[0]
+    return found

@@ -1,0 +1,120 @@
+"""ROS 2 bags as folders: the files that `metadata.yaml` lists, or without it all that lie there, as one recording."""
+
+from __future__ import annotations
+
+import tempfile
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+
+import numpy as np
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from rosld.adapters.recording.octets import ZstdError, ZstdFile, inflate_zstd
+from rosld.adapters.recording.storage import Damaged, MessageTable, RecordedConnection, RosVersion, Storage, joined
+
+METADATA = "metadata.yaml"
+_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+
+
+class Metadata(NamedTuple):
+    """What concerns us of `metadata.yaml`: files, compression ("", "file", "message"), and each topic's type hash."""
+
+    files: tuple[str, ...] = ()
+    compression: str = ""
+    hashes: Mapping[str, str] = {}
+
+
+class Rosbag2:
+    """An open folder of ROS 2 files: a `Storage` whose places are those of its files, one after the other."""
+
+    ros_version: RosVersion = 2
+
+    def __init__(self, folder: Path, open_file: Callable[[Path], Storage]) -> None:
+        metadata, notes = _metadata(folder)
+        self._per_message = metadata.compression == "message"
+        self._inflated: tempfile.TemporaryDirectory[str] | None = None
+        self._files: list[Storage] = []
+        for path in _files(folder, metadata):
+            try:
+                self._files.append(open_file(self._plain(path)))
+            except (Damaged, OSError) as error:
+                notes.append(f"{path.name} is left out: {error}")
+        if not self._files:
+            self.close()
+            raise Damaged("; ".join(notes) or f"it holds neither {METADATA} nor .mcap nor .db3 files")
+        self.format = f"ROS 2 bag ({' + '.join(sorted({each.format for each in self._files}))})"
+        self.connections = [_hashed(each, metadata) for file in self._files for each in file.connections]
+        self.notes = (*notes, *(note for file in self._files for note in file.notes))
+        self._starts = np.cumsum([0, *(file.places for file in self._files)]).tolist()
+        self.places = self._starts[-1]
+        self.messages = self._joined()
+
+    def read(self, place: int, offset: int) -> bytes:
+        """The bytes of the message there, decompressed where each message was compressed. Raises Damaged."""
+        number = bisect_right(self._starts, place) - 1
+        data = self._files[number].read(place - self._starts[number], offset)
+        return inflate_zstd(data) if self._per_message else data
+
+    def close(self) -> None:
+        """Close all files, and remove what was decompressed."""
+        for file in self._files:
+            file.close()
+        if self._inflated is not None:
+            self._inflated.cleanup()
+            self._inflated = None
+
+    def _joined(self) -> MessageTable:
+        tables: list[MessageTable] = []
+        first = 0
+        for start, file in zip(self._starts, self._files, strict=False):
+            found = file.messages
+            connections = (found.connections + first).astype(np.int32)
+            tables.append(found._replace(connections=connections, places=(found.places + start).astype(np.int32)))
+            first += len(file.connections)
+        return joined(tables)
+
+    def _plain(self, path: Path) -> Path:
+        """The file itself, or where it was compressed as a whole, a decompressed copy of it."""
+        if path.suffix != ".zstd":
+            return path
+        if self._inflated is None:
+            self._inflated = tempfile.TemporaryDirectory(prefix="rosld-")
+        plain = Path(self._inflated.name) / path.stem
+        try:
+            with ZstdFile(path) as packed, plain.open("wb") as out:
+                while block := packed.read(1 << 20):
+                    out.write(block)
+        except (ZstdError, EOFError) as error:
+            raise Damaged(f"it cannot be decompressed: {error}") from error
+        return plain
+
+
+def _metadata(folder: Path) -> tuple[Metadata, list[str]]:
+    """What `metadata.yaml` says, and a note where it is missing or cannot be used."""
+    path = folder / METADATA
+    if not path.exists():
+        return Metadata(), [f"it has no {METADATA}, so all its files were read"]
+    try:
+        information = YAML(typ="safe").load(path.read_text("utf-8", "replace"))["rosbag2_bagfile_information"]
+        mode = str(information.get("compression_mode") or "").lower()
+        topics = [each["topic_metadata"] for each in information.get("topics_with_message_count") or ()]
+        return Metadata(
+            tuple(PurePosixPath(each).name for each in information["relative_file_paths"]),
+            mode if mode in ("file", "message") else "",
+            {str(each["name"]): str(each.get("type_description_hash") or "") for each in topics},
+        ), []
+    except (YAMLError, KeyError, TypeError, AttributeError, RecursionError):
+        return Metadata(), [f"its {METADATA} cannot be read, so all its files were read"]
+
+
+def _files(folder: Path, metadata: Metadata) -> Sequence[Path]:
+    if metadata.files:
+        return [folder / name for name in metadata.files]
+    return sorted(path for path in folder.iterdir() if path.name.endswith(_SUFFIXES) and path.is_file())
+
+
+def _hashed(connection: RecordedConnection, metadata: Metadata) -> RecordedConnection:
+    return connection if connection.hash else connection._replace(hash=metadata.hashes.get(connection.topic) or None)

@@ -1,0 +1,129 @@
+"""What every recording format comes down to: connections, and a table of where each message lies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosld.adapters.model import Encoding
+
+RosVersion: TypeAlias = Literal[1, 2]
+
+
+class Damaged(Exception):
+    """Bytes of a recording are not what its format says; the text says which."""
+
+
+class RecordedConnection(NamedTuple):
+    """One publisher's (ROS 1) or all publishers' (ROS 2) connection to a topic, as it was recorded.
+
+    `publisher` is the node, empty where the format does not tell; `definition` is empty where it holds none, and
+    `syntax` says how to read it: "msg", "idl", or what else the file names. `odd` says why its messages cannot be
+    read whatever the definition.
+    """
+
+    topic: str
+    type: str
+    encoding: Encoding
+    definition: str = ""
+    syntax: str = "msg"
+    hash: str | None = None
+    publisher: str = ""
+    latched: bool = False
+    odd: str | None = None
+
+
+class MessageTable(NamedTuple):
+    """Where messages lie, a row each: when (ns), of which connection, at which offset of which place of the file.
+
+    Place 0 is the file itself, the others are its compressed chunks; what an offset means is the storage's affair.
+    """
+
+    times: NDArray[np.int64]
+    connections: NDArray[np.int32]
+    places: NDArray[np.int32]
+    offsets: NDArray[np.int64]
+
+    def in_recorded_order(self) -> MessageTable:
+        """The rows by time; those of one time as they lie in the file."""
+        order = np.argsort(self.times, kind="stable")
+        return MessageTable(self.times[order], self.connections[order], self.places[order], self.offsets[order])
+
+
+def table(
+    times: Sequence[int], connections: Sequence[int], places: Sequence[int], offsets: Sequence[int]
+) -> MessageTable:
+    """The table of these columns."""
+    return MessageTable(
+        np.asarray(times, np.int64),
+        np.asarray(connections, np.int32),
+        np.asarray(places, np.int32),
+        np.asarray(offsets, np.int64),
+    )
+
+
+def joined(tables: Iterable[MessageTable]) -> MessageTable:
+    """These tables one below the other."""
+    parts = [table([], [], [], []), *tables]
+    return MessageTable(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+class Storage(Protocol):
+    """An open recording of one format. `read` may be called from any thread.
+
+    `notes` are sentences about what was wrong with the file and what was done about it.
+    """
+
+    @property
+    def format(self) -> str:
+        """The format in words, for people."""
+        ...
+
+    @property
+    def ros_version(self) -> RosVersion:
+        """Which ROS wrote it, and so what a hash of a type is."""
+        ...
+
+    @property
+    def connections(self) -> Sequence[RecordedConnection]:
+        """The connections; the table refers to them by their index here."""
+        ...
+
+    @property
+    def messages(self) -> MessageTable:
+        """All messages, in any order."""
+        ...
+
+    @property
+    def places(self) -> int:
+        """How many places there are, the file itself included."""
+        ...
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What was wrong with the file, if anything."""
+        ...
+
+    def read(self, place: int, offset: int) -> bytes:
+        """The bytes of the message there. Raises Damaged."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the file. Idempotent."""
+        ...
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What was found in a file: the values of `Storage`."""
+
+    format: str
+    ros_version: RosVersion
+    connections: Sequence[RecordedConnection]
+    messages: MessageTable
+    places: int = 1
+    notes: tuple[str, ...] = ()

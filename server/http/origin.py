@@ -30,12 +30,16 @@ ANYBODY = "*"
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """This server's names: its base, the Hosts it answers to, its own origins and those it shares with."""
+    """This server's names: its base, the Hosts it answers to, its own origins and those it shares with.
+
+    `anybody`: pages of every origin may read.
+    """
 
     base: str
     hosts: frozenset[str]
     origins: frozenset[str]
     shared: frozenset[str] = frozenset()
+    anybody: bool = False
 
 
 def site(base: str, bound_host: str, bound_port: int, shared: Iterable[str] = ()) -> Site:
@@ -49,7 +53,8 @@ def site(base: str, bound_host: str, bound_port: int, shared: Iterable[str] = ()
         local = {normal_authority(f"{name}:{bound_port}", "http") for name in _LOOPBACK_NAMES}
         hosts |= local
         origins |= {f"http://{name}" for name in local}
-    return Site(base, frozenset(hosts), frozenset(origins), frozenset(map(normal_origin, shared)))
+    named = frozenset(map(normal_origin, shared))
+    return Site(base, frozenset(hosts), frozenset(origins), named - {ANYBODY}, ANYBODY in named)
 
 
 def is_loopback(host: str) -> bool:
@@ -117,9 +122,9 @@ def sharing(site: Site, method: str, origin: str | None, *, preflight: bool = Fa
     `preflight`: the request is an OPTIONS with Access-Control-Request-Method. `vary` is among them whenever the answer
     depends on the origin; the caller adds it to the answer's own Vary.
     """
-    headers = {"vary": "Origin"} if site.shared else {}
+    headers = {"vary": "Origin"} if site.shared or site.anybody else {}
     named = origin in site.shared
-    if origin is None or not (named or (ANYBODY in site.shared and method in SAFE_METHODS)):
+    if origin is None or not (named or (site.anybody and method in SAFE_METHODS)):
         return headers
     headers["access-control-allow-origin"] = origin if named else ANYBODY
     if preflight:

@@ -1,0 +1,159 @@
+"""The command line: `rosld serve`, `rosld lift`, `rosld types`. What they do is in `commands/`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+import rosld
+from rosld.adapters.base import AdapterOptions
+from rosld.server import settings as declared
+from rosld.server.commands.failure import told
+from rosld.server.settings import Declaration, Settings
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+_DEFAULT_BASE = "http://127.0.0.1:8080/"
+_FOLDER = click.Path(file_okay=False, path_type=Path)
+_KINDS: Mapping[str, click.ParamType[Any]] = {
+    "int": click.INT,
+    "float": click.FLOAT,
+    "str": click.STRING,
+    "Path | None": _FOLDER,
+    "tuple[Path, ...]": _FOLDER,
+}
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(rosld.__version__, prog_name="rosld", message="%(prog)s %(version)s")
+def main() -> None:
+    """rosld turns a robot into Linked Data: a web site to browse, query with SPARQL, and drive.
+
+    \b
+    Examples:
+      rosld serve aircraft                 an embedded aircraft to try things on
+      rosld serve run.bag                  a recording, played in a loop
+      rosld serve ros1://localhost:11311   a live ROS 1 system
+      rosld lift run.bag -o run.nq.gz      a whole recording as RDF
+      rosld types run.bag                  the message types in it
+
+    A SOURCE is `aircraft`, the path of a recording (.bag, .mcap, .db3, a rosbag2 folder), or `ros1://HOST:PORT`
+    (`ros1:` takes ROS_MASTER_URI).
+    """
+
+
+def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """The pairs in NAME=IP options."""
+    pairs = tuple((name, address) for name, _, address in (value.partition("=") for value in values))
+    for value, pair in zip(values, pairs, strict=True):
+        if not all(pair):
+            raise click.BadParameter(f"{value!r} is not NAME=IP")
+    return pairs
+
+
+def _option(one: Declaration) -> Callable[[_F], _F]:
+    """The click option of a declared setting."""
+    assert one.option is not None
+    if one.type == "bool":
+        return click.option(one.option, one.name, is_flag=True, help=one.help)
+    shown = one.default not in (None, ()) and one.name != "base_url"
+    return click.option(
+        one.option,
+        one.name,
+        type=_KINDS.get(one.type, click.STRING),
+        multiple=one.type.startswith("tuple"),
+        callback=_pairs if one.name == "host_map" else None,
+        default=None if one.name == "base_url" else one.default,
+        show_default=shown,
+        metavar=one.metavar,
+        help=one.help,
+    )
+
+
+def _options(*names: str) -> Callable[[_F], _F]:
+    """The options of these settings, of all that have one where none is named."""
+
+    def decorate(command: _F) -> _F:
+        for one in reversed(declared.declarations()):
+            if one.option is not None and (not names or one.name in names):
+                command = _option(one)(command)
+        return command
+
+    return decorate
+
+
+def _others() -> str:
+    """The settings that are no options, as text for the help."""
+    rows = (
+        f"  {one.name} ({one.default}{' ' + one.unit if one.unit else ''})"
+        for one in declared.declarations()
+        if not one.option
+    )
+    return "\b\nWith --setting NAME VALUE (and their defaults):\n" + "\n".join(rows)
+
+
+@main.command(epilog=_others())
+@click.argument("source")
+@_options()
+@click.option("--setting", "others", nargs=2, multiple=True, metavar="NAME VALUE", help="Any other setting; see below.")
+def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> None:
+    """Serve SOURCE on the web.
+
+    Listens once the source is open, then prints one line, the URL to begin with. Ends on Ctrl-C.
+
+    \b
+    Examples:
+      rosld serve aircraft --port 0
+      rosld serve run.mcap --rate 0.5 --subscribe '/camera/*'
+      rosld serve ros1://robot:11311 --ros-ip 10.0.0.7 --allow-publish /cmd_vel
+      rosld serve ros1: --host 0.0.0.0 --base-url http://robot.example:8080/
+    """
+    with told():
+        options |= {name.replace("-", "_"): declared.parse(name, text) for name, text in others}
+        if base_url is not None:
+            options["base_url"] = declared.canonical_base(base_url)
+        settings = Settings(**options)
+    from rosld.server.commands.serve import serve as run
+
+    run(source, settings, base_given=base_url is not None)
+
+
+@main.command()
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Where to write: .nq, .nt, .ttl or .trig, each also with .gz.",
+)
+@click.option("--base-url", default=_DEFAULT_BASE, show_default=True, metavar="URL", help="What every URL begins with.")
+@_options("types")
+def lift(recording: Path, output: Path, base_url: str, types: tuple[Path, ...]) -> None:
+    """Turn a whole RECORDING into RDF.
+
+    Each message gets its own URL (BASE/bags/NAME/messages/K) and, in .nq and .trig, a named graph of that name. FILE is
+    there when it is whole, not before.
+
+    \b
+    Examples:
+      rosld lift run.bag -o run.nq
+      rosld lift run.mcap -o run.trig.gz --base-url https://data.example/
+    """
+    from rosld.server.commands.lift import lift as run
+
+    with told():
+        run(recording, output, declared.canonical_base(base_url), types)
+
+
+@main.command()
+@click.argument("source")
+@_options("types")
+def types(source: str, types: tuple[Path, ...]) -> None:
+    """List the message and service types that SOURCE uses: name, tab, hash."""
+    from rosld.server.commands.types import types as run
+
+    run(source, AdapterOptions(types=types))

@@ -1,0 +1,41 @@
+"""Failures of a command, told in one line on stderr."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import IO, Any
+
+import click
+
+from rosld.adapters.model import RosError
+
+
+class Failure(click.ClickException):
+    """Ends the command with exit code 1 and one line on stderr."""
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(" ".join(sentence.split()))
+
+    def show(self, file: IO[Any] | None = None) -> None:
+        """Write the line."""
+        click.echo(f"rosld: {self.message}", file=file, err=file is None)
+
+
+@contextmanager
+def told() -> Iterator[None]:
+    """Turns what can go wrong with a user's source, folder, address or file into a Failure."""
+    try:
+        yield
+    except RosError as error:
+        raise Failure(f"{error.sentence} {error.words or ''}") from error
+    except OSError as error:
+        raise Failure(reason(error)) from error
+    except ValueError as error:
+        raise Failure(str(error)) from error
+
+
+def reason(error: OSError) -> str:
+    """What an OSError says, with the file's name first where there is one."""
+    words = error.strerror or str(error) or type(error).__name__
+    return f"{error.filename}: {words}" if error.filename else words

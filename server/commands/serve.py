@@ -1,0 +1,125 @@
+"""`rosld serve`: opens the source, listens, says where, and leaves cleanly and soon when told to."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Coroutine
+from typing import Any
+
+import click
+from starlette.types import ASGIApp
+
+from rosld.adapters.base import Adapter
+from rosld.adapters.registry import adapter_for
+from rosld.server import settings as settings_module
+from rosld.server.commands import data_folder, listening
+from rosld.server.commands.failure import told
+from rosld.server.commands.lifespan import lifespan
+from rosld.server.settings import Settings
+
+LAST_SECONDS = 4.5
+"""Seconds after which a server that was told to end is ended, whatever still holds it: five are promised."""
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def serve(source: str, settings: Settings, *, base_given: bool) -> None:
+    """Serve a source until a signal comes. Raises Failure where it cannot begin."""
+    listening.quiet_logs()
+    allow_open_files()
+    with told():
+        adapter = adapter_for(source, settings.adapter_options)
+        sock = listening.bind(settings.host, settings.port)
+    with contextlib.closing(sock), told():
+        settings = settings_module.bound(settings, sock.getsockname()[1], base_given=base_given)
+        if settings.data is not None:
+            data_folder.claim(settings.data, settings.base_url)
+        _warn(settings)
+        from rosld.server.app import create_app
+
+        _run(Serving(create_app(adapter, settings), adapter, sock, settings.base_url).until_stopped())
+
+
+class Serving:
+    """A server's life: open the source, listen, serve, leave."""
+
+    def __init__(self, app: ASGIApp, adapter: Adapter, sock: socket.socket, url: str) -> None:
+        self._app = app
+        self._adapter = adapter
+        self._sock = sock
+        self._url = url
+        self._server = listening.Server(app, self._listening)
+        self._work: asyncio.Task[None] | None = None
+
+    async def until_stopped(self) -> None:
+        """Serve until a signal. Raises what opening the source raises; the adapter is closed in any case."""
+        loop = asyncio.get_running_loop()
+        for number in _SIGNALS:
+            loop.add_signal_handler(number, self._told_to_stop)
+        self._work = loop.create_task(self._open_and_serve())
+        try:
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._work
+        finally:
+            await self._adapter.close()
+
+    async def _open_and_serve(self) -> None:
+        async with lifespan(self._app):
+            await self._server.serve(sockets=[self._sock])
+
+    def _listening(self) -> None:
+        """The one line on stdout; a reader that has gone is no reason to stop."""
+        with contextlib.suppress(OSError):
+            print(self._url, flush=True)
+
+    def _told_to_stop(self) -> None:
+        end_at_the_latest(LAST_SECONDS)
+        if not self._server.started and self._work is not None:
+            self._work.cancel()
+        self._server.force_exit = self._server.should_exit
+        self._server.should_exit = True
+
+
+def end_at_the_latest(seconds: float) -> None:
+    """End the process so many seconds from now, if it still runs: a stuck thread must not hold it."""
+
+    def end() -> None:
+        os.write(2, b"rosld: ended by force, something did not let go in time\n")
+        os._exit(1)
+
+    timer = threading.Timer(seconds, end)
+    timer.daemon = True
+    timer.start()
+
+
+def allow_open_files() -> None:
+    """As many open files as the system lets this process have: each subscription and each client takes one."""
+    if sys.platform == "win32":
+        return
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = 65536 if hard == resource.RLIM_INFINITY else min(hard, 65536)
+    if soft != resource.RLIM_INFINITY and soft < most:
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+
+
+def _warn(settings: Settings) -> None:
+    if settings.beyond_loopback:
+        click.echo(f"rosld: {settings.host} is reached by other machines, so this server is read-only", err=True)
+
+
+def _run(main: Coroutine[Any, Any, None]) -> None:
+    """Run on uvloop where there is one."""
+    if sys.platform == "win32":
+        asyncio.run(main)
+        return
+    import uvloop
+
+    uvloop.run(main)

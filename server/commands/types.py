@@ -1,0 +1,60 @@
+"""`rosld types`: the message and service types that a source uses."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import click
+
+from rosld.adapters.base import Adapter, AdapterOptions
+from rosld.adapters.model import Graph, TypeRef
+from rosld.adapters.registry import adapter_for
+from rosld.server.commands.failure import told
+
+OPEN_SECONDS = 5.0
+
+
+class Nobody:
+    """A `Sink` for who looks once and is told nothing."""
+
+    def graph_changed(self, graph: Graph) -> None:
+        """Not of interest."""
+
+    def parameter_changed(self, name: str) -> None:
+        """Not of interest."""
+
+
+@asynccontextmanager
+async def opened(source: str, options: AdapterOptions) -> AsyncIterator[Adapter]:
+    """The adapter of a source, open; it is closed at the end. Raises ValueError and the adapter's errors."""
+    adapter = adapter_for(source, options)
+    try:
+        await adapter.open(Nobody(), deadline=asyncio.get_running_loop().time() + OPEN_SECONDS)
+        yield adapter
+    finally:
+        await adapter.close()
+
+
+def used(graph: Graph) -> set[TypeRef]:
+    """The types that topics and services of the graph have."""
+    services = {service.type for service in graph.services.values() if service.type is not None}
+    return {ref for topic in graph.topics.values() for ref in topic.types} | services
+
+
+async def _types(source: str, options: AdapterOptions) -> set[TypeRef]:
+    async with opened(source, options) as adapter:
+        return used(adapter.graph) | set(adapter.known_types())
+
+
+def types(source: str, options: AdapterOptions) -> None:
+    """Print one line a type: its name and, after a tab, its hash where it is known."""
+    with told():
+        found = asyncio.run(_types(source, options))
+    hashed = {ref.name for ref in found if ref.hash is not None}
+    for ref in sorted(found, key=lambda ref: (ref.name, ref.hash or "")):
+        if ref.hash is not None:
+            click.echo(f"{ref.name}\t{ref.hash}")
+        elif ref.name not in hashed:
+            click.echo(ref.name)

@@ -1,0 +1,82 @@
+"""Reading bodies: whole, within a size and a time."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+
+import pytest
+from starlette.requests import Request
+from starlette.types import Message
+
+from rosld.server.http.body import read_body
+from rosld.server.http.problem import Problem
+
+
+def request(chunks: Sequence[bytes], headers: Sequence[tuple[bytes, bytes]] = (), *, then: str = "end") -> Request:
+    """A request whose body comes in chunks; `then`: the body ends, the client goes away, or nothing more comes."""
+    coming = iter(chunks)
+
+    async def receive() -> Message:
+        chunk = next(coming, None)
+        if chunk is not None:
+            return {"type": "http.request", "body": chunk, "more_body": True}
+        if then == "nothing":
+            await asyncio.Event().wait()
+        return {"type": "http.request", "more_body": False} if then == "end" else {"type": "http.disconnect"}
+
+    return Request({"type": "http", "method": "PUT", "path": "/", "headers": list(headers)}, receive)
+
+
+def status(asked: Request, *, limit: int = 10, timeout: float = 5.0) -> tuple[int, str]:
+    with pytest.raises(Problem) as raised:
+        asyncio.run(read_body(asked, limit=limit, timeout=timeout))
+    return raised.value.status, raised.value.detail
+
+
+def test_a_body_is_read_to_its_end() -> None:
+    assert asyncio.run(read_body(request([b"abc", b"", b"de"]), limit=5)) == b"abcde"
+    assert asyncio.run(read_body(request([]), limit=5)) == b""
+    assert asyncio.run(read_body(request([b"abc"], [(b"content-length", b"3")]), limit=5)) == b"abc"
+
+
+def test_a_body_that_says_it_is_too_large_is_not_read() -> None:
+    asked = request([b"x"], [(b"content-length", b"11")], then="nothing")
+    assert status(asked, timeout=60)[0] == 413
+
+
+def test_a_body_that_grows_too_large_is_413() -> None:
+    assert status(request([b"12345", b"67890", b"1"], then="nothing"), timeout=60)[0] == 413
+
+
+@pytest.mark.parametrize("length", [b"-1", b"1e3", b"", b"0x10", b"1,1", b"9" * 30, "²".encode("latin-1", "replace")])
+def test_a_length_that_is_no_number_is_400(length: bytes) -> None:
+    assert status(request([b"x"], [(b"content-length", length)]))[0] == 400
+
+
+def test_a_length_that_lies_is_400() -> None:
+    code, detail = status(request([b"abc"], [(b"content-length", b"7")]))
+    assert code == 400
+    assert "7" in detail
+    assert "3" in detail
+
+
+def test_a_body_that_never_ends_is_408() -> None:
+    assert status(request([b"abc"], then="nothing"), timeout=0.01)[0] == 408
+
+
+def test_a_body_cut_off_is_400() -> None:
+    assert status(request([b"abc"], then="disconnect"))[0] == 400
+
+
+@pytest.mark.parametrize("coding", [b"gzip", b"deflate", b"br", b"gzip, identity"])
+def test_a_compressed_body_is_415(coding: bytes) -> None:
+    asked = request([b"x"], [(b"content-encoding", coding)])
+    with pytest.raises(Problem) as raised:
+        asyncio.run(read_body(asked, limit=10))
+    assert raised.value.status == 415
+    assert raised.value.headers["Accept-Encoding"] == "identity"
+
+
+def test_identity_is_no_coding() -> None:
+    assert asyncio.run(read_body(request([b"x"], [(b"content-encoding", b"Identity")]), limit=10)) == b"x"

@@ -1,0 +1,128 @@
+"""Conditional requests (RFC 9110 13)."""
+
+from __future__ import annotations
+
+import string
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rosld.server.http.conditional import ETag, Tag, Verdict, evaluate, guard, parse, require_if_match
+from rosld.server.http.problem import Problem
+
+NOW = ETag("b00t-42", "ttl")
+
+
+def judged(
+    method: str, current: ETag | None = NOW, *, if_match: str | None = None, if_none_match: str | None = None
+) -> Verdict:
+    return evaluate(method, current, if_match=if_match, if_none_match=if_none_match)
+
+
+def test_a_tag_is_written_with_its_quotes() -> None:
+    assert str(NOW) == '"b00t-42.ttl"'
+
+
+@pytest.mark.parametrize(
+    ("state", "variant"),
+    [("", "ttl"), ("a", ""), ('a"', "ttl"), ("a", "t.l"), ("a\r\nX: y", "ttl"), ("a b", "ttl"), ("ä", "ttl")],
+)
+def test_a_tag_that_could_not_be_read_back_is_not_made(state: str, variant: str) -> None:
+    with pytest.raises(ValueError, match="no entity tag"):
+        ETag(state, variant)
+
+
+def test_without_preconditions_everything_proceeds() -> None:
+    assert judged("GET") is Verdict.PROCEED
+    assert judged("PUT", None) is Verdict.PROCEED
+
+
+@pytest.mark.parametrize("method", ["GET", "HEAD"])
+@pytest.mark.parametrize("field", ['"b00t-42.ttl"', 'W/"b00t-42.ttl"', '"x", "b00t-42.ttl"', "*", ' ,"b00t-42.ttl",'])
+def test_a_read_of_what_the_client_has_is_not_modified(method: str, field: str) -> None:
+    assert judged(method, if_none_match=field) is Verdict.NOT_MODIFIED
+
+
+@pytest.mark.parametrize("field", ['"b00t-42.json"', '"b00t-41.ttl"', '"other-42.ttl"', '"b00t-42"', '""'])
+def test_a_read_of_another_state_or_variant_or_boot_is_answered_whole(field: str) -> None:
+    assert judged("GET", if_none_match=field) is Verdict.PROCEED
+
+
+def test_a_reader_of_turtle_may_guard_a_write_in_json() -> None:
+    assert judged("PUT", if_match='"b00t-42.json"') is Verdict.PROCEED
+    assert judged("PUT", if_match='"b00t-42.ttl"') is Verdict.PROCEED
+
+
+@pytest.mark.parametrize("field", ['"b00t-41.ttl"', '"other-42.ttl"', 'W/"b00t-42.ttl"', '"b00t-4", "b00t-421.ttl"'])
+def test_a_write_on_another_state_fails_and_so_does_a_weak_tag(field: str) -> None:
+    assert judged("PUT", if_match=field) is Verdict.PRECONDITION_FAILED
+
+
+def test_a_star_means_that_something_is_there() -> None:
+    assert judged("PUT", if_match="*") is Verdict.PROCEED
+    assert judged("PUT", None, if_match="*") is Verdict.PRECONDITION_FAILED
+    assert judged("PUT", if_none_match="*") is Verdict.PRECONDITION_FAILED
+    assert judged("PUT", None, if_none_match="*") is Verdict.PROCEED
+    assert judged("GET", None, if_none_match="*") is Verdict.PROCEED
+
+
+def test_if_match_comes_before_if_none_match() -> None:
+    assert judged("GET", if_match='"x"', if_none_match='"b00t-42.ttl"') is Verdict.PRECONDITION_FAILED
+    assert judged("GET", if_match='"b00t-42.ttl"', if_none_match='"b00t-42.ttl"') is Verdict.NOT_MODIFIED
+
+
+def test_guard_raises_412_that_tells_the_present_tag() -> None:
+    with pytest.raises(Problem) as raised:
+        guard("PUT", NOW, if_match='"old"', if_none_match=None)
+    assert raised.value.status == 412
+    assert raised.value.headers == {"ETag": '"b00t-42.ttl"'}
+    assert guard("GET", NOW, if_match=None, if_none_match='"b00t-42.ttl"')
+    assert not guard("GET", NOW, if_match=None, if_none_match=None)
+
+
+@pytest.mark.parametrize("field", ["b00t-42.ttl", '"a" "b"', '"open', 'w/"a"', '*, "a"', '"a";q=1', "", ",", '"a\x01"'])
+def test_a_guard_that_cannot_be_read_stops_the_request(field: str) -> None:
+    with pytest.raises(Problem, match="400"):
+        judged("PUT", if_match=field)
+
+
+def test_a_write_that_needs_a_guard_and_has_none_is_428() -> None:
+    assert require_if_match('"a"', "Why.") == '"a"'
+    with pytest.raises(Problem) as raised:
+        require_if_match(None, "PATCH changes the latest message.")
+    assert raised.value.status == 428
+    assert "If-Match" in raised.value.detail
+
+
+_opaque = st.text(st.characters(min_codepoint=0x21, max_codepoint=0x7E, exclude_characters='"'), max_size=12)
+_tags = st.lists(st.builds(Tag, _opaque, st.booleans()), min_size=1, max_size=5)
+
+
+@given(_tags)
+def test_a_list_of_tags_is_read_as_it_was_written(tags: list[Tag]) -> None:
+    written = " , ".join(f'{"W/" if tag.weak else ""}"{tag.opaque}"' for tag in tags)
+    assert parse(written) == tuple(tags)
+
+
+_parts = st.text(string.ascii_letters + string.digits + "-_", min_size=1, max_size=8)
+
+
+@given(_parts, _parts, _parts, _parts)
+def test_a_tag_matches_exactly_its_state_for_writes_and_itself_for_reads(a: str, b: str, v: str, w: str) -> None:
+    current, sent = ETag(a, v), ETag(b, w)
+    assert (judged("PUT", current, if_match=str(sent)) is Verdict.PROCEED) == (a == b)
+    assert (judged("GET", current, if_none_match=str(sent)) is Verdict.NOT_MODIFIED) == (current == sent)
+
+
+@given(st.text(max_size=100))
+def test_no_text_whatever_makes_a_precondition_fail_otherwise_than_by_400(text: str) -> None:
+    assert _status(text) in (None, 400)
+
+
+def _status(if_match: str) -> int | None:
+    try:
+        judged("PUT", if_match=if_match)
+    except Problem as problem:
+        return problem.status
+    return None

@@ -1,0 +1,85 @@
+"""Web links (RFC 8288)."""
+
+from __future__ import annotations
+
+import string
+from urllib.parse import unquote
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rosld.server.http import link
+from rosld.server.http.link import Link
+
+LDP = "http://www.w3.org/ns/ldp#"
+
+
+def test_links_are_written_in_order() -> None:
+    written = link.render([Link(f"{LDP}Resource", "type"), Link("/topics/", "up", title='the "topics"')])
+    assert written == f'<{LDP}Resource>; rel="type", </topics/>; rel="up"; title="the \\"topics\\""'
+
+
+def test_a_title_beyond_ascii_is_extended() -> None:
+    written = str(Link("/a", "up", title="Höhe %"))
+    assert written == "</a>; rel=\"up\"; title*=UTF-8''H%C3%B6he%20%25"
+    assert link.parse(written)[0].title == "Höhe %"
+
+
+def test_an_iri_becomes_a_uri() -> None:
+    assert str(Link("/topics/höhe", "item")) == '</topics/h%C3%B6he>; rel="item"'
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        Link("/a>; rel=evil, </b", "up"),
+        Link("/a\r\nX: y", "up"),
+        Link("/a b", "up"),
+        Link("/a", "up\r\nX: y"),
+        Link("/a", "up", type="text/html\n"),
+        Link("/a", "up", anchor="#\x00"),
+        Link("/a", "up", attributes=(("bad name", "x"),)),
+        Link("/a", "up", attributes=(("x", "y\r"),)),
+    ],
+)
+def test_nothing_can_be_injected(bad: Link) -> None:
+    with pytest.raises(ValueError):  # noqa: PT011 - each has its own sentence
+        str(bad)
+
+
+def test_a_title_with_a_line_break_is_encoded() -> None:
+    assert "\r" not in str(Link("/a", "up", title="x\r\nSet-Cookie: a=b"))
+
+
+def test_links_of_a_client_are_read() -> None:
+    read = link.parse(f'<{LDP}BasicContainer>; rel="type"; foo, <a,b;c>;rel=next , nonsense, <x>, <y>; rel=a; rel=b')
+    assert [(one.target, one.rel) for one in read] == [(f"{LDP}BasicContainer", "type"), ("a,b;c", "next"), ("y", "a")]
+    assert read[0].attributes == (("foo", ""),)
+
+
+_targets = st.text(string.ascii_letters + string.digits + "-._~:/?#[]@!$&'()*+,;=%éλ", max_size=20)
+_plain = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=12)
+_attributes = st.dictionaries(st.sampled_from(["x", "foo", "hreflang", "media"]), _plain, max_size=3).map(
+    lambda found: tuple(found.items())
+)
+_titles = st.none() | st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
+_links = st.builds(Link, _targets, _plain, st.none() | _plain, _titles, st.none() | _targets, _attributes)
+
+
+@given(st.lists(_links, max_size=4))
+def test_links_are_read_as_they_were_written(links: list[Link]) -> None:
+    written = link.render(links)
+    assert written.isascii()
+    assert not set(written) & {"\r", "\n", "\0"}
+    read = link.parse(written)
+    assert [(one.rel, one.type, one.title, one.attributes) for one in read] == [
+        (one.rel, one.type, one.title, one.attributes) for one in links
+    ]
+    assert [unquote(one.target) for one in read] == [unquote(one.target) for one in links]
+
+
+@given(st.text(max_size=200))
+def test_no_text_whatever_makes_reading_fail(text: str) -> None:
+    for one in link.parse(text):
+        assert link.uri(one.target) == one.target

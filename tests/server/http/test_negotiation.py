@@ -1,0 +1,124 @@
+"""Proactive negotiation (RFC 9110 12.5.1)."""
+
+from __future__ import annotations
+
+import string
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rosld.server.http import media, negotiation
+from rosld.server.http.negotiation import choose
+
+OFFERS = ("text/turtle", "application/ld+json", "application/json", "text/html")
+
+
+@pytest.mark.parametrize(
+    ("accept", "chosen"),
+    [
+        (None, "text/turtle"),
+        ("", "text/turtle"),
+        (" , ,", "text/turtle"),
+        ("*/*", "text/turtle"),
+        ("application/*", "application/ld+json"),
+        ("application/json, text/turtle", "text/turtle"),
+        ("application/json, text/turtle;q=0.9", "application/json"),
+        ("TEXT/HTML", "text/html"),
+        ("text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8", "text/html"),
+        ("*/*, text/turtle;q=0", "application/ld+json"),
+        ("text/*;q=0.5, text/html;q=0.1, */*;q=0.2", "text/turtle"),
+        ("text/turtle;q=0.000, */*;q=0.001", "application/ld+json"),
+        ('application/ld+json;profile="http://www.w3.org/ns/json-ld#compacted"', "application/ld+json"),
+        ("text/turtle;charset=UTF-8", "text/turtle"),
+        ("text/turtle;version=1.2", "text/turtle"),
+        ('text/turtle;note="a,b;q=0";q=0.1, application/json;q=0.05', "application/json"),
+        ("text/turtle;q=1;ext=foo, application/json;q=0.9", "text/turtle"),
+        ("application/json ; q=0.5 , text/html ; q=0.6", "text/html"),
+        ("garbage, application/json", "application/json"),
+    ],
+)
+def test_the_most_wanted_offer_is_chosen(accept: str | None, chosen: str) -> None:
+    assert choose(accept, OFFERS) == chosen
+
+
+@pytest.mark.parametrize(
+    "accept",
+    [
+        "image/png",
+        "text/turtle;q=0",
+        "*/*;q=0",
+        "text/turtle;charset=iso-8859-1",
+        "text/turtle;level=1",
+        "*/turtle",
+        "garbage",
+        "text/turtle;q=2",
+        "text/turtle;q=0.1234",
+        "text/turtle;q=NaN",
+        "text/turtle;q=-1",
+        'text/turtle;a="unfinished',
+    ],
+)
+def test_what_accepts_nothing_that_is_offered_gets_nothing(accept: str) -> None:
+    assert choose(accept, OFFERS) is None
+
+
+def test_nothing_offered_is_nothing_chosen() -> None:
+    assert choose(None, ()) is None
+    assert choose("*/*", ()) is None
+
+
+def test_an_offer_with_parameters_is_matched_by_its_own_range_first() -> None:
+    offers = ("text/html", "text/html;level=1")
+    assert choose("text/html;level=1;q=0.9, text/html;q=0.5", offers) == "text/html;level=1"
+
+
+def test_a_long_field_is_answered_without_being_kept() -> None:
+    accept = ", ".join(f"application/x{n}" for n in range(500)) + ", application/json"
+    before = negotiation._remembered.cache_info().currsize
+    assert choose(accept, OFFERS) == "application/json"
+    assert negotiation._remembered.cache_info().currsize == before
+
+
+_weights = st.integers(0, 1000).map(lambda thousandths: f"{thousandths / 1000:.3f}")
+_ranges = st.sampled_from([*OFFERS, "text/*", "application/*", "*/*", "image/png"])
+_accepts = st.lists(st.tuples(_ranges, _weights), min_size=1, max_size=8)
+
+
+@given(_accepts)
+def test_the_choice_is_the_first_of_the_offers_with_the_greatest_weight(members: list[tuple[str, str]]) -> None:
+    def weight(offer: str) -> float:
+        kind = offer.partition("/")[0]
+        for matching in (offer, f"{kind}/*", "*/*"):
+            found = [float(weight) for range_, weight in members if range_ == matching]
+            if found:
+                return found[0]
+        return 0.0
+
+    best = max(OFFERS, key=weight)
+    assert choose(", ".join(f"{range_};q={weight}" for range_, weight in members), OFFERS) == (
+        best if weight(best) > 0 else None
+    )
+
+
+@given(st.text(max_size=200))
+def test_no_text_whatever_makes_negotiation_fail(accept: str) -> None:
+    assert choose(accept, OFFERS) in (*OFFERS, None)
+
+
+_tokens = st.text(string.ascii_lowercase + string.digits + "+-.", min_size=1, max_size=8)
+_values = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=12)
+
+
+@given(_tokens, _tokens, st.dictionaries(_tokens.filter(lambda name: name != "charset"), _values, max_size=3))
+def test_a_media_type_is_read_as_it_was_written(kind: str, subtype: str, parameters: dict[str, str]) -> None:
+    written = media.MediaType(kind, subtype, tuple(sorted(parameters.items())))
+    assert media.parse(str(written)) == written
+
+
+@pytest.mark.parametrize(
+    "text", ["", "text", "text/", "/turtle", "text/tur tle", "text/a;b=c;b=d", "text/a;=b", "a/b;c=d e"]
+)
+def test_what_is_no_media_type_is_refused(text: str) -> None:
+    with pytest.raises(ValueError):  # noqa: PT011 - each has its own sentence
+        media.parse(text)

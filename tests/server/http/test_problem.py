@@ -1,0 +1,129 @@
+"""Problem details (RFC 9457)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyoxigraph import RdfFormat, parse
+
+from rosld.server.http.problem import JSON, Problem, render
+
+if TYPE_CHECKING:
+    from rosld.ontology.lower import Violation
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """A violation as lowering tells of it."""
+
+    path: str
+    message: str
+    value: str | None
+
+
+def unfit() -> Problem:
+    misfits = [Misfit("linear.x", "must be a float64", '"<b>"'), Misfit("angular", "is missing", None)]
+    return Problem(422, "The message does not fit.", violations=cast("list[Violation]", misfits))
+
+
+def test_problem_json_is_the_default() -> None:
+    rendered = render(Problem(404, "There is no topic /x."))
+    assert rendered.headers["content-type"] == JSON
+    assert json.loads(rendered.body) == {
+        "type": "about:blank",
+        "title": "Not Found",
+        "status": 404,
+        "detail": "There is no topic /x.",
+    }
+
+
+@pytest.mark.parametrize(
+    "accept", ["*/*", "application/json", "application/problem+json", "image/png", "rubbish", "application/*"]
+)
+def test_problem_json_is_also_for_who_accepts_nothing_else_that_there_is(accept: str) -> None:
+    rendered = render(Problem(400, "No."), accept)
+    assert rendered.headers["content-type"] == JSON
+    assert json.loads(rendered.body)["detail"] == "No."
+
+
+def test_each_violation_is_told() -> None:
+    told = json.loads(render(unfit()).body)["violations"]
+    assert told == [
+        {"path": "linear.x", "message": "must be a float64", "value": '"<b>"'},
+        {"path": "angular", "message": "is missing", "value": None},
+    ]
+
+
+@pytest.mark.parametrize(
+    ("accept", "syntax"),
+    [
+        ("text/turtle", RdfFormat.TURTLE),
+        ("application/ld+json", RdfFormat.JSON_LD),
+        ("application/n-triples", RdfFormat.N_TRIPLES),
+        ("application/rdf+xml", RdfFormat.RDF_XML),
+    ],
+)
+def test_rdf_holds_the_status_and_a_validation_report(accept: str, syntax: RdfFormat) -> None:
+    rendered = render(unfit(), accept)
+    assert str(rendered.headers["content-type"]).startswith(accept)
+    objects = [str(quad.object) for quad in parse(rendered.body, format=syntax)]
+    assert '"422"^^<http://www.w3.org/2001/XMLSchema#integer>' in objects
+    assert objects.count("<http://www.w3.org/ns/shacl#ValidationResult>") == 2
+
+
+def test_a_page_escapes_what_was_sent() -> None:
+    rendered = render(Problem(404, 'There is no <script>alert("x")</script>.'), "text/html")
+    assert rendered.headers["content-type"] == "text/html; charset=utf-8"
+    assert b"<script" not in rendered.body
+    assert b"&lt;script&gt;" in rendered.body
+
+
+def test_a_page_tells_each_violation_escaped() -> None:
+    body = render(unfit(), "text/html,*/*;q=0.1").body.decode()
+    assert "linear.x" in body
+    assert "must be a float64" in body
+
+
+def test_headers_are_sent_and_those_that_would_inject_are_not() -> None:
+    problem = Problem(405, "No.", headers={"Allow": "GET", "X-Name": "a\r\nSet-Cookie: b=c", "X-Ü": "x", "Y": "ü"})
+    assert render(problem).headers["allow"] == "GET"
+    assert not any("cookie" in value.lower() for value in render(problem).headers.values())
+    assert set(render(problem).headers) & {"x-name", "x-ü", "y"} == set()
+
+
+def test_extra_members_are_told_and_replace_none_of_the_standard_ones() -> None:
+    told = json.loads(render(Problem(422, "No.", extra={"words": "engine is off", "status": 200})).body)
+    assert (told["words"], told["status"]) == ("engine is off", 422)
+
+
+def test_an_unknown_status_has_a_title_too() -> None:
+    assert Problem(499, "x").title == "Status 499"
+
+
+def test_head_has_the_length_and_no_body() -> None:
+    response = render(Problem(404, "There is none.")).response(head=True)
+    assert response.body == b""
+    assert int(response.headers["content-length"]) > 0
+
+
+@given(
+    st.text(st.characters(), max_size=60),
+    st.dictionaries(st.text(max_size=5), st.text(st.characters(), max_size=10) | st.integers() | st.floats()),
+    st.sampled_from([None, "text/html", "text/turtle", "application/ld+json", "application/rdf+xml"]),
+)
+def test_any_detail_can_be_told_in_any_form(detail: str, extra: dict[str, object], accept: str | None) -> None:
+    rendered = render(Problem(400, detail, extra=extra), accept)
+    assert rendered.body.decode("utf-8")
+    if accept is None:
+        assert json.loads(rendered.body)["status"] == 400
+    elif accept != "text/html":
+        assert list(parse(rendered.body, format=RdfFormat.from_media_type(accept)))
+
+
+def test_an_endless_value_is_cut() -> None:
+    assert len(render(Problem(400, "x" * 1_000_000)).body) < 5000

@@ -1,19 +1,42 @@
-"""Lifting: ROS messages to RDF, compiled once a schema into generated Python functions."""
+"""Lifting: ROS messages to RDF, compiled once a schema into generated Python functions.
+
+`compile.py` writes the functions, `notation.py` says how each syntax looks, `literals.py` and `arrays.py` write values.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol
 
-from pyoxigraph import Triple
+from pyoxigraph import RdfFormat, Triple, parse
 
-from rosld.adapters.model import Message, MessageSchema
+from rosld.adapters.model import FieldType, Message, MessageSchema, Nested, Primitive
+from rosld.ontology.compile import Lift, compile_lift
+from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS, date_time
+from rosld.ontology.notation import NOTATIONS, Site
+from rosld.ontology.typenames import TypeName, type_name
+from rosld.ontology.vocab import rdf, ros, xsd
 
 if TYPE_CHECKING:
     from rosld.ontology.document import Envelope
 
 TYPES = "https://w3id.org/rosld/types/"
+
+TERMS: Mapping[str, object] = MappingProxyType(
+    {
+        "ros": ros.iri,
+        "ros:received": {"@id": ros.received.value, "@type": xsd.dateTime.value},
+        "ros:sequence": {"@id": ros.sequence.value, "@type": xsd.integer.value},
+        "ros:publisher": {"@id": ros.publisher.value, "@type": "@id"},
+        "ros:dateTime": {"@id": ros.dateTime.value, "@type": xsd.dateTime.value},
+        "ros:length": {"@id": ros.length.value, "@type": xsd.integer.value},
+        "ros:bytes": {"@id": ros.bytes.value, "@type": "@id"},
+    }
+)
+"""The JSON-LD terms that every lifter's context holds: those of the envelope, of stamps and of what is elided."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,22 +55,38 @@ class Lifter(Protocol):
     context: Mapping[str, object]
 
     def ntriples(
-        self, message: Message, document: str, node: str, *, end: str = " .\n",
-        envelope: Envelope | None = None, simulated_time: bool = False,
+        self,
+        message: Message,
+        document: str,
+        node: str,
+        *,
+        end: str = " .\n",
+        envelope: Envelope | None = None,
+        simulated_time: bool = False,
     ) -> str:
         """N-Triples lines; with `end=" <graph> .\\n"` N-Quads."""
         ...
 
     def turtle(
-        self, message: Message, document: str, node: str, *,
-        envelope: Envelope | None = None, simulated_time: bool = False,
+        self,
+        message: Message,
+        document: str,
+        node: str,
+        *,
+        envelope: Envelope | None = None,
+        simulated_time: bool = False,
     ) -> str:
         """Turtle statements for a document whose `@base` is its URL and whose prefixes include `prefixes`."""
         ...
 
     def jsonld(
-        self, message: Message, document: str, node: str, *,
-        envelope: Envelope | None = None, simulated_time: bool = False,
+        self,
+        message: Message,
+        document: str,
+        node: str,
+        *,
+        envelope: Envelope | None = None,
+        simulated_time: bool = False,
     ) -> str:
         """One JSON-LD node object (text) for a document whose context includes `context` and whose base is its URL."""
         ...
@@ -57,13 +96,145 @@ class Lifter(Protocol):
         ...
 
     def triples(
-        self, message: Message, document: str, node: str, *,
-        envelope: Envelope | None = None, simulated_time: bool = False,
+        self,
+        message: Message,
+        document: str,
+        node: str,
+        *,
+        envelope: Envelope | None = None,
+        simulated_time: bool = False,
     ) -> list[Triple]:
         """The same as terms."""
         ...
 
 
+class CompiledLifter:
+    """The `Lifter` of one schema; each syntax is compiled when it is first asked for."""
+
+    def __init__(self, schema: MessageSchema, settings: LiftSettings) -> None:
+        names = {name: type_name(name, settings.types) for name in schema.types}
+        self.schema = schema
+        self.prefixes: Mapping[str, str] = MappingProxyType(_prefixes(names.values()))
+        self.context: Mapping[str, object] = MappingProxyType({**TERMS, **_terms(schema, names)})
+        self._settings = settings
+
+    def ntriples(
+        self, message: Message, document: str, node: str, *, end: str = " .\n",
+        envelope: Envelope | None = None, simulated_time: bool = False,
+    ) -> str:  # fmt: skip
+        subject = document + node
+        extra = "" if envelope is None else _ntriples_envelope(subject, envelope, end)
+        return self._ntriples(message, subject, end, Site(document, len(subject) + 1, simulated_time), extra)
+
+    def turtle(
+        self, message: Message, document: str, node: str, *,
+        envelope: Envelope | None = None, simulated_time: bool = False,
+    ) -> str:  # fmt: skip
+        extra = "" if envelope is None else _turtle_envelope(envelope)
+        return self._turtle(message, node, "", Site(document, len(node) + 1, simulated_time), extra)
+
+    def jsonld(
+        self, message: Message, document: str, node: str, *,
+        envelope: Envelope | None = None, simulated_time: bool = False,
+    ) -> str:  # fmt: skip
+        extra = "" if envelope is None else _jsonld_envelope(envelope)
+        return self._jsonld(message, node, "", Site(document, len(node) + 1, simulated_time), extra)
+
+    def json(self, message: Message, document: str) -> bytes:
+        return self._json(message, "", "", Site(document, 1, False), "").encode()
+
+    def triples(
+        self, message: Message, document: str, node: str, *,
+        envelope: Envelope | None = None, simulated_time: bool = False,
+    ) -> list[Triple]:  # fmt: skip
+        # Parsing N-Triples costs less than making the terms one by one from Python.
+        text = self.ntriples(message, document, node, envelope=envelope, simulated_time=simulated_time)
+        return [quad.triple for quad in parse(text, RdfFormat.N_TRIPLES)]
+
+    @cached_property
+    def _ntriples(self) -> Lift:
+        return self._compiled("ntriples")
+
+    @cached_property
+    def _turtle(self) -> Lift:
+        return self._compiled("turtle")
+
+    @cached_property
+    def _jsonld(self) -> Lift:
+        return self._compiled("jsonld")
+
+    @cached_property
+    def _json(self) -> Lift:
+        return self._compiled("json")
+
+    def _compiled(self, notation: str) -> Lift:
+        return compile_lift(self.schema, NOTATIONS[notation], self._settings.types, self._settings.inline_limit)
+
+
+@lru_cache(maxsize=1024)
 def lifter(schema: MessageSchema, settings: LiftSettings = LiftSettings()) -> Lifter:
-    """The compiled lifter of a schema; compiled once a schema and settings."""
-    raise NotImplementedError
+    """The compiled lifter of a schema; compiled once a schema and settings.
+
+    Raises ValueError for a type that contains itself or whose name is none.
+    """
+    return CompiledLifter(schema, settings)
+
+
+def _ntriples_envelope(subject: str, envelope: Envelope, end: str) -> str:
+    received = date_time(0, envelope.received_ns)
+    publisher = envelope.publisher
+    return (
+        f'<{subject}> <{_RECEIVED}> "{received}"^^<{_DATE_TIME}>{end}'
+        f'<{subject}> <{_SEQUENCE}> "{envelope.sequence}"^^<{_INTEGER}>{end}'
+        f"{'' if publisher is None else f'<{subject}> <{_PUBLISHER}> <{publisher}>{end}'}"
+    )
+
+
+def _turtle_envelope(envelope: Envelope) -> str:
+    received = f' ;\n    ros:received "{date_time(0, envelope.received_ns)}"^^xsd:dateTime'
+    publisher = "" if envelope.publisher is None else f" ;\n    ros:publisher <{envelope.publisher}>"
+    return f"{received} ;\n    ros:sequence {envelope.sequence}{publisher}"
+
+
+def _jsonld_envelope(envelope: Envelope) -> str:
+    publisher = "" if envelope.publisher is None else f',"ros:publisher":"{envelope.publisher}"'
+    received = date_time(0, envelope.received_ns)
+    return f',"ros:received":"{received}","ros:sequence":"{envelope.sequence}"{publisher}'
+
+
+_RECEIVED, _SEQUENCE, _PUBLISHER = ros.received.value, ros.sequence.value, ros.publisher.value
+_DATE_TIME, _INTEGER = xsd.dateTime.value, xsd.integer.value
+
+
+def _prefixes(names: Iterable[TypeName]) -> dict[str, str]:
+    """Two prefixes a type: its package's, for the class, and its own, for its fields."""
+    prefixes: dict[str, str] = {}
+    for name in names:
+        prefixes[name.package] = name.namespace
+        prefixes[name.term] = name.iri + "#"
+    return prefixes
+
+
+def _terms(schema: MessageSchema, names: Mapping[str, TypeName]) -> dict[str, object]:
+    """A term a type, whose scoped context gives its fields' properties and datatypes."""
+    return {
+        names[kind.name].term: {
+            "@id": names[kind.name].iri,
+            "@context": {
+                field.name: {"@id": names[kind.name].property(field.name), **_coercion(field.type)}
+                for field in kind.fields
+            },
+        }
+        for kind in schema.types.values()
+    }
+
+
+def _coercion(kind: FieldType) -> dict[str, str]:
+    """What a field's value, a string or an array in JSON, stands for."""
+    if isinstance(kind, Nested):
+        return {"@type": "@id"}
+    if isinstance(kind, Primitive):
+        return {} if kind.name in STRINGS else {"@type": xsd.iri + DATATYPES[kind.name]}
+    if isinstance(kind.element, Nested):
+        return {"@type": "@id", "@container": "@list"}
+    return {"@type": xsd.base64Binary.value if kind.element.name in OCTETS else rdf.JSON.value}

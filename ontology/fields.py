@@ -1,0 +1,88 @@
+"""One field of a message by its path: what `?field=transforms.0.data` asks for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, cast
+
+import numpy as np
+
+from rosld.adapters.model import Array, Field, FieldType, Message, MessageSchema, Nested, Primitive, TypeRef
+from rosld.ontology.arrays import json_numbers, json_strings
+from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.literals import OCTETS, STRINGS, octets
+
+_WHOLE = LiftSettings(inline_limit=2**62)
+
+
+def field_bytes(schema: MessageSchema, message: Message, path: str) -> tuple[bytes, str]:
+    """The bytes of the field at `path` (`transforms.0.data`) and their media type.
+
+    Octets and strings are as they are on the wire, anything else is JSON, whole however large. Raises ValueError
+    naming the path where there is no such field.
+    """
+    kind: FieldType = Nested(schema.ref.name)
+    value: object = message
+    walked: list[str] = []
+    for step in path.split("."):
+        walked.append(step)
+        try:
+            kind, value = _step(schema, kind, value, step)
+        except (LookupError, ValueError) as error:
+            raise ValueError(f"{schema.ref.name} has no field {'.'.join(walked)!r} here") from error
+    return _written(schema, kind, value)
+
+
+def _step(schema: MessageSchema, kind: FieldType, value: object, step: str) -> tuple[FieldType, object]:
+    if isinstance(kind, Nested):
+        field = _field(schema, kind.name, step)
+        return field.type, getattr(value, field.attribute)
+    if isinstance(kind, Array) and step.isdecimal() and len(step) < 12:
+        return kind.element, cast("list[object]", value)[int(step)]
+    raise LookupError(step)
+
+
+def _field(schema: MessageSchema, name: str, step: str) -> Field:
+    for field in schema.types[name].fields:
+        if field.name == step:
+            return field
+    raise LookupError(step)
+
+
+def _written(schema: MessageSchema, kind: FieldType, value: object) -> tuple[bytes, str]:
+    if isinstance(kind, Nested):
+        return _message_json(schema, kind, cast(Message, value)), "application/json"
+    if isinstance(kind, Primitive):
+        return _primitive(kind, value)
+    if isinstance(kind.element, Nested):
+        texts = [_message_json(schema, kind.element, each) for each in cast("list[Message]", value)]
+        return b"[" + b",".join(texts) + b"]", "application/json"
+    if kind.element.name in STRINGS:
+        return json_strings(cast("list[str]", value)).encode(), "application/json"
+    array = cast("np.ndarray[Any, Any]", value)
+    if kind.element.name in OCTETS:
+        return array.tobytes(), "application/octet-stream"
+    return json_numbers(array).encode(), "application/json"
+
+
+def _message_json(schema: MessageSchema, kind: Nested, message: Message) -> bytes:
+    return lifter(_part(schema, kind.name), _WHOLE).json(message, "")
+
+
+@lru_cache(maxsize=256)
+def _part(schema: MessageSchema, name: str) -> MessageSchema:
+    """The schema of a type nested in `schema`."""
+    return replace(schema, ref=TypeRef(name, schema.ref.hash))
+
+
+def _primitive(kind: Primitive, value: object) -> tuple[bytes, str]:
+    if kind.name not in STRINGS:
+        dtype = "f4" if kind.name == "float32" else None
+        return json_numbers(np.array([value], dtype))[1:-1].encode(), "application/json"
+    text = octets(cast(str, value))
+    try:
+        text.decode()
+    except UnicodeDecodeError:
+        return text, "application/octet-stream"
+    return text, "text/plain; charset=utf-8"

@@ -1,0 +1,132 @@
+"""Literals: how the values of ROS's primitives are written in RDF and in JSON.
+
+Numbers have the shortest digits that read back the same; what JSON has no number for (NaN, INF, -INF) has XSD's
+name. The functions here run inside the generated lifters, so they take many values at a time and format with
+orjson, whose escapes in strings are exactly those that Turtle and N-Triples know too.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import orjson
+
+from rosld.ontology.vocab import xsd
+
+BASE64 = xsd.base64Binary.value
+
+DATATYPES = {
+    "bool": "boolean",
+    "byte": "byte",
+    "char": "unsignedByte",
+    "int8": "byte",
+    "uint8": "unsignedByte",
+    "int16": "short",
+    "uint16": "unsignedShort",
+    "int32": "int",
+    "uint32": "unsignedInt",
+    "int64": "long",
+    "uint64": "unsignedLong",
+    "float32": "float",
+    "float64": "double",
+    "string": "string",
+    "wstring": "string",
+}
+"""The local name, in XSD, of the datatype of each primitive (a byte is signed and a char is not, as on the wire)."""
+
+DTYPES: dict[str, np.dtype[Any]] = {
+    "bool": np.dtype("?"),
+    "byte": np.dtype("i1"),
+    "char": np.dtype("u1"),
+    **{name: np.dtype(name) for name in DATATYPES if name[-1].isdigit()},
+}
+"""The numpy type of the arrays of each primitive that is no string."""
+
+STRINGS = frozenset({"string", "wstring"})
+OCTETS = frozenset({"uint8", "byte", "char"})
+"""The primitives whose arrays are octets: xsd:base64Binary."""
+
+SAFE_INTEGER = 2**53
+"""Integers beyond this (either side of zero) are strings in JSON, whose readers keep numbers as doubles."""
+
+
+def special(value: float) -> str:
+    """XSD's name of a float that is not finite."""
+    if value != value:
+        return "NaN"
+    return "INF" if value > 0 else "-INF"
+
+
+def scalars(values: Iterable[bool | int | float]) -> list[str]:
+    """The lexical forms of numbers and bools; `values` is a tuple or a numpy array (for float32's own digits)."""
+    text = orjson.dumps(values, option=orjson.OPT_SERIALIZE_NUMPY)[1:-1].decode()
+    if "null" not in text:
+        return text.split(",")
+    return [special(value) if form == "null" else form for form, value in zip(text.split(","), values, strict=True)]
+
+
+def json_scalars(values: Iterable[bool | int | float | str]) -> list[str]:
+    """The same as JSON: what is no JSON number is a string."""
+    text = orjson.dumps(values, option=orjson.OPT_SERIALIZE_NUMPY)[1:-1].decode()
+    if "null" not in text:
+        return text.split(",")
+    pairs = zip(text.split(","), values, strict=True)
+    return [f'"{special(float(value))}"' if form == "null" else form for form, value in pairs]
+
+
+def wide(value: int) -> int | str:
+    """A 64-bit integer for JSON: as its digits where a double might lose some."""
+    return value if -SAFE_INTEGER <= value <= SAFE_INTEGER else str(value)
+
+
+def singles(packed: bytes) -> npt.NDArray[np.float32]:
+    """The float32s in `packed` (little endian)."""
+    return np.frombuffer(packed, "<f4")
+
+
+def octets(value: str) -> bytes:
+    """The bytes of a string as they are on the wire."""
+    return value.encode("utf-8", "surrogateescape")
+
+
+def octet_count(value: str) -> int:
+    """How many bytes a string takes on the wire."""
+    return len(value) if value.isascii() else len(octets(value))
+
+
+def base64_text(value: npt.NDArray[Any] | bytes) -> str:
+    """The base64 of octets."""
+    return b64encode(memoryview(value)).decode("ascii")
+
+
+def quoted(value: str) -> str:
+    """A string in quotes, as JSON, Turtle and N-Triples write it. Raises TypeError where it is not UTF-8."""
+    return orjson.dumps(value).decode()
+
+
+def json_string(value: str) -> str:
+    """A string as JSON and JSON-LD: one that is not UTF-8 is JSON-LD's value object of its base64."""
+    try:
+        return orjson.dumps(value).decode()
+    except TypeError:
+        return f'{{"@value":"{base64_text(octets(value))}","@type":"{BASE64}"}}'
+
+
+@lru_cache(maxsize=4096)
+def _second(seconds: int) -> str:
+    return str(np.datetime64(seconds, "s"))
+
+
+def date_time(seconds: int, nanoseconds: int) -> str:
+    """The xsd:dateTime (UTC, canonical: no trailing zeros) so long after the epoch; any sign and size will do."""
+    if not 0 <= nanoseconds < 1_000_000_000:
+        carry, nanoseconds = divmod(nanoseconds, 1_000_000_000)
+        seconds += carry
+    if nanoseconds == 0:
+        return _second(seconds) + "Z"
+    return f"{_second(seconds)}.{nanoseconds:09d}".rstrip("0") + "Z"

@@ -1,0 +1,273 @@
+r"""Notations: how each syntax writes the pieces of a message, as source for the generated lifters.
+
+A *fragment* is the inside of an f-string: what is constant in it has passed `const`, the rest are names that the
+generated function binds. All notations share these names: `n` is the node (an absolute IRI in N-Triples, `#message`
+in Turtle and JSON-LD, the path in JSON), `e` the end of an N-Triples line, `x` what to add to the node.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from hashlib import blake2b
+from typing import NamedTuple, Protocol
+
+from rosld.ontology.arrays import json_numbers, json_strings
+from rosld.ontology.literals import BASE64, base64_text, json_scalars, json_string, octets, quoted, scalars
+from rosld.ontology.typenames import TypeName
+from rosld.ontology.vocab import rdf, ros, xsd
+
+_ESCAPES = {"\\": "\\\\", "'": "\\'", "\n": "\\n", "\r": "\\r", "{": "{{", "}": "}}"}
+
+
+def const(text: str) -> str:
+    """Constant text as a fragment."""
+    return "".join([_ESCAPES.get(character, character) for character in text])
+
+
+class Site(NamedTuple):
+    """Where a message is lifted to: `start` is where, in a node, the path of the field begins."""
+
+    document: str
+    start: int
+    simulated_time: bool
+
+    def href(self, node: str) -> str:
+        """The URL of the bytes of an elided field."""
+        return f"{self.document}{'&' if '?' in self.document else '?'}field={node[self.start :]}"
+
+
+Elide = Callable[[str, int, str, Site], "tuple[str, str]"]
+Listing = Callable[[str, Sequence[str], str], "tuple[str, str]"]
+
+
+class Runtime(NamedTuple):
+    """The functions of a notation that its generated code calls.
+
+    `elide` (node, length, end, site) and `listing` (node, texts of the elements, end) return what stands for the
+    value and what is said after the statement it stands in.
+    """
+
+    scalars: Callable[[tuple[bool | int | float, ...]], list[str]]
+    string: Callable[[str], str]
+    numbers: Callable[..., str]
+    strings: Callable[[list[str]], str]
+    elide: Elide
+    listing: Listing
+
+
+class Notation(Protocol):
+    """A syntax. `inside`: a nested message is written within the statement that leads to it, not after."""
+
+    inside: bool
+    separator: str
+    begin: str
+    end: str
+    runtime: Runtime
+
+    def head(self, subject: str, kind: TypeName) -> str:
+        """The node itself with its type; empty where the syntax says neither."""
+        ...
+
+    def field(self, subject: str, kind: TypeName, name: str, value: str, key: str | None = None) -> str:
+        """A field and its value. `key` stands for the name where that depends on the value (JSON-LD)."""
+        ...
+
+    def time(self, subject: str, value: str) -> str:
+        """The derived ros:dateTime; empty where the syntax has none."""
+        ...
+
+    def literal(self, datatype: str, value: str) -> str:
+        """A number, bool or octets; `datatype` is XSD's local name."""
+        ...
+
+    def json(self, value: str) -> str:
+        """The JSON of an array of numbers or bools."""
+        ...
+
+    def node(self, subject: str) -> str:
+        """A link to a nested node."""
+        ...
+
+
+def _n_string(value: str) -> str:
+    try:
+        return quoted(value)
+    except TypeError:
+        return f'"{base64_text(octets(value))}"^^<{BASE64}>'
+
+
+def _turtle_string(value: str) -> str:
+    try:
+        return quoted(value)
+    except TypeError:
+        return f'"{base64_text(octets(value))}"^^xsd:base64Binary'
+
+
+def _n_elide(node: str, length: int, end: str, site: Site) -> tuple[str, str]:
+    return f"<{node}>", (
+        f"<{node}> <{rdf.type.value}> <{ros.Elided.value}>{end}"
+        f'<{node}> <{ros.length.value}> "{length}"^^<{xsd.integer.value}>{end}'
+        f"<{node}> <{ros.bytes.value}> <{site.href(node)}>{end}"
+    )
+
+
+def _turtle_elide(node: str, length: int, end: str, site: Site) -> tuple[str, str]:
+    about = f"<{node}> a ros:Elided ;\n    ros:length {length} ;\n    ros:bytes <{site.href(node)}> .\n"
+    return f"<{node}>", about
+
+
+def _jsonld_elide(node: str, length: int, end: str, site: Site) -> tuple[str, str]:
+    href = site.href(node)
+    return f'{{"@id":"{node}","@type":"ros:Elided","ros:length":"{length}","ros:bytes":"{href}"}}', ""
+
+
+def _json_elide(node: str, length: int, end: str, site: Site) -> tuple[str, str]:
+    return f'{{"elided":true,"length":{length},"href":"{site.href(node)}"}}', ""
+
+
+_FIRST, _REST, _NIL = rdf.first.value, rdf.rest.value, rdf.nil.value
+
+
+def _n_listing(node: str, texts: Sequence[str], end: str) -> tuple[str, str]:
+    """List cells have labels made from their list's IRI, so that they stay apart in a file of many documents."""
+    if not texts:
+        return f"<{_NIL}>", ""
+    cell = f"_:l{blake2b(node.encode(), digest_size=10).hexdigest()}-"
+    links = [
+        f"{cell}{i} <{_FIRST}> <{node}.{i}>{end}{cell}{i} <{_REST}> {cell}{i + 1}{end}{text}"
+        for i, text in enumerate(texts[:-1])
+    ]
+    last = len(texts) - 1
+    links.append(f"{cell}{last} <{_FIRST}> <{node}.{last}>{end}{cell}{last} <{_REST}> <{_NIL}>{end}{texts[-1]}")
+    return f"{cell}0", "".join(links)
+
+
+def _turtle_listing(node: str, texts: Sequence[str], end: str) -> tuple[str, str]:
+    return f"({''.join([f' <{node}.{i}>' for i in range(len(texts))])} )", "".join(texts)
+
+
+def _json_listing(node: str, texts: Sequence[str], end: str) -> tuple[str, str]:
+    return f"[{','.join(texts)}]", ""
+
+
+def _literal_numbers(values: object) -> str:
+    return json_numbers(values, '\\"')  # type: ignore[arg-type]
+
+
+def _literal_strings(values: list[str]) -> str:
+    return quoted(json_strings(values))[1:-1]
+
+
+class NTriples:
+    """N-Triples (and, by its ends of lines, N-Quads)."""
+
+    inside = False
+    separator = begin = end = ""
+    runtime = Runtime(scalars, _n_string, _literal_numbers, _literal_strings, _n_elide, _n_listing)
+
+    def head(self, subject: str, kind: TypeName) -> str:
+        return f"<{subject}> " + const(f"<{rdf.type.value}> <{kind.iri}>") + "{e}"
+
+    def field(self, subject: str, kind: TypeName, name: str, value: str, key: str | None = None) -> str:
+        return f"<{subject}> " + const(f"<{kind.property(name)}>") + f" {value}{{e}}"
+
+    def time(self, subject: str, value: str) -> str:
+        return f"<{subject}> " + const(f"<{ros.dateTime.value}> ") + self.literal("dateTime", value) + "{e}"
+
+    def literal(self, datatype: str, value: str) -> str:
+        return f'"{value}"' + const(f"^^<{xsd.iri}{datatype}>")
+
+    def json(self, value: str) -> str:
+        return f'"{value}"' + const(f"^^<{rdf.JSON.value}>")
+
+    def node(self, subject: str) -> str:
+        return f"<{subject}>"
+
+
+class Turtle:
+    """Turtle, for people: one statement a node, with prefixes and nothing spelt out that has a short form."""
+
+    inside = False
+    separator = begin = ""
+    end = const(" .\n")
+    runtime = Runtime(scalars, _turtle_string, _literal_numbers, _literal_strings, _turtle_elide, _turtle_listing)
+
+    def head(self, subject: str, kind: TypeName) -> str:
+        return f"<{subject}> " + const(f"a {kind.package}:{kind.short}")
+
+    def field(self, subject: str, kind: TypeName, name: str, value: str, key: str | None = None) -> str:
+        return const(f" ;\n    {kind.term}:{name} ") + value
+
+    def time(self, subject: str, value: str) -> str:
+        return const(" ;\n    ros:dateTime ") + self.literal("dateTime", value)
+
+    def literal(self, datatype: str, value: str) -> str:
+        return value if datatype == "boolean" else f'"{value}"^^xsd:{datatype}'
+
+    def json(self, value: str) -> str:
+        return f'"{value}"^^rdf:JSON'
+
+    def node(self, subject: str) -> str:
+        return f"<{subject}>"
+
+
+class JsonLd:
+    """JSON-LD, compact: node objects nested as the message is, each typed so that its context applies."""
+
+    inside = True
+    separator = ","
+    begin, end = const("{"), const("}")
+    runtime = Runtime(scalars, json_string, _literal_numbers, _literal_strings, _jsonld_elide, _json_listing)
+
+    def head(self, subject: str, kind: TypeName) -> str:
+        return f'"@id":"{subject}","@type":"' + const(kind.term) + '"'
+
+    def field(self, subject: str, kind: TypeName, name: str, value: str, key: str | None = None) -> str:
+        return f'"{key or const(name)}":{value}'
+
+    def time(self, subject: str, value: str) -> str:
+        return f',"ros:dateTime":"{value}"'
+
+    def literal(self, datatype: str, value: str) -> str:
+        return f'"{value}"'
+
+    def json(self, value: str) -> str:
+        return f'"{value}"'
+
+    def node(self, subject: str) -> str:
+        raise NotImplementedError("in JSON-LD a nested message is written inside")
+
+
+class Json:
+    """ROS's own JSON: the fields and nothing else."""
+
+    inside = True
+    separator = ","
+    begin, end = const("{"), const("}")
+    runtime = Runtime(json_scalars, json_string, json_numbers, json_strings, _json_elide, _json_listing)
+
+    def head(self, subject: str, kind: TypeName) -> str:
+        return ""
+
+    def field(self, subject: str, kind: TypeName, name: str, value: str, key: str | None = None) -> str:
+        return f'"{const(name)}":{value}'
+
+    def time(self, subject: str, value: str) -> str:
+        return ""
+
+    def literal(self, datatype: str, value: str) -> str:
+        return f'"{value}"' if datatype == "base64Binary" else value
+
+    def json(self, value: str) -> str:
+        return value
+
+    def node(self, subject: str) -> str:
+        raise NotImplementedError("in JSON a nested message is written inside")
+
+
+NOTATIONS: Mapping[str, Notation] = {
+    "ntriples": NTriples(),
+    "turtle": Turtle(),
+    "jsonld": JsonLd(),
+    "json": Json(),
+}

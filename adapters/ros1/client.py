@@ -1,0 +1,246 @@
+"""rosld as a client of a ROS 1 system: everything that lives on the reading thread, and the looks that keep it true."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Iterable, Sequence
+
+from rosld.adapters.base import AdapterOptions, ParameterValue, Sink
+from rosld.adapters.model import Graph, Master, RosError
+from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
+from rosld.adapters.ros1.hosts import Hosts
+from rosld.adapters.ros1.learnt import EndpointFacts, Learnt
+from rosld.adapters.ros1.master import Looked, MasterApi
+from rosld.adapters.ros1.parameters import Parameters
+from rosld.adapters.ros1.publications import Publications, addresses
+from rosld.adapters.ros1.services import Services
+from rosld.adapters.ros1.sources import Nodes, TopicReader
+from rosld.adapters.ros1.subscription import Feed
+from rosld.adapters.ros1.types import Types
+from rosld.adapters.ros1.xmlrpc import XmlRpcClient
+
+_EVERY = 1.0
+_SHARE = 20  # a look may take one part in so many of our time, and the master's
+_LOOK_UPS = 8
+_SOON = 0.1
+
+
+class Client:
+    """Looks at the master, reads topics, publishes, calls. Made and used on the reading thread, but for `graph`."""
+
+    def __init__(
+        self, uri: tuple[str, int], own_node: str, options: AdapterOptions, library: TypeLibrary, publish_graph: Sink
+    ) -> None:
+        host, port = uri
+        self.graph = Graph(0, own_node=own_node)
+        self._sink = publish_graph
+        self._own_node = own_node
+        self._hosts = Hosts(options.host_map, host)
+        client = XmlRpcClient(f"http://{host}:{port}", "/RPC2", self._dial(host, port), keep_alive=True)
+        self.master = MasterApi(client, own_node)
+        self.learnt = Learnt(self.refresh_soon)
+        self.types = Types(library, self.refresh_soon)
+        self.parameters = Parameters(self.master, self._parameters_changed)
+        self.services = Services(own_node, self.master, self._hosts, self.types, self.learnt)
+        self.publications = Publications(
+            self.master, own_node, self.types, lambda: addresses(options.ros_ip, self._local), self.look_soon
+        )
+        self._nodes = Nodes(own_node, self._hosts, self.learnt, self.master.lookup_node)
+        self._readers: dict[str, TopicReader] = {}
+        self._epochs: dict[str, int] = {}
+        self._local: str | None = None
+        self._looked: Looked | None = None
+        self._system = SystemState()
+        self._identity: tuple[int, ParameterValue | None] | None = None
+        self._wanted = asyncio.Event()
+        self._refreshing = False
+        self._tasks: list[asyncio.Task[None]] = []
+        self._checked: dict[str, float] = {}
+        self._looking = asyncio.Lock()
+
+    async def open(self) -> None:
+        """Look for the first time. Raises Unreachable, TimedOut."""
+        await self._look()
+        await self.parameters.look()
+        self.refresh()
+        await self.services.asked(1.0)
+        self.refresh()
+        loop = asyncio.get_running_loop()
+        self._tasks = [loop.create_task(self._watch_system()), loop.create_task(self._watch_parameters())]
+
+    async def close(self) -> None:
+        """Unregister everything and stop; quick even if the master hangs."""
+        for task in self._tasks:
+            task.cancel()
+        for reader in self._readers.values():
+            reader.close()
+        await self.publications.close()
+        self.master.close()
+
+    async def look(self) -> None:
+        """Look at the master now, so that the graph has what was just done."""
+        try:
+            await self._look()
+        except RosError as error:
+            self._lost(error)
+        self.refresh()
+
+    def look_soon(self) -> None:
+        """Look at the master before the second is over."""
+        self._wanted.set()
+
+    def refresh_soon(self) -> None:
+        """Make the graph anew, once for all that is learnt in this turn of the loop."""
+        if not self._refreshing:
+            self._refreshing = True
+            asyncio.get_running_loop().call_soon(self.refresh)
+
+    def refresh(self) -> None:
+        """Make the graph anew and tell of it where it changed. A graph that is stale stays as it is."""
+        self._refreshing = False
+        if self._identity is not None:
+            self._show(compose(self.graph, self._observation(), self.learnt, self.types.unreadable))
+
+    def read(self, feed: Feed) -> None:
+        """Begin to read a topic."""
+        reader = TopicReader(feed, self._nodes, self.types, self._epochs.get(feed.topic, 0))
+        self._readers[feed.topic] = reader
+        publishers = self._system.publishers.get(feed.topic, ())
+        reader.follow(publishers)
+        if not publishers:
+            self.look_soon()
+
+    def deepen(self, topic: str) -> None:
+        """Heed that a topic's feed wants another depth."""
+        if reader := self._readers.get(topic):
+            reader.deepen()
+
+    def unread(self, feed: Feed) -> None:
+        """Stop reading a topic."""
+        reader = self._readers.get(feed.topic)
+        if reader is not None and reader.feed is feed:
+            del self._readers[feed.topic]
+            reader.close()
+            self._epochs[feed.topic] = reader.next_epoch
+
+    def _dial(
+        self, host: str, port: int
+    ) -> Callable[[], asyncio.Future[tuple[asyncio.StreamReader, asyncio.StreamWriter]]]:
+        async def dial() -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+            reader, writer = await self._hosts.streams(host, port)
+            self._local = writer.get_extra_info("sockname")[0]
+            return reader, writer
+
+        return lambda: asyncio.ensure_future(dial())
+
+    async def _watch_system(self) -> None:
+        while True:
+            started = time.monotonic()
+            await self.look()
+            took = time.monotonic() - started
+            pause = max(_EVERY, _SHARE * took) - took
+            await asyncio.sleep(_SOON)
+            try:
+                await asyncio.wait_for(self._wanted.wait(), pause - _SOON)
+            except asyncio.TimeoutError:
+                pass
+            self._wanted.clear()
+
+    async def _watch_parameters(self) -> None:
+        while True:
+            await asyncio.sleep(max(_EVERY, _SHARE * self.parameters.took))
+            try:
+                await self.parameters.look()
+            except RosError:
+                pass  # the look at the system tells when the master has gone
+            self._note_identity()
+
+    async def _look(self) -> None:
+        async with self._looking:
+            looked = await self.master.look()
+            if self._looked is None or (looked.state, looked.types) != (self._looked.state, self._looked.types):
+                self._system = self.master.system_state(looked)
+            if self._looked is None or looked.pid != self._looked.pid:
+                self._forget_addresses()
+            self._looked = looked
+            self._note_identity()
+            self._follow()
+
+    def _note_identity(self) -> None:
+        """A restarted master is another process, or at least another run: what was registered is gone."""
+        if self._looked is None:
+            return
+        identity = self._looked.pid, self.parameters.value("/run_id")
+        if self._identity is not None and identity != self._identity:
+            self._forget_addresses()
+            self.refresh_soon()
+        self._identity = identity
+
+    def _forget_addresses(self) -> None:
+        self._checked.clear()
+        self.services.forget()
+
+    def _follow(self) -> None:
+        """Have everything follow the state just seen."""
+        system = self._system
+        for topic, reader in self._readers.items():
+            reader.follow(system.publishers.get(topic, ()))
+        self.services.follow(system.services.items())
+        self.publications.register_again(system.publishers)
+        nodes = system.nodes()
+        endpoints = {(topic, node) for topic, of in system.publishers.items() for node in of}
+        self.learnt.forget_all_but(nodes, endpoints, set(system.services))
+        self._note_own(system)
+        self._look_up_some(nodes)
+
+    def _note_own(self, system: SystemState) -> None:
+        for topic, publication in self.publications.by_topic.items():
+            if self._own_node in system.publishers.get(topic, ()):
+                facts = EndpointFacts(publication.ref, publication.latched is not None)
+                self.learnt.endpoint(topic, self._own_node, facts)
+
+    def _look_up_some(self, nodes: set[str]) -> None:
+        """Ask where new nodes are, all of them, and a few of the others again: a restart keeps the name."""
+        self._checked = {node: at for node, at in self._checked.items() if node in nodes}
+        new = [node for node in nodes if node not in self._checked]
+        oldest = sorted(self._checked, key=self._checked.__getitem__)[:_LOOK_UPS]
+        now = time.monotonic()
+        chosen = [*new, *(node for node in oldest if now - self._checked[node] > _EVERY)]
+        self._checked.update(dict.fromkeys(chosen, now))
+        if chosen:
+            task = asyncio.get_running_loop().create_task(self._look_up(chosen))
+            self._tasks = [each for each in self._tasks if not each.done()] + [task]
+
+    async def _look_up(self, nodes: Iterable[str]) -> None:
+        for node in nodes:
+            try:
+                await self._nodes.address(node)
+            except RosError:
+                continue
+
+    def _lost(self, error: RosError) -> None:
+        self._looked = None
+        self._identity = None
+        self._show(stale(self.graph, time.time_ns(), str(error)))
+
+    def _observation(self) -> Observation:
+        run_id = self.parameters.value("/run_id")
+        return Observation(
+            Master(self.master.uri, str(run_id) if run_id is not None else None),
+            self._own_node,
+            self._system,
+            self.parameters.graph_parameters,
+            self.parameters.value("/use_sim_time") is True,
+        )
+
+    def _show(self, graph: Graph) -> None:
+        if graph is not self.graph:
+            self.graph = graph
+            self._sink.graph_changed(graph)
+
+    def _parameters_changed(self, names: Sequence[str]) -> None:
+        self.refresh_soon()
+        for name in names:
+            self._sink.parameter_changed(name)

@@ -1,0 +1,116 @@
+"""From the master's state and what was learnt to the computation graph: pure, and sharing what did not change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+from rosld.adapters.model import Endpoint, Graph, Live, Master, Node, Parameter, Service, Stale, Topic, TypeRef, frozen
+from rosld.adapters.ros1.learnt import EndpointFacts, Learnt, ServiceFacts
+from rosld.adapters.ros1.types import message_type
+
+_V = TypeVar("_V")
+_NOTHING = EndpointFacts()
+_NOT_ASKED = ServiceFacts(None, "its type is not known yet: its node is being asked")
+
+
+@dataclass(frozen=True)
+class SystemState:
+    """What a master's getSystemState and getTopicTypes say: names to the nodes' names, topics to types' names."""
+
+    publishers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    subscribers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    services: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    topic_types: Mapping[str, str] = field(default_factory=dict)
+
+    def nodes(self) -> set[str]:
+        """Every node that publishes, subscribes or provides."""
+        return {
+            node for each in (self.publishers, self.subscribers, self.services) for of in each.values() for node in of
+        }
+
+
+@dataclass(frozen=True)
+class Observation:
+    """All that the graph is made of, but for what was learnt."""
+
+    master: Master
+    own_node: str
+    system: SystemState = field(default_factory=SystemState)
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    simulated_time: bool = False
+
+
+def compose(previous: Graph, seen: Observation, learnt: Learnt, unreadable: Mapping[TypeRef, str]) -> Graph:
+    """The graph of an observation; `previous` itself where nothing changed."""
+    system = seen.system
+
+    def topic(name: str) -> Topic:
+        return _topic(name, system, learnt, unreadable)
+
+    def service(name: str) -> Service:
+        facts = learnt.services.get(name, _NOT_ASKED)
+        return Service(name, facts.type, system.services[name], facts.uncallable)
+
+    def node(name: str) -> Node:
+        return Node(name, learnt.uris.get(name), learnt.unreachable.get(name))
+
+    graph = replace(
+        previous,
+        state=Live(),
+        master=seen.master,
+        own_node=seen.own_node,
+        simulated_time=seen.simulated_time,
+        nodes=_shared(previous.nodes, system.nodes(), node),
+        topics=_shared(previous.topics, _topic_names(system), topic),
+        services=_shared(previous.services, system.services, service),
+        parameters=_shared(previous.parameters, seen.parameters, lambda name: seen.parameters[name]),
+    )
+    return previous if graph == previous else replace(graph, revision=previous.revision + 1)
+
+
+def stale(previous: Graph, since_ns: int, why: str) -> Graph:
+    """The last known graph, as one that cannot be seen any more."""
+    if isinstance(previous.state, Stale):
+        return previous
+    return replace(previous, state=Stale(since_ns, why), revision=previous.revision + 1)
+
+
+def _topic_names(system: SystemState) -> set[str]:
+    return {*system.publishers, *system.subscribers, *system.topic_types}
+
+
+def _topic(name: str, system: SystemState, learnt: Learnt, unreadable: Mapping[TypeRef, str]) -> Topic:
+    nodes = system.publishers.get(name, ())
+    facts = [learnt.endpoints.get((name, node), _NOTHING) for node in nodes]
+    publishers = tuple(
+        Endpoint(node, fact.type, fact.latched, fact.unreachable) for node, fact in zip(nodes, facts, strict=True)
+    )
+    subscribers = tuple(Endpoint(node) for node in system.subscribers.get(name, ()))
+    types = _types(system.topic_types.get(name), [fact.type for fact in facts])
+    words = next((unreadable[each] for each in types if each in unreadable), None)
+    if not types and (stated := system.topic_types.get(name)) and stated != "*":
+        words = f"{stated!r} is no name of a type"
+    return Topic(name, types, publishers, subscribers, words)
+
+
+def _types(stated: str | None, said: list[TypeRef | None]) -> tuple[TypeRef, ...]:
+    """Every type in use: what the publishers said and, while one has said nothing, what the master was told last."""
+    types = dict.fromkeys(each for each in said if each is not None)
+    if None in said or not said:
+        name = message_type(stated) if stated else None
+        if name and all(each.name != name for each in types):
+            types[TypeRef(name)] = None
+    return tuple(types)
+
+
+def _shared(previous: Mapping[str, _V], names: Iterable[str], make: Callable[[str], _V]) -> Mapping[str, _V]:
+    """The values of these names, sorted; equal ones are the previous objects, and so is the mapping if all are."""
+    made: dict[str, _V] = {}
+    for name in sorted(names):
+        new, old = make(name), previous.get(name)
+        made[name] = old if old is not None and old == new else new
+    if len(made) == len(previous) and all(previous.get(name) is value for name, value in made.items()):
+        return previous
+    return frozen(made)

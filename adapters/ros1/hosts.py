@@ -1,0 +1,101 @@
+"""Reaching the hosts that a master names: with the user's map, by resolving, at last at the master's own host."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, TypeVar
+from urllib.parse import urlsplit
+
+from rosld.adapters.model import Unreachable
+
+_P = TypeVar("_P", bound=asyncio.BaseProtocol)
+_REMEMBER = 30.0
+_RESOLVE = 3.0
+CONNECT = 3.0
+
+
+class Address(NamedTuple):
+    """Where to connect for a host name; `guessed` says in words that the name itself did not resolve."""
+
+    ip: str
+    guessed: str | None = None
+
+
+def host_and_port(uri: str, *schemes: str) -> tuple[str, int]:
+    """Host and port of a node's URI (`http://host:port/`, `rosrpc://host:port`). Raises Unreachable naming it."""
+    try:
+        parts = urlsplit(uri)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host = port = None
+        parts = urlsplit("")
+    if parts.scheme not in schemes or not host or not port:
+        raise Unreachable(f"{uri[:200]!r} is no address of the form {schemes[0]}://HOST:PORT/")
+    return host, port
+
+
+class Hosts:
+    """Opens connections to hosts by the names that ROS gives them."""
+
+    def __init__(self, host_map: Mapping[str, str], master_host: str) -> None:
+        self._map = host_map
+        self._master_host = master_host
+        self._known: dict[str, tuple[float, Address]] = {}
+
+    async def streams(self, host: str, port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        """A stream to `port` of `host`. Raises Unreachable saying what was tried."""
+        address = await self.resolve(host)
+        try:
+            return await asyncio.wait_for(asyncio.open_connection(address.ip, port), CONNECT)
+        except (OSError, asyncio.TimeoutError) as error:
+            raise Unreachable(_story(host, port, address, error)) from error
+
+    async def connect(self, host: str, port: int, protocol: Callable[[], _P]) -> _P:
+        """A protocol connected to `port` of `host`. Raises Unreachable saying what was tried."""
+        address = await self.resolve(host)
+        loop = asyncio.get_running_loop()
+        try:
+            _, made = await asyncio.wait_for(loop.create_connection(protocol, address.ip, port), CONNECT)
+        except (OSError, asyncio.TimeoutError) as error:
+            raise Unreachable(_story(host, port, address, error)) from error
+        return made
+
+    async def resolve(self, host: str) -> Address:
+        """The address of a host name, remembered for half a minute."""
+        now = time.monotonic()
+        known = self._known.get(host)
+        if known is None or known[0] < now:
+            known = (now + _REMEMBER, await self._look_up(host))
+            self._known[host] = known
+        return known[1]
+
+    async def _look_up(self, host: str) -> Address:
+        wanted = self._map.get(host, host)
+        try:
+            return Address(await _first_ip(wanted))
+        except (OSError, UnicodeError, asyncio.TimeoutError):
+            if host == self._master_host:
+                raise Unreachable(f"the master's host name {host!r} does not resolve") from None
+            guess = await self.resolve(self._master_host)
+            return Address(guess.ip, f"the host name {wanted!r} does not resolve")
+
+
+async def _first_ip(host: str) -> str:
+    """The first address of a host, IPv4 (ROS 1's own) before IPv6."""
+    loop = asyncio.get_running_loop()
+    found = await asyncio.wait_for(loop.getaddrinfo(host, None, type=socket.SOCK_STREAM), _RESOLVE)
+    family_first = sorted(found, key=lambda each: each[0] != socket.AF_INET)
+    return str(family_first[0][4][0])
+
+
+def _story(host: str, port: int, address: Address, error: BaseException) -> str:
+    words = str(error) or "no answer"
+    if address.guessed:
+        return (
+            f"{address.guessed}, and at the master's host {address.ip} port {port} does not answer either "
+            f"({words}); name its address with --host-map {host}=IP"
+        )
+    return f"{host}:{port} does not answer ({words})"

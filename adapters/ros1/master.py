@@ -1,0 +1,130 @@
+"""The master: what it can be asked and told, each answer checked before it is believed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from rosld.adapters.base import ParameterValue
+from rosld.adapters.model import NotFound, Refused, RosError, Sent, Unreachable
+from rosld.adapters.model.names import global_name
+from rosld.adapters.ros1.graph import SystemState
+from rosld.adapters.ros1.xmlrpc import Answer, XmlRpcClient, encode_call
+
+LOOK = 5.0  # seconds after which a master that does not answer a look counts as gone
+
+
+@dataclass(frozen=True)
+class Looked:
+    """A look at the master's state: its process, and the documents of its answers, for telling if they changed."""
+
+    pid: int
+    state: bytes
+    types: bytes
+
+
+class MasterApi:
+    """The Master API of ROS 1 at one URI, spoken as `caller`."""
+
+    def __init__(self, client: XmlRpcClient, caller: str) -> None:
+        self._client = client
+        self._caller = caller
+
+    @property
+    def uri(self) -> str:
+        """As it would be given in ROS_MASTER_URI."""
+        return self._client.uri
+
+    def close(self) -> None:
+        """Drop idle connections."""
+        self._client.close()
+
+    async def look(self) -> Looked:
+        """Its process and its state. Raises Unreachable, TimedOut."""
+        pid = await self._client.call("getPid", self._caller, timeout=LOOK)
+        state = await self._client.request(encode_call("getSystemState", self._caller), timeout=LOOK)
+        types = await self._client.request(encode_call("getTopicTypes", self._caller), timeout=LOOK)
+        return Looked(pid.value if isinstance(pid.value, int) else 0, state, types)
+
+    def system_state(self, looked: Looked) -> SystemState:
+        """The state in a look. Raises Unreachable for what is no ROS master's."""
+        state = self._client.decode(looked.state)
+        types = self._client.decode(looked.types)
+        if state.code != 1 or types.code != 1:
+            raise Unreachable(f"the master at {self.uri} does not tell its state: {state.words}, {types.words}")
+        try:
+            publishers, subscribers, services = (_nodes_by_name(part) for part in _list(state.value))
+            return SystemState(publishers, subscribers, services, _types_by_name(types.value))
+        except ValueError as error:
+            raise Unreachable(f"{self.uri} does not answer as a ROS 1 master does: {error}") from error
+
+    async def parameters_document(self) -> bytes:
+        """The whole parameter tree, unread."""
+        return await self._client.request(encode_call("getParam", self._caller, "/"), timeout=4 * LOOK)
+
+    def parameter_tree(self, document: bytes) -> dict[str, ParameterValue]:
+        """The tree in such a document."""
+        answer = self._client.decode(document)
+        return answer.value if answer.code == 1 and isinstance(answer.value, dict) else {}
+
+    async def lookup_node(self, node: str, timeout: float = LOOK) -> str:
+        """A node's own URI. Raises NotFound."""
+        return str(await self._told("lookupNode", node, timeout=timeout))
+
+    async def lookup_service(self, service: str, timeout: float = LOOK) -> str:
+        """A service's URI (`rosrpc://host:port`). Raises NotFound."""
+        return str(await self._told("lookupService", service, timeout=timeout))
+
+    async def register_publisher(self, topic: str, type_name: str, uri: str, timeout: float) -> list[str]:
+        """Register ourselves as a publisher; the URIs of the topic's subscribers."""
+        value = await self._told("registerPublisher", topic, type_name, uri, timeout=timeout)
+        return [str(each) for each in value] if isinstance(value, list) else []
+
+    async def unregister_publisher(self, topic: str, uri: str, timeout: float) -> None:
+        """Take a registration back."""
+        await self._told("unregisterPublisher", topic, uri, timeout=timeout)
+
+    async def get_parameter(self, name: str, timeout: float) -> ParameterValue:
+        """A parameter's value, or a tree. Raises NotFound."""
+        return await self._told("getParam", name, timeout=timeout)
+
+    async def set_parameter(self, name: str, value: ParameterValue, timeout: float) -> None:
+        """Set a parameter."""
+        await self._told("setParam", name, value, timeout=timeout)
+
+    async def delete_parameter(self, name: str, timeout: float) -> None:
+        """Delete a parameter or a tree. Raises NotFound."""
+        await self._told("deleteParam", name, timeout=timeout)
+
+    async def _told(self, method: str, *arguments: ParameterValue, timeout: float) -> ParameterValue:
+        answer = await self._client.call(method, self._caller, *arguments, timeout=timeout)
+        if answer.code != 1:
+            raise _error(method, arguments[0], answer)
+        return answer.value
+
+
+def _error(method: str, what: ParameterValue, answer: Answer) -> RosError:
+    """The error of a code that is not 1: -1 says that there is no such thing, 0 that the master failed."""
+    if answer.code == -1:
+        return NotFound(f"the master knows no {what!r}: {answer.words}", words=answer.words)
+    return Refused(f"the master refused {method} of {what!r}: {answer.words}", words=answer.words, sent=Sent.YES)
+
+
+def _list(value: ParameterValue) -> list[ParameterValue]:
+    if not isinstance(value, list):
+        raise ValueError(f"expected a list, not {str(value)[:40]!r}")
+    return value
+
+
+def _name(value: ParameterValue) -> str:
+    return global_name(str(value))
+
+
+def _nodes_by_name(value: ParameterValue) -> Mapping[str, tuple[str, ...]]:
+    pairs = (_list(pair) for pair in _list(value))
+    return {_name(name): tuple(dict.fromkeys(_name(node) for node in _list(nodes))) for name, nodes in pairs}
+
+
+def _types_by_name(value: ParameterValue) -> Mapping[str, str]:
+    pairs = (_list(pair) for pair in _list(value))
+    return {_name(name): str(type_name) for name, type_name in pairs}

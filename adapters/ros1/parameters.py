@@ -1,0 +1,266 @@
+"""Parameters: one tree at the master, of which every leaf has a name.
+
+A name is the keys on the way joined by slashes. Keys may be empty or hold slashes themselves (they occur); the
+master cannot be asked for those by name, so they are found in the tree that holds them, and only set with it whole.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import datetime
+from typing import NamedTuple
+
+from rosld.adapters.base import ParameterValue
+from rosld.adapters.model import NotFound, Parameter, Refused, TimedOut
+from rosld.adapters.ros1.master import MasterApi
+
+_NOT_XML = re.compile(r"[^\t\n\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_MOST_DEPTH = 100
+_INT32 = range(-(2**31), 2**31)
+_MOST_HINTS = 1000
+
+
+class Leaf(NamedTuple):
+    """A leaf of the tree: the keys that lead to it, and its value (an empty tree is a leaf, too)."""
+
+    path: tuple[str, ...]
+    value: ParameterValue
+
+    @property
+    def odd(self) -> bool:
+        """Whether the master cannot be asked for it by name."""
+        return any(not key or "/" in key for key in self.path)
+
+
+def leaves(tree: Mapping[str, ParameterValue], above: tuple[str, ...] = ()) -> Iterator[Leaf]:
+    """The leaves of a tree that lies under the keys `above`, in its order."""
+    stack: list[tuple[tuple[str, ...], ParameterValue]] = [((*above, key), value) for key, value in tree.items()]
+    stack.reverse()
+    while stack:
+        path, value = stack.pop()
+        if isinstance(value, dict) and value:
+            stack.extend(((*path, key), each) for key, each in reversed(value.items()))
+        else:
+            yield Leaf(path, value)
+
+
+def by_name(found: Iterator[Leaf]) -> dict[str, Leaf]:
+    """Leaves by name; of two with one name the first."""
+    named: dict[str, Leaf] = {}
+    for leaf in found:
+        named.setdefault("/" + "/".join(leaf.path), leaf)
+    return named
+
+
+def find(tree: ParameterValue, rest: str) -> ParameterValue | None:
+    """The value at `rest` (a name without its leading slash) in a tree whose keys may be odd; None: not there."""
+    if not isinstance(tree, dict):
+        return None
+    if rest in tree:
+        return tree[rest]
+    for key, value in tree.items():
+        if rest.startswith(key + "/") and (found := find(value, rest[len(key) + 1 :])) is not None:
+            return found
+    return None
+
+
+def differences(old: Mapping[str, Leaf], new: Mapping[str, Leaf]) -> list[str]:
+    """The names of the leaves that came, went or changed."""
+    came = [name for name, leaf in new.items() if name not in old or not _equal(old[name].value, leaf.value)]
+    return [*came, *(old.keys() - new.keys())]
+
+
+def _equal(one: ParameterValue, other: ParameterValue) -> bool:
+    return one is other or (type(one) is type(other) and repr(one) == repr(other))  # NaN is itself, 1 is not 1.0
+
+
+def assign(named: Mapping[str, Leaf], name: str, value: ParameterValue) -> dict[str, Leaf]:
+    """The leaves after the master sets `name`: what lay there or below is replaced, a leaf above it gives way."""
+    path = tuple(name[1:].split("/")) if name != "/" else ()
+    above = {"/" + "/".join(path[:length]) for length in range(1, len(path))}
+    kept = {each: leaf for each, leaf in without(named, name).items() if each not in above}
+    new = leaves(value, path) if isinstance(value, dict) and value else iter([Leaf(path, value)])
+    return {**kept, **(by_name(new) if path or value else {})}
+
+
+def without(named: Mapping[str, Leaf], name: str) -> dict[str, Leaf]:
+    """The leaves without `name` and all below it."""
+    below = name.rstrip("/") + "/"
+    return {each: leaf for each, leaf in named.items() if each != name and not each.startswith(below)}
+
+
+def check(name: str, value: ParameterValue) -> None:
+    """Whether a parameter can be set to this without loss. Raises Refused naming it, before anything is sent."""
+    if words := _objection(value, 0):
+        raise Refused(f"the parameter {name} cannot be set: {words}")
+    if name == "/" and not isinstance(value, dict):
+        raise Refused("the parameter / is the root of the tree: it can only be set to a tree")
+
+
+def _objection(value: object, depth: int) -> str | None:
+    """Why XML-RPC or the master would not keep this value, None where they do."""
+    if depth > _MOST_DEPTH:
+        return f"it is nested more than {_MOST_DEPTH} deep"
+    if isinstance(value, (bool, bytes)):
+        return None
+    if isinstance(value, int):
+        return None if value in _INT32 else f"{value} does not fit the 32 bits that ROS 1 parameters have"
+    if isinstance(value, float):
+        return None if math.isfinite(value) else f"{value} is not a number that ROS 1 parameters can hold"
+    if isinstance(value, str):
+        return _text_objection(value)
+    if isinstance(value, datetime):
+        plain = value.tzinfo is None and not value.microsecond
+        return None if plain else f"{value.isoformat()} has a zone or fractions of a second, which XML-RPC cannot carry"
+    if isinstance(value, (list, tuple)):
+        return next((words for each in value if (words := _objection(each, depth + 1))), None)
+    if isinstance(value, dict):
+        return _tree_objection(value, depth)
+    return f"ROS 1 has no parameters of type {type(value).__name__}"
+
+
+def _text_objection(text: str) -> str | None:
+    found = _NOT_XML.search(text)
+    return f"XML cannot carry the character {found[0]!r} of {text[:40]!r}" if found else None
+
+
+def _tree_objection(tree: Mapping[object, object], depth: int) -> str | None:
+    for key, value in tree.items():
+        words = _text_objection(key) if isinstance(key, str) else f"{key!r} is no key"
+        if words := words or _objection(value, depth + 1):
+            return words
+    return None
+
+
+def _plain_name(name: str) -> str:
+    """The name, where the master takes it as it is. Raises Refused where it would fold it into another."""
+    if not name.startswith("/") or (name != "/" and "" in name[1:].split("/")):
+        raise Refused(f"the parameter {name!r}: ROS 1 folds empty segments; set the tree that holds it whole")
+    if words := _text_objection(name):
+        raise Refused(f"the parameter {name!r}: {words}")
+    return name
+
+
+class Parameters:
+    """The parameters of a master: read, written, and watched by reading the tree now and then.
+
+    `changed` is given the names that changed; `leaves` are those last seen. All methods run on the reading thread.
+    """
+
+    def __init__(self, master: MasterApi, changed: Callable[[Sequence[str]], None]) -> None:
+        self.leaves: Mapping[str, Leaf] = {}
+        self.graph_parameters: Mapping[str, Parameter] = {}
+        self.took = 0.0
+        self._master = master
+        self._changed = changed
+        self._document: bytes | None = None
+        self._writes = 0
+
+    def value(self, name: str) -> ParameterValue | None:
+        """The value of a leaf when it was last seen."""
+        leaf = self.leaves.get(name)
+        return leaf.value if leaf else None
+
+    async def look(self) -> None:
+        """Read the tree and tell what changed. Raises Unreachable, TimedOut."""
+        writes, started = self._writes, time.monotonic()
+        document = await self._master.parameters_document()
+        if writes == self._writes and document != self._document:  # else the tree may be older than our own write
+            self._see(by_name(leaves(self._master.parameter_tree(document))))
+            self._document = document
+        self.took = time.monotonic() - started
+
+    async def get(self, names: Sequence[str], until: float) -> dict[str, ParameterValue]:
+        """The values of those names that there are."""
+        found: dict[str, ParameterValue] = {}
+        for name in names:
+            value = await self._get(name, until)
+            if value is not None:
+                found[name] = value
+        return found
+
+    async def set(self, values: Mapping[str, ParameterValue], until: float) -> None:
+        """Set them all, one by one, after all were found settable. Raises Refused naming the parameter."""
+        for name, value in values.items():
+            self._check_settable(name)
+            check(name, value)
+        for name, value in values.items():
+            with _Writing(self):
+                await self._master.set_parameter(name, value, _left(until))
+                self._see(assign(self.leaves, name, value))
+
+    async def delete(self, names: Sequence[str], until: float) -> None:
+        """Delete them. Raises NotFound, Refused."""
+        for name in names:
+            if name == "/":
+                raise Refused("the root of the parameters cannot be deleted; delete what lies in it")
+            self._check_settable(name)
+        for name in names:
+            with _Writing(self):
+                await self._delete(name, until)
+                self._see(without(self.leaves, name))
+
+    async def _delete(self, name: str, until: float) -> None:
+        try:
+            await self._master.delete_parameter(name, _left(until))
+        except NotFound as error:
+            raise NotFound(f"there is no parameter {name}", words=error.words) from error
+
+    def _check_settable(self, name: str) -> None:
+        leaf = self.leaves.get(name)
+        if leaf is not None and leaf.odd:
+            raise Refused(f"the parameter {name} lies under a key that is empty or holds a slash; set its tree whole")
+        _plain_name(name)
+
+    async def _get(self, name: str, until: float) -> ParameterValue | None:
+        try:
+            return await self._master.get_parameter(_plain_name(name), _left(until))
+        except (NotFound, Refused):
+            pass
+        if not self._may_be_odd(name):
+            return None
+        try:
+            return find(await self._master.get_parameter("/", _left(until)), name[1:])
+        except NotFound:
+            return None
+
+    def _may_be_odd(self, name: str) -> bool:
+        below = name + "/"
+        return any(leaf.odd and (each == name or each.startswith(below)) for each, leaf in self.leaves.items())
+
+    def _see(self, named: Mapping[str, Leaf]) -> None:
+        changed = differences(self.leaves, named)
+        self.leaves = named
+        if named.keys() != self.graph_parameters.keys():
+            self.graph_parameters = {name: self.graph_parameters.get(name) or Parameter(name) for name in named}
+        if changed:
+            self._changed(changed[:_MOST_HINTS])
+
+    def note_write(self) -> None:
+        """A write begins or ends: a tree read before that is not to be believed."""
+        self._writes += 1
+
+
+class _Writing:
+    """While this lasts and once it is over, trees read before are out of date."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        self._parameters = parameters
+
+    def __enter__(self) -> None:
+        self._parameters.note_write()
+
+    def __exit__(self, *_: object) -> None:
+        self._parameters.note_write()
+
+
+def _left(until: float) -> float:
+    """The seconds left. Raises TimedOut where there are none, for then nothing was sent."""
+    left = until - asyncio.get_running_loop().time()
+    if left <= 0:
+        raise TimedOut("the time was up before the master was asked")
+    return left

@@ -1,0 +1,242 @@
+"""A topic that rosld publishes, and its connections to subscribers, none of which can hold up another or us."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Iterable
+from typing import cast
+
+from rosld.adapters.model import MessageSchema, TypeRef
+from rosld.adapters.ros1.tcpros import (
+    LENGTH,
+    MOST_HEADER,
+    BadFrame,
+    Header,
+    decode_header,
+    encode_header,
+    frame,
+    no_delay,
+)
+from rosld.adapters.ros1.types import ros_name
+
+_HIGH_WATER = 256 * 1024
+_MOST_WAITING = 8 * 1024 * 1024
+_MOST_PENDING = 64 * 1024 * 1024
+
+
+class Outbox:
+    """Frames that wait to be written: at most so many bytes, the oldest giving way, but always the newest."""
+
+    def __init__(self, most_bytes: int) -> None:
+        self._most = most_bytes
+        self._bytes = 0
+        self._frames: deque[bytes] = deque()
+
+    def __bool__(self) -> bool:
+        return bool(self._frames)
+
+    def add(self, frame: bytes) -> None:
+        """Add the newest."""
+        self._frames.append(frame)
+        self._bytes += len(frame)
+        while self._bytes > self._most and len(self._frames) > 1:
+            self._bytes -= len(self._frames.popleft())
+
+    def take(self, most_bytes: int) -> bytes:
+        """The oldest frames joined: at least one, and no more than so many bytes unless one alone is larger."""
+        taken = [self._frames.popleft()]
+        size = len(taken[0])
+        while self._frames and size + len(self._frames[0]) <= most_bytes:
+            taken.append(self._frames.popleft())
+            size += len(taken[-1])
+        self._bytes -= size
+        return b"".join(taken)
+
+    def take_all(self) -> list[bytes]:
+        """All frames, oldest first."""
+        taken = list(self._frames)
+        self._frames.clear()
+        self._bytes = 0
+        return taken
+
+
+class Publication:
+    """One topic we publish. Everything but `matched`, `ref` and `carries` belongs to the reading thread."""
+
+    def __init__(self, topic: str, schema: MessageSchema, node: str) -> None:
+        self.topic = topic
+        self.ref: TypeRef = schema.ref
+        self.type_name = ros_name(schema.ref.name)
+        self.matched = 0
+        self.latched: bytes | None = None
+        self._schema = schema
+        self._node = node
+        self._links: set[Link] = set()
+        self._pending = Outbox(_MOST_PENDING)
+        self._flushing = False
+        self._changed = asyncio.Event()
+
+    def carries(self, type: TypeRef) -> bool:
+        """Whether a message of this type goes here."""
+        return type.name == self.ref.name and type.hash in (None, self.ref.hash)
+
+    def header(self) -> dict[str, str]:
+        """Our connection header."""
+        return {
+            "callerid": self._node,
+            "latching": "1" if self.latched is not None else "0",
+            "md5sum": self.ref.hash or "*",
+            "message_definition": self._schema.definition,
+            "topic": self.topic,
+            "type": self.type_name,
+        }
+
+    def objection(self, asked: Header) -> str | None:
+        """Why a subscriber with this header cannot be served."""
+        if asked.get("md5sum", "*") not in ("*", self.ref.hash):
+            return f"{self.topic} is published as {self.type_name} with md5sum {self.ref.hash}, not {asked['md5sum']}"
+        return None
+
+    def send(self, data: bytes, latch: bool) -> None:
+        """Publish a message; all that are published in one turn of the loop are written at once."""
+        framed = frame(data)
+        self.latched = framed if latch else None
+        self._pending.add(framed)
+        if not self._flushing:
+            self._flushing = True
+            asyncio.get_running_loop().call_soon(self._flush)
+
+    async def matching(self, wanted: int, until: float, patience: float) -> None:
+        """Wait until `wanted` subscribers are connected, or one has been for `patience` seconds, or `until`."""
+        now = asyncio.get_running_loop().time
+        patient: float | None = None
+        while self.matched < wanted:
+            if self.matched and patient is None:
+                patient = min(until, now() + patience)
+            left = (until if patient is None else patient) - now()
+            if left <= 0:
+                return
+            self._changed.clear()
+            try:
+                await asyncio.wait_for(self._changed.wait(), left)
+            except asyncio.TimeoutError:
+                return
+
+    def join(self, link: Link) -> None:
+        """A subscriber is connected."""
+        self._links.add(link)
+        self._count()
+        if self.latched is not None:
+            link.send([self.latched])
+
+    def leave(self, link: Link) -> None:
+        """A subscriber has gone."""
+        self._links.discard(link)
+        self._count()
+
+    async def close(self, patience: float) -> None:
+        """Let what is written go out for at most `patience` seconds, then end all connections."""
+        self._flush()
+        until = asyncio.get_running_loop().time() + patience
+        for link in tuple(self._links):
+            await link.written(until)
+        for link in tuple(self._links):
+            link.close()
+
+    def _count(self) -> None:
+        self.matched = len(self._links)
+        self._changed.set()
+
+    def _flush(self) -> None:
+        self._flushing = False
+        frames = self._pending.take_all()
+        if frames:
+            for link in tuple(self._links):
+                link.send(frames)
+
+
+class Link(asyncio.Protocol):
+    """A subscriber's connection. A slow one loses the oldest messages that wait for it, never our memory."""
+
+    def __init__(self, publications: dict[str, Publication]) -> None:
+        self._publications = publications
+        self._publication: Publication | None = None
+        self._received = bytearray()
+        self._waiting = Outbox(_MOST_WAITING)
+        self._paused = False
+        self._drained: asyncio.Future[None] | None = None
+        self._transport: asyncio.Transport
+
+    async def written(self, until: float) -> None:
+        """Wait until the subscriber has taken what waits for it, at most `until`."""
+        left = until - asyncio.get_running_loop().time()
+        if self._waiting and left > 0:
+            self._drained = asyncio.get_running_loop().create_future()
+            await asyncio.wait([self._drained], timeout=left)
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.Transport, transport)
+        self._transport.set_write_buffer_limits(high=_HIGH_WATER)
+        no_delay(transport)
+
+    def data_received(self, data: bytes) -> None:
+        if self._publication is not None:
+            return  # a subscriber has nothing to say after its header
+        self._received += data
+        try:
+            header = self._header()
+        except BadFrame:
+            self._transport.abort()
+            return
+        if header is not None:
+            self._greet(header)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._publication is not None:
+            self._publication.leave(self)
+
+    def pause_writing(self) -> None:
+        self._paused = True
+
+    def resume_writing(self) -> None:
+        self._paused = False
+        self._write()
+
+    def send(self, frames: Iterable[bytes]) -> None:
+        """Write these, or keep them until the subscriber reads."""
+        for each in frames:
+            self._waiting.add(each)
+        self._write()
+
+    def close(self) -> None:
+        """End the connection."""
+        self._transport.close()
+
+    def _write(self) -> None:
+        while self._waiting and not self._paused and not self._transport.is_closing():
+            self._transport.write(self._waiting.take(_HIGH_WATER))
+        if self._drained is not None and not self._waiting and not self._drained.done():
+            self._drained.set_result(None)
+
+    def _header(self) -> dict[str, str] | None:
+        """The subscriber's header, None while it is not whole. Raises BadFrame."""
+        if len(self._received) < 4:
+            return None
+        (length,) = LENGTH.unpack_from(self._received)
+        if length > MOST_HEADER:
+            raise BadFrame(f"a header of {length} bytes")
+        return decode_header(self._received[4 : 4 + length]) if len(self._received) >= 4 + length else None
+
+    def _greet(self, header: Header) -> None:
+        topic = header.get("topic", "")
+        publication = self._publications.get(topic)
+        words = f"{topic!r} is not published here" if publication is None else publication.objection(header)
+        if publication is None or words:
+            self._transport.write(encode_header({"error": words or ""}))
+            self._transport.close()
+            return
+        self._received.clear()
+        self._publication = publication
+        self._transport.write(encode_header(publication.header()))
+        publication.join(self)

@@ -1,0 +1,139 @@
+"""Services: their types are learnt by asking their nodes, and they are called over TCPROS."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+
+from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, TypeRef, UnknownType, Unreachable
+from rosld.adapters.ros1.hosts import Hosts, host_and_port
+from rosld.adapters.ros1.learnt import Learnt, ServiceFacts
+from rosld.adapters.ros1.master import MasterApi
+from rosld.adapters.ros1.tcpros import MOST_HEADER, BadFrame, Header, decode_header, encode_header, frame, read_frame
+from rosld.adapters.ros1.types import Types, service_type
+
+_AT_ONCE = 4
+_PROBE = 5.0
+_ASK_AGAIN = 30.0
+
+
+class Services:
+    """The services of a ROS system. All methods run on the reading thread."""
+
+    def __init__(self, caller: str, master: MasterApi, hosts: Hosts, types: Types, learnt: Learnt) -> None:
+        self._caller = caller
+        self._master = master
+        self._hosts = hosts
+        self._types = types
+        self._learnt = learnt
+        self._asked: dict[str, tuple[tuple[str, ...], float]] = {}
+        self._few = asyncio.Semaphore(_AT_ONCE)
+        self._probes: set[asyncio.Task[None]] = set()
+
+    def follow(self, services: Iterable[tuple[str, tuple[str, ...]]]) -> None:
+        """Ask the types of those services (with their providers) that are new, moved, or could not be asked."""
+        now = asyncio.get_running_loop().time()
+        listed = dict(services)
+        self._asked = {name: asked for name, asked in self._asked.items() if name in listed}
+        for name, providers in listed.items():
+            asked = self._asked.get(name)
+            unknown = self._learnt.services.get(name, ServiceFacts()).type is None
+            if asked is None or asked[0] != providers or (unknown and now - asked[1] > _ASK_AGAIN):
+                self._asked[name] = providers, now
+                probe = asyncio.get_running_loop().create_task(self._ask(name))
+                self._probes.add(probe)
+                probe.add_done_callback(self._probes.discard)
+
+    def forget(self) -> None:
+        """Ask everything anew at the next look."""
+        self._asked.clear()
+
+    async def asked(self, patience: float) -> None:
+        """Wait until what is being asked was answered, for at most `patience` seconds."""
+        if self._probes:
+            await asyncio.wait(tuple(self._probes), timeout=patience)
+
+    async def call(self, service: str, type: TypeRef, request: bytes, until: float) -> bytes:
+        """The response. Raises Refused with the node's words, TimedOut, Unreachable, NotFound."""
+        progress = [Sent.NO]
+        left = until - asyncio.get_running_loop().time()
+        try:
+            return await asyncio.wait_for(self._call(service, type, request, progress), max(left, 0.0))
+        except asyncio.TimeoutError as error:
+            raise TimedOut(f"{service} did not answer in time", sent=progress[0]) from error
+        except (OSError, EOFError) as error:
+            self._asked.pop(service, None)
+            sent = Sent.NO if progress[0] is Sent.NO else Sent.MAYBE
+            words = "its node went away" + (" before the request was sent" if sent is Sent.NO else "")
+            raise Unreachable(f"{service} cannot be called: {words}", sent=sent) from error
+        except BadFrame as error:
+            raise Refused(f"{service} does not speak TCPROS: {error}", sent=progress[0]) from error
+
+    async def _call(self, service: str, type: TypeRef, request: bytes, progress: list[Sent]) -> bytes:
+        reader, writer = await self._connect(service)
+        try:
+            hello = {"callerid": self._caller, "service": service, "md5sum": await self._md5(type), "persistent": "0"}
+            writer.write(encode_header(hello))
+            header = decode_header(await read_frame(reader, MOST_HEADER))
+            if "error" in header:
+                self._asked.pop(service, None)
+                raise Refused(f"{service} refuses the call: {header['error']}", words=header["error"])
+            progress[0] = Sent.YES
+            writer.write(frame(request))
+            succeeded = await reader.readexactly(1)
+            answer = await read_frame(reader)
+        finally:
+            writer.close()
+        if succeeded == b"\0":
+            words = answer.decode("utf-8", "replace") or None
+            raise Refused(f"{service} failed: {words or 'its node gave no reason'}", words=words, sent=Sent.YES)
+        return answer
+
+    async def _md5(self, type: TypeRef) -> str:
+        return type.hash or (await self._types.service(type)).ref.hash or "*"
+
+    async def _connect(self, service: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        uri = await self._look_up(service)
+        host, port = host_and_port(uri, "rosrpc")
+        return await self._hosts.streams(host, port)
+
+    async def _look_up(self, service: str) -> str:
+        try:
+            return await self._master.lookup_service(service)
+        except NotFound as error:
+            raise NotFound(f"there is no service {service}", words=error.words) from error
+
+    async def _ask(self, service: str) -> None:
+        async with self._few:
+            try:
+                facts = await asyncio.wait_for(self._facts(service), _PROBE)
+            except (RosError, OSError, EOFError, BadFrame, asyncio.TimeoutError) as error:
+                before = self._learnt.services.get(service, ServiceFacts())
+                words = str(error) or "no answer in time"
+                facts = ServiceFacts(before.type, f"its node does not tell its type: {words}")
+            if service in self._asked:
+                self._learnt.service(service, facts)
+
+    async def _facts(self, service: str) -> ServiceFacts:
+        reader, writer = await self._connect(service)
+        try:
+            hello = {"callerid": self._caller, "service": service, "md5sum": "*", "probe": "1"}
+            writer.write(encode_header(hello))
+            header = decode_header(await read_frame(reader, MOST_HEADER))
+        finally:
+            writer.close()
+        return await self._judge(service, header)
+
+    async def _judge(self, service: str, header: Header) -> ServiceFacts:
+        """What a service's header says, and whether there is a definition to call it by."""
+        if "error" in header:
+            return ServiceFacts(None, f"its node refuses to tell its type: {header['error']}")
+        name = service_type(header.get("type", ""))
+        if name is None:
+            return ServiceFacts(None, f"its node says its type is {header.get('type', '')[:80]!r}")
+        ref = TypeRef(name, header.get("md5sum"))
+        try:
+            found = await self._types.service(ref)
+        except UnknownType as error:
+            return ServiceFacts(ref, str(error))
+        return ServiceFacts(found.ref)

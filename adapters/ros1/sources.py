@@ -1,0 +1,203 @@
+"""Reading topics: one connection to each publisher, found by asking the publisher itself, never registering."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterable, Sequence
+
+from rosld.adapters.model import Refused, RosError, TypeRef, Unreachable
+from rosld.adapters.ros1.hosts import Hosts, host_and_port
+from rosld.adapters.ros1.learnt import EndpointFacts, Learnt
+from rosld.adapters.ros1.samples import Slot
+from rosld.adapters.ros1.subscription import Feed
+from rosld.adapters.ros1.tcpros import Deliver, Frame, FrameReceiver, Header, encode_header
+from rosld.adapters.ros1.types import Types, message_type
+from rosld.adapters.ros1.xmlrpc import XmlRpcClient
+
+_TIMEOUT = 5.0
+_FIRST_WAIT = 0.1
+_LONGEST_WAIT = 10.0
+_LONG_ENOUGH = 5.0  # a connection that lived this long does not count as a failure
+
+
+class Nodes:
+    """The addresses of nodes, as the master last told them, and their Slave APIs."""
+
+    def __init__(self, caller: str, hosts: Hosts, learnt: Learnt, look_up: Callable[[str], Awaitable[str]]) -> None:
+        self.caller = caller
+        self.hosts = hosts
+        self.learnt = learnt
+        self._look_up = look_up
+
+    async def address(self, node: str) -> str:
+        """A node's URI, asked of the master anew, for a restarted node has another one."""
+        uri = await self._look_up(node)
+        self.learnt.node_at(node, uri)
+        return uri
+
+    async def request_topic(self, uri: str, topic: str) -> tuple[str, int]:
+        """Where a publisher offers a topic over TCPROS. Raises Refused, Unreachable."""
+        host, port = host_and_port(uri, "http")
+        client = XmlRpcClient(uri, "/RPC2", lambda: self.hosts.streams(host, port), keep_alive=False)
+        answer = await client.call("requestTopic", self.caller, topic, [["TCPROS"]], timeout=_TIMEOUT)
+        match answer.code, answer.value:
+            case 1, ["TCPROS", str(at), int(tcp_port), *_]:
+                return at, tcp_port
+            case _:
+                raise Refused(f"{uri} does not offer {topic} over TCPROS: {answer.words}", words=answer.words)
+
+
+class Source:
+    """One publisher of one topic: found, connected to, read, and found again when it is lost."""
+
+    def __init__(self, feed: Feed, slot: Slot, nodes: Nodes, types: Types, next_epoch: Callable[[], int]) -> None:
+        self.slot = slot
+        self._feed = feed
+        self._nodes = nodes
+        self._types = types
+        self._next_epoch = next_epoch
+        self._receiver: FrameReceiver | None = None
+        self._guessed = False
+
+    def deepen(self, depth: int) -> None:
+        """Keep so many of the newest samples from now on."""
+        if self._receiver is not None:
+            self._receiver.depth = depth
+
+    async def run(self) -> None:
+        """Read for ever; ends only when cancelled."""
+        wait = _FIRST_WAIT
+        now = asyncio.get_running_loop().time
+        while True:
+            began = now()
+            words = await self._attempt()
+            if now() - began > _LONG_ENOUGH or words is None:
+                wait = _FIRST_WAIT
+            if words is not None:
+                self._nodes.learnt.endpoint_unreachable(self._feed.topic, self.slot.publisher, words)
+            await asyncio.sleep(wait)
+            wait = min(2 * wait, _LONGEST_WAIT)
+
+    async def _attempt(self) -> str | None:
+        """Connect and read until the connection ends; the words of what went wrong, None if it was in order."""
+        try:
+            uri = await self._nodes.address(self.slot.publisher)
+            receiver = await self._connect(uri)
+        except (RosError, OSError, ValueError, asyncio.TimeoutError) as error:
+            if isinstance(error, Unreachable):
+                self._nodes.learnt.node_answers(self.slot.publisher, str(error))
+            return str(error) or f"{self.slot.publisher} did not answer in time"
+        self._nodes.learnt.node_answers(self.slot.publisher, None)
+        try:
+            await receiver.closed
+        finally:
+            receiver.close()
+            self._receiver = None
+        return None
+
+    async def _connect(self, uri: str) -> FrameReceiver:
+        host, port = await self._nodes.request_topic(uri, self._feed.topic)
+        self._guessed = (await self._nodes.hosts.resolve(host)).guessed is not None
+        if self.slot.uri not in (None, uri):
+            self.slot.restart(self._next_epoch())
+        self.slot.uri = uri
+        receiver = await self._nodes.hosts.connect(host, port, lambda: FrameReceiver(self._hello(), self._accept))
+        receiver.depth = self._feed.depth
+        self._receiver = receiver
+        try:
+            await asyncio.wait_for(receiver.ready, _TIMEOUT)
+        except BaseException:
+            receiver.close()
+            raise
+        return receiver
+
+    def _hello(self) -> bytes:
+        fields = {
+            "callerid": self._nodes.caller,
+            "topic": self._feed.topic,
+            "type": "*",
+            "md5sum": "*",
+            "tcp_nodelay": "1",
+        }
+        return encode_header({**fields, "message_definition": ""})
+
+    def _accept(self, header: Header) -> Deliver:
+        """Learn what the publisher says of itself; where its frames go. Raises Refused."""
+        if "error" in header:
+            raise Refused(f"{self.slot.publisher} refuses: {header['error']}", words=header["error"])
+        if self._guessed and header.get("callerid", self.slot.publisher) != self.slot.publisher:
+            raise Unreachable(
+                f"at the master's host another node answers for {self.slot.publisher}: give its --host-map"
+            )
+        name = message_type(header.get("type", ""))
+        if name is None:
+            raise Refused(f"{self.slot.publisher} says its type is {header.get('type', '')[:80]!r}")
+        ref = TypeRef(name, header.get("md5sum"))
+        self._types.learn(ref, header.get("message_definition", ""))
+        latched = header.get("latching") == "1"
+        self.slot.schema, self.slot.latched = ref, latched
+        self._nodes.learnt.endpoint(self._feed.topic, self.slot.publisher, EndpointFacts(ref, latched))
+        return self._deliver
+
+    def _deliver(self, frames: Sequence[Frame], count: int) -> None:
+        feed = self._feed
+        self.slot.take(frames, count, feed.depth)
+        feed.arrived()
+
+
+class TopicReader:
+    """Reads one topic for its feed: a source for each publisher that the master lists."""
+
+    def __init__(self, feed: Feed, nodes: Nodes, types: Types, first_epoch: int) -> None:
+        self.feed = feed
+        self.next_epoch = first_epoch
+        self._nodes = nodes
+        self._types = types
+        self._sources: dict[str, tuple[Source, asyncio.Task[None]]] = {}
+        self._left: list[Slot] = []
+
+    def follow(self, publishers: Iterable[str]) -> None:
+        """Read exactly these publishers from now on."""
+        wanted = [each for each in publishers if each != self._nodes.caller]
+        for gone in self._sources.keys() - set(wanted):
+            source, task = self._sources.pop(gone)
+            task.cancel()
+            self._left.append(source.slot)
+        for name in wanted:
+            if name not in self._sources:
+                self._begin(name)
+        self._arrange()
+
+    def deepen(self) -> None:
+        """Heed that the feed wants another depth."""
+        for source, _ in self._sources.values():
+            source.deepen(self.feed.depth)
+
+    def close(self) -> None:
+        """Stop reading."""
+        for _, task in self._sources.values():
+            task.cancel()
+        self._sources.clear()
+
+    def _begin(self, publisher: str) -> None:
+        returned = next((slot for slot in self._left if slot.publisher == publisher), None)
+        slot = returned or Slot(publisher, self._epoch())
+        source = Source(self.feed, slot, self._nodes, self._types, self._epoch)
+        self._sources[publisher] = source, asyncio.get_running_loop().create_task(source.run())
+
+    def _epoch(self) -> int:
+        self.next_epoch += 1
+        return self.next_epoch - 1
+
+    def _arrange(self) -> None:
+        """Put the slots where readers see them; of publishers that left, only the one who spoke last is still heard."""
+        here = [source.slot for source, _ in self._sources.values()]
+        spoke = [slot for slot in self._left if slot.values and slot not in here]
+        self._left = sorted(spoke, key=lambda slot: slot.values[-1].received_ns)[-1:]
+        if self._left and any(_newest(slot) >= _newest(self._left[0]) for slot in here):
+            self._left = []
+        self.feed.slots = (*here, *self._left)
+
+
+def _newest(slot: Slot) -> int:
+    return slot.values[-1].received_ns if slot.values else 0

@@ -1,0 +1,123 @@
+"""Subscriptions: counted interests in a topic, all of one topic fed by one feed."""
+
+from __future__ import annotations
+
+import asyncio
+import operator
+from collections.abc import Callable, Mapping, Sequence
+
+from rosld.adapters.model import Sample
+from rosld.adapters.ros1.samples import Slot, Value
+
+
+class Feed:
+    """What comes in on one topic, for all its subscriptions.
+
+    The reading thread replaces `slots` and the values in them and calls `arrived`; all else belongs to the
+    server's loop. `own` maps topics to what rosld itself publishes.
+    """
+
+    def __init__(self, topic: str, server: asyncio.AbstractEventLoop, own: Mapping[str, Slot]) -> None:
+        self.topic = topic
+        self.depth = 1
+        self.slots: tuple[Slot, ...] = ()
+        self.subscriptions: list[TopicSubscription] = []
+        self._server = server
+        self._own = own
+        self._watches: tuple[WakingWatch, ...] = ()
+        self._woken = False
+
+    def values(self) -> tuple[tuple[Value, ...], ...]:
+        """The newest values of each publisher, ourselves included."""
+        own = self._own.get(self.topic)
+        slots = self.slots if own is None else (*self.slots, own)
+        return tuple([slot.values for slot in slots])
+
+    def arrived(self) -> None:
+        """Tell the watches; called on the reading thread for each batch, so it is cheap while nobody watches."""
+        if self._watches and not self._woken:
+            self._woken = True
+            try:
+                self._server.call_soon_threadsafe(self._wake)
+            except RuntimeError:  # the server's loop has ended
+                pass
+
+    def arrived_here(self) -> None:
+        """Tell the watches of a sample of our own; called on the server's loop."""
+        if self._watches and not self._woken:
+            self._woken = True
+            self._server.call_soon(self._wake)
+
+    def watch(self, watch: WakingWatch) -> None:
+        """Wake this one too."""
+        self._watches = (*self._watches, watch)
+
+    def unwatch(self, watch: WakingWatch) -> None:
+        """Wake it no more."""
+        self._watches = tuple(each for each in self._watches if each is not watch)
+
+    def _wake(self) -> None:
+        self._woken = False
+        for watch in self._watches:
+            watch.wake()
+
+
+class WakingWatch:
+    """A running watch."""
+
+    def __init__(self, feed: Feed, wake: Callable[[], None]) -> None:
+        self._feed = feed
+        self.wake = wake
+        feed.watch(self)
+
+    def close(self) -> None:
+        """Stop waking. Idempotent."""
+        self._feed.unwatch(self)
+
+
+class TopicSubscription:
+    """One interest in a topic; implements the contract's `Subscription`."""
+
+    def __init__(self, feed: Feed, depth: int, release: Callable[[TopicSubscription], None]) -> None:
+        self.feed = feed
+        self.depth = depth
+        self._release = release
+        self._closed = False
+        self._seen: tuple[tuple[Value, ...], ...] = ()
+        self._latest: Sequence[Sample] = ()
+        self._watches: list[WakingWatch] = []
+
+    def latest(self) -> Sequence[Sample]:
+        """The newest `depth` samples of each publisher, oldest first; the same object while nothing new came."""
+        values = self.feed.values()
+        if not _same(values, self._seen):
+            self._seen = values
+            newest = [value for each in values for value in each[-self.depth :]]
+            newest.sort(key=_received)
+            samples = [value.sample() for value in newest]
+            if not _same(samples, self._latest):
+                self._latest = tuple(samples)
+        return self._latest
+
+    def watch(self, wake: Callable[[], None]) -> WakingWatch:
+        """Call `wake` on the server's loop after something new came."""
+        watch = WakingWatch(self.feed, wake)
+        self._watches.append(watch)
+        return watch
+
+    def close(self) -> None:
+        """Give this interest back. Idempotent."""
+        if not self._closed:
+            self._closed = True
+            for watch in self._watches:
+                watch.close()
+            self._release(self)
+
+
+def _received(value: Value) -> int:
+    return value.received_ns
+
+
+def _same(these: Sequence[object], those: Sequence[object]) -> bool:
+    """Whether nothing was replaced: compares identities, never contents."""
+    return len(these) == len(those) and all(map(operator.is_, these, those))

@@ -1,0 +1,240 @@
+"""TCPROS: connection headers and frames, the wire of ROS 1's topics and services.
+
+A frame is a little-endian uint32 length and that many bytes. The first frame each way is a header: fields
+`name=value`, each preceded by its length.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import struct
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeAlias, cast
+
+LENGTH = struct.Struct("<I")
+MOST_HEADER = 1024 * 1024
+MOST_FRAME = 512 * 1024 * 1024
+FIRST_BUFFER = 64 * 1024
+MOST_BUFFER = 1024 * 1024
+
+Header: TypeAlias = Mapping[str, str]
+Frame: TypeAlias = "bytes | bytearray"
+Deliver: TypeAlias = Callable[[Sequence[Frame], int], None]
+Accept: TypeAlias = Callable[[Header], Deliver]
+
+
+class BadFrame(ValueError):
+    """A frame or a header that cannot be one."""
+
+
+def encode_header(fields: Header) -> bytes:
+    """The header as one frame, its length included."""
+    parts = [f"{name}={value}".encode("utf-8", "surrogateescape") for name, value in fields.items()]
+    body = b"".join(LENGTH.pack(len(part)) + part for part in parts)
+    return LENGTH.pack(len(body)) + body
+
+
+def decode_header(body: bytes | bytearray) -> dict[str, str]:
+    """The fields of a header without its outer length. Raises BadFrame."""
+    fields: dict[str, str] = {}
+    position = 0
+    while position < len(body):
+        if position + 4 > len(body):
+            raise BadFrame("a header field lacks its length")
+        (length,) = LENGTH.unpack_from(body, position)
+        position += 4
+        name, equals, value = bytes(body[position : position + length]).partition(b"=")
+        position += length
+        if position > len(body) or not equals:
+            raise BadFrame("a header field is cut off or has no '='")
+        fields[name.decode("utf-8", "replace")] = value.decode("utf-8", "replace")
+    return fields
+
+
+def frame(data: bytes) -> bytes:
+    """The data as one frame."""
+    return LENGTH.pack(len(data)) + data
+
+
+async def read_frame(reader: asyncio.StreamReader, most: int = MOST_FRAME) -> bytes:
+    """The next frame of a stream. Raises BadFrame where it is longer than `most`."""
+    (length,) = LENGTH.unpack(await reader.readexactly(4))
+    if length > most:
+        raise BadFrame(f"a frame of {length} bytes, more than {most}")
+    return await reader.readexactly(length)
+
+
+def skip_frames(buffer: bytearray, end: int) -> tuple[int, int, int]:
+    """(where the newest whole frame in `buffer[:end]` starts, where it ends, how many whole frames there are)."""
+    unpack = LENGTH.unpack_from
+    start = position = count = 0
+    last = end - 4
+    while position <= last:
+        stop = position + 4 + unpack(buffer, position)[0]
+        if stop > end:
+            break
+        start, position = position, stop
+        count += 1
+    return start, position, count
+
+
+def newest_frames(buffer: bytearray, end: int, depth: int) -> tuple[list[tuple[int, int]], int, int]:
+    """(the spans of the newest `depth` whole frames, where the last one ends, how many there are in all)."""
+    unpack = LENGTH.unpack_from
+    spans: deque[tuple[int, int]] = deque(maxlen=depth)
+    position = count = 0
+    while position <= end - 4:
+        stop = position + 4 + unpack(buffer, position)[0]
+        if stop > end:
+            break
+        spans.append((position, stop))
+        position = stop
+        count += 1
+    return list(spans), position, count
+
+
+class FrameReceiver(asyncio.BufferedProtocol):
+    """Receives frames in bulk and delivers the newest of each batch.
+
+    The kernel writes into one buffer; whole frames in it are counted, and only the newest `depth` are copied
+    out, however many came. A frame larger than the buffer is received into memory of its own, uncopied.
+    `accept` is given the peer's header and returns where frames go; whatever it raises ends the connection.
+    """
+
+    def __init__(self, hello: bytes, accept: Accept) -> None:
+        self.depth = 1
+        self.ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.closed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._hello = hello
+        self._accept = accept
+        self._deliver: Deliver | None = None
+        self._transport: asyncio.Transport | None = None
+        self._new_buffer(FIRST_BUFFER)
+        self._end = 0
+        self._large: bytearray | None = None
+        self._filled = 0
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.Transport, transport)
+        no_delay(transport)
+        self._transport.write(self._hello)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        error = exc or ConnectionResetError("the publisher closed the connection")
+        if not self.ready.done():
+            self.ready.set_exception(error)
+            self.ready.exception()  # it may be nobody waits
+        if not self.closed.done():
+            self.closed.set_result(None)
+
+    def close(self) -> None:
+        """End the connection at once."""
+        if self._transport is not None:
+            self._transport.abort()
+
+    def get_buffer(self, sizehint: int) -> memoryview:
+        """Where the kernel may write: the rest of the buffer, or of the large frame being received."""
+        if self._large is not None:
+            return memoryview(self._large)[self._filled :]
+        return self._view[self._end :]
+
+    def buffer_updated(self, nbytes: int) -> None:
+        """Take what was written."""
+        if self._large is not None:
+            self._fill_large(nbytes)
+            return
+        end = self._end + nbytes
+        if self._deliver is None:
+            end = self._take_header(end)
+            if self._deliver is None:
+                return
+        if self.depth == 1:
+            start, position, count = skip_frames(self._buffer, end)
+            if count:
+                self._deliver((bytes(self._view[start + 4 : position]),), count)
+        else:
+            position = self._take_several(end)
+        self._keep_rest(position, end)
+
+    def _take_several(self, end: int) -> int:
+        assert self._deliver is not None
+        spans, position, count = newest_frames(self._buffer, end, self.depth)
+        if count:
+            self._deliver([bytes(self._view[start + 4 : stop]) for start, stop in spans], count)
+        return position
+
+    def _take_header(self, end: int) -> int:
+        """Read the peer's header off the front of the buffer; how much is left in it."""
+        self._end = end
+        if end < 4:
+            return end
+        length: int = LENGTH.unpack_from(self._buffer)[0]
+        try:
+            if length > MOST_HEADER:
+                raise BadFrame(f"a header of {length} bytes")
+            if end < 4 + length:
+                self._make_room(4 + length)
+                return end
+            deliver = self._accept(decode_header(self._buffer[4 : 4 + length]))
+        except Exception as error:
+            self._refuse(error)
+            return 0
+        self._deliver = deliver
+        rest = end - 4 - length
+        self._buffer[:rest] = self._buffer[4 + length : end]
+        self._end = rest
+        if not self.ready.done():
+            self.ready.set_result(None)
+        return rest
+
+    def _refuse(self, error: Exception) -> None:
+        if not self.ready.done():
+            self.ready.set_exception(error)
+        self._end = 0
+        self.close()
+
+    def _keep_rest(self, position: int, end: int) -> None:
+        """Move what follows the last whole frame to the front, or begin to receive a large frame."""
+        rest = end - position
+        if rest >= 4:
+            (length,) = LENGTH.unpack_from(self._buffer, position)
+            if length > MOST_FRAME:
+                self._refuse(BadFrame(f"a frame of {length} bytes, more than {MOST_FRAME}"))
+                return
+            if length + 4 > len(self._buffer):
+                self._large = bytearray(length)
+                self._large[: rest - 4] = self._view[position + 4 : end]
+                self._filled = rest - 4
+                self._end = 0
+                return
+        if position and rest:
+            self._buffer[:rest] = self._buffer[position:end]
+        self._end = rest
+        if end == len(self._buffer) and end < MOST_BUFFER:
+            self._make_room(2 * end)
+
+    def _fill_large(self, nbytes: int) -> None:
+        self._filled += nbytes
+        if self._large is not None and self._filled == len(self._large):
+            whole, self._large = self._large, None
+            assert self._deliver is not None
+            self._deliver((whole,), 1)
+
+    def _make_room(self, size: int) -> None:
+        if size > len(self._buffer):
+            old, end = self._buffer, self._end
+            self._new_buffer(size)
+            self._buffer[:end] = old[:end]
+
+    def _new_buffer(self, size: int) -> None:
+        self._buffer = bytearray(size)
+        self._view = memoryview(self._buffer)
+
+
+def no_delay(transport: asyncio.BaseTransport) -> None:
+    """Send small frames at once."""
+    connection: socket.socket | None = transport.get_extra_info("socket")
+    if connection is not None:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

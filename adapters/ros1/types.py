@@ -1,0 +1,92 @@
+"""Types: learnt from connection headers, found in a local ROS, and told to the graph when they cannot be read."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+
+from rosld.adapters.model import Schema, ServiceSchema, TypeRef, UnknownType
+from rosld.adapters.model.library import TypeLibrary
+
+_ROS_NAME = re.compile(r"([A-Za-z]\w*)/([A-Za-z]\w*)\Z", re.ASCII)
+
+
+def message_type(ros_name: str) -> str | None:
+    """`std_msgs/msg/String` for `std_msgs/String`; None for what is no type's name."""
+    found = _ROS_NAME.match(ros_name)
+    return f"{found[1]}/msg/{found[2]}" if found else None
+
+
+def service_type(ros_name: str) -> str | None:
+    """`std_srvs/srv/Trigger` for `std_srvs/Trigger`; None for what is no type's name."""
+    found = _ROS_NAME.match(ros_name)
+    return f"{found[1]}/srv/{found[2]}" if found else None
+
+
+def ros_name(name: str) -> str:
+    """`std_msgs/String` for `std_msgs/msg/String`: ROS 1's own way of naming a type."""
+    package, _, short = name.partition("/")
+    return f"{package}/{short.partition('/')[2] or short}"
+
+
+def definition_folders(given: Iterable[Path], environment: Mapping[str, str] = os.environ) -> Sequence[Path]:
+    """The folders in which definitions may lie: those given, then those of a local ROS.
+
+    A local ROS is `ROS_PACKAGE_PATH`, `/usr/share` (Debian's packages) and `/opt/ros/*/share`; of folders named
+    `share` only the packages' own `msg` and `srv` are looked into, for they hold the whole system's data.
+    """
+    sources = [Path(each) for each in environment.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if each]
+    shares = [Path("/usr/share"), *sorted(Path("/opt/ros").glob("*/share"), reverse=True)]
+    shares += [each for each in sources if each.name == "share"]
+    found = [*given, *(each for each in sources if each.name != "share")]
+    for share in dict.fromkeys(shares):
+        found += [folder for kind in ("msg", "srv") for folder in sorted(share.glob(f"*/{kind}"))]
+    return [folder for folder in found if folder.is_dir()]
+
+
+class Types:
+    """The type library as the reading thread uses it: nothing it does there waits for a definition to be read.
+
+    `changed` is called on the reading thread when a type turned out to be readable or not.
+    """
+
+    def __init__(self, library: TypeLibrary, changed: Callable[[], None]) -> None:
+        self.library = library
+        self.unreadable: dict[TypeRef, str] = {}
+        self._changed = changed
+        self._learning: dict[TypeRef, asyncio.Task[None]] = {}
+        self._learnt: set[TypeRef] = set()
+
+    def learn(self, ref: TypeRef, definition: str) -> None:
+        """Begin to learn a message type from a connection header; called on the reading thread."""
+        if ref not in self._learnt and ref not in self._learning and ref not in self.unreadable:
+            self._learning[ref] = asyncio.get_running_loop().create_task(self._learn(ref, definition))
+
+    async def schema(self, ref: TypeRef) -> Schema:
+        """The schema of a type; waits for it where it is being learnt. Raises UnknownType."""
+        for pending in [task for each, task in self._learning.items() if each.name == ref.name]:
+            await asyncio.shield(pending)
+        if ref in self.unreadable:
+            raise UnknownType(f"the definition of {ref.name} cannot be read: {self.unreadable[ref]}")
+        return await asyncio.get_running_loop().run_in_executor(None, self.library.find, ref)
+
+    async def service(self, ref: TypeRef) -> ServiceSchema:
+        """The schema of a service type. Raises UnknownType."""
+        schema = await self.schema(ref)
+        if not isinstance(schema, ServiceSchema):
+            raise UnknownType(f"{ref.name} is no service type")
+        return schema
+
+    async def _learn(self, ref: TypeRef, definition: str) -> None:
+        loop = asyncio.get_running_loop()
+        try:
+            await loop.run_in_executor(None, self.library.learn_message, ref.name, definition, ref.hash)
+            self._learnt.add(ref)
+        except Exception as error:  # whatever a hostile definition provokes: the topic stays listed
+            self.unreadable[ref] = str(error) or type(error).__name__
+        finally:
+            del self._learning[ref]
+            self._changed()

@@ -29,7 +29,7 @@ from rosld.ontology.literals import (
     wide,
 )
 from rosld.ontology.notation import Json, Notation, Site
-from rosld.ontology.typenames import TypeName, type_name
+from rosld.ontology.typenames import TypeName, type_names
 
 TIME = "builtin_interfaces/msg/Time"
 _MOST_INLINED = 96
@@ -64,7 +64,7 @@ class _Module:
         self.types = schema.types
         self.notation = notation
         self.inline_limit = inline_limit
-        self.names = {name: type_name(name, types) for name in schema.types}
+        self.names = type_names(schema.types, types)
         self._root = schema.ref.name
         self._leaves: dict[str, int] = {}
         self._functions: dict[str, str] = {}

@@ -17,7 +17,7 @@ from rosld.adapters.model import FieldType, Message, MessageSchema, Nested, Prim
 from rosld.ontology.compile import Lift, compile_lift
 from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS, date_time
 from rosld.ontology.notation import NOTATIONS, Site
-from rosld.ontology.typenames import TypeName, type_name
+from rosld.ontology.typenames import TypeName, type_names
 from rosld.ontology.vocab import rdf, ros, xsd
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class CompiledLifter:
     """The `Lifter` of one schema; each syntax is compiled when it is first asked for."""
 
     def __init__(self, schema: MessageSchema, settings: LiftSettings) -> None:
-        names = {name: type_name(name, settings.types) for name in schema.types}
+        names = type_names(schema.types, settings.types)
         self.schema = schema
         self.prefixes: Mapping[str, str] = MappingProxyType(_prefixes(names.values()))
         self.context: Mapping[str, object] = MappingProxyType({**TERMS, **_terms(schema, names)})
@@ -211,7 +211,7 @@ def _prefixes(names: Iterable[TypeName]) -> dict[str, str]:
     prefixes: dict[str, str] = {}
     for name in names:
         prefixes[name.package] = name.namespace
-        prefixes[name.term] = name.iri + "#"
+        prefixes[name.prefix] = name.iri + "#"
     return prefixes
 
 

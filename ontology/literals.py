@@ -99,9 +99,9 @@ def octet_count(value: str) -> int:
     return len(value) if value.isascii() else len(octets(value))
 
 
-def base64_text(value: npt.NDArray[Any] | bytes) -> str:
-    """The base64 of octets."""
-    return b64encode(memoryview(value)).decode("ascii")
+def base64_text(value: bytes) -> str:
+    """The base64 of octets (of anything that has a buffer)."""
+    return b64encode(value).decode("ascii")
 
 
 def quoted(value: str) -> str:

@@ -196,7 +196,7 @@ class Turtle:
         return f"<{subject}> " + const(f"a {kind.package}:{kind.short}")
 
     def field(self, subject: str, kind: TypeName, name: str, value: str, key: str | None = None) -> str:
-        return const(f" ;\n    {kind.term}:{name} ") + value
+        return const(f" ;\n    {kind.prefix}:{name} ") + value
 
     def time(self, subject: str, value: str) -> str:
         return const(" ;\n    ros:dateTime ") + self.literal("dateTime", value)

@@ -1,0 +1,86 @@
+"""What is installed: a wheel, built from the source distribution, holds everything under `rosld` and nothing else."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+ROOMS = ("adapters", "ontology", "queries", "server", "shapes")
+NOT_COPIED = shutil.ignore_patterns(
+    ".git", ".venv", "build", "dist", "*.egg-info", ".*_cache", "__pycache__", ".hypothesis"
+)
+
+
+def build(what: str, source: Path, target: Path) -> Path:
+    """Runs one hook of the build backend (PEP 517) and returns what it made."""
+    target.mkdir()
+    code = f"import sys, setuptools.build_meta as b; print(b.build_{what}(sys.argv[1]))"
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(target)], cwd=source, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return target / done.stdout.strip().splitlines()[-1]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of this tree, built by way of a source distribution, outside of the tree."""
+    try:
+        if int(version("setuptools").partition(".")[0]) < 77:
+            raise PackageNotFoundError
+    except PackageNotFoundError:
+        pytest.skip("building needs setuptools 77 or newer: pip install 'setuptools>=77'")
+    folder = tmp_path_factory.mktemp("packaging")
+    shutil.copytree(ROOT, folder / "tree", symlinks=True, ignore=NOT_COPIED)
+    with tarfile.open(build("sdist", folder / "tree", folder / "sdist")) as archive:
+        archive.extractall(folder / "unpacked")
+    return build("wheel", next((folder / "unpacked").iterdir()), folder / "wheel")
+
+
+def test_the_wheel_puts_nothing_but_rosld_into_site_packages(wheel: Path) -> None:
+    tops = {name.partition("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"rosld"}
+
+
+def test_the_wheel_holds_every_file_of_every_room(wheel: Path) -> None:
+    files = {
+        f"rosld/{path.relative_to(ROOT)}"
+        for room in ROOMS
+        for path in (ROOT / room).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts and path.suffix != ".md"
+    }
+    assert not files - set(zipfile.ZipFile(wheel).namelist())
+
+
+def test_the_wheel_is_typed_and_licensed(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    assert "rosld/py.typed" in names
+    assert any(name.endswith("/licenses/LICENSE") for name in names)
+
+
+def test_what_the_wheel_holds_runs_and_finds_its_data(wheel: Path, tmp_path: Path) -> None:
+    zipfile.ZipFile(wheel).extractall(tmp_path)
+    code = (
+        "import importlib.resources as r, rosld, rosld.server.cli, rosld.adapters.registry; print(rosld.__file__);"
+        "assert r.files('rosld.ontology').joinpath('rosld.ttl').read_bytes()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.startswith(str(tmp_path))

@@ -1,0 +1,111 @@
+"""Settings: declared once, documented, and checked when made."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from rosld.server import settings as declared
+from rosld.server.cli import main
+from rosld.server.settings import Settings
+
+ROOT = Path(__file__).parent.parent.parent
+HELP = CliRunner().invoke(main, ["serve", "--help"], terminal_width=200).output
+
+
+@pytest.mark.parametrize("one", declared.declarations(), ids=lambda one: one.name)
+def test_every_setting_says_what_it_means_and_how_it_is_given(one: declared.Declaration) -> None:
+    assert one.help.endswith(".")
+    assert (one.option or one.name) in HELP
+
+
+def test_the_page_of_settings_is_up_to_date() -> None:
+    written = (ROOT / "docs" / "settings.md").read_text("utf-8")
+    assert written == declared.describe(), "run: python -m rosld.server.settings > docs/settings.md"
+
+
+def test_the_defaults_are_sound_and_cannot_be_changed() -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Settings().port = 1  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"port": -1}, "--port"),
+        ({"port": 65536}, "--port"),
+        ({"max_publish_rate": 0.0}, "--max-publish-rate"),
+        ({"max_publish_rate": float("nan")}, "--max-publish-rate"),
+        ({"rate": float("inf")}, "--rate"),
+        ({"body_limit": 0}, "body_limit"),
+        ({"base_url": "ftp://robot/"}, "--base-url"),
+        ({"base_url": "http://robot/?x"}, "--base-url"),
+        ({"base_url": "http://u:p@robot/"}, "--base-url"),
+        ({"base_url": "http://robot:x/"}, "--base-url"),
+        ({"base_url": "http://röbot/"}, "--base-url"),
+        ({"base_url": "http:///"}, "--base-url"),
+        ({"base_url": 'http://robot/">'}, "--base-url"),
+        ({"base_url": "http://robot"}, "--base-url"),
+        ({"cors_origins": ("app.example",)}, "--cors-origin"),
+        ({"types_namespace": "nonsense"}, "types_namespace"),
+    ],
+)
+def test_a_value_that_makes_no_sense_is_refused_by_the_name_of_its_option(values: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        Settings(**values)
+
+
+def test_a_setting_without_an_option_is_read_from_text() -> None:
+    assert declared.parse("body_limit", "2048") == 2048
+    assert declared.parse("call-deadline", "2.5") == 2.5
+    assert declared.parse("types_namespace", "https://a.example/") == "https://a.example/"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("nonsense", "1"), ("port", "1"), ("body_limit", "much"), ("body_limit", "1"), ("idle_time", "nan")],
+)
+def test_a_setting_that_is_none_or_no_number_is_refused(name: str, text: str) -> None:
+    with pytest.raises(ValueError, match=name):
+        declared.parse(name, text)
+
+
+@pytest.mark.parametrize(
+    ("host", "port", "url"),
+    [
+        ("127.0.0.1", 8080, "http://127.0.0.1:8080/"),
+        ("localhost", 80, "http://localhost/"),
+        ("::1", 8080, "http://[::1]:8080/"),
+    ],
+)
+def test_the_base_follows_the_address_and_the_real_port(host: str, port: int, url: str) -> None:
+    found = declared.bound(Settings(host=host, port=0), port, base_given=False)
+    assert (found.base_url, found.port, found.read_only) == (url, port, False)
+
+
+def test_a_base_that_was_given_stays() -> None:
+    given = Settings(base_url="https://robot.example/", port=0)
+    assert declared.bound(given, 40000, base_given=True).base_url == "https://robot.example/"
+
+
+def test_beyond_loopback_is_read_only() -> None:
+    assert declared.bound(Settings(host="10.0.0.7"), 8080, base_given=False).read_only
+    given = Settings(host="0.0.0.0", base_url="http://robot.example/")
+    assert declared.bound(given, 8080, base_given=True).read_only
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", ""])
+def test_a_wildcard_address_needs_a_base(host: str) -> None:
+    with pytest.raises(ValueError, match="--base-url"):
+        declared.bound(Settings(host=host), 8080, base_given=False)
+
+
+def test_the_adapter_gets_its_options() -> None:
+    found = Settings(types=(Path("/a"),), ros_ip="10.0.0.7", host_map=(("robot", "10.0.0.1"),), rate=2.0, once=True)
+    options = found.adapter_options
+    assert (options.types, options.ros_ip, options.host_map) == ((Path("/a"),), "10.0.0.7", {"robot": "10.0.0.1"})
+    assert (options.rate, options.once) == (2.0, True)

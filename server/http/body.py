@@ -9,6 +9,8 @@ from rosld.server.http.problem import Problem
 
 TIMEOUT = 30.0
 """Seconds a client has to send its body."""
+LINGER_SECONDS = 2.0
+"""How long a body that is too large is read on and thrown away, so that its client hears why."""
 
 
 async def read_body(request: Request, *, limit: int, timeout: float = TIMEOUT) -> bytes:
@@ -21,10 +23,14 @@ async def read_body(request: Request, *, limit: int, timeout: float = TIMEOUT) -
     refuse_coding(headers.get("content-encoding"))
     declared = declared_length(headers.get("content-length"))
     if declared is not None and declared > limit:
+        await _let_finish(request)
         raise _too_large(limit)
     try:
         with anyio.fail_after(timeout):
             body = await _collect(request, limit)
+    except _TooLarge:
+        await _let_finish(request)
+        raise _too_large(limit) from None
     except TimeoutError as error:
         raise Problem(408, f"The body did not arrive within {timeout:g} s.", headers=_CLOSE) from error
     except ClientDisconnect as error:
@@ -56,15 +62,33 @@ def declared_length(text: str | None) -> int | None:
 _CLOSE = {"Connection": "close"}
 
 
+class _TooLarge(Exception):
+    """More came than is read."""
+
+
 async def _collect(request: Request, limit: int) -> bytes:
     chunks: list[bytes] = []
     size = 0
     async for chunk in request.stream():
         size += len(chunk)
         if size > limit:
-            raise _too_large(limit)
+            raise _TooLarge
         chunks.append(chunk)
     return chunks[0] if len(chunks) == 1 else b"".join(chunks)
+
+
+async def _let_finish(request: Request) -> None:
+    """Read on and throw away: a connection closed while its client sends is reset, and the answer with it.
+
+    A client that waits for 100 Continue is sent its answer at once.
+    """
+    if "expect" in request.headers:
+        return
+    with anyio.move_on_after(LINGER_SECONDS):
+        while True:
+            message = await request.receive()
+            if message["type"] != "http.request" or not message.get("more_body", False):
+                return
 
 
 def _too_large(limit: int) -> Problem:

@@ -11,6 +11,8 @@ from rosld.server.http.problem import Problem
 
 HEAD_BYTES = 64 * 1024
 HEAD_SECONDS = 20.0
+LINGER_SECONDS = 2.0
+"""How long a client may go on sending after its answer: closing at once would reset it before it has read why."""
 
 
 class Connection(HttpToolsProtocol):
@@ -19,6 +21,7 @@ class Connection(HttpToolsProtocol):
     _head_is_open = True
     _head_size = 0
     _impatience: asyncio.TimerHandle | None = None
+    _is_over = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """A client connected, and has a while to say what it wants."""
@@ -32,10 +35,12 @@ class Connection(HttpToolsProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Bytes came."""
+        if self._is_over:
+            return
         if self._head_is_open:
             self._head_size += len(data)
         super().data_received(data)
-        if not self._head_is_open or not self._head_size or self.transport.is_closing():
+        if self._is_over or not self._head_is_open or not self._head_size or self.transport.is_closing():
             return
         if self._head_size > HEAD_BYTES:
             self._end(Problem(431, f"The request line and the headers are larger than {HEAD_BYTES} bytes."))
@@ -67,12 +72,17 @@ class Connection(HttpToolsProtocol):
             self._impatience = None
 
     def _end(self, ending: Problem) -> None:
-        """Tell why, unless an answer to an earlier request is under way, and close."""
-        if self.transport.is_closing():
+        """Tell why, unless an answer to an earlier request is under way, and close when the client has heard it."""
+        if self._is_over or self.transport.is_closing():
             return
-        if self.cycle is None or self.cycle.response_complete:
-            self.transport.write(_response(ending))
-        self.transport.close()
+        self._is_over = True
+        self._be_patient()
+        if self.cycle is not None and not self.cycle.response_complete:
+            self.transport.close()
+            return
+        self.transport.write(_response(ending))
+        self.transport.write_eof()
+        self._impatience = self.loop.call_later(LINGER_SECONDS, self.transport.close)
 
 
 def _response(ending: Problem) -> bytes:

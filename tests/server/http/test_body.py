@@ -9,6 +9,7 @@ import pytest
 from starlette.requests import Request
 from starlette.types import Message
 
+from rosld.server.http import body
 from rosld.server.http.body import read_body
 from rosld.server.http.problem import Problem
 
@@ -40,13 +41,26 @@ def test_a_body_is_read_to_its_end() -> None:
     assert asyncio.run(read_body(request([b"abc"], [(b"content-length", b"3")]), limit=5)) == b"abc"
 
 
-def test_a_body_that_says_it_is_too_large_is_not_read() -> None:
-    asked = request([b"x"], [(b"content-length", b"11")], then="nothing")
-    assert status(asked, timeout=60)[0] == 413
+@pytest.fixture
+def short_linger(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(body, "LINGER_SECONDS", 0.01)
 
 
-def test_a_body_that_grows_too_large_is_413() -> None:
-    assert status(request([b"12345", b"67890", b"1"], then="nothing"), timeout=60)[0] == 413
+@pytest.mark.usefixtures("short_linger")
+@pytest.mark.parametrize("then", ["end", "nothing", "disconnect"])
+def test_a_body_that_says_it_is_too_large_is_413(then: str) -> None:
+    assert status(request([b"x"], [(b"content-length", b"11")], then=then), timeout=60)[0] == 413
+
+
+@pytest.mark.usefixtures("short_linger")
+@pytest.mark.parametrize("then", ["end", "nothing", "disconnect"])
+def test_a_body_that_grows_too_large_is_413(then: str) -> None:
+    assert status(request([b"12345", b"67890", b"1"], then=then), timeout=60)[0] == 413
+
+
+def test_a_client_that_waits_to_be_told_to_go_on_is_answered_at_once() -> None:
+    asked = request([], [(b"content-length", b"11"), (b"expect", b"100-continue")], then="nothing")
+    assert status(asked)[0] == 413
 
 
 @pytest.mark.parametrize("length", [b"-1", b"1e3", b"", b"0x10", b"1,1", b"9" * 30, "²".encode("latin-1", "replace")])

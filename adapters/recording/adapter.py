@@ -174,6 +174,8 @@ def recorded_graph(bag: Bag, revision: int) -> Graph:
         simulated_time="/clock" in bag.topics,
         nodes=frozen({name: Node(name) for name in sorted(publishers)}),
         topics=frozen({name: _topic(bag, name) for name in sorted(bag.topics)}),
+        services=frozen({}),
+        parameters=frozen({}),
     )
 
 

@@ -1,0 +1,44 @@
+"""The robots of the contract suite: one session-wide system a kind of adapter.
+
+Each module in `ROBOTS` lies beside this file and has a context manager `robot(folder: Path) -> Iterator[Robot]`, which
+may skip what cannot be run here. A new adapter joins the suite with one such module and one line.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+ROBOTS = ["aircraft", "recording", "ros1"]
+
+
+def load(path: Path) -> ModuleType:
+    """A module of the tests by its path: they are no package, so that nothing of theirs can be imported by name."""
+    name = f"rosld_tests_{path.parent.name}_{path.stem}"
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        spec.loader.exec_module(module)
+    return sys.modules[name]
+
+
+_HERE = Path(__file__).parent
+load(_HERE / "robot.py")
+load(_HERE.parent / "adapters" / "recording" / "recorder.py")
+
+
+@pytest.fixture(scope="session", params=[each for each in ROBOTS if (_HERE / f"{each}.py").exists()])
+def robot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A running system, as `robot.py` describes it."""
+    module = load(_HERE / f"{request.param}.py")
+    with module.robot(tmp_path_factory.mktemp(request.param)) as running:
+        yield running

@@ -1,0 +1,27 @@
+"""A playing recording as a robot of the contract suite."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rosld.adapters.base import AdapterOptions
+from rosld.adapters.recording import adapter
+
+_robot = sys.modules["rosld_tests_contracts_robot"]
+_recorder = sys.modules["rosld_tests_recording_recorder"]
+
+
+@contextmanager
+def robot(folder: Path) -> Iterator[object]:
+    """A ROS 1 bag of one minute, so that no loop begins while the suite looks; "vanishing" is not for files."""
+    path = _recorder.write_rosbag1(folder / "run.bag", _recorder.lines(count=1200, every=0.05), compression="lz4")
+    yield _robot.Robot(
+        name="recording",
+        adapter=lambda: adapter(str(path), AdapterOptions()),
+        nowhere=lambda: adapter(str(folder / "missing.bag"), AdapterOptions()),
+        readable="/chatter",
+        trace=lambda: sorted((each.name, each.stat().st_mtime_ns) for each in folder.iterdir()),
+    )

@@ -1,0 +1,825 @@
+"""The adapter contract, rule by rule, on every adapter (`adapters/base.py`, DESIGN section 2)."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+
+from rosld.adapters.base import Adapter, Subscription
+from rosld.adapters.model import (
+    Graph,
+    Kind,
+    Live,
+    NotFound,
+    Operation,
+    Ref,
+    Refused,
+    RosError,
+    Sample,
+    Sent,
+    ServiceSchema,
+    Stale,
+    TimedOut,
+    TypeRef,
+    UnknownType,
+    Unreachable,
+)
+
+PATIENCE = 10.0
+"""Seconds that anything that should happen at once may take on a busy machine."""
+
+WRITES = frozenset(Operation) - {Operation.SUBSCRIBE, Operation.GET_PARAMETER}
+
+
+class Sink:
+    """Keeps what an adapter tells, from whatever thread."""
+
+    def __init__(self) -> None:
+        self.graphs: list[Graph] = []
+        self.parameters: list[str] = []
+
+    def graph_changed(self, graph: Graph) -> None:
+        self.graphs.append(graph)
+
+    def parameter_changed(self, name: str) -> None:
+        self.parameters.append(name)
+
+
+def soon(seconds: float = PATIENCE) -> float:
+    """A deadline."""
+    return asyncio.get_running_loop().time() + seconds
+
+
+async def until(condition: Callable[[], object], seconds: float = PATIENCE) -> None:
+    """Wait until something holds that no event tells of."""
+    deadline = soon(seconds)
+    while not condition():
+        assert asyncio.get_running_loop().time() < deadline, "it did not happen in time"
+        await asyncio.sleep(0.01)
+
+
+@asynccontextmanager
+async def opened(robot: Any, sink: Sink | None = None) -> AsyncIterator[Adapter]:
+    """An open adapter of a robot whose readable topic is in the graph."""
+    adapter: Adapter = robot.adapter()
+    await adapter.open(sink or Sink(), deadline=soon())
+    try:
+        yield adapter
+    finally:
+        await adapter.close()
+
+
+def run(scenario: Awaitable[None]) -> None:
+    """Run a scenario on a loop of its own, for a minute at most."""
+
+    async def bounded() -> None:
+        await asyncio.wait_for(scenario, 60)
+
+    asyncio.run(bounded())
+
+
+async def first_samples(subscription: Subscription) -> Sequence[Sample]:
+    """What a subscription shows as soon as it shows something."""
+    return await change(subscription, ())
+
+
+async def change(subscription: Subscription, known: Sequence[Sample]) -> Sequence[Sample]:
+    """What a subscription shows as soon as it is another sequence than `known`."""
+    arrived = asyncio.Event()
+    watch = subscription.watch(arrived.set)
+    try:
+        while (samples := subscription.latest()) is known or not samples:
+            await asyncio.wait_for(arrived.wait(), PATIENCE)
+            arrived.clear()
+        return samples
+    finally:
+        watch.close()
+
+
+async def message(adapter: Adapter, spoken: Any) -> tuple[TypeRef, bytes]:
+    """The type and the bytes of what can be published."""
+    schema = await adapter.schema(TypeRef(spoken.type), deadline=soon())
+    assert not isinstance(schema, ServiceSchema)
+    made = schema.codec.build(schema.ref.name, spoken.values)
+    return schema.ref, schema.codec.encode(made, adapter.capabilities.encoding)
+
+
+async def ask(adapter: Adapter, asked: Any, *, deadline: float | None = None) -> Any:
+    """The response of a service."""
+    said = adapter.graph.services.get(asked.service)
+    schema = await adapter.schema(said.type if said and said.type else TypeRef(asked.type), deadline=soon())
+    assert isinstance(schema, ServiceSchema)
+    encoding = adapter.capabilities.encoding
+    request = schema.request.codec.encode(schema.request.codec.build(schema.request.ref.name, asked.values), encoding)
+    answer = await adapter.call(asked.service, schema.ref, request, deadline=soon() if deadline is None else deadline)
+    return schema.response.codec.decode(answer, encoding)
+
+
+def needs(thing: object, what: str) -> None:
+    """Skip where a robot has none of it."""
+    if thing is None:
+        pytest.skip(f"this robot has no {what}")
+
+
+# Opening and closing
+
+
+def test_when_open_returns_the_graph_is_there_and_live(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            assert isinstance(adapter.graph.state, Live)
+            await until(lambda: robot.readable in adapter.graph.topics)
+            assert adapter.graph.topics[robot.readable].types
+
+    run(scenario())
+
+
+def test_opening_twice_is_opening_once(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            await adapter.open(Sink(), deadline=soon())
+            assert isinstance(adapter.graph.state, Live)
+
+    run(scenario())
+
+
+def test_closing_is_quick_and_can_be_done_again(robot: Any) -> None:
+    async def scenario() -> None:
+        adapter = robot.adapter()
+        await adapter.open(Sink(), deadline=soon())
+        subscription = await adapter.subscribe(robot.readable)
+        await first_samples(subscription)
+        began = time.monotonic()
+        await adapter.close()
+        assert time.monotonic() - began < 2
+        await adapter.close()
+
+    run(scenario())
+
+
+def test_closing_what_was_never_opened_is_no_error(robot: Any) -> None:
+    async def scenario() -> None:
+        await robot.adapter().close()
+
+    run(scenario())
+
+
+def test_a_source_that_is_not_there_is_told_in_a_sentence_and_nothing_was_sent(robot: Any) -> None:
+    needs(robot.nowhere, "source that is not there")
+
+    async def scenario() -> None:
+        adapter = robot.nowhere()
+        with pytest.raises((Unreachable, NotFound)) as caught:
+            await adapter.open(Sink(), deadline=soon(3))
+        assert caught.value.sent is Sent.NO
+        assert len(caught.value.sentence) > 10
+        assert "\n" not in caught.value.sentence
+        await adapter.close()
+
+    run(scenario())
+
+
+def test_after_closing_whatever_is_asked_is_an_error_of_ros(robot: Any) -> None:
+    async def scenario() -> None:
+        adapter = robot.adapter()
+        await adapter.open(Sink(), deadline=soon())
+        await adapter.close()
+        with pytest.raises(RosError) as caught:
+            await adapter.call("/nothing", TypeRef("std_srvs/srv/Trigger"), b"", deadline=soon(1))
+        assert caught.value.sent is Sent.NO
+
+    run(scenario())
+
+
+# The graph
+
+
+def test_the_graph_cannot_be_changed_by_those_who_read_it(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            graph: Any = adapter.graph
+            for names in (graph.nodes, graph.topics, graph.services, graph.parameters):
+                with pytest.raises(TypeError):
+                    names["/x"] = None
+            with pytest.raises(AttributeError):
+                graph.revision = 7
+
+    run(scenario())
+
+
+def test_the_graph_stays_the_same_object_while_nothing_changes(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            assert adapter.graph is adapter.graph
+
+    run(scenario())
+
+
+def test_a_change_raises_the_revision_and_is_told_to_the_sink(robot: Any) -> None:
+    needs(robot.writable, "writable topic")
+
+    async def scenario() -> None:
+        sink = Sink()
+        async with opened(robot, sink) as adapter:
+            before = adapter.graph
+            ref, data = await message(adapter, robot.writable)
+            await adapter.publish(robot.writable.topic, ref, data, deadline=soon())
+            await until(lambda: adapter.graph.own_node in adapter.graph.nodes)
+            assert adapter.graph.revision > before.revision
+            assert adapter.graph.own_node not in before.nodes
+            await until(lambda: sink.graphs and sink.graphs[-1] is adapter.graph)
+            revisions = [graph.revision for graph in sink.graphs]
+            assert revisions == sorted(set(revisions))
+
+    run(scenario())
+
+
+# Reading
+
+
+def test_a_topic_is_read_with_the_bytes_owned_and_decoded_by_the_samples_own_schema(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            samples = await first_samples(await adapter.subscribe(robot.readable))
+            for sample in samples:
+                assert type(sample.data) is bytes
+                assert sample.schema.hash is not None
+                schema = await adapter.schema(sample.schema, deadline=soon())
+                assert not isinstance(schema, ServiceSchema)
+                decoded = schema.codec.decode(sample.data, sample.encoding)
+                assert schema.codec.encode(decoded, sample.encoding) == sample.data
+                assert sample.publisher in adapter.graph.nodes or sample.publisher == ""
+
+    run(scenario())
+
+
+def test_sequences_rise_and_received_times_never_fall(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            subscription = await adapter.subscribe(robot.readable)
+            first = await first_samples(subscription)
+            second = await change(subscription, first)
+            old = {sample.publisher: sample for sample in first}
+            newer = [sample for sample in second if sample.publisher in old]
+            assert newer
+            for sample in newer:
+                known = old[sample.publisher]
+                assert (sample.epoch, sample.sequence) >= (known.epoch, known.sequence)
+                assert sample.received_ns >= known.received_ns
+            assert second != first
+
+    run(scenario())
+
+
+def test_the_very_same_sequence_comes_back_while_nothing_new_arrived(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            subscription = await adapter.subscribe(robot.readable)
+            seen = await first_samples(subscription)
+            same = 0
+            for _ in range(200):
+                again = subscription.latest()
+                assert again is seen or again != seen
+                same += again is seen
+                seen = again
+            assert same > 100
+
+    run(scenario())
+
+
+def test_a_deeper_subscription_shows_the_last_few_oldest_first(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            deep = await adapter.subscribe(robot.readable, depth=3)
+            await first_samples(deep)
+            await until(lambda: len(deep.latest()) >= 3)
+            samples = deep.latest()
+            publisher = samples[-1].publisher
+            of_one = [sample.sequence for sample in samples if sample.publisher == publisher]
+            assert of_one == list(range(of_one[0], of_one[0] + 3))
+
+    run(scenario())
+
+
+def test_a_watch_wakes_on_the_loop_after_something_new_arrived(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            subscription = await adapter.subscribe(robot.readable)
+            known = await first_samples(subscription)
+            woken: asyncio.Future[tuple[int, bool]] = asyncio.get_running_loop().create_future()
+
+            def wake() -> None:
+                if not woken.done() and subscription.latest() is not known:
+                    woken.set_result((threading.get_ident(), True))
+
+            subscription.watch(wake)
+            thread, _ = await asyncio.wait_for(woken, PATIENCE)
+            assert thread == threading.get_ident()
+
+    run(scenario())
+
+
+def test_a_watch_wakes_no_more_often_than_there_is_something_new_and_not_at_all_once_closed(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            subscription = await adapter.subscribe(robot.readable)
+            other = await adapter.subscribe(robot.readable)
+            await first_samples(subscription)
+            counts = {"open": 0, "closed": 0}
+
+            def count(which: str) -> Callable[[], None]:
+                def wake() -> None:
+                    counts[which] += 1
+
+                return wake
+
+            closed = subscription.watch(count("closed"))
+            closed.close()
+            closed.close()
+            first = other.latest()
+            other.watch(count("open"))
+            await until(lambda: other.latest()[-1].sequence >= first[-1].sequence + 3)
+            arrived = other.latest()[-1].sequence - first[-1].sequence
+            assert counts["closed"] == 0
+            assert 1 <= counts["open"] <= arrived + 1
+
+    run(scenario())
+
+
+def test_subscriptions_are_counted_so_that_closing_one_leaves_the_other(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            one, two = [await adapter.subscribe(robot.readable) for _ in range(2)]
+            await first_samples(one)
+            one.close()
+            one.close()
+            known = await first_samples(two)
+            assert await change(two, known)
+
+    run(scenario())
+
+
+def test_a_topic_that_is_not_there_can_be_subscribed_to_and_shows_nothing(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            subscription = await adapter.subscribe("/no/such/topic")
+            assert list(subscription.latest()) == []
+            assert subscription.latest() is subscription.latest()
+            watch = subscription.watch(lambda: None)
+            watch.close()
+            subscription.close()
+            assert "/no/such/topic" not in adapter.graph.topics
+
+    run(scenario())
+
+
+def test_reading_leaves_no_trace(robot: Any) -> None:
+    needs(robot.trace, "trace to look for")
+
+    async def scenario() -> None:
+        before = robot.trace()
+        async with opened(robot) as adapter:
+            subscription = await adapter.subscribe(robot.readable)
+            for sample in await first_samples(subscription):
+                await adapter.schema(sample.schema, deadline=soon())
+            await adapter.get_parameters(["/no/such/parameter"], deadline=soon())
+            assert robot.trace() == before
+        assert robot.trace() == before
+
+    run(scenario())
+
+
+def test_a_published_topic_leaves_no_trace_once_closed(robot: Any) -> None:
+    needs(robot.trace, "trace to look for")
+    needs(robot.writable, "writable topic")
+
+    async def scenario() -> None:
+        before = robot.trace()
+        async with opened(robot) as adapter:
+            ref, data = await message(adapter, robot.writable)
+            await adapter.publish(robot.writable.topic, ref, data, deadline=soon())
+            assert robot.trace() != before
+        assert robot.trace() == before
+
+    run(scenario())
+
+
+# Schemas
+
+
+def test_a_schema_is_found_by_name_and_by_name_and_hash(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            await first_samples(await adapter.subscribe(robot.readable))
+            used = adapter.graph.topics[robot.readable].types[0]
+            by_name = await adapter.schema(TypeRef(used.name), deadline=soon())
+            assert by_name.ref.hash is not None
+            assert (await adapter.schema(by_name.ref, deadline=soon())).ref == by_name.ref
+            assert used.name in {ref.name for ref in adapter.known_types()}
+
+    run(scenario())
+
+
+@pytest.mark.parametrize(
+    "ref",
+    [TypeRef("no_such_msgs/msg/Thing"), TypeRef("std_msgs/msg/String", "0" * 32), TypeRef("../../etc/passwd")],
+    ids=["unknown name", "unknown hash", "no name at all"],
+)
+def test_a_type_that_nobody_knows_is_unknown_by_name(robot: Any, ref: TypeRef) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            with pytest.raises(UnknownType) as caught:
+                await adapter.schema(ref, deadline=soon(2))
+            assert ref.name in caught.value.sentence
+
+    run(scenario())
+
+
+# Publishing
+
+
+def test_what_rosld_publishes_is_its_newest_sample_before_publish_returns(robot: Any) -> None:
+    needs(robot.writable, "writable topic")
+
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            before = await adapter.subscribe(robot.writable.topic)
+            ref, data = await message(adapter, robot.writable)
+            published = await adapter.publish(robot.writable.topic, ref, data, deadline=soon())
+            after = await adapter.subscribe(robot.writable.topic)
+            assert published.matched >= 1
+            for subscription in (before, after):
+                own = [each for each in subscription.latest() if each.publisher == adapter.graph.own_node]
+                assert [each.data for each in own] == [data]
+                assert own[0].schema == ref
+
+    run(scenario())
+
+
+def test_every_publish_counts_one_further(robot: Any) -> None:
+    needs(robot.writable, "writable topic")
+
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            ref, data = await message(adapter, robot.writable)
+            sequences = []
+            subscription = await adapter.subscribe(robot.writable.topic)
+            for _ in range(5):
+                await adapter.publish(robot.writable.topic, ref, data, deadline=soon())
+                own = [each for each in subscription.latest() if each.publisher == adapter.graph.own_node]
+                sequences.append(own[-1].sequence)
+            assert sequences == list(range(sequences[0], sequences[0] + 5))
+
+    run(scenario())
+
+
+def test_rosld_is_in_the_graph_only_while_it_advertises(robot: Any) -> None:
+    needs(robot.writable, "writable topic")
+
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            own = adapter.graph.own_node
+            ref, data = await message(adapter, robot.writable)
+            assert own not in adapter.graph.nodes
+            await adapter.publish(robot.writable.topic, ref, data, deadline=soon())
+            await until(lambda: own in adapter.graph.nodes)
+            assert own in {each.node for each in adapter.graph.topics[robot.writable.topic].publishers}
+            await adapter.unadvertise(robot.writable.topic)
+            await until(lambda: own not in adapter.graph.nodes)
+            with pytest.raises(NotFound):
+                await adapter.unadvertise(robot.writable.topic)
+
+    run(scenario())
+
+
+def test_a_topic_that_is_not_there_is_created_by_publishing_and_matches_nobody(robot: Any) -> None:
+    needs(robot.writable, "writable topic")
+
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            assert adapter.capabilities.creates_topics
+            ref, data = await message(adapter, robot.writable)
+            published = await adapter.publish("/brand/new", ref, data, deadline=soon(0.5))
+            assert published.matched == 0
+            await until(lambda: "/brand/new" in adapter.graph.topics)
+            assert adapter.graph.topics["/brand/new"].types == (ref,)
+            assert [each.data for each in (await adapter.subscribe("/brand/new")).latest()] == [data]
+            await adapter.unadvertise("/brand/new")
+            await until(lambda: "/brand/new" not in adapter.graph.topics)
+
+    run(scenario())
+
+
+def test_a_message_of_an_unknown_type_is_not_published(robot: Any) -> None:
+    needs(robot.writable, "writable topic")
+
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            with pytest.raises(UnknownType) as caught:
+                await adapter.publish("/brand/new", TypeRef("no_such_msgs/msg/Thing"), b"", deadline=soon(1))
+            assert caught.value.sent is Sent.NO
+            assert "/brand/new" not in adapter.graph.topics
+
+    run(scenario())
+
+
+# Services
+
+
+def test_a_service_answers(robot: Any) -> None:
+    needs(robot.answering, "service")
+
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            await until(lambda: robot.answering.service in adapter.graph.services)
+            response = await ask(adapter, robot.answering)
+            assert {name: getattr(response, name) for name in robot.answering.response} == robot.answering.response
+
+    run(scenario())
+
+
+def test_a_service_that_is_not_there_is_not_found_and_nothing_was_sent(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            with pytest.raises(NotFound) as caught:
+                await adapter.call("/no/such/service", TypeRef("std_srvs/srv/Trigger"), b"", deadline=soon())
+            assert "/no/such/service" in caught.value.sentence
+            assert caught.value.sent is Sent.NO
+
+    run(scenario())
+
+
+def test_what_a_node_raises_is_refused_in_its_words(robot: Any) -> None:
+    needs(robot.raising, "raising service")
+
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            await until(lambda: robot.raising.service in adapter.graph.services)
+            with pytest.raises(Refused) as caught:
+                await ask(adapter, robot.raising)
+            assert robot.raising.words in (caught.value.words or "")
+            assert caught.value.sent is Sent.YES
+
+    run(scenario())
+
+
+def test_a_service_that_hangs_is_given_up_at_the_deadline_and_holds_up_nobody(robot: Any) -> None:
+    needs(robot.hanging, "hanging service")
+
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            await until(lambda: robot.hanging.service in adapter.graph.services)
+            began = time.monotonic()
+            hanging = asyncio.create_task(ask(adapter, robot.hanging, deadline=soon(1)))
+            await ask(adapter, robot.answering)
+            assert time.monotonic() - began < 0.9
+            with pytest.raises(TimedOut) as caught:
+                await hanging
+            assert 0.9 < time.monotonic() - began < 3
+            assert caught.value.sent in (Sent.MAYBE, Sent.YES)
+
+    run(scenario())
+
+
+def test_giving_up_waiting_for_an_answer_harms_nothing(robot: Any) -> None:
+    needs(robot.hanging, "hanging service")
+
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            await until(lambda: robot.hanging.service in adapter.graph.services)
+            task = asyncio.create_task(ask(adapter, robot.hanging))
+            await ask(adapter, robot.answering)
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
+            assert await ask(adapter, robot.answering)
+
+    run(scenario())
+
+
+def test_nothing_is_sent_when_the_deadline_has_passed_already(robot: Any) -> None:
+    needs(robot.answering, "service")
+
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            await until(lambda: robot.answering.service in adapter.graph.services)
+            with pytest.raises(TimedOut) as caught:
+                await ask(adapter, robot.answering, deadline=soon(-1))
+            assert caught.value.sent is Sent.NO
+
+    run(scenario())
+
+
+# Parameters
+
+
+def test_parameters_are_created_read_changed_and_deleted_and_the_sink_is_told(robot: Any) -> None:
+    needs(robot.parameter, "parameter")
+
+    async def scenario() -> None:
+        sink = Sink()
+        async with opened(robot, sink) as adapter:
+            name = "/contract/value"
+            assert await adapter.get_parameters([name], deadline=soon()) == {}
+            for value in (1, "two", 3.5, True, ["a", 1], {"deep": {"er": "x"}}):
+                await adapter.set_parameters({name: value}, deadline=soon())
+                assert await adapter.get_parameters([name], deadline=soon()) == {name: value}
+            await until(lambda: any(name.startswith(told.rstrip("/")) for told in sink.parameters))
+            await until(lambda: f"{name}/deep/er" in adapter.graph.parameters)
+            await adapter.delete_parameters([name], deadline=soon())
+            assert await adapter.get_parameters([name], deadline=soon()) == {}
+            await until(lambda: not any(each.startswith(name) for each in adapter.graph.parameters))
+            await adapter.delete_parameters(["/contract"], deadline=soon())
+
+    run(scenario())
+
+
+def test_a_namespace_of_parameters_is_read_whole(robot: Any) -> None:
+    needs(robot.parameter, "parameter")
+
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            assert adapter.capabilities.parameter_trees
+            name, value = robot.parameter
+            tree: Any = (await adapter.get_parameters(["/"], deadline=soon()))["/"]
+            for step in name.strip("/").split("/"):
+                tree = tree[step]
+            assert tree == value
+
+    run(scenario())
+
+
+def test_what_parameters_cannot_hold_is_refused_by_name_and_nothing_is_set(robot: Any) -> None:
+    needs(robot.parameter, "parameter")
+
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            bad: Any = {"/contract/good": 1, "/contract/bad": 2**40}
+            with pytest.raises(Refused, match="/contract/bad"):
+                await adapter.set_parameters(bad, deadline=soon())
+            assert await adapter.get_parameters(list(bad), deadline=soon()) == {}
+
+    run(scenario())
+
+
+def test_deleting_a_parameter_that_is_not_there_is_not_found(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            with pytest.raises(NotFound, match="/no/such/parameter"):
+                await adapter.delete_parameters(["/no/such/parameter"], deadline=soon())
+
+    run(scenario())
+
+
+# What is allowed
+
+
+def test_what_is_allowed_agrees_with_the_capabilities(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            await until(lambda: robot.readable in adapter.graph.topics)
+            can = adapter.capabilities
+            graph = adapter.graph
+            known = [
+                *(Ref(Kind.TOPIC, name) for name in graph.topics),
+                *(Ref(Kind.SERVICE, name) for name in graph.services),
+                *(Ref(Kind.PARAMETER, name) for name in graph.parameters),
+                *(Ref(Kind.NODE, name) for name in graph.nodes),
+            ]
+            for ref in known:
+                allowed = adapter.allows(ref)
+                assert can.writes or not allowed & WRITES
+                assert (Operation.SUBSCRIBE in allowed) == (ref.kind is Kind.TOPIC)
+                if ref.kind is Kind.SERVICE and graph.services[ref.name].uncallable is None:
+                    assert allowed == {Operation.CALL}
+                if ref.kind is Kind.PARAMETER:
+                    assert Operation.GET_PARAMETER in allowed
+            assert Operation.SUBSCRIBE in adapter.allows(Ref(Kind.TOPIC, robot.readable))
+
+    run(scenario())
+
+
+def test_unknown_things_allow_nothing_but_what_creates_them(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            can = adapter.capabilities
+            topic = adapter.allows(Ref(Kind.TOPIC, "/no/such"))
+            assert topic == (frozenset({Operation.PUBLISH}) if can.creates_topics else frozenset())
+            assert adapter.allows(Ref(Kind.SERVICE, "/no/such")) == frozenset()
+            assert adapter.allows(Ref(Kind.NODE, "/no/such")) == frozenset()
+            assert adapter.allows(Ref(Kind.PARAMETER, "/no/such")) <= {Operation.SET_PARAMETER}
+
+    run(scenario())
+
+
+def test_a_system_that_cannot_be_written_to_refuses_every_write(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            if adapter.capabilities.writes:
+                pytest.skip("this robot can be written to")
+            kind = adapter.graph.topics[robot.readable].types[0]
+            writes = [
+                adapter.publish(robot.readable, kind, b"", deadline=soon()),
+                adapter.set_parameters({"/x": 1}, deadline=soon()),
+                adapter.call("/x", TypeRef("std_srvs/srv/Trigger"), b"", deadline=soon()),
+                adapter.delete_parameters(["/x"], deadline=soon()),
+                adapter.unadvertise(robot.readable),
+            ]
+            for write in writes:
+                with pytest.raises((Refused, NotFound)) as caught:
+                    await write
+                assert caught.value.sent is Sent.NO
+
+    run(scenario())
+
+
+# Patience
+
+
+def test_nothing_blocks_the_loop(robot: Any) -> None:
+    async def scenario() -> None:
+        gaps = [0.0]
+
+        async def beat() -> None:
+            last = time.monotonic()
+            while True:
+                await asyncio.sleep(0.005)
+                now = time.monotonic()
+                gaps.append(now - last)
+                last = now
+
+        async with opened(robot) as warm:  # imports and compiled types are paid for once a process
+            await warm.schema(warm.known_types()[0], deadline=soon())
+        beating = asyncio.create_task(beat())
+        async with opened(robot) as adapter:
+            subscription = await adapter.subscribe(robot.readable)
+            for _ in range(5):
+                await change(subscription, subscription.latest())
+            if robot.answering is not None:
+                await ask(adapter, robot.answering)
+            if robot.writable is not None:
+                ref, data = await message(adapter, robot.writable)
+                await adapter.publish(robot.writable.topic, ref, data, deadline=soon())
+                await adapter.publish("/brand/new", ref, data, deadline=soon(0.3))
+            if robot.hanging is not None:
+                with pytest.raises(TimedOut):
+                    await ask(adapter, robot.hanging, deadline=soon(0.3))
+        beating.cancel()
+        assert max(gaps) < 0.25
+
+    run(scenario())
+
+
+def test_a_system_that_vanishes_leaves_a_stale_graph_and_its_return_is_noticed(robot: Any) -> None:
+    needs(robot.vanish, "way to vanish")
+
+    async def scenario() -> None:
+        sink = Sink()
+        async with opened(robot, sink) as adapter:
+            await until(lambda: robot.readable in adapter.graph.topics)
+            subscription = await adapter.subscribe(robot.readable)
+            await first_samples(subscription)
+            await asyncio.to_thread(robot.vanish)
+            try:
+                await until(lambda: isinstance(adapter.graph.state, Stale), 20)
+                assert robot.readable in adapter.graph.topics
+                assert isinstance(sink.graphs[-1].state, Stale)
+                assert subscription.latest()
+            finally:
+                await asyncio.to_thread(robot.come_back)
+            await until(lambda: isinstance(adapter.graph.state, Live), 20)
+            await until(lambda: robot.readable in adapter.graph.topics, 20)
+            assert await change(subscription, subscription.latest())
+
+    run(scenario())
+
+
+# Recordings
+
+
+def test_recordings_are_read_message_by_message_in_recorded_order(robot: Any) -> None:
+    async def scenario() -> None:
+        async with opened(robot) as adapter:
+            for name, recording in adapter.recordings.items():
+                assert recording.name == name
+                assert recording.count == sum(topic.count for topic in recording.topics.values())
+                with pytest.raises(NotFound, match=str(recording.count)):
+                    recording.message(recording.count)
+                with pytest.raises(NotFound):
+                    recording.message(-1)
+                times = []
+                for index, recorded in enumerate(recording.messages()):
+                    assert recorded.index == index
+                    assert recorded == recording.message(index)
+                    times.append(recorded.sample.received_ns)
+                assert len(times) == recording.count
+                assert times == sorted(times)
+                assert (times[0], times[-1]) == (recording.start_ns, recording.end_ns)
+
+    run(scenario())

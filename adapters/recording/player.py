@@ -91,7 +91,8 @@ class TopicPlayer:
 
     def _passed(self, position: Position) -> int:
         """How many messages of the whole bag lie at or before a position."""
-        return int(np.searchsorted(self._bag.times, self._bag.start_ns + position.offset_ns, "right"))
+        now = min(self._bag.start_ns + position.offset_ns, self._bag.end_ns)
+        return int(np.searchsorted(self._bag.times, now, "right"))
 
     def _next_change(self, now: int) -> int:
         """When, in elapsed ns after `now`, the topic's next message is due or the next loop begins."""

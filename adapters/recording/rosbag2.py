@@ -37,14 +37,17 @@ class Rosbag2:
         self._per_message = metadata.compression == "message"
         self._inflated: tempfile.TemporaryDirectory[str] | None = None
         self._files: list[Storage] = []
-        for path in _files(folder, metadata):
+        paths = _files(folder, metadata)
+        if not paths:
+            raise Damaged(f"it holds neither {METADATA} nor .mcap nor .db3 files")
+        for path in paths:
             try:
                 self._files.append(open_file(self._plain(path)))
             except (Damaged, OSError) as error:
                 notes.append(f"{path.name} is left out: {error}")
         if not self._files:
             self.close()
-            raise Damaged("; ".join(notes) or f"it holds neither {METADATA} nor .mcap nor .db3 files")
+            raise Damaged("; ".join(notes))
         self.format = f"ROS 2 bag ({' + '.join(sorted({each.format for each in self._files}))})"
         self.connections = [_hashed(each, metadata) for file in self._files for each in file.connections]
         self.notes = (*notes, *(note for file in self._files for note in file.notes))

@@ -1,0 +1,391 @@
+"""Recordings that are odd, cut short, damaged or none at all."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag1 import Writer as Writer1
+
+from rosld.adapters.base import AdapterOptions
+from rosld.adapters.model import NotFound, RosError, Unreachable
+from rosld.adapters.recording import RecordingAdapter
+from rosld.adapters.recording.bag import Bag
+from rosld.adapters.recording.files import open_storage
+
+Opened = Callable[[Path], Any]
+Said = Callable[[Any, Any], str]
+
+OLD_HEADER = """Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+================================================================================
+MSG: roslib/Header
+uint32 seq
+time stamp
+string frame_id
+"""
+
+
+class Sink:
+    def graph_changed(self, graph: Any) -> None: ...
+
+    def parameter_changed(self, name: str) -> None: ...
+
+
+def refused(path: Path) -> str:
+    """The sentence with which a path is refused: one line that names it."""
+
+    async def scenario() -> RosError:
+        adapter = RecordingAdapter(path, AdapterOptions())
+        with pytest.raises((Unreachable, NotFound)) as caught:
+            await adapter.open(Sink(), deadline=asyncio.get_running_loop().time() + 10)
+        await adapter.close()
+        return caught.value
+
+    error = asyncio.run(scenario())
+    assert str(path) in error.sentence
+    assert "\n" not in error.sentence
+    return error.sentence
+
+
+# Odd connections
+
+
+def test_the_old_header_is_read(tmp_path: Path, opened: Opened) -> None:
+    path = tmp_path / "old.bag"
+    with Writer1(path) as writer:
+        connection = writer.add_connection(
+            "joint_states", "sensor_msgs/msg/JointState", msgdef=OLD_HEADER, md5sum="3066dcd76a6cfaef579bd0f34173e9fd"
+        )
+        header = struct.pack("<IIII", 7, 1, 2, 4) + b"base"
+        writer.write(connection, 10**9, header + struct.pack("<I", 0) * 4)
+    with opened(path) as bag:
+        (topic,) = bag.topics.values()
+        assert (topic.name, topic.unreadable) == ("/joint_states", None)
+        recorded = bag.message(0)
+        message = bag.schema(recorded.sample.schema).codec.decode(recorded.sample.data, recorded.sample.encoding)
+        assert (message.header.seq, message.header.frame_id) == (7, "base")
+
+
+def test_one_odd_connection_leaves_the_others_readable(
+    recorder: ModuleType, tmp_path: Path, opened: Opened, said: Said, play: Any
+) -> None:
+    path = tmp_path / "odd.bag"
+    with Writer1(path) as writer:
+        kind = recorder.ROS1.types["std_msgs/msg/String"]
+        good = writer.add_connection("/good", "std_msgs/msg/String", typestore=recorder.ROS1)
+        lacking = writer.add_connection("/lacking", "my_msgs/msg/X", msgdef="other_msgs/Y y\n", md5sum="1" * 32)
+        lying = writer.add_connection("/lying", "my_msgs/msg/Z", msgdef="float64 z\n", md5sum="2" * 32)
+        broken = writer.add_connection("/broken", "my_msgs/msg/W", msgdef="float64 z z z =\n[]", md5sum="3" * 32)
+        nameless = writer.add_connection("/nameless", "/msg/", msgdef="float64 z\n", md5sum="4" * 32)
+        for connection in (lacking, lying, broken, nameless):
+            writer.write(connection, 10**9, b"whatever")
+        writer.write(good, 2 * 10**9, recorder.ROS1.serialize_ros1(kind("hello"), kind.__msgtype__))
+    with opened(path) as bag:
+        words = {name: topic.unreadable for name, topic in bag.topics.items()}
+        assert words.pop("/good") is None
+        assert "other_msgs/msg/Y" in str(words["/lacking"])
+        assert "2" * 32 in str(words["/lying"])
+        assert all(words.values())
+        assert [each.sample.data for each in bag.messages()][:4] == [b"whatever"] * 4
+        assert said(bag, bag.message(4)) == "hello"
+
+    async def scenario(adapter: Any) -> None:
+        assert adapter.graph.topics["/lying"].unreadable == words["/lying"]
+        assert set(adapter.graph.topics) == {"/good", "/lacking", "/lying", "/broken", "/nameless"}
+        assert [each.data for each in (await adapter.subscribe("/lacking")).latest()] == [b"whatever"]
+
+    play(path, scenario)
+
+
+def test_a_service_event_topic_is_read_from_its_services_definition(
+    recorder: ModuleType, tmp_path: Path, opened: Opened
+) -> None:
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection(
+            "/add/_service_event",
+            "example_interfaces/srv/AddTwoInts_Event",
+            msgdef="int64 a\nint64 b\n---\nint64 sum\n",
+            rihs01="RIHS01_" + "0" * 64,
+        )
+        info = struct.pack("<BxxxiI16sxxxxq", 1, 5, 6, b"g" * 16, 9)
+        request = struct.pack("<Ixxxxqq", 1, 20, 22)
+        response = struct.pack("<I", 0)
+        writer.write(connection, 10**9, b"\x00\x01\x00\x00" + info + request + response)
+    with opened(tmp_path / "run") as bag:
+        (topic,) = bag.topics.values()
+        assert topic.unreadable is None
+        sample = bag.message(0).sample
+        event = bag.schema(sample.schema).codec.decode(sample.data, sample.encoding)
+        assert (event.info.event_type, event.info.sequence_number) == (1, 9)
+        assert [(each.a, each.b) for each in event.request] == [(20, 22)]
+        assert event.response == []
+
+
+def test_channels_of_an_mcap_that_are_not_ros_are_listed_and_the_others_read(
+    recorder: ModuleType, tmp_path: Path, opened: Opened, said: Said
+) -> None:
+    path = recorder.write_rosbag2(tmp_path / "run", recorder.lines(count=3)) / "run.mcap"
+    data = path.read_bytes()
+    path.write_bytes(_with_json_channel(data))
+    with opened(path) as bag:
+        assert "json" in str(bag.topics["/settings"].unreadable)
+        assert [said(bag, each) for each in bag.messages() if each.topic == "/chatter"] == ["0", "1", "2"]
+        assert bag.topics["/settings"].count == 1
+
+
+def _with_json_channel(data: bytes) -> bytes:
+    """An MCAP without summary: that of `data`, and a channel of JSON behind it."""
+
+    def text(value: str) -> bytes:
+        return struct.pack("<I", len(value)) + value.encode()
+
+    def record(op: int, body: bytes) -> bytes:
+        return struct.pack("<BQ", op, len(body)) + body
+
+    end = data.index(struct.pack("<BQI", 0x0F, 4, 0))
+    schema = struct.pack("<H", 77) + text("Settings") + text("jsonschema") + text("{}")
+    channel = struct.pack("<HH", 77, 77) + text("/settings") + text("json") + struct.pack("<I", 0)
+    message = struct.pack("<HIQQ", 77, 0, 10**9, 10**9) + b"{}"
+    extra = record(3, schema) + record(4, channel) + record(5, message) + record(0x0F, bytes(4))
+    return data[:end] + extra + record(2, bytes(20)) + b"\x89MCAP0\r\n"
+
+
+def test_a_type_defined_in_idl_is_read(recorder: ModuleType, tmp_path: Path, opened: Opened) -> None:
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    idl = f"{'=' * 80}\nIDL: my_msgs/msg/X\nmodule my_msgs {{ module msg {{ struct X {{ double x; }}; }}; }};\n"
+    with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/x", "my_msgs/msg/X", msgdef=idl, rihs01="RIHS01_" + "0" * 64)
+        writer.write(connection, 10**9, b"\x00\x01\x00\x00" + struct.pack("<d", 2.5))
+    with opened(tmp_path / "run") as bag:
+        sample = bag.message(0).sample
+        assert bag.schema(sample.schema).codec.decode(sample.data, sample.encoding).x == 2.5
+
+
+# Cut short and damaged
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4"])
+def test_a_bag_whose_recorder_was_killed_gives_all_whole_chunks(
+    recorder: ModuleType, tmp_path: Path, opened: Opened, said: Said, compression: str
+) -> None:
+    path = recorder.write_rosbag1(
+        tmp_path / "run.bag.active", recorder.lines(count=100), compression=compression, chunk=1000
+    )
+    data = bytearray(path.read_bytes())
+    at = data.index(b"index_pos=") + len(b"index_pos=")
+    end = int.from_bytes(data[at : at + 8], "little")
+    data[at : at + 8] = bytes(8)
+    path.write_bytes(data[: end * 2 // 3])
+    with opened(path) as bag:
+        assert bag.name == "run"
+        assert 10 < bag.count < 100
+        assert [said(bag, each) for each in bag.messages()] == [str(each) for each in range(bag.count)]
+        assert any("never finished" in note for note in bag.notes)
+
+
+def test_a_bag_cut_short_gives_all_whole_chunks(
+    recorder: ModuleType, tmp_path: Path, opened: Opened, said: Said
+) -> None:
+    path = recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines(count=100), chunk=1000)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with opened(path) as bag:
+        assert 0 < bag.count < 100
+        assert [said(bag, each) for each in bag.messages()] == [str(each) for each in range(bag.count)]
+
+
+@pytest.mark.parametrize("compression", ["none", "storage"])
+def test_an_mcap_cut_short_gives_all_whole_chunks(
+    recorder: ModuleType, tmp_path: Path, opened: Opened, said: Said, compression: str
+) -> None:
+    lines = [recorder.Line(each / 100, "/chatter", f"{each} {os.urandom(20_000).hex()}") for each in range(100)]
+    path = recorder.write_rosbag2(tmp_path / "run", lines, compression=compression) / "run.mcap"
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with opened(path) as bag:
+        assert 0 < bag.count < 100
+        assert [said(bag, each) for each in bag.messages()] == [line.text for line in lines[: bag.count]]
+        assert bag.notes
+
+
+def test_a_folder_with_a_missing_or_broken_file_gives_the_others(
+    recorder: ModuleType, tmp_path: Path, opened: Opened
+) -> None:
+    folder = recorder.write_rosbag2(tmp_path / "run", recorder.lines())
+    metadata = (folder / "metadata.yaml").read_text()
+    (folder / "metadata.yaml").write_text(metadata.replace("- run.mcap", "- run.mcap\n  - gone.mcap"))
+    with opened(folder) as bag:
+        assert bag.count == 10
+        assert any("gone.mcap" in note for note in bag.notes)
+    (folder / "metadata.yaml").write_text(": [")
+    (folder / "broken.mcap").write_bytes(b"\x89MCAP0\r\nbroken")
+    with opened(folder) as bag:
+        assert bag.count == 10
+        assert any("broken.mcap" in note for note in bag.notes)
+
+
+def test_a_damaged_chunk_costs_only_its_own_messages(
+    recorder: ModuleType, tmp_path: Path, opened: Opened, said: Said, play: Any, clock: Any
+) -> None:
+    path = recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines(count=100), compression="bz2", chunk=1000)
+    with opened(path) as bag:
+        chunk = bag._storage._chunks[1]
+        positions = [each for each, place in enumerate(bag._table.places.tolist()) if place == 2]
+    data = bytearray(path.read_bytes())
+    data[chunk.at + 20 : chunk.at + 60] = bytes(40)
+    path.write_bytes(data)
+    with opened(path) as bag:
+        texts = [said(bag, each) for each in bag.messages()]
+        assert texts == [str(each) for each in range(100) if each not in positions]
+        with pytest.raises(Unreachable, match=f"message {positions[0]} of the recording run"):
+            bag.message(positions[0])
+
+    async def scenario(adapter: Any) -> None:
+        subscription = await adapter.subscribe("/chatter")
+        clock.forward(positions[0] * 0.1 + 0.01)
+        assert subscription.latest() == ()
+        clock.forward(len(positions) * 0.1)
+        assert len(subscription.latest()) == 1
+
+    play(path, scenario)
+
+
+# Not recordings
+
+
+def test_what_is_not_there_is_not_found(tmp_path: Path) -> None:
+    assert "there is no recording" in refused(tmp_path / "missing.bag")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "is empty"),
+        (b"hello, this is no recording at all", "neither a ROS 1 bag"),
+        (b"#ROSBAG V1.2\n", "version 1.2"),
+        (b"#ROSBAG V2.0\n", "there is no record"),
+        (b"#ROSBAG V2.0\n\xff\xff\xff\xff", "there is no record"),
+        (b"\x89MCAP0\r\n", "missing"),
+        (b"\x89MCAP0\r\n" + b"\xff" * 100, "cut off"),
+        (b"SQLite format 3\0" + bytes(100), "database"),
+    ],
+)
+def test_a_file_that_is_no_recording_is_refused_in_a_sentence(tmp_path: Path, content: bytes, words: str) -> None:
+    path = tmp_path / "file.bag"
+    path.write_bytes(content)
+    assert words in refused(path)
+
+
+def test_a_database_of_other_things_is_refused(tmp_path: Path) -> None:
+    import sqlite3
+
+    path = tmp_path / "other.db3"
+    with sqlite3.connect(path) as database:
+        database.execute("CREATE TABLE cats (name TEXT)")
+    database.close()
+    assert "no database of messages" in refused(path)
+
+
+def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
+    assert "neither metadata.yaml nor" in refused(tmp_path)
+
+
+def test_an_encrypted_bag_is_refused(recorder: ModuleType, tmp_path: Path) -> None:
+    path = recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines())
+    data = path.read_bytes()
+    size = int.from_bytes(data[13:17], "little")
+    field = b"encryptor=rosbag/AesCbcEncryptor"
+    header = data[17 : 17 + size] + struct.pack("<I", len(field)) + field
+    path.write_bytes(data[:13] + struct.pack("<I", len(header)) + header + data[17 + size :])
+    assert "encrypted" in refused(path)
+
+
+def test_a_chunk_that_claims_to_be_huge_is_not_believed(recorder: ModuleType, tmp_path: Path, opened: Opened) -> None:
+    path = recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines(), compression="bz2")
+    data = bytearray(path.read_bytes())
+    at = data.index(b"size=") + 5
+    data[at : at + 4] = b"\xff\xff\xff\xff"
+    path.write_bytes(data)
+    with opened(path) as bag, pytest.raises(Unreachable, match="claims to hold"):
+        bag.message(0)
+
+
+def test_a_file_nobody_may_read_is_refused(recorder: ModuleType, tmp_path: Path) -> None:
+    if os.geteuid() == 0:
+        pytest.skip("root may read everything")
+    path = recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines())
+    path.chmod(0)
+    assert "Permission denied" in refused(path)
+
+
+@pytest.fixture(scope="module")
+def small(recorder: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The bytes of a small recording of each format."""
+    folder = tmp_path_factory.mktemp("small")
+    lines = recorder.lines(count=8)
+    return {
+        "bag": recorder.write_rosbag1(folder / "a.bag", lines, chunk=200).read_bytes(),
+        "bz2": recorder.write_rosbag1(folder / "b.bag", lines, compression="bz2").read_bytes(),
+        "mcap": (recorder.write_rosbag2(folder / "c", lines) / "c.mcap").read_bytes(),
+        "zstd": (recorder.write_rosbag2(folder / "d", lines, compression="storage") / "d.mcap").read_bytes(),
+        "db3": (recorder.write_rosbag2(folder / "e", lines, storage="sqlite3") / "e.db3").read_bytes(),
+    }
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+@pytest.mark.parametrize("kind", ["bag", "bz2", "mcap", "zstd", "db3"])
+def test_whatever_is_damaged_the_file_is_read_as_far_as_it_goes_or_refused(
+    small: dict[str, bytes], tmp_path: Path, kind: str, data: Any
+) -> None:
+    from rosld.adapters.model.library import TypeLibrary
+
+    octets = bytearray(small[kind])
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(octets) - 1))
+        octets[at] = data.draw(st.integers(0, 255))
+    cut = data.draw(st.sampled_from([len(octets), len(octets) * 3 // 4, len(octets) // 2, 50]))
+    path = tmp_path / "file"
+    path.write_bytes(octets[:cut])
+    try:
+        storage = open_storage(path)
+    except Unreachable:
+        return
+    try:
+        bag = Bag("x", path, storage, TypeLibrary(ros_version=storage.ros_version))
+        assert sum(1 for _ in bag.messages()) <= bag.count
+    finally:
+        storage.close()
+
+
+# Real recordings, where there are any
+
+
+@pytest.mark.skipif("ROSLD_BAGS" not in os.environ, reason="ROSLD_BAGS names no folder of recordings")
+def test_real_recordings_are_read_to_the_last_message(opened: Opened) -> None:
+    for path in sorted(Path(os.environ["ROSLD_BAGS"]).iterdir()):
+        if path.suffix not in (".bag", ".mcap", ".db3") and not (path / "metadata.yaml").exists():
+            continue
+        with opened(path) as bag:
+            count = 0
+            for each in bag.messages():
+                count += 1
+                if bag.topics[each.topic].unreadable is None:
+                    schema = bag.schema(each.sample.schema)
+                    schema.codec.decode(each.sample.data, each.sample.encoding)
+            assert count == bag.count

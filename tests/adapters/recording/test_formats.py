@@ -1,0 +1,142 @@
+"""Every format that is a recording gives the same messages."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from rosld.adapters.model import Encoding, TypeRef
+
+STRING = "std_msgs/msg/String"
+Opened = Callable[[Path], Any]
+Said = Callable[[Any, Any], str]
+
+
+def some_lines(recorder: ModuleType) -> list[Any]:
+    """Two topics whose messages interleave, written out of their order in time."""
+    one = recorder.lines("/one", 40, 0.1, "/a")
+    two = [recorder.Line(0.05 + each * 0.2, "/two", f"two {each}", "/b") for each in range(20)]
+    return [*two, *one]
+
+
+@pytest.mark.parametrize("chunk", [1, 500, 1 << 20], ids=["a chunk a message", "small chunks", "one chunk"])
+@pytest.mark.parametrize("compression", ["none", "bz2", "lz4"])
+def test_a_ros1_bag_is_read_in_recorded_order(
+    recorder: ModuleType, opened: Opened, said: Said, tmp_path: Path, compression: str, chunk: int
+) -> None:
+    lines = some_lines(recorder)
+    path = recorder.write_rosbag1(tmp_path / "run.bag", lines, compression=compression, chunk=chunk)
+    with opened(path) as bag:
+        assert bag.notes == ()
+        expected = sorted(lines, key=lambda line: line.seconds)
+        assert [said(bag, each) for each in bag.messages()] == [line.text for line in expected]
+        assert [each.sample.publisher for each in bag.messages()] == [line.node for line in expected]
+        assert {each.sample.encoding for each in bag.messages()} == {Encoding.ROS1}
+        assert bag.topics["/one"].type == TypeRef(STRING, "992ce8a1687cec8c8bd883ec73ca41d1")
+        assert (bag.topics["/one"].count, bag.topics["/two"].count) == (40, 20)
+
+
+@pytest.mark.parametrize(
+    ("storage", "compression", "version"),
+    [
+        ("mcap", "none", 9),
+        ("mcap", "storage", 9),
+        ("mcap", "file", 8),
+        ("mcap", "message", 9),
+        ("sqlite3", "none", 9),
+        ("sqlite3", "none", 8),
+        ("sqlite3", "file", 9),
+        ("sqlite3", "message", 8),
+    ],
+)
+def test_a_ros2_folder_is_read_in_recorded_order(
+    recorder: ModuleType, opened: Opened, said: Said, tmp_path: Path, storage: str, compression: str, version: int
+) -> None:
+    lines = some_lines(recorder)
+    folder = recorder.write_rosbag2(tmp_path / "run", lines, storage=storage, compression=compression, version=version)
+    with opened(folder) as bag:
+        assert bag.name == "run"
+        assert bag.notes == ()
+        expected = sorted(lines, key=lambda line: line.seconds)
+        assert [said(bag, each) for each in bag.messages()] == [line.text for line in expected]
+        assert {each.sample.encoding for each in bag.messages()} == {Encoding.CDR}
+        assert bag.topics["/one"].type.name == STRING
+        assert bag.topics["/one"].type.hash.startswith("RIHS01_")
+
+
+@pytest.mark.parametrize(("storage", "suffix"), [("mcap", "mcap"), ("sqlite3", "db3")])
+def test_a_file_of_a_ros2_folder_is_a_recording_by_itself_whatever_it_is_called(
+    recorder: ModuleType, opened: Opened, said: Said, tmp_path: Path, storage: str, suffix: str
+) -> None:
+    folder = recorder.write_rosbag2(tmp_path / "run", recorder.lines(), storage=storage)
+    alone = tmp_path / "alone.data"
+    shutil.copy(folder / f"run.{suffix}", alone)
+    with opened(alone) as bag:
+        assert bag.name == "alone"
+        assert [said(bag, each) for each in bag.messages()] == [str(each) for each in range(10)]
+
+
+def test_a_folder_of_several_files_is_one_recording(
+    recorder: ModuleType, opened: Opened, said: Said, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    for number in range(3):
+        lines = [recorder.Line(number + each / 10, "/chatter", f"{number}.{each}") for each in range(5)]
+        part = recorder.write_rosbag2(tmp_path / f"part_{number}", lines, storage="sqlite3" if number == 1 else "mcap")
+        for path in part.glob("part_*"):
+            shutil.copy(path, folder)
+    with opened(folder) as bag:
+        assert [said(bag, each) for each in bag.messages()] == [f"{n}.{e}" for n in range(3) for e in range(5)]
+        assert [each.sample.sequence for each in bag.messages()] == list(range(1, 16))
+        assert bag.topics["/chatter"].count == 15
+        assert "metadata.yaml" in bag.notes[0]
+
+
+def test_a_recording_may_hold_nothing(recorder: ModuleType, opened: Opened, tmp_path: Path) -> None:
+    for path in (
+        recorder.write_rosbag1(tmp_path / "empty.bag", []),
+        recorder.write_rosbag2(tmp_path / "empty", []),
+        recorder.write_rosbag2(tmp_path / "empty3", [], storage="sqlite3"),
+    ):
+        with opened(path) as bag:
+            assert (bag.count, dict(bag.topics), list(bag.messages())) == (0, {}, [])
+
+
+def test_nodes_are_known_where_connections_name_them(recorder: ModuleType, tmp_path: Path, play: Any) -> None:
+    path = recorder.write_rosbag1(tmp_path / "run.bag", some_lines(recorder))
+
+    async def scenario(adapter: Any) -> None:
+        assert set(adapter.graph.nodes) == {"/a", "/b"}
+        assert [each.node for each in adapter.graph.topics["/one"].publishers] == ["/a"]
+
+    play(path, scenario)
+
+
+def test_messages_are_not_held_in_memory_but_read_when_asked_for(
+    recorder: ModuleType, opened: Opened, tmp_path: Path
+) -> None:
+    path = recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines(count=2000))
+    with opened(path) as bag:
+        before = bag.message(10).sample.data
+    with opened(path) as bag:
+        written = path.read_bytes()
+        with path.open("r+b") as file:
+            file.seek(written.index(before))
+            file.write(b"x" * len(before))
+        assert bag.message(10).sample.data == b"x" * len(before)
+
+
+def test_a_recording_can_be_read_by_several_threads_at_once(
+    recorder: ModuleType, opened: Opened, said: Said, tmp_path: Path
+) -> None:
+    path = recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines(count=300), compression="bz2", chunk=1000)
+    with opened(path) as bag, ThreadPoolExecutor(4) as threads:
+        readings = threads.map(lambda _: [said(bag, each) for each in bag.messages()], range(8))
+        assert all(reading == [str(each) for each in range(300)] for reading in readings)

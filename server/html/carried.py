@@ -1,0 +1,78 @@
+"""The messages a document carries, each a section of its page: the newest first, then one a publisher."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pyoxigraph import NamedNode
+
+from rosld.ontology.document import Document, LiftedMessage
+from rosld.ontology.vocab import ros
+from rosld.server.html.labels import label, sentence
+from rosld.server.html.messages import message_view
+from rosld.server.html.moments import moment
+from rosld.server.html.site import Anchor, Site
+from rosld.server.html.terms import iri_view
+from rosld.server.html.view import Rows, View, visible
+
+_TITLES = {ros.latest: "Latest message", ros.message: "Message"}
+NEWEST = "#message"
+
+
+@dataclass(frozen=True, slots=True)
+class Carried:
+    """A message on a page: its fragment, what came with it, and its fields."""
+
+    id: str
+    title: str
+    type: Anchor | None
+    body: Rows
+    received: View | None = None
+    sequence: int | None = None
+    publisher: View | None = None
+    aside: bool = False
+
+
+def carried(document: Document, site: Site) -> tuple[Carried, ...]:
+    """The sections of a document's messages; those of single publishers stand aside when there are several."""
+    roles = _roles(document)
+    return tuple(_section(document, site, each, roles.get(each.node, ros.message)) for each in document.messages)
+
+
+def _roles(document: Document) -> Mapping[str, NamedNode]:
+    """By which predicate each message is linked from its document."""
+    prefix = f"{document.url}#"
+    return {
+        triple.object.value[len(prefix) - 1 :]: triple.predicate
+        for triple in document.triples
+        if isinstance(triple.object, NamedNode) and triple.object.value.startswith(prefix)
+    }
+
+
+def _section(document: Document, site: Site, each: LiftedMessage, role: NamedNode) -> Carried:
+    schema = each.lifter.schema
+    body = message_view(
+        schema,
+        each.message,
+        simulated_time=document.simulated_time,
+        octets="?field=" if each.node == NEWEST else None,
+    )
+    envelope = each.envelope
+    publisher = envelope.publisher if envelope else None
+    return Carried(
+        id=visible(each.node.removeprefix("#")),
+        title=_title(role, publisher, site),
+        type=site.anchor(f"{site.types}{schema.ref.name}"),
+        body=body,
+        received=moment(envelope.received_ns) if envelope else None,
+        sequence=envelope.sequence if envelope else None,
+        publisher=iri_view(publisher, site) if publisher else None,
+        aside=role == ros.latestFrom,
+    )
+
+
+def _title(role: NamedNode, publisher: str | None, site: Site) -> str:
+    if role == ros.latestFrom and publisher:
+        return f"Latest from {visible(site.short(publisher))}"
+    return _TITLES.get(role) or sentence(label(role.value))

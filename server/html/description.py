@@ -1,0 +1,181 @@
+"""The description of a document as sections of rows: its resource first, then all else it describes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+from pyoxigraph import BlankNode, Literal, NamedNode
+
+from rosld.ontology.document import Document
+from rosld.ontology.outline import Outline, Statements, Subject, outline
+from rosld.ontology.vocab import ldp, rdf, rdfs, ros
+from rosld.server.html.labels import label, local_name, sentence
+from rosld.server.html.page import Term
+from rosld.server.html.site import Site
+from rosld.server.html.terms import term_view
+from rosld.server.html.view import Many, Row, Rows, View, visible
+
+_DEEPEST = 12
+_FIRST = (
+    rdf.type, ros.name, rdfs.label, rdfs.comment, ros.state, ros.staleSince, ros.reason, ros.unreachable,
+    ros.unreadable, ros.uncallable, ros.value, ros.messageType, ros.serviceType, ros.conflictingType, ros.rate,
+    ros.publisher, ros.subscriber, ros.provider, ros.publishes, ros.subscribes, ros.provides, ros.fieldName,
+    ros.fieldType, ros.nestedType,
+)  # fmt: skip
+_RANK = {predicate: rank for rank, predicate in enumerate(_FIRST)}
+_LAST = {ros.definition: 1_000, ros.field: 999, rdfs.isDefinedBy: 998}
+_QUIET_TYPES = frozenset({ldp.Resource, ldp.RDFSource, ldp.Container})
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A subject of the document and what is said of it. `id` is its fragment on the page."""
+
+    title: str
+    body: Rows
+    id: str = ""
+
+
+@dataclass(slots=True)
+class _Walk:
+    """One document being walked: `drawn` are the subjects that have their place already, `left` bounds the rows."""
+
+    outline: Outline
+    site: Site
+    url: str
+    drawn: set[Subject] = field(default_factory=set)
+    left: int = 4_000
+
+
+def describe(document: Document, site: Site, *, without: Iterable[NamedNode] = ()) -> tuple[Section, ...]:
+    """The sections of a document. `without` are predicates of the resource itself that are shown elsewhere."""
+    walk = _Walk(outline(document.triples), site, document.url)
+    main = main_subject(document, walk.outline)
+    skipped = frozenset(without)
+    sections: list[Section] = []
+    own = walk.outline.subjects.get(main)
+    if own is not None:
+        walk.drawn.add(main)
+        rows = _rows(walk, {predicate: own[predicate] for predicate in own if predicate not in skipped}, 0)
+        sections.append(Section("Description", Rows(rows)))
+    hidden = _shown_elsewhere(own or {}, skipped)
+    sections.extend(_others(walk, hidden))
+    return tuple(section for section in sections if section.body.rows)
+
+
+def main_subject(document: Document, found: Outline) -> Subject:
+    """What a document is about: the resource at its URL; or else the first thing it describes."""
+    own = NamedNode(document.url)
+    if own in found.subjects:
+        return own
+    return next((subject for subject in found.subjects if isinstance(subject, NamedNode)), own)
+
+
+def _shown_elsewhere(own: Statements, skipped: frozenset[NamedNode]) -> set[Subject]:
+    terms = (term for predicate in skipped for term in own.get(predicate, ()))
+    return {term for term in terms if isinstance(term, NamedNode | BlankNode)}
+
+
+def _others(walk: _Walk, hidden: set[Subject]) -> Iterator[Section]:
+    for subject in walk.outline.subjects:
+        if subject in walk.drawn or subject in hidden or subject in walk.outline.cells:
+            continue
+        if isinstance(subject, BlankNode) and subject in walk.outline.nested:
+            continue
+        walk.drawn.add(subject)
+        body = Rows(_rows(walk, walk.outline.subjects[subject], 0))
+        yield Section(sentence(_title(walk, subject)), body, fragment(subject, walk.url))
+
+
+def _title(walk: _Walk, subject: Subject) -> str:
+    if isinstance(subject, BlankNode):
+        return "Something without a name"
+    if subject.value.startswith(f"{walk.url}#"):
+        return visible(local_name(subject.value))
+    return visible(walk.site.short(subject.value))
+
+
+def fragment(subject: Subject, url: str) -> str:
+    """The id of a subject's section: its IRI's fragment where it is one of this page or of the vocabulary."""
+    if isinstance(subject, BlankNode) or "#" not in subject.value:
+        return ""
+    if subject.value.startswith((f"{url}#", ros.iri)):
+        return visible(subject.value.partition("#")[2])
+    return ""
+
+
+def _rows(walk: _Walk, statements: Statements, depth: int) -> tuple[Row, ...]:
+    rows: list[Row] = []
+    for predicate in sorted(statements, key=_rank):
+        if walk.left <= 0:
+            break
+        terms = _ordered(predicate, statements[predicate])
+        walk.left -= len(terms)
+        rows.append(_row(walk, predicate, terms, depth))
+    return tuple(rows)
+
+
+def _rank(predicate: NamedNode) -> tuple[int, str]:
+    return (_RANK.get(predicate, _LAST.get(predicate, len(_RANK))), label(predicate.value))
+
+
+def _ordered(predicate: NamedNode, terms: list[Term]) -> list[Term]:
+    """Telling types before LDP's, everything else as it came."""
+    if predicate != rdf.type:
+        return terms
+    return sorted(terms, key=lambda term: term in _QUIET_TYPES)
+
+
+def _row(walk: _Walk, predicate: NamedNode, terms: list[Term], depth: int) -> Row:
+    views = tuple(_view(walk, term, depth) for term in terms)
+    tables = tuple(view for view in views if isinstance(view, Rows))
+    if len(tables) > 1 and len(tables) == len(views):
+        views = (Many(len(tables), tables),)
+    name = "type" if predicate == rdf.type else label(predicate.value)
+    return Row(name, views, about=_about(walk.site, predicate), term=walk.site.anchor(predicate.value))
+
+
+def _about(site: Site, predicate: NamedNode) -> str:
+    return visible(site.compact(predicate.value))
+
+
+def _view(walk: _Walk, term: Term, depth: int) -> View:
+    if isinstance(term, BlankNode) and term in walk.outline.lists:
+        return _list(walk, walk.outline.lists[term], depth)
+    if isinstance(term, NamedNode | BlankNode) and _nests(walk, term, depth):
+        walk.drawn.add(term)
+        rows = _rows(walk, walk.outline.subjects[term], depth + 1)
+        return Rows(rows, id="" if isinstance(term, BlankNode) else fragment(term, walk.url))
+    return term_view(term, walk.site, walk.url)
+
+
+def _nests(walk: _Walk, term: Subject, depth: int) -> bool:
+    """Whether a subject is drawn in place: a blank node used once, or a fragment of the page not drawn before."""
+    if depth >= _DEEPEST or term in walk.drawn or term not in walk.outline.subjects:
+        return False
+    if isinstance(term, BlankNode):
+        return term in walk.outline.nested
+    return term.value.startswith(f"{walk.url}#")
+
+
+def _list(walk: _Walk, terms: list[Term], depth: int) -> View:
+    if depth >= _DEEPEST:
+        return Many(len(terms), ())
+    views = [_view(walk, term, depth + 1) for term in terms]
+    tables = tuple(
+        view if isinstance(view, Rows) else Rows((Row(str(index), (view,)),)) for index, view in enumerate(views)
+    )
+    return Many(len(terms), tables)
+
+
+def values_of(document: Document, predicate: NamedNode) -> list[Term]:
+    """The objects of `predicate` for the resource itself."""
+    own = NamedNode(document.url)
+    return [triple.object for triple in document.triples if triple.subject == own and triple.predicate == predicate]
+
+
+def first_text(document: Document, predicate: NamedNode) -> str:
+    """The first literal of `predicate` for the resource itself, or an empty text."""
+    found = (term.value for term in values_of(document, predicate) if isinstance(term, Literal))
+    return visible(next(found, ""))

@@ -1,0 +1,83 @@
+"""What a container contains, as a table: members first by name, each with its namespace of the same name, if any."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pyoxigraph import Literal, NamedNode
+
+from rosld.ontology.document import Document
+from rosld.ontology.vocab import ldp, rdf, rdfs, ros
+from rosld.server.html.description import values_of
+from rosld.server.html.labels import label
+from rosld.server.html.page import Cell, Listing
+from rosld.server.html.site import Anchor, Site
+from rosld.server.html.terms import cell_view
+from rosld.server.html.view import View, visible
+
+_MOST_COLUMNS = 4
+_NO_COLUMNS = frozenset({rdf.type, ros.name, rdfs.label, rdfs.comment, ros.namespace})
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A member of a container: its link, its cells, and the container of the same name, where there is one."""
+
+    anchor: Anchor
+    cells: tuple[tuple[View, ...], ...]
+    namespace: Anchor | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """The table of a container: `members`, and `namespaces` that have no member of their name."""
+
+    columns: tuple[str, ...]
+    members: tuple[Entry, ...]
+    namespaces: tuple[Anchor, ...]
+    total: int
+
+
+def contents(document: Document, site: Site, listing: Listing | None) -> Contents | None:
+    """The table of a document that contains something (or is said to be a listing), else None."""
+    urls = [term.value for term in values_of(document, ldp.contains) if isinstance(term, NamedNode)]
+    if not urls and listing is None:
+        return None
+    columns, cells = (listing.columns, listing.cells) if listing and listing.columns else _columns(document, urls)
+    anchors = {url: _anchor(site, url, document.url) for url in urls}
+    containers = {url for url in urls if url.endswith("/") and url.removesuffix("/") not in anchors}
+    members = tuple(
+        Entry(anchors[url], _cells(cells.get(url, ()), len(columns), site), anchors.get(f"{url}/"))
+        for url in urls
+        if not url.endswith("/")
+    )
+    total = listing.total if listing and listing.total is not None else len(urls)
+    return Contents(columns, members, tuple(anchors[url] for url in urls if url in containers), total)
+
+
+def _anchor(site: Site, url: str, container: str) -> Anchor:
+    """The link to a member under its name within the container."""
+    found = site.anchor(url) or Anchor("", visible(url), url)
+    inner = site.short(url).removeprefix(site.short(container)).lstrip("/")
+    return Anchor(found.href, visible(inner or found.text), url, found.external)
+
+
+def _cells(cells: tuple[Cell, ...], width: int, site: Site) -> tuple[tuple[View, ...], ...]:
+    views = tuple((cell_view(cell, site),) for cell in cells[:width])
+    return views + ((),) * (width - len(views))
+
+
+def _columns(document: Document, urls: list[str]) -> tuple[tuple[str, ...], dict[str, tuple[Cell, ...]]]:
+    """Columns from what the document itself says about its members."""
+    members = set(urls)
+    found: dict[str, dict[NamedNode, Cell]] = {}
+    predicates: dict[NamedNode, None] = {}
+    for triple in document.triples:
+        if isinstance(triple.subject, NamedNode) and triple.subject.value in members:
+            if triple.predicate in _NO_COLUMNS or not isinstance(triple.object, NamedNode | Literal):
+                continue
+            predicates[triple.predicate] = None
+            found.setdefault(triple.subject.value, {})[triple.predicate] = triple.object
+    chosen = tuple(predicates)[:_MOST_COLUMNS]
+    rows = {url: tuple(cells.get(predicate, "") for predicate in chosen) for url, cells in found.items()}
+    return tuple(label(predicate.value) for predicate in chosen), rows

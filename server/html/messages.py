@@ -1,0 +1,158 @@
+"""A ROS message as a table: one row a field, nested messages as nested tables, long arrays shortened."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import Any, SupportsFloat, SupportsIndex, SupportsInt, cast
+from urllib.parse import quote
+
+import numpy as np
+import numpy.typing as npt
+
+from rosld.adapters.model import Array, Field, Message, MessageSchema, MessageType, Nested, Primitive
+from rosld.ontology.literals import OCTETS, STRINGS
+from rosld.server.html.moments import duration, moment
+from rosld.server.html.view import Many, Octets, Row, Rows, Series, Text, View, text_view
+
+TIME = "builtin_interfaces/msg/Time"
+DURATION = "builtin_interfaces/msg/Duration"
+
+_HEAD = 8
+_SHOWN = 2_000
+_ITEMS = 25
+_ROWS = 1_500
+_DEEPEST = 40
+
+
+@dataclass(slots=True)
+class _Drawing:
+    """One message being drawn. `left` bounds the rows of all its tables: a robot may send any number."""
+
+    types: Mapping[str, MessageType]
+    simulated: bool
+    octets: str | None
+    left: int = field(default=_ROWS)
+
+
+def message_view(
+    schema: MessageSchema, message: Message, *, simulated_time: bool = False, octets: str | None = None
+) -> Rows:
+    """The table of a message. `octets` is the reference of a field's bytes but for the field's path, None without."""
+    drawing = _Drawing(schema.types, simulated_time, octets)
+    return _rows(schema.type, message, "", 0, drawing)
+
+
+def _rows(kind: MessageType, message: Message, path: str, depth: int, drawing: _Drawing) -> Rows:
+    if depth > _DEEPEST:
+        return Rows((Row("…", (Text("nested too deeply to be shown here", tone="quiet"),)),), kind.name)
+    rows: list[Row] = []
+    for each in kind.fields:
+        if drawing.left <= 0:
+            rows.append(Row("…", (Text("too much to be shown here; the other formats have all of it", tone="quiet"),)))
+            break
+        drawing.left -= 1
+        value = _value(each, getattr(message, each.attribute), f"{path}{each.name}", depth, drawing)
+        rows.append(Row(each.name, (value,), hint=type_name(each.type)))
+    return Rows(tuple(rows), kind.name)
+
+
+def _value(each: Field, value: object, path: str, depth: int, drawing: _Drawing) -> View:
+    if isinstance(each.type, Primitive):
+        return scalar(each.type, value)
+    if isinstance(each.type, Nested):
+        return _nested(each.type, cast(Message, value), f"{path}.", depth, drawing)
+    return _array(each.type, value, path, depth, drawing)
+
+
+def _nested(kind: Nested, message: Message, path: str, depth: int, drawing: _Drawing) -> View:
+    if kind.name in (TIME, DURATION):
+        return _time(kind.name, message, drawing)
+    return _rows(drawing.types[kind.name], message, path, depth + 1, drawing)
+
+
+def _time(name: str, message: Message, drawing: _Drawing) -> View:
+    seconds, nanoseconds = int(getattr(message, "sec", 0)), int(getattr(message, "nanosec", 0))
+    raw = f"{seconds}.{nanoseconds:09d}"
+    if name == DURATION:
+        return duration(seconds, nanoseconds)
+    if drawing.simulated or (seconds == 0 and nanoseconds == 0):
+        return Text(f"{raw} s")
+    return moment(seconds * 1_000_000_000 + nanoseconds, raw)
+
+
+def _array(kind: Array, value: object, path: str, depth: int, drawing: _Drawing) -> View:
+    if isinstance(kind.element, Primitive) and kind.element.name in OCTETS:
+        return _octets(np.asarray(value), path, drawing)
+    values = cast("Sequence[object]", value)
+    if isinstance(kind.element, Nested):
+        return _messages(kind.element, values, path, depth, drawing)
+    return series(kind.element, values)
+
+
+def _messages(kind: Nested, values: Sequence[object], path: str, depth: int, drawing: _Drawing) -> View:
+    items: list[Rows] = []
+    for index, message in enumerate(islice(values, _ITEMS)):
+        if drawing.left <= 0:
+            break
+        view = _nested(kind, cast(Message, message), f"{path}.{index}.", depth, drawing)
+        items.append(view if isinstance(view, Rows) else Rows((Row(str(index), (view,)),)))
+    return Many(len(values), tuple(items), kind.name)
+
+
+def _octets(values: npt.NDArray[Any], path: str, drawing: _Drawing) -> View:
+    href = f"{drawing.octets}{quote(path, safe='')}" if drawing.octets is not None and len(values) else None
+    return Octets(len(values), bytes(values[:16].tobytes()).hex(" "), href)
+
+
+def scalar(kind: Primitive, value: object) -> View:
+    """A primitive value, floats with the shortest digits that read back the same."""
+    if isinstance(value, str):
+        return text_view(value)
+    return Text(_number(kind, value), tone="number")
+
+
+def _number(kind: Primitive, value: object) -> str:
+    if kind.name == "bool":
+        return "true" if value else "false"
+    if kind.name == "float32":
+        return _float(str(np.float32(cast(SupportsFloat, value))))
+    if kind.name == "float64":
+        return _float(repr(float(cast("SupportsFloat | SupportsIndex", value))))
+    return str(int(cast("SupportsInt | SupportsIndex", value)))
+
+
+def _float(text: str) -> str:
+    return {"nan": "NaN", "inf": "INF", "-inf": "-INF"}.get(text, text)
+
+
+def series(kind: Primitive, values: Sequence[object]) -> Series:
+    """An array of scalars: the first few, and up to 2,000 of the rest on request."""
+    head = _joined(kind, values[:_HEAD])
+    if len(values) <= _HEAD:
+        return Series(len(values), head)
+    full = _joined(kind, values[:_SHOWN])
+    return Series(len(values), head, full + (" …" if len(values) > _SHOWN else ""))
+
+
+def _joined(kind: Primitive, values: Sequence[object]) -> str:
+    if kind.name in STRINGS:
+        return ", ".join(f"“{text_of(value)}”" for value in values)
+    return ", ".join(_number(kind, value) for value in values)
+
+
+def text_of(value: object) -> str:
+    """One string of an array, on one line and not too long."""
+    view = text_view(str(value).replace("\n", "⏎"))
+    return view.text if isinstance(view, Text) else ""
+
+
+def type_name(kind: Primitive | Nested | Array) -> str:
+    """A field's type as ROS writes it: `float64[36]`, `string<=10`, `geometry_msgs/msg/Point[<=4]`."""
+    if isinstance(kind, Primitive):
+        return f"{kind.name}<={kind.bound}" if kind.bound else kind.name
+    if isinstance(kind, Nested):
+        return kind.name
+    size = str(kind.length) if kind.length is not None else f"<={kind.bound}" if kind.bound is not None else ""
+    return f"{type_name(kind.element)}[{size}]"

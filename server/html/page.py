@@ -1,0 +1,194 @@
+"""Pages as values: what the templates draw. Made by the server core, one a request."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import TYPE_CHECKING, TypeAlias
+
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+
+from rosld.ontology.document import Document
+from rosld.ontology.syntax import Syntax
+from rosld.ontology.violations import Violation
+from rosld.server.html.site import Site
+
+if TYPE_CHECKING:
+    from rosld.server.html.forms import Form
+
+Term: TypeAlias = NamedNode | BlankNode | Literal | Triple
+Cell: TypeAlias = str | NamedNode | Literal
+
+
+class Tone(Enum):
+    """How loud a notice is."""
+
+    INFO = "info"
+    GOOD = "good"
+    WARNING = "warning"
+    ERROR = "error"
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """Something the reader should know before all else, in a sentence; `violations` name fields that did not fit."""
+
+    text: str
+    tone: Tone = Tone.INFO
+    violations: tuple[Violation, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Alternate:
+    """Another format of the same resource, at `?format=...`: browsers cannot set Accept."""
+
+    label: str
+    media_type: str
+    format: str
+
+    @property
+    def href(self) -> str:
+        """A reference relative to the page."""
+        return f"?format={self.format}"
+
+
+ALTERNATES = (
+    *(
+        Alternate(syntax.label, syntax.media_type, syntax.extension)
+        for syntax in (Syntax.TURTLE, Syntax.JSON_LD, Syntax.N_TRIPLES, Syntax.RDF_XML)
+    ),
+    Alternate("JSON", "application/json", "json"),
+)
+"""What every resource can be read as beside HTML."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A link of a sequence such as the messages of a recording: `rel` is first, prev, next or last."""
+
+    rel: str
+    url: str
+
+
+@dataclass(frozen=True, slots=True)
+class Listing:
+    """What a container's table shows beside names: the headings, and each member's cells by its URL.
+
+    `total` is the number of members where this is one page of several.
+    """
+
+    columns: tuple[str, ...] = ()
+    cells: Mapping[str, tuple[Cell, ...]] = field(default_factory=dict)
+    total: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """The page of a resource. `forms` are shown as far as `allow` permits their methods.
+
+    `title` is a ROS name as a rule, `kind` what it is ("Topic"); `csrf` is the token of its forms. `summary` is one
+    sentence for the reader. A page drawn as the answer to a form that did not fit carries that form refilled.
+    """
+
+    site: Site
+    kind: str
+    title: str
+    document: Document
+    allow: tuple[str, ...] = ("GET", "HEAD", "OPTIONS")
+    forms: tuple[Form, ...] = ()
+    csrf: str = ""
+    notices: tuple[Notice, ...] = ()
+    listing: Listing | None = None
+    steps: tuple[Step, ...] = ()
+    summary: str = ""
+    alternates: tuple[Alternate, ...] = ALTERNATES
+
+
+@dataclass(frozen=True, slots=True)
+class Count:
+    """A line of the entry page: how many there are of what, and where."""
+
+    label: str
+    number: int | None
+    url: str
+    about: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class EntryPage:
+    """The page at `/`: what this robot is. `example` is a topic worth trying (its URL)."""
+
+    site: Site
+    document: Document
+    counts: tuple[Count, ...]
+    example: str | None = None
+    notices: tuple[Notice, ...] = ()
+    alternates: tuple[Alternate, ...] = ALTERNATES
+
+
+@dataclass(frozen=True, slots=True)
+class StoredQuery:
+    """A stored query: where it is, its purpose in a sentence, its text."""
+
+    url: str
+    name: str
+    purpose: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class QueryParameter:
+    """A parameter of a stored query and what it is for; `value` as given or by default."""
+
+    name: str
+    about: str = ""
+    value: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """The answer to a query: rows of a SELECT (or of a graph, as subject, predicate, object), or a boolean.
+
+    `rows` is read as far as the page shows them: `limit` rows, and one more to know whether there are more.
+    """
+
+    variables: Sequence[str] = ()
+    rows: Iterable[Sequence[Term | None]] = ()
+    boolean: bool | None = None
+    limit: int = 500
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SparqlPage:
+    """The page at `/sparql`; `query` is what stands in the box."""
+
+    site: Site
+    query: str = ""
+    examples: tuple[StoredQuery, ...] = ()
+    results: Results | None = None
+    notices: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class QueryPage:
+    """The page of a stored query."""
+
+    site: Site
+    query: StoredQuery
+    parameters: tuple[QueryParameter, ...] = ()
+    results: Results | None = None
+    notices: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ProblemPage:
+    """An error for people: RFC 9457's members, and the fields that did not fit. `url` is what was asked for."""
+
+    site: Site
+    status: int
+    title: str
+    detail: str
+    url: str = ""
+    violations: tuple[Violation, ...] = ()

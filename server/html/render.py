@@ -1,0 +1,218 @@
+"""Rendering: pages to bytes. The templates and the stylesheet are read once; nothing is ever run in the browser."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from urllib.parse import quote
+
+from jinja2 import DictLoader, Environment, StrictUndefined
+
+from rosld.ontology.vocab import ldp, ros
+from rosld.server.html.breadcrumb import breadcrumb
+from rosld.server.html.carried import carried
+from rosld.server.html.description import describe, first_text
+from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD
+from rosld.server.html.labels import sentence
+from rosld.server.html.listing import contents
+from rosld.server.html.page import EntryPage, Notice, Page, ProblemPage, QueryPage, SparqlPage, Tone
+from rosld.server.html.site import Anchor, Site
+from rosld.server.html.tables import table
+from rosld.server.html.view import visible
+
+CONTENT_SECURITY_POLICY = "; ".join(
+    (
+        "default-src 'none'",
+        "style-src 'self'",
+        "img-src 'self'",
+        "form-action 'self'",
+        "base-uri 'none'",
+        "frame-ancestors 'none'",
+    )
+)
+"""Nothing but our own stylesheet and pictures is loaded, nothing is run, and forms go nowhere else."""
+
+HEADERS: Mapping[str, str] = {
+    "content-security-policy": CONTENT_SECURITY_POLICY,
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "same-origin",
+}
+"""What every page is sent with."""
+
+_HERE = files("rosld.server.html")
+STYLESHEET = (_HERE / "style.css").read_bytes()
+"""Served at `style.css` below the base."""
+ICON = (_HERE / "icon.svg").read_bytes()
+"""Served at `icon.svg` below the base."""
+_VERSION = hashlib.blake2b(STYLESHEET + ICON, digest_size=4).hexdigest()
+
+_NOTICED = ((ros.unreachable, "Unreachable"), (ros.unreadable, "Unreadable"), (ros.uncallable, "Cannot be called"))
+_LOUDEST_FIRST = (Tone.ERROR, Tone.WARNING, Tone.GOOD, Tone.INFO)
+_STEPS = {"first": "First", "prev": "Previous", "next": "Next", "last": "Last"}
+_FORMATS = (
+    ("html", "a table on this page"),
+    ("json", "JSON"),
+    ("csv", "CSV"),
+    ("tsv", "TSV"),
+    ("xml", "XML"),
+    ("ttl", "Turtle (graphs)"),
+    ("jsonld", "JSON-LD (graphs)"),
+)
+_FIRST_QUERY = """PREFIX ros: <{vocabulary}>
+
+SELECT ?topic ?type ?rate WHERE {{
+  ?topic a ros:Topic ;
+         ros:messageType ?type ;
+         ros:rate ?rate .
+}}
+ORDER BY DESC(?rate)"""
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """What every page has around it."""
+
+    site: Site
+    title: str
+    crumbs: tuple[Anchor, ...]
+    url: str
+    notices: tuple[Notice, ...]
+
+    @property
+    def stylesheet(self) -> str:
+        return f"{self.site.root}style.css?v={_VERSION}"
+
+    @property
+    def icon(self) -> str:
+        return f"{self.site.root}icon.svg?v={_VERSION}"
+
+    @property
+    def navigation(self) -> tuple[tuple[Anchor, bool], ...]:
+        """The sections of the site, and whether the page lies in each."""
+        anchors = [
+            Anchor(f"{self.site.root}{name}/", sentence(name), f"{self.site.base}{name}/")
+            for name in self.site.sections
+        ]
+        anchors.append(Anchor(f"{self.site.root}sparql", "SPARQL", f"{self.site.base}sparql"))
+        return tuple((anchor, self.url.startswith(anchor.url)) for anchor in anchors)
+
+
+@cache
+def _environment() -> Environment:
+    folder = _HERE / "templates"
+    texts = {each.name: each.read_text("utf-8") for each in folder.iterdir() if each.name.endswith(".html")}
+    environment = Environment(
+        loader=DictLoader(texts), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["visible"] = visible
+    environment.filters["grouped"] = lambda number: f"{number:,}"
+    environment.globals |= {"csrf_field": CSRF_FIELD, "method_field": METHOD_FIELD}
+    return environment
+
+
+def _render(template: str, frame: _Frame, **values: object) -> bytes:
+    text = _environment().get_template(template).render(frame=frame, site=frame.site, **values)
+    return text.encode("utf-8", "replace")
+
+
+def _frame(site: Site, title: str, url: str, notices: tuple[Notice, ...]) -> _Frame:
+    stale = (Notice(f"The robot cannot be seen: {site.stale}", Tone.WARNING),) if site.stale else ()
+    ordered = sorted(stale + notices, key=lambda notice: _LOUDEST_FIRST.index(notice.tone))
+    return _Frame(site, visible(title), breadcrumb(site, url), url, tuple(ordered))
+
+
+def render_page(page: Page) -> bytes:
+    """The page of a resource: notices, messages, contents, forms as far as allowed, and all that is said of it."""
+    notices = page.notices + _own_notices(page)
+    messages = carried(page.document, page.site)
+    return _render(
+        "page.html",
+        _frame(page.site, page.title, page.document.url, notices),
+        page=page,
+        messages=[each for each in messages if not each.aside],
+        asides=[each for each in messages if each.aside],
+        contents=contents(page.document, page.site, page.listing),
+        sections=describe(page.document, page.site, without=(ldp.contains,)),
+        forms=[form for form in page.forms if form.method in page.allow],
+        steps=[(_STEPS.get(step.rel, step.rel), step.rel, page.site.href(step.url)) for step in page.steps],
+        curl=_curl(page.document.url, "text/turtle"),
+    )
+
+
+def _own_notices(page: Page) -> tuple[Notice, ...]:
+    """What the description itself says is wrong with the resource."""
+    found = ((words, first_text(page.document, predicate)) for predicate, words in _NOTICED)
+    return tuple(Notice(f"{words}: {text}", Tone.WARNING) for words, text in found if text)
+
+
+def _curl(url: str, accept: str) -> str:
+    """A command line that fetches `url`, safe to paste into a shell whatever the robot's names are."""
+    return f"curl -H 'Accept: {accept}' '{_shell(url)}'"
+
+
+def _shell(url: str) -> str:
+    return quote(url, safe=":/?#[]@!$&()*+,;=%-._~")
+
+
+def render_entry(page: EntryPage) -> bytes:
+    """The entry page: what this robot is, how much there is of it, and how to go on."""
+    example = page.example or f"{page.site.base}topics/"
+    tries = (
+        ("The robot's topics, as Turtle", _curl(f"{page.site.base}topics/", "text/turtle")),
+        ("One of them, as plain JSON", _curl(example, "application/json")),
+        (
+            "A question to all of it",
+            f"curl '{_shell(page.site.base)}sparql' -H 'Accept: text/csv' \\\n  --data-urlencode "
+            f"'query=SELECT ?topic ?type WHERE {{ ?topic <{page.site.vocabulary}messageType> ?type }}'",
+        ),
+    )
+    return _render(
+        "entry.html",
+        _frame(page.site, page.site.name, page.site.base, page.notices),
+        page=page,
+        counts=[(count, page.site.href(count.url)) for count in page.counts],
+        sections=describe(page.document, page.site, without=(ldp.contains,)),
+        tries=tries if page.example else (tries[0], tries[2]),
+    )
+
+
+def render_sparql(page: SparqlPage) -> bytes:
+    """The page of the SPARQL endpoint: a box for a query, its results, and stored queries to start from."""
+    query = page.query or _FIRST_QUERY.format(vocabulary=page.site.vocabulary)
+    return _render(
+        "sparql.html",
+        _frame(page.site, "SPARQL", f"{page.site.base}sparql", page.notices),
+        page=page,
+        query=visible(query),
+        lines=max(8, min(24, query.count("\n") + 2)),
+        action=f"{page.site.root}sparql",
+        formats=_FORMATS,
+        results=table(page.results, page.site) if page.results else None,
+        examples=[(each, page.site.href(each.url)) for each in page.examples],
+        endpoint=f"{page.site.base}sparql",
+    )
+
+
+def render_query(page: QueryPage) -> bytes:
+    """The page of a stored query: its purpose, its parameters, its results, its text."""
+    return _render(
+        "query.html",
+        _frame(page.site, page.query.name, page.query.url, page.notices),
+        page=page,
+        action=page.site.href(page.query.url),
+        edit=f"{page.site.root}sparql?query={quote(page.query.text.encode('utf-8', 'replace'), safe='')}",
+        formats=_FORMATS,
+        results=table(page.results, page.site) if page.results else None,
+    )
+
+
+def render_problem(page: ProblemPage) -> bytes:
+    """An error (RFC 9457) for people: what is wrong, in which field, and where to go from here."""
+    return _render(
+        "problem.html",
+        _frame(page.site, f"{page.status} {page.title}", page.url, ()),
+        page=page,
+    )

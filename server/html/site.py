@@ -1,0 +1,120 @@
+"""The site a page belongs to: where it lives, and how a URL is shown and linked on it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from urllib.parse import unquote, urlsplit
+
+from rosld.ontology.urls import TYPES, locate
+from rosld.ontology.vocab import PREFIXES, ros
+
+SECTIONS = ("nodes", "topics", "services", "parameters", "types", "queries")
+"""What the navigation of every page offers, beside SPARQL."""
+
+_NAMED = frozenset({"nodes", "topics", "services", "actions", "parameters", "resources"})
+_UNSAFE = re.compile(r"[\x00-\x20\x7f-\xa0\\\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """A link as it is shown: where it goes, its short text, its full URL, and whether it leaves this server."""
+
+    href: str
+    text: str
+    url: str
+    external: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """A rosld server: its canonical base URL (ending in a slash), what it serves, and in what state that is.
+
+    `stale` says in words since when and why the robot cannot be seen; None while it can.
+    """
+
+    base: str
+    name: str
+    system: str = "ROS"
+    stale: str | None = None
+    read_only: bool = False
+    sections: tuple[str, ...] = SECTIONS
+    types: str = TYPES
+    vocabulary: str = ros.iri
+
+    def __post_init__(self) -> None:
+        if not self.base.endswith("/") or urlsplit(self.base).scheme not in ("http", "https"):
+            raise ValueError(f"{self.base!r} is no base URL: it must be http or https and end with '/'")
+
+    @property
+    def root(self) -> str:
+        """The path of the base, ending in a slash."""
+        return urlsplit(self.base).path
+
+    def local(self, iri: str) -> str | None:
+        """The URL on this server that describes `iri`: itself, or the page of a type or of a term of the vocabulary."""
+        if iri.startswith(self.base) or iri == self.base:
+            return iri
+        if iri.startswith(self.types) and iri != self.types:
+            return f"{self.base}types/{iri.removeprefix(self.types)}"
+        if iri.startswith(self.vocabulary):
+            return f"{self.base}ontology#{iri.removeprefix(self.vocabulary)}"
+        return None
+
+    def href(self, iri: str) -> str | None:
+        """What to put into an `href` for `iri`, None for what must not be a link.
+
+        Only http and https are ever linked. URLs of this server become references without scheme and host (RFC 3986
+        4.2), so that they work under every name the server is reached by.
+        """
+        if _UNSAFE.search(iri) or not iri.lower().startswith(("http://", "https://")):
+            return None
+        url = self.local(iri)
+        if url is None:
+            return iri
+        path = self.root + url.removeprefix(self.base)
+        return url if path.startswith("//") else path
+
+    def anchor(self, iri: str, here: str = "") -> Anchor | None:
+        """The link to `iri` on the page at `here`, None for what must not be one."""
+        href = self.href(iri)
+        if href is None:
+            return None
+        if here and iri.startswith(f"{here}#"):
+            href = iri.removeprefix(here)
+        return Anchor(href, self.short(iri), iri, external=self.local(iri) is None)
+
+    def short(self, iri: str) -> str:
+        """How `iri` is called on a page: a ROS name, a type's name, `prefix:name`, or else itself."""
+        if iri.startswith(self.types):
+            return readable(iri.removeprefix(self.types))
+        if iri.startswith(self.base):
+            return self._local_name(iri.removeprefix(self.base))
+        return self.compact(iri)
+
+    def compact(self, iri: str) -> str:
+        """`prefix:name` for a term of a known vocabulary, else the IRI."""
+        for prefix, namespace in PREFIXES.items():
+            if iri.startswith(namespace) and iri != namespace:
+                return f"{prefix}:{iri.removeprefix(namespace)}"
+        return iri
+
+    def _local_name(self, rest: str) -> str:
+        path, hash_, fragment = rest.partition("#")
+        path, query_, query = path.partition("?")
+        return (_place(path) or self.name) + readable(f"{query_}{query}{hash_}{fragment}")
+
+
+def _place(path: str) -> str:
+    """What lies at a path below the base: `topics/a/b` is the ROS name `/a/b`, `types/a/b/c` is `a/b/c`."""
+    try:
+        kind, segments, is_container = locate(f"/{path}")
+    except ValueError:
+        return readable(path)
+    name = "/".join(segments) + ("/" if is_container and segments else "")
+    return f"/{name}" if kind in _NAMED else name or kind
+
+
+def readable(path: str) -> str:
+    """A path as people read it: percent-encoding undone, what is not UTF-8 replaced."""
+    return unquote(path, errors="replace")

@@ -1,0 +1,128 @@
+"""Views: what one value looks like on a page, ready for the templates. Everything in them is plain text."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import ClassVar, TypeAlias
+
+from rosld.server.html.site import Anchor
+
+_LONG = 400
+_PICTURES = {code: 0x2400 + code for code in range(0x20) if code not in (0x09, 0x0A)} | {0x7F: 0x2421}
+_UNASSIGNED = re.compile(r"[\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff\x80-\x9f]")
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A value as text; `full` is all of a long one, `hint` its type, `tone` a class of style."""
+
+    kind: ClassVar[str] = "text"
+    text: str
+    hint: str = ""
+    full: str | None = None
+    tone: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Text of several lines, such as the definition of a type or a query."""
+
+    kind: ClassVar[str] = "block"
+    text: str
+    hint: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Go:
+    """A link."""
+
+    kind: ClassVar[str] = "link"
+    anchor: Anchor
+    hint: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A time: for machines (`iso`), for people, and as it was given."""
+
+    kind: ClassVar[str] = "moment"
+    iso: str
+    text: str
+    hint: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """An array of scalars: its length, its beginning, and (where there is more) as much of the whole as is shown."""
+
+    kind: ClassVar[str] = "series"
+    count: int
+    head: str
+    full: str | None = None
+    hint: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Octets:
+    """Bytes: how many, the first of them in hexadecimal, and where they are (None: nowhere by themselves)."""
+
+    kind: ClassVar[str] = "octets"
+    count: int
+    head: str = ""
+    href: str | None = None
+    hint: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A named value (or several); `hint` is quiet, `term` links to what the name means."""
+
+    label: str
+    values: tuple[View, ...]
+    hint: str = ""
+    about: str = ""
+    term: Anchor | None = None
+
+    @property
+    def nested(self) -> bool:
+        """Whether the values are tables of their own."""
+        return any(value.kind in ("rows", "many", "block") for value in self.values)
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """A table of named values. `id` is the fragment it has on the page."""
+
+    kind: ClassVar[str] = "rows"
+    rows: tuple[Row, ...]
+    hint: str = ""
+    id: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Many:
+    """An array of tables, of which `items` are shown."""
+
+    kind: ClassVar[str] = "many"
+    count: int
+    items: tuple[Rows, ...]
+    hint: str = ""
+
+
+View: TypeAlias = Text | Block | Go | Moment | Series | Octets | Rows | Many
+
+
+def visible(text: str) -> str:
+    """`text` with what HTML cannot hold made visible: control characters as their pictures, surrogates replaced."""
+    return _UNASSIGNED.sub("\ufffd", text.translate(_PICTURES))
+
+
+def text_view(text: str, hint: str = "", tone: str = "") -> View:
+    """How a string is shown: several lines as a block, a long one shortened."""
+    shown = visible(text)
+    if "\n" in shown:
+        return Block(shown, hint)
+    if len(shown) > _LONG:
+        return Text(shown[: _LONG // 4], hint, full=shown, tone=tone)
+    return Text(shown, hint, tone=tone)

@@ -1,0 +1,528 @@
+"""A gallery of pages made from hand-written documents: what the tests look at, and what people can look at.
+
+python tests/server/html/gallery.py                 serves the pages at http://127.0.0.1:8090/
+python tests/server/html/gallery.py --shoot DIR     photographs them with chromium: wide, as on a phone, dark
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import cast
+from urllib.parse import urlsplit
+
+import numpy as np
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+
+from rosld.adapters.model import Message, MessageSchema, TypeRef
+from rosld.adapters.model.library import TypeLibrary
+from rosld.ontology.document import Document, Envelope, LiftedMessage
+from rosld.ontology.lift import TYPES, lifter
+from rosld.ontology.lower_json import JsonReaders, JsonReading
+from rosld.ontology.violations import Findings, Violation
+from rosld.ontology.vocab import ldp, rdf, rdfs, ros, xsd
+from rosld.server.html import (
+    HEADERS,
+    ICON,
+    STYLESHEET,
+    Count,
+    DeleteForm,
+    EntryPage,
+    Listing,
+    MessageForm,
+    Notice,
+    Page,
+    ParameterForm,
+    ProblemPage,
+    QueryPage,
+    QueryParameter,
+    Results,
+    Site,
+    SparqlPage,
+    Step,
+    StoredQuery,
+    render_entry,
+    render_page,
+    render_problem,
+    render_query,
+    render_sparql,
+)
+from rosld.server.html.page import Tone
+
+BASE = "http://127.0.0.1:8080/"
+SITE = Site(BASE, "aircraft", system="The paper's aircraft")
+NOW = 1_795_225_901_123_456_789
+LIBRARY = TypeLibrary(ros_version=1)
+HOSTILE = '<script>alert("x")</script>\'\u202e&amp;\x00'
+
+
+def schema(name: str) -> MessageSchema:
+    """The schema of a message type, or of one half of a service."""
+    found = LIBRARY.find(TypeRef(name))
+    assert isinstance(found, MessageSchema)
+    return found
+
+
+def message(kind: MessageSchema, value: object) -> Message:
+    """A message from plain JSON; what is left out has ROS's defaults."""
+    findings = Findings()
+    found = JsonReaders(kind).message(kind.ref.name)(value, None, JsonReading(findings, True))
+    assert not findings.violations, findings.violations
+    return cast(Message, found)
+
+
+def lifted(node: str, kind: MessageSchema, value: object, publisher: str | None = "nodes/aircraft") -> LiftedMessage:
+    """A message of a document, as it would come from a robot."""
+    envelope = Envelope(NOW, 4217, f"{BASE}{publisher}" if publisher else None)
+    return LiftedMessage(node, lifter(kind), message(kind, value), envelope)
+
+
+def said(url: str, *pairs: tuple[NamedNode, object]) -> Iterator[Triple]:
+    """Triples about a URL; texts beginning with the base are IRIs."""
+    for predicate, value in pairs:
+        yield Triple(NamedNode(url), predicate, term(value))
+
+
+def term(value: object) -> NamedNode | BlankNode | Literal:
+    """A value as a term."""
+    if isinstance(value, NamedNode | BlankNode | Literal):
+        return value
+    if isinstance(value, str) and value.startswith((BASE, TYPES)):
+        return NamedNode(value)
+    assert isinstance(value, str | int | float)
+    return Literal(value)
+
+
+def topic(path: str, kind: str, *more: tuple[NamedNode, object]) -> tuple[str, Iterator[Triple]]:
+    """The description of a topic."""
+    url = f"{BASE}topics/{path}"
+    return url, said(
+        url,
+        (rdf.type, ros.Topic),
+        (rdf.type, ldp.Resource),
+        (rdf.type, ldp.RDFSource),
+        (ros.name, f"/{path}"),
+        (ros.messageType, TYPES + kind),
+        (ros.rate, Literal("10.0", datatype=xsd.double)),
+        *more,
+    )
+
+
+def speed() -> Page:
+    """A topic with one number."""
+    url, triples = topic(
+        "aircraft/engine/speed",
+        "std_msgs/msg/Float64",
+        (ros.publisher, f"{BASE}nodes/aircraft"),
+        (ros.latest, f"{BASE}topics/aircraft/engine/speed#message"),
+    )
+    messages = (lifted("#message", schema("std_msgs/msg/Float64"), {"data": 700.0}),)
+    return Page(SITE, "Topic", "/aircraft/engine/speed", Document(url, tuple(triples), messages))
+
+
+def display(refused: bool = False) -> Page:
+    """A topic that can be written, at first or after a form that did not fit."""
+    kind = schema("std_msgs/msg/String")
+    url, triples = topic(
+        "cockpit/display", kind.ref.name, (ros.subscriber, f"{BASE}nodes/cockpit"), (ros.writable, Literal(True))
+    )
+    form = MessageForm(kind, value={"data": "Cleared for take-off"}, about="Everybody who subscribes will receive it.")
+    allow = ("GET", "HEAD", "OPTIONS", "PATCH", "PUT")
+    return Page(SITE, "Topic", "/cockpit/display", Document(url, tuple(triples)), allow, (form,), csrf="token")
+
+
+def odometry() -> Page:
+    """Nested messages, times, arrays of numbers."""
+    kind = schema("nav_msgs/msg/Odometry")
+    value = {
+        "header": {"seq": 3, "stamp": {"sec": 1795225901, "nanosec": 101000000}, "frame_id": "odom"},
+        "child_frame_id": "base_link",
+        "pose": {"pose": {"position": {"x": 1.25, "y": -0.5}, "orientation": {"w": 1.0}}, "covariance": [0.1] * 36},
+    }
+    url, triples = topic(
+        "odom",
+        kind.ref.name,
+        (ros.publisher, f"{BASE}nodes/base"),
+        (ros.publisher, f"{BASE}nodes/ekf"),
+        (ros.latest, f"{BASE}topics/odom#message"),
+        (ros.latestFrom, f"{BASE}topics/odom#from/base"),
+        (ros.latestFrom, f"{BASE}topics/odom#from/ekf"),
+    )
+    messages = (
+        lifted("#message", kind, value, "nodes/base"),
+        lifted("#from/base", kind, value, "nodes/base"),
+        lifted("#from/ekf", kind, {}, "nodes/ekf"),
+    )
+    return Page(SITE, "Topic", "/odom", Document(url, tuple(triples), messages))
+
+
+def twist(refused: bool = False) -> Page:
+    """A nested form, perhaps as the answer to one that did not fit."""
+    kind = schema("geometry_msgs/msg/TwistStamped")
+    url, triples = topic("cmd_vel", kind.ref.name, (ros.subscriber, f"{BASE}nodes/base"))
+    form = MessageForm(kind, value={"twist": {"linear": {"x": 0.2}}})
+    notices: tuple[Notice, ...] = ()
+    if refused:
+        typed = [("header.frame_id", "base"), ("twist.linear.x", "fast"), ("header.stamp.nanosec", "-1")]
+        wrong = (
+            Violation("twist.linear.x", "must be a number (NaN, INF and -INF are numbers too)", "fast"),
+            Violation("header.stamp.nanosec", "expected an uint32 (an integer from 0 to 4294967295)", "-1"),
+        )
+        form = form.refilled(typed, wrong)
+        notices = (Notice("Nothing was published: two fields do not fit.", Tone.ERROR, wrong),)
+    return Page(
+        SITE, "Topic", "/cmd_vel", Document(url, tuple(triples)), ("GET", "PUT"), (form,), csrf="t", notices=notices
+    )
+
+
+def image() -> Page:
+    """A topic that cannot be inlined, with what is wrong with it."""
+    kind = schema("sensor_msgs/msg/Image")
+    value = {"height": 480, "width": 640, "encoding": "rgb8", "step": 1920, "data": "AAECAwQFBgcICQoLDA0ODxAREhM="}
+    url, triples = topic(
+        "camera/image_raw",
+        kind.ref.name,
+        (ros.publisher, f"{BASE}nodes/camera"),
+        (ros.unreachable, "the publisher /camera at http://camera:41231/ does not answer: host name unknown"),
+        (ros.namespace, f"{BASE}topics/camera/image_raw/"),
+        (ros.latest, f"{BASE}topics/camera/image_raw#message"),
+    )
+    messages = (lifted("#message", kind, value, "nodes/camera"),)
+    return Page(SITE, "Topic", "/camera/image_raw", Document(url, tuple(triples), messages))
+
+
+def scan() -> Page:
+    """A message of a recording: a laser's."""
+    kind = schema("sensor_msgs/msg/LaserScan")
+    ranges = [round(1 + 0.5 * float(np.sin(step / 40)), 4) for step in range(360)]
+    value = {"header": {"frame_id": "laser", "stamp": {"sec": 12}}, "angle_max": 6.28, "ranges": [*ranges, "INF"]}
+    url = f"{BASE}bags/turtlebot.bag/messages/41"
+    triples = said(
+        url,
+        (rdf.type, ros.Message),
+        (ros.topic, f"{BASE}topics/scan"),
+        (ros.bag, f"{BASE}bags/turtlebot.bag/"),
+        (ros.index, 41),
+        (ros.message, f"{url}#message"),
+    )
+    steps = tuple(
+        Step(rel, f"{BASE}bags/turtlebot.bag/messages/{index}")
+        for rel, index in (("first", 0), ("prev", 40), ("next", 42), ("last", 899))
+    )
+    document = Document(url, tuple(triples), (lifted("#message", kind, value, None),), simulated_time=True)
+    return Page(SITE, "Message", "turtlebot.bag, message 41", document, steps=steps)
+
+
+def transforms() -> Page:
+    """An array of messages."""
+    kind = schema("tf2_msgs/msg/TFMessage")
+    frames = ["base_link", "laser", "camera", "left_wheel", "right_wheel", "arm", "gripper"]
+    value = {
+        "transforms": [
+            {"header": {"frame_id": "odom", "stamp": {"sec": 1795225901}}, "child_frame_id": frame} for frame in frames
+        ]
+    }
+    url, triples = topic("tf", kind.ref.name, (ros.latest, f"{BASE}topics/tf#message"))
+    return Page(SITE, "Topic", "/tf", Document(url, tuple(triples), (lifted("#message", kind, value),)))
+
+
+def topics() -> Page:
+    """A container with namespaces."""
+    url = f"{BASE}topics/"
+    members = {
+        "chatter": ("std_msgs/msg/String", 1.0),
+        "cmd_vel": ("geometry_msgs/msg/Twist", 0.0),
+        "front_laser_scan": ("sensor_msgs/msg/LaserScan", 40.0),
+        "image_raw": ("sensor_msgs/msg/Image", 29.97),
+        "joint_states": ("sensor_msgs/msg/JointState", 125.0),
+        "rosout": ("rcl_interfaces/msg/Log", 0.0),
+    }
+    names = [*members, "aircraft/", "cockpit/", "image_raw/", "move_base/"]
+    triples = said(
+        url,
+        (rdf.type, ldp.BasicContainer),
+        (rdf.type, ldp.Container),
+        (rdfs.label, "topics"),
+        *((ldp.contains, url + name) for name in names),
+    )
+    cells = {
+        url + name: (NamedNode(TYPES + kind), Literal(str(rate), datatype=xsd.double))
+        for name, (kind, rate) in members.items()
+    }
+    listing = Listing(("message type", "rate"), cells)
+    return Page(SITE, "Container", "topics", Document(url, tuple(triples)), listing=listing)
+
+
+def parameter() -> Page:
+    """A parameter with both of its forms."""
+    url = f"{BASE}parameters/aircraft/gains"
+    value = Literal('{"p":1.5,"i":[1,2,3]}', datatype=rdf.JSON)
+    triples = said(url, (rdf.type, ros.Parameter), (ros.name, "/aircraft/gains"), (ros.value, value))
+    forms = (
+        ParameterForm({"p": 1.5, "i": [1, 2, 3]}),
+        DeleteForm("Delete the parameter", about="It cannot be undone."),
+    )
+    allow = ("GET", "PUT", "DELETE")
+    return Page(SITE, "Parameter", "/aircraft/gains", Document(url, tuple(triples)), allow, forms, csrf="t")
+
+
+def service() -> Page:
+    """A service with a form to call it."""
+    url = f"{BASE}services/aircraft/engine/set_speed"
+    triples = said(
+        url,
+        (rdf.type, ros.Service),
+        (ros.name, "/aircraft/engine/set_speed"),
+        (ros.serviceType, f"{TYPES}rosld_aircraft/srv/SetNumber"),
+        (ros.provider, f"{BASE}nodes/aircraft"),
+        (ros.requestShape, f"{BASE}shapes/rosld_aircraft/srv/SetNumber_Request"),
+    )
+    kind = schema("rosld_aircraft/srv/SetNumber_Request")
+    form = MessageForm(kind, "POST", "Call the service", "Call")
+    title = "/aircraft/engine/set_speed"
+    return Page(SITE, "Service", title, Document(url, tuple(triples)), ("GET", "POST"), (form,), csrf="t")
+
+
+def call() -> Page:
+    """A call: its request and its response."""
+    url = f"{BASE}calls/7f3a"
+    triples = said(
+        url,
+        (rdf.type, ros.Call),
+        (ros.service, f"{BASE}services/aircraft/engine/set_speed"),
+        (ros.state, ros.Failed),
+        (ros.created, Literal("2026-11-21T01:31:41.123456789Z", datatype=xsd.dateTime)),
+        (ros.request, f"{url}#request"),
+        (ros.response, f"{url}#response"),
+    )
+    half = "rosld_aircraft/srv/SetNumber"
+    messages = (
+        lifted("#request", schema(f"{half}_Request"), {"data": 1200.0}, None),
+        lifted("#response", schema(f"{half}_Response"), {"success": False, "message": "1200 is out of range"}, None),
+    )
+    return Page(SITE, "Call", "Call 7f3a", Document(url, tuple(triples), messages))
+
+
+def message_type() -> Page:
+    """A message type: fields, hash and definition."""
+    kind = schema("geometry_msgs/msg/PoseStamped")
+    url, iri = f"{BASE}types/geometry_msgs/msg/PoseStamped", f"{TYPES}geometry_msgs/msg/PoseStamped"
+    triples = [
+        *said(iri, (rdf.type, ros.MessageType), (ros.name, kind.ref.name), (ros.md5, kind.ref.hash or "")),
+        *said(iri, (ros.definition, kind.definition), (ros.field, f"{iri}#header"), (ros.field, f"{iri}#pose")),
+    ]
+    for position, name in enumerate(("header", "pose")):
+        triples += said(f"{iri}#{name}", (rdf.type, ros.Field), (ros.fieldName, name), (ros.position, position))
+    return Page(SITE, "Message type", kind.ref.name, Document(url, tuple(triples)))
+
+
+def hostile() -> Page:
+    """Everything a robot names, named by somebody who means harm."""
+    kind = schema("std_msgs/msg/String")
+    url = f"{BASE}topics/%3Cscript%3Ealert(1)%3C%2Fscript%3E"
+    triples = said(
+        url,
+        (rdf.type, ros.Topic),
+        (ros.name, HOSTILE),
+        (rdfs.seeAlso, NamedNode("javascript:alert(1)")),
+        (rdfs.seeAlso, NamedNode("data:text/html,<script>alert(1)</script>".replace("<", "%3C").replace(">", "%3E"))),
+        (rdfs.comment, Literal(HOSTILE, language="en")),
+        (ros.unreadable, HOSTILE),
+        (NamedNode("javascript:predicate"), HOSTILE),
+        (ros.latest, f"{url}#message"),
+        (ldp.contains, f"{url}/%22onload%3D%22"),
+    )
+    messages = (lifted("#message", kind, {"data": HOSTILE.replace("\x00", "")}, "nodes/%3Cb%3E"),)
+    form = MessageForm(kind, title=HOSTILE, button=HOSTILE, value={"data": HOSTILE}, about=HOSTILE).refilled(
+        [("data", HOSTILE)], [Violation("data", HOSTILE, HOSTILE), Violation(HOSTILE, HOSTILE, HOSTILE)]
+    )
+    return Page(
+        Site(BASE, HOSTILE, system=HOSTILE, stale=HOSTILE),
+        HOSTILE,
+        HOSTILE,
+        Document(url, tuple(triples), messages),
+        ("GET", "PUT", "DELETE"),
+        (form, ParameterForm(HOSTILE), DeleteForm(HOSTILE, HOSTILE, HOSTILE)),
+        csrf='"><script>',
+        notices=(Notice(HOSTILE, Tone.ERROR, (Violation(HOSTILE, HOSTILE, HOSTILE),)),),
+        listing=Listing((HOSTILE,), {f"{url}/%22onload%3D%22": (HOSTILE,)}),
+        summary=HOSTILE,
+    )
+
+
+QUERIES = (
+    StoredQuery(
+        f"{BASE}queries/silent-sensors", "silent-sensors", "Which topics have not spoken for a while?", "SELECT"
+    ),
+    StoredQuery(f"{BASE}queries/who-publishes", "who-publishes", "Who publishes messages of which type?", "SELECT"),
+)
+ROWS = [
+    (
+        NamedNode(f"{BASE}topics/aircraft/engine/speed"),
+        NamedNode(f"{TYPES}std_msgs/msg/Float64"),
+        Literal("10.0", datatype=xsd.double),
+    ),
+    (
+        NamedNode(f"{BASE}topics/front_laser_scan"),
+        NamedNode(f"{TYPES}sensor_msgs/msg/LaserScan"),
+        Literal("40.0", datatype=xsd.double),
+    ),
+    (NamedNode(f"{BASE}topics/odd"), None, Literal(HOSTILE)),
+]
+
+
+def sparql() -> bytes:
+    """The page of the endpoint with results."""
+    return render_sparql(SparqlPage(SITE, examples=QUERIES, results=Results(("topic", "type", "rate"), ROWS)))
+
+
+def query() -> bytes:
+    """A stored query with a parameter, its results cut."""
+    text = "SELECT ?topic WHERE {\n  ?topic a <https://w3id.org/rosld#Topic> .\n}"
+    stored = StoredQuery(f"{BASE}queries/silent-sensors", "silent-sensors", QUERIES[0].purpose, text)
+    parameters = (QueryParameter("seconds", "how long a topic may be silent", "5"),)
+    results = Results(("topic", "type", "rate"), ROWS, limit=2)
+    return render_query(QueryPage(SITE, stored, parameters, results))
+
+
+def entry(stale: bool = False) -> bytes:
+    """The entry page."""
+    triples = said(
+        BASE,
+        (rdf.type, ros.Graph),
+        (ros.state, ros.Stale if stale else ros.Live),
+        (ros.master, f"{BASE}#master"),
+    )
+    master = said(f"{BASE}#master", (rdf.type, ros.Master), (ros.uri, "http://localhost:11311/"))
+    counts = (
+        Count("nodes", 2, f"{BASE}nodes/", "Who takes part, and with what."),
+        Count("topics", 14, f"{BASE}topics/", "What is published, by whom, how often."),
+        Count("services", 9, f"{BASE}services/", "What can be called."),
+        Count("parameters", 5, f"{BASE}parameters/", "What can be set."),
+        Count("types", 11, f"{BASE}types/", "What messages are made of."),
+        Count("queries", 8, f"{BASE}queries/", "Questions to start from."),
+        Count("SPARQL", None, f"{BASE}sparql", "Ask the whole robot at once."),
+        Count("vocabulary", None, f"{BASE}ontology", "What the words mean."),
+    )
+    site = Site(BASE, "aircraft", "The paper's aircraft", "no answer since 01:31:41 UTC." if stale else None)
+    document = Document(BASE, (*triples, *master))
+    return render_entry(EntryPage(site, document, counts, f"{BASE}topics/aircraft/engine/speed"))
+
+
+def problem() -> bytes:
+    """A refusal."""
+    wrong = (Violation("linear.x", "missing: expected a float64"), Violation("angular", "expected a Vector3", "12"))
+    detail = "The body is no geometry_msgs/msg/Twist: two fields do not fit. Nothing was published."
+    return render_problem(
+        ProblemPage(SITE, 422, "Unprocessable Content", detail, f"{BASE}topics/cmd_vel", violations=wrong)
+    )
+
+
+def gallery() -> Mapping[str, bytes]:
+    """All pages by name."""
+    pages = (speed, display, odometry, twist, image, scan, transforms, topics, parameter, service, call, message_type)
+    drawn = {page.__name__: render_page(page()) for page in pages}
+    return {
+        "entry": entry(),
+        "stale": entry(stale=True),
+        **drawn,
+        "refused": render_page(twist(refused=True)),
+        "hostile": render_page(hostile()),
+        "sparql": sparql(),
+        "query": query(),
+        "problem": problem(),
+    }
+
+
+def handler(pages: Mapping[str, bytes], extra: Mapping[str, bytes]) -> type[BaseHTTPRequestHandler]:
+    """Serves pages by name, and `extra` without the policy (it may hold a script that measures)."""
+    files = {"style.css": (STYLESHEET, "text/css"), "icon.svg": (ICON, "image/svg+xml")}
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            name = urlsplit(self.path).path.strip("/") or next(iter(pages))
+            body, kind = files.get(name) or (pages.get(name) or extra.get(name), "text/html; charset=utf-8")
+            self.send_response(200 if body else 404)
+            self.send_header("Content-Type", kind)
+            for key, value in HEADERS.items() if name not in extra else ():
+                self.send_header(key, value.replace("frame-ancestors 'none'", "frame-ancestors 'self'"))
+            self.end_headers()
+            self.wfile.write(body or b"")
+
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    return Handler
+
+
+@contextmanager
+def served(pages: Mapping[str, bytes], extra: Mapping[str, bytes] | None = None, port: int = 0) -> Iterator[str]:
+    """The pages on a loopback port; yields the URL."""
+    server = ThreadingHTTPServer(("127.0.0.1", port), handler(pages, extra or {}))
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}/"
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+def chromium(*arguments: str) -> str:
+    """Run the browser without a window, in a profile of its own; returns what it prints."""
+    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if program is None:
+        raise FileNotFoundError("chromium is not installed; tests/debian-browser.txt lists what is needed")
+    with tempfile.TemporaryDirectory() as profile:
+        quiet = "--headless --no-sandbox --disable-gpu --no-first-run --disable-background-networking"
+        command = [program, *quiet.split(), "--disable-component-update", "--disable-sync", "--hide-scrollbars"]
+        done = subprocess.run(
+            [*command, f"--user-data-dir={profile}", *arguments], capture_output=True, timeout=120, check=True
+        )
+    return done.stdout.decode("utf-8", "replace")
+
+
+def phone(name: str, width: int = 390, height: int = 844) -> bytes:
+    """A page holding another in a frame as wide as a phone."""
+    return f'<!doctype html><body style="margin:0"><iframe src="/{name}" width="{width}" height="{height}" style="border:0">'.encode()
+
+
+def shoot(folder: Path, names: Sequence[str]) -> None:
+    """Photograph pages: wide, wide and dark, and on a phone."""
+    pages = {name: body for name, body in gallery().items() if not names or name in names}
+    frames = {f"phone-{name}": phone(name, height=1500) for name in pages}
+    with served(pages, frames) as url:
+        for name in pages:
+            chromium(f"--screenshot={folder / name}.png", "--window-size=1200,1300", url + name)
+            dark = "--blink-settings=preferredColorScheme=0"
+            chromium(dark, f"--screenshot={folder / name}-dark.png", "--window-size=1200,1300", url + name)
+            chromium(f"--screenshot={folder / name}-phone.png", "--window-size=500,1500", f"{url}phone-{name}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--shoot", type=Path, metavar="DIR")
+    parser.add_argument("names", nargs="*")
+    options = parser.parse_args()
+    if options.shoot:
+        options.shoot.mkdir(parents=True, exist_ok=True)
+        shoot(options.shoot, options.names)
+        return
+    with served(gallery(), port=8090) as url:
+        print("\n".join(url + name for name in gallery()), flush=True)
+        threading.Event().wait()
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit(130)

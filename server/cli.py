@@ -131,8 +131,16 @@ def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None
     help="Where to write: .nq, .nt, .ttl or .trig, each also with .gz.",
 )
 @click.option("--base-url", default=_DEFAULT_BASE, show_default=True, metavar="URL", help="What every URL begins with.")
+@click.option(
+    "--inline-limit",
+    type=click.IntRange(0),
+    default=Settings.inline_limit,
+    show_default=True,
+    metavar="BYTES",
+    help="A larger array or string is elided: its length and the URL of its bytes stand for it.",
+)
 @_options("types")
-def lift(recording: Path, output: Path, base_url: str, types: tuple[Path, ...]) -> None:
+def lift(recording: Path, output: Path, base_url: str, inline_limit: int, types: tuple[Path, ...]) -> None:
     """Turn a whole RECORDING into RDF.
 
     Each message gets its own URL (BASE/bags/NAME/messages/K) and, in .nq and .trig, a named graph of that name. FILE is
@@ -143,13 +151,15 @@ def lift(recording: Path, output: Path, base_url: str, types: tuple[Path, ...]) 
       rosld lift run.bag -o run.nq
       rosld lift run.mcap -o run.trig.gz --base-url https://data.example/
     """
+    from rosld.ontology.lift import LiftSettings
     from rosld.server.commands.lift import lift as run
 
     with told():
-        run(recording, output, declared.canonical_base(base_url), types)
+        base = declared.canonical_base(base_url)
+    run(recording, output, base, AdapterOptions(types=types), LiftSettings(inline_limit=inline_limit))
 
 
-@main.command()
+@main.command(short_help="List the message and service types of SOURCE.")
 @click.argument("source")
 @_options("types")
 def types(source: str, types: tuple[Path, ...]) -> None:

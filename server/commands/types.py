@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import click
 
@@ -26,15 +26,20 @@ class Nobody:
         """Not of interest."""
 
 
-@asynccontextmanager
-async def opened(source: str, options: AdapterOptions) -> AsyncIterator[Adapter]:
-    """The adapter of a source, open; it is closed at the end. Raises ValueError and the adapter's errors."""
+@contextmanager
+def opened(source: str, options: AdapterOptions) -> Iterator[Adapter]:
+    """The adapter of a source, open; it is closed at the end. Raises ValueError and the adapter's errors.
+
+    Its loop stands still between the two, so that Ctrl-C ends what is done with it at once.
+    """
     adapter = adapter_for(source, options)
+    loop = asyncio.new_event_loop()
     try:
-        await adapter.open(Nobody(), deadline=asyncio.get_running_loop().time() + OPEN_SECONDS)
+        loop.run_until_complete(adapter.open(Nobody(), deadline=loop.time() + OPEN_SECONDS))
         yield adapter
     finally:
-        await adapter.close()
+        loop.run_until_complete(adapter.close())
+        loop.close()
 
 
 def used(graph: Graph) -> set[TypeRef]:
@@ -43,15 +48,10 @@ def used(graph: Graph) -> set[TypeRef]:
     return {ref for topic in graph.topics.values() for ref in topic.types} | services
 
 
-async def _types(source: str, options: AdapterOptions) -> set[TypeRef]:
-    async with opened(source, options) as adapter:
-        return used(adapter.graph) | set(adapter.known_types())
-
-
 def types(source: str, options: AdapterOptions) -> None:
     """Print one line a type: its name and, after a tab, its hash where it is known."""
-    with told():
-        found = asyncio.run(_types(source, options))
+    with told(), opened(source, options) as adapter:
+        found = used(adapter.graph) | set(adapter.known_types())
     hashed = {ref.name for ref in found if ref.hash is not None}
     for ref in sorted(found, key=lambda ref: (ref.name, ref.hash or "")):
         if ref.hash is not None:

@@ -1,7 +1,8 @@
 """Documents: what a resource says, before any syntax is chosen.
 
 A `Document` is the RDF of one resource: triples of description and, for what carries ROS messages, the messages
-still as ROS has them, each with the compiled `Lifter` that writes it. Serialisation (`ontology/serialize.py`) joins both.
+still as ROS has them, each with the compiled `Lifter` that writes it. Serialisation (`ontology/serialize.py`) joins
+both.
 """
 
 from __future__ import annotations
@@ -32,6 +33,31 @@ class LiftedMessage:
     message: Message
     envelope: Envelope | None = None
 
+    def turtle(self, document: Document) -> str:
+        """Turtle statements, as they stand in `document`."""
+        return self.lifter.turtle(
+            self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time
+        )
+
+    def jsonld(self, document: Document) -> str:
+        """One JSON-LD node object (text), as it stands in `document`."""
+        return self.lifter.jsonld(
+            self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time
+        )
+
+    def ntriples(self, document: Document, end: str = " .\n") -> str:
+        """N-Triples lines; with a graph in `end`, N-Quads."""
+        return self.lifter.ntriples(
+            self.message, document.url, self.node, end=end, envelope=self.envelope,
+            simulated_time=document.simulated_time,
+        )  # fmt: skip
+
+    def triples(self, document: Document) -> list[Triple]:
+        """The same as terms."""
+        return self.lifter.triples(
+            self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Document:
@@ -44,3 +70,7 @@ class Document:
     triples: tuple[Triple, ...]
     messages: tuple[LiftedMessage, ...] = ()
     simulated_time: bool = False
+
+    def all_triples(self) -> list[Triple]:
+        """The description and the messages, as terms."""
+        return [*self.triples, *(triple for message in self.messages for triple in message.triples(self))]

@@ -1,0 +1,94 @@
+"""RDF/XML (RDF 1.1 XML Syntax): flat, one rdf:Description a subject. It cannot carry everything, and then says so."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from xml.sax.saxutils import escape, quoteattr
+
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+
+from rosld.ontology.outline import Subject, Term, outline
+from rosld.ontology.syntax import CannotCarry
+from rosld.ontology.vocab import PREFIXES, rdf, xsd
+
+# The local part of an element's name. XML would allow more letters, but its fourth and fifth editions differ on which.
+_SPLIT = re.compile(r"(.*?)([A-Za-z_][A-Za-z0-9_.-]*)", re.DOTALL)
+_NO_CHARACTER = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_NAMESPACES = {iri: prefix for prefix, iri in PREFIXES.items()}
+_RESERVED_NAMESPACES = frozenset({"http://www.w3.org/XML/1998/namespace", "http://www.w3.org/2000/xmlns/"})
+_NO_PROPERTIES = frozenset(
+    rdf.iri + name
+    for name in (
+        "RDF", "ID", "about", "parseType", "resource", "nodeID", "datatype", "Description", "li",
+        "aboutEach", "aboutEachPrefix", "bagID",
+    )
+)  # fmt: skip
+"""RDF 1.1 XML Syntax 6.1.4 (propertyElementURIs), and rdf:li, which a reader would number."""
+
+
+def rdfxml(triples: Iterable[Triple], base: str) -> str:
+    """The triples in RDF/XML. Raises CannotCarry for what XML cannot hold."""
+    writer = _Writer()
+    body = [writer.description(subject, statements) for subject, statements in outline(triples).subjects.items()]
+    names = "".join(f"\n    xmlns:{prefix}={quoteattr(iri)}" for iri, prefix in writer.namespaces.items())
+    head = f'<?xml version="1.0" encoding="UTF-8"?>\n<rdf:RDF xml:base={quoteattr(base)}{names}>\n'
+    return f"{head}{''.join(body)}</rdf:RDF>\n"
+
+
+class _Writer:
+    """Writes descriptions; `namespaces` are those met on the way, with their prefixes."""
+
+    def __init__(self) -> None:
+        self.namespaces: dict[str, str] = {rdf.iri: "rdf"}
+        self.labels: dict[BlankNode, str] = {}
+
+    def description(self, subject: Subject, statements: dict[NamedNode, list[Term]]) -> str:
+        """All that is said of one subject."""
+        lines = [
+            f"    {self._element(name, term)}\n"
+            for name, objects in [(self._name(predicate.value), objects) for predicate, objects in statements.items()]
+            for term in objects
+        ]
+        return f"  <rdf:Description {self._node(subject, 'rdf:about')}>\n{''.join(lines)}  </rdf:Description>\n"
+
+    def _element(self, name: str, term: Term) -> str:
+        """A property element."""
+        if isinstance(term, Triple):
+            raise CannotCarry("RDF/XML 1.1 cannot carry a triple term; ask for Turtle or N-Triples")
+        if isinstance(term, Literal):
+            return f"<{name}{_attributes(term)}>{_text(term.value)}</{name}>"
+        return f"<{name} {self._node(term, 'rdf:resource')}/>"
+
+    def _node(self, node: Subject, attribute: str) -> str:
+        """The attribute that names a node."""
+        if isinstance(node, NamedNode):
+            return f"{attribute}={quoteattr(node.value)}"
+        return f'rdf:nodeID="{self.labels.setdefault(node, f"b{len(self.labels)}")}"'
+
+    def _name(self, iri: str) -> str:
+        """The name of the element of a predicate. Raises CannotCarry where the IRI does not end in such a name."""
+        split = _SPLIT.fullmatch(iri)
+        if split is None or split[1] in _RESERVED_NAMESPACES or iri in _NO_PROPERTIES:
+            raise CannotCarry(f"RDF/XML cannot write the property <{iri}> as the name of an element; ask for Turtle")
+        namespace, local = split[1], split[2]
+        if namespace not in self.namespaces:
+            self.namespaces[namespace] = _NAMESPACES.get(namespace) or f"ns{len(self.namespaces)}"
+        return f"{self.namespaces[namespace]}:{local}"
+
+
+def _attributes(literal: Literal) -> str:
+    """The language or the datatype of a literal, as attributes."""
+    if literal.direction is not None:
+        raise CannotCarry(f"RDF/XML 1.1 cannot carry the base direction of {literal.value!r}; ask for Turtle")
+    if literal.language is not None:
+        return f' xml:lang="{literal.language}"'
+    datatype = literal.datatype.value
+    return "" if datatype == xsd.string.value else f" rdf:datatype={quoteattr(datatype)}"
+
+
+def _text(value: str) -> str:
+    """Character data. A carriage return is a reference, for readers turn the character into a line feed (XML 2.11)."""
+    if found := _NO_CHARACTER.search(value):
+        raise CannotCarry(f"XML cannot hold the character U+{ord(found[0]):04X} of {value[:60]!r}; ask for Turtle")
+    return escape(value, {"\r": "&#13;"})

@@ -1,0 +1,39 @@
+"""Documents to bytes in every RDF syntax: the description by the writers here, the messages by their lifters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from rosld.ontology.document import Document
+from rosld.ontology.jsonld import jsonld
+from rosld.ontology.rdfxml import rdfxml
+from rosld.ontology.syntax import CannotCarry, Syntax
+from rosld.ontology.turtle import trig, turtle
+
+__all__ = ["CannotCarry", "Syntax", "serialize"]
+
+
+def serialize(document: Document, syntax: Syntax | str) -> bytes:
+    """The document in a syntax (or the syntax of a media type), UTF-8. All syntaxes say the same.
+
+    N-Quads and TriG put the triples into the graph named by the document's URL. Raises CannotCarry where the syntax
+    cannot hold what the document says, ValueError for a media type that is no RDF syntax.
+    """
+    return _WRITERS[syntax if isinstance(syntax, Syntax) else Syntax.of(syntax)](document)
+
+
+def _lines(document: Document, end: str) -> bytes:
+    # pyoxigraph prints a triple as N-Triples has it, but for the full stop.
+    lines = [f"{triple}{end}" for triple in dict.fromkeys(document.triples)]
+    return "".join([*lines, *(message.ntriples(document, end) for message in document.messages)]).encode()
+
+
+_WRITERS: Mapping[Syntax, Callable[[Document], bytes]] = {
+    Syntax.TURTLE: lambda document: turtle(document).encode(),
+    Syntax.JSON_LD: jsonld,
+    Syntax.N_TRIPLES: lambda document: _lines(document, " .\n"),
+    Syntax.RDF_XML: lambda document: rdfxml(document.all_triples(), document.url).encode(),
+    Syntax.N3: lambda document: turtle(document).encode(),
+    Syntax.N_QUADS: lambda document: _lines(document, f" <{document.url}> .\n"),
+    Syntax.TRIG: lambda document: trig(document).encode(),
+}

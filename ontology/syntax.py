@@ -1,0 +1,59 @@
+"""The RDF syntaxes rosld writes: one table."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple
+
+
+class CannotCarry(ValueError):
+    """A syntax cannot carry a document; the sentence says what it is that it cannot."""
+
+
+class SyntaxName(NamedTuple):
+    """What a syntax is called: its media type, the extension of its files, and its name for people."""
+
+    media_type: str
+    extension: str
+    label: str
+
+
+class Syntax(Enum):
+    """An RDF syntax; `datasets`: it names the graph that the triples are in."""
+
+    TURTLE = SyntaxName("text/turtle", "ttl", "Turtle")
+    JSON_LD = SyntaxName("application/ld+json", "jsonld", "JSON-LD")
+    N_TRIPLES = SyntaxName("application/n-triples", "nt", "N-Triples")
+    RDF_XML = SyntaxName("application/rdf+xml", "rdf", "RDF/XML")
+    N3 = SyntaxName("text/n3", "n3", "N3")
+    N_QUADS = SyntaxName("application/n-quads", "nq", "N-Quads")
+    TRIG = SyntaxName("application/trig", "trig", "TriG")
+
+    @property
+    def media_type(self) -> str:
+        """Such as `text/turtle`."""
+        return self.value.media_type
+
+    @property
+    def extension(self) -> str:
+        """Such as `ttl`, without a dot."""
+        return self.value.extension
+
+    @property
+    def label(self) -> str:
+        """Such as `Turtle`."""
+        return self.value.label
+
+    @property
+    def datasets(self) -> bool:
+        """Whether the syntax names the graph of its triples."""
+        return self in (Syntax.N_QUADS, Syntax.TRIG)
+
+    @classmethod
+    def of(cls, media_type: str) -> Syntax:
+        """The syntax of a media type (without parameters); raises ValueError for one that is no RDF syntax here."""
+        for syntax in cls:
+            if syntax.media_type == media_type:
+                return syntax
+        known = ", ".join(syntax.media_type for syntax in cls)
+        raise ValueError(f"{media_type!r} is no RDF syntax rosld writes; those are {known}")

@@ -207,8 +207,8 @@ _DATE_TIME, _INTEGER = xsd.dateTime.value, xsd.integer.value
 
 
 def _prefixes(names: Iterable[TypeName]) -> dict[str, str]:
-    """Two prefixes a type: its package's, for the class, and its own, for its fields."""
-    prefixes: dict[str, str] = {}
+    """Those of the values, and two a type: its package's, for the class, and its own, for its fields."""
+    prefixes = {"ros": ros.iri, "rdf": rdf.iri, "xsd": xsd.iri}
     for name in names:
         prefixes[name.package] = name.namespace
         prefixes[name.prefix] = name.iri + "#"

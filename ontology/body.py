@@ -1,0 +1,285 @@
+"""Bodies: RDF as clients send it, parsed with care into an index.
+
+A body is hostile until proved otherwise. Deep nesting overflows the parser's stack, which kills the whole process, so
+depth is measured here first; nothing is ever fetched, so JSON-LD must bring its context along; and whatever is wrong
+is a `BodyError` that says where.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import orjson
+from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, Quad, RdfFormat, Triple, parse
+
+Term: TypeAlias = NamedNode | BlankNode | Literal | Triple
+Subject: TypeAlias = NamedNode | BlankNode | Triple
+Properties: TypeAlias = Mapping[NamedNode, list[Term]]
+
+DEEPEST = 128
+"""The levels of nesting a body may have."""
+
+_FORMATS = {
+    "text/turtle": RdfFormat.TURTLE,
+    "application/ld+json": RdfFormat.JSON_LD,
+    "application/n-triples": RdfFormat.N_TRIPLES,
+    "application/rdf+xml": RdfFormat.RDF_XML,
+    "text/n3": RdfFormat.N3,
+    "application/n-quads": RdfFormat.N_QUADS,
+    "application/trig": RdfFormat.TRIG,
+}
+MEDIA_TYPES = tuple(_FORMATS)
+"""The media types that `parse_body` takes."""
+
+
+class BodyError(ValueError):
+    """A body that cannot be read; `line` and `column` count from 1 and are None where the place is not known."""
+
+    def __init__(self, words: str, line: int | None = None, column: int | None = None) -> None:
+        place = "" if line is None else f"line {line}, column {column}: "
+        super().__init__(place + words)
+        self.words = words
+        self.line = line
+        self.column = column
+
+
+@dataclass(frozen=True, slots=True)
+class RdfBody:
+    """The triples of a body: `subjects` maps each subject to its predicates, and these to their objects.
+
+    `size` is how many there are. A triple said twice is there twice, except in what `objects` returns.
+    """
+
+    subjects: Mapping[Subject, Properties]
+    size: int
+
+    def properties(self, subject: Term) -> Properties:
+        """What is said about `subject`: nothing, for a literal or a stranger."""
+        return _NOTHING if isinstance(subject, Literal) else self.subjects.get(subject, _NOTHING)
+
+    def objects(self, subject: Term, predicate: NamedNode) -> list[Term]:
+        """The objects of one predicate of `subject`."""
+        return list(dict.fromkeys(self.properties(subject).get(predicate, ())))
+
+    def roots(self) -> list[Subject]:
+        """The subjects that are nobody's object."""
+        inner = {each for properties in self.subjects.values() for objects in properties.values() for each in objects}
+        return [subject for subject in self.subjects if subject not in inner]
+
+
+_NOTHING: Properties = {}
+
+
+def parse_body(data: bytes, media_type: str, base: str) -> RdfBody:
+    """The triples of `data`, its relative IRIs resolved against `base` (absolute).
+
+    Of a dataset those of the default graph and of the graph named `base` are taken. Raises BodyError for what is not
+    UTF-8, nested deeper than `DEEPEST`, in need of something to be fetched, or no `media_type` at all; ValueError for a
+    media type not in `MEDIA_TYPES`. The caller checks the size.
+    """
+    form = _FORMATS.get(media_type)
+    if form is None:
+        raise ValueError(f"{media_type} is none of the RDF syntaxes read here: {', '.join(MEDIA_TYPES)}")
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    _check_utf8(data)
+    if form is RdfFormat.JSON_LD:
+        check_json_depth(data)
+        _refuse_remote_contexts(data)
+    elif form is RdfFormat.RDF_XML:
+        _check_xml(data)
+    else:
+        _check_depth(data, _TURTLE_TOKENS, b"[({<")
+    try:
+        return _indexed(parse(data, form, base_iri=base), base)
+    except SyntaxError as error:
+        raise _syntax_error(error) from error
+    except ValueError as error:
+        raise BodyError(str(error)) from error
+
+
+def _indexed(quads: Iterable[Quad], base: str) -> RdfBody:
+    graphs = (DefaultGraph(), NamedNode(base))
+    subjects: dict[Subject, dict[NamedNode, list[Term]]] = {}
+    size = 0
+    for subject, predicate, object, graph in quads:
+        if graph not in graphs:
+            continue
+        subjects.setdefault(subject, {}).setdefault(predicate, []).append(object)
+        size += 1
+    return RdfBody(subjects, size)
+
+
+def _syntax_error(error: SyntaxError) -> BodyError:
+    """The parser's words, without the place, which is told apart."""
+    words = re.sub(r"^Parser error at [^:]*: ", "", str(error.msg))
+    return BodyError(words, error.lineno, error.offset)
+
+
+def _check_utf8(data: bytes) -> None:
+    try:
+        data.decode()
+    except UnicodeDecodeError as error:
+        raise error_at(data, error.start, f"byte 0x{data[error.start]:02X} is not UTF-8") from error
+
+
+def error_at(data: bytes, position: int, words: str) -> BodyError:
+    """A BodyError at a byte of `data`."""
+    line = data.count(b"\n", 0, position) + 1
+    return BodyError(words, line, position - data.rfind(b"\n", 0, position))
+
+
+# Nesting
+
+_JSON_TOKENS = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"|(?P<open>[\[{])|(?P<close>[\]}])|(?P<broken>")', re.DOTALL)
+_TURTLE_TOKENS = re.compile(
+    rb'"""[^"\\]*(?:(?:\\.|""?(?!"))[^"\\]*)*"""'
+    rb"|'''[^'\\]*(?:(?:\\.|''?(?!'))[^'\\]*)*'''"
+    rb"|(?P<broken>\"\"\"|''')"
+    rb'|"[^"\\\r\n]*(?:\\.[^"\\\r\n]*)*"'
+    rb"|'[^'\\\r\n]*(?:\\.[^'\\\r\n]*)*'"
+    rb"|#[^\r\n]*|\\."
+    rb"|(?P<open><<|[\[({])|(?P<close>>>|[\])}])"
+    rb'|<(?![=\-])[^\x00-\x20<>"{}|^`\\]*(?:\\[uU][^\x00-\x20<>"{}|^`\\]*)*>'
+    rb"|(?P<quote>[\"'])",
+    re.DOTALL,
+)
+"""Strings, comments, escapes and IRIs are skipped. `<=` and `<-` are left alone: in N3 they are no IRIs."""
+
+
+def check_json_depth(data: bytes) -> None:
+    """Raise BodyError for JSON nested deeper than `DEEPEST`."""
+    _check_depth(data, _JSON_TOKENS, b"[{")
+
+
+def _check_depth(data: bytes, tokens: re.Pattern[bytes], openers: bytes) -> None:
+    """Raise BodyError for text nested too deep. With few enough brackets in all there is nothing to look at."""
+    if sum([data.count(opener) for opener in openers]) <= DEEPEST:
+        return
+    depth = 0
+    for token in tokens.finditer(data):
+        kind = token.lastgroup
+        if kind == "open":
+            depth += 1
+            if depth > DEEPEST:
+                raise _too_deep(data, token.start())
+        elif kind == "close":
+            depth = max(0, depth - 1)
+        elif kind is not None:
+            raise error_at(data, token.start(), "this string does not end")
+
+
+def _too_deep(data: bytes, position: int) -> BodyError:
+    return error_at(data, position, f"nested deeper than {DEEPEST} levels, which is more than any ROS message needs")
+
+
+# JSON-LD
+
+
+def _refuse_remote_contexts(data: bytes) -> None:
+    """Raise BodyError naming the URL of the first context that would have to be fetched (JSON-LD 1.1 3.1)."""
+    if b"context" not in data and b"import" not in data and b"\\" not in data:
+        return
+    for url in _remote(data):
+        raise BodyError(
+            f"the JSON-LD context {url} would have to be fetched, and nothing is fetched here: put the context itself "
+            "in its place"
+        )
+
+
+def _remote(data: bytes) -> Iterator[str]:
+    try:
+        waiting: list[object] = [orjson.loads(data)]
+    except orjson.JSONDecodeError as error:
+        raise BodyError(_json_words(error), error.lineno, error.colno) from error
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, list):
+            waiting += value
+        elif isinstance(value, dict):
+            context = value.get("@context")
+            for each in [*(context if isinstance(context, list) else [context]), value.get("@import")]:
+                if isinstance(each, str):
+                    yield each
+            waiting += value.values()
+
+
+def _json_words(error: orjson.JSONDecodeError) -> str:
+    return f"this is no JSON: {error.msg}"
+
+
+# RDF/XML
+
+_XML_TOKENS = re.compile(
+    rb"(?P<skip><!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>)"
+    rb"|(?P<broken><!--|<!\[CDATA\[|<\?)"
+    rb"|(?P<declaration><!)"
+    rb"|(?P<close></)"
+    rb"|(?P<empty><[^<>\"']*(?:(?:\"[^\"]*\"|'[^']*')[^<>\"']*)*/>)"
+    rb"|(?P<open><[^<>\"']*(?:(?:\"[^\"]*\"|'[^']*')[^<>\"']*)*>)"
+    rb"|(?P<tag><)",
+    re.DOTALL,
+)
+_XML_ENCODING = re.compile(rb"""^<\?xml[^>]*\sencoding\s*=\s*["']([^"']*)["']""")
+
+
+def _check_xml(data: bytes) -> None:
+    """Raise BodyError for declarations (which define entities), other encodings, and too deep elements."""
+    encoding = _XML_ENCODING.match(data.lstrip())
+    if encoding is not None and encoding[1].lower() not in (b"utf-8", b"us-ascii"):
+        raise BodyError(f"RDF/XML is read in UTF-8 only, not in {encoding[1].decode()}")
+    depth = 0
+    for token in _XML_TOKENS.finditer(data):
+        kind = token.lastgroup
+        if kind == "open":
+            depth += 1
+            if depth > DEEPEST:
+                raise _too_deep(data, token.start())
+        elif kind == "close":
+            depth = max(0, depth - 1)
+        elif kind == "declaration":
+            raise error_at(data, token.start(), "RDF/XML with a DOCTYPE is not read here: leave the declaration out")
+        elif kind in ("broken", "tag"):
+            raise error_at(data, token.start(), f"what begins here with {token[0].decode()} does not end")
+
+
+# Plain JSON
+
+
+def parse_json(data: bytes) -> object:
+    """The value of a JSON text: integers exact, whatever their size.
+
+    Raises BodyError for what is not UTF-8, nested deeper than `DEEPEST`, no JSON (NaN and Infinity are none), or says
+    one key of an object twice.
+    """
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    _check_utf8(data)
+    check_json_depth(data)
+    try:
+        return _JSON.decode(data.decode())
+    except json.JSONDecodeError as error:
+        raise BodyError(f"this is no JSON: {error.msg}", error.lineno, error.colno) from error
+    except BodyError:
+        raise
+    except ValueError as error:
+        raise BodyError(f"this JSON cannot be read: {error}") from error
+
+
+def _once(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    members = dict(pairs)
+    if len(members) < len(pairs):
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise BodyError(f"the key {twice!r} is there twice in one object")
+    return members
+
+
+def _no_number(token: str) -> object:
+    name = {"Infinity": "INF", "-Infinity": "-INF"}.get(token, token)
+    raise BodyError(f'JSON has no number {token}: write the string "{name}"')
+
+
+_JSON = json.JSONDecoder(object_pairs_hook=_once, parse_constant=_no_number)

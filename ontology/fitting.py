@@ -1,0 +1,170 @@
+"""Fitting: whether a value fits a ROS primitive, exactly or, for floats, rounded to the nearest.
+
+A value has been read from some syntax already: it is an int, a float or, where its digits matter, a Decimal. What does
+not fit is a `Misfit` that says what was expected.
+"""
+
+from __future__ import annotations
+
+from base64 import b64decode
+from binascii import Error as Base64Error
+from collections.abc import Callable, Sized
+from decimal import Decimal
+from fractions import Fraction
+from math import inf, isfinite, isinf
+from struct import Struct
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from rosld.adapters.model import Array, FieldType, Nested, Primitive
+from rosld.ontology.literals import DTYPES, OCTETS, STRINGS, octet_count
+
+Number: TypeAlias = "int | float | Decimal"
+Numbers: TypeAlias = npt.NDArray[Any]
+
+_Sized = TypeVar("_Sized", bound=Sized)
+
+RANGES = {
+    name: (int(np.iinfo(dtype).min), int(np.iinfo(dtype).max)) for name, dtype in DTYPES.items() if dtype.kind in "iu"
+}
+"""The least and the greatest value of each integer primitive."""
+
+SPECIALS = {"NaN": float("nan"), "INF": float("inf"), "+INF": float("inf"), "-INF": float("-inf")}
+"""XSD's names for what is no finite number."""
+
+_FLOAT32, _FLOAT64, _INT64 = Struct("<f"), Struct("<d"), Struct("<Q")
+_BEYOND_ANY = 24
+
+
+class Misfit(ValueError):
+    """A value that does not fit: what was expected, what was found, and where below the field (`3.x`, or nothing)."""
+
+    def __init__(self, words: str, value: object = None, path: str = "") -> None:
+        super().__init__(words)
+        self.words = words
+        self.value = value
+        self.path = path
+
+
+def described(kind: FieldType) -> str:
+    """What is expected of a field, in words."""
+    if isinstance(kind, Nested):
+        return f"a {kind.name}"
+    if isinstance(kind, Array):
+        return f"an array of {_count(kind)}{described(kind.element).partition(' ')[2]}"
+    if kind.name in RANGES:
+        least, greatest = RANGES[kind.name]
+        return f"an {kind.name} (an integer from {least} to {greatest})"
+    return f"a {kind.name}" + (f" of at most {kind.bound} bytes" if kind.bound is not None else "")
+
+
+def _count(kind: Array) -> str:
+    if kind.length is not None:
+        return f"exactly {kind.length} "
+    return "" if kind.bound is None else f"at most {kind.bound} "
+
+
+def integer_fit(kind: Primitive) -> Callable[[Number], int]:
+    """The function that gives a number as an integer of this primitive. It raises Misfit."""
+    least, greatest = RANGES[kind.name]
+
+    def fit(value: Number) -> int:
+        whole = value if type(value) is int else _whole(value)
+        if whole is None or not least <= whole <= greatest:
+            raise Misfit(f"expected {described(kind)}", value)
+        return whole
+
+    return fit
+
+
+def _whole(value: Number) -> int | None:
+    """The integer a number is, None where it is none or beyond any integer of ROS."""
+    if isinstance(value, float):
+        return int(value) if value.is_integer() else None
+    if isinstance(value, Decimal) and value.is_finite() and value.adjusted() <= _BEYOND_ANY:
+        whole = int(value)
+        return whole if whole == value else None
+    return None
+
+
+def float_fit(kind: Primitive) -> Callable[[Number], float]:
+    """The function that gives a number rounded to the nearest float of this primitive. It raises Misfit.
+
+    What rounds to infinity without being it does not fit.
+    """
+    rounded = single if kind.name == "float32" else float
+
+    def fit(value: Number) -> float:
+        try:
+            result = rounded(value)
+        except OverflowError:
+            raise Misfit(f"expected a {kind.name}, and this is beyond its range", value) from None
+        if isinf(result) and not (isinstance(value, float) and isinf(value)):
+            raise Misfit(f"expected a {kind.name}, and this is beyond its range", value)
+        return result
+
+    return fit
+
+
+def single(value: Number) -> float:
+    """The float32 nearest to `value`, as a double. Raises OverflowError beyond the range of float32."""
+    double = float(value)
+    nearest: float = _FLOAT32.unpack(_FLOAT32.pack(double))[0]
+    if nearest == double or isinstance(value, float) or not may_tie(double):
+        return nearest
+    other = float(np.nextafter(np.float32(nearest), np.float32(inf if double > nearest else -inf)))
+    exact = Fraction(value)
+    return other if isfinite(other) and abs(exact - Fraction(other)) < abs(exact - Fraction(nearest)) else nearest
+
+
+def may_tie(double: float) -> bool:
+    """Whether a double may lie halfway between two float32s, where what it was rounded from decides."""
+    bits: int = _INT64.unpack(_FLOAT64.pack(double))[0]
+    return not bits & 0x0FFFFFFF
+
+
+def string_fit(kind: Primitive) -> Callable[[str], str]:
+    """The function that checks a string against its bound, in bytes of UTF-8. It raises Misfit."""
+    bound = kind.bound
+
+    def fit(value: str) -> str:
+        if bound is not None and octet_count(value) > bound:
+            raise Misfit(f"expected {described(kind)}, and this has {octet_count(value)}", value)
+        return value
+
+    return fit
+
+
+def base64_octets(text: str) -> bytes:
+    """The octets of xsd:base64Binary, which may hold white space. Raises Misfit."""
+    try:
+        return b64decode("".join(text.split()), validate=True)
+    except (Base64Error, ValueError) as error:
+        raise Misfit(f"expected base64 ({error})", text) from error
+
+
+def octet_array(kind: Array, octets: bytes) -> Numbers:
+    """Octets as the array of a field. Raises Misfit for a wrong length."""
+    return sized(kind, np.frombuffer(octets, DTYPES[kind.element.name]))
+
+
+def sized(kind: Array, values: _Sized) -> _Sized:
+    """The values themselves, if there are as many as the field may hold. Raises Misfit."""
+    count = len(values)
+    if kind.length is not None and count != kind.length:
+        raise Misfit(f"expected {described(kind)}, and this has {count}")
+    if kind.bound is not None and count > kind.bound:
+        raise Misfit(f"expected {described(kind)}, and this has {count}")
+    return values
+
+
+def is_octets(kind: Array) -> bool:
+    """Whether an array is octets."""
+    return kind.element.name in OCTETS
+
+
+def is_string(kind: FieldType) -> bool:
+    """Whether a field is a string."""
+    return isinstance(kind, Primitive) and kind.name in STRINGS

@@ -1,0 +1,309 @@
+"""Lowering from RDF: tables of readers, made once a schema, that walk from the message's node.
+
+A message is read by what is said about its node: each predicate names a field or is one that the server manages and
+readers ignore; anything else is a violation. Readers behave as those of `lower_json.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from pyoxigraph import Literal, NamedNode
+
+from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
+from rosld.ontology.body import RdfBody, Term
+from rosld.ontology.compile import TIME
+from rosld.ontology.fitting import (
+    Misfit,
+    Number,
+    described,
+    float_fit,
+    integer_fit,
+    is_octets,
+    octet_array,
+    sized,
+    string_fit,
+)
+from rosld.ontology.lexical import BINARIES, NUMBERS, boolean, nanoseconds
+from rosld.ontology.literals import DTYPES, STRINGS
+from rosld.ontology.lower_json import array_of_json
+from rosld.ontology.typenames import type_names
+from rosld.ontology.violations import Findings, Path
+from rosld.ontology.vocab import rdf, ros, xsd
+
+IGNORED = frozenset({ros.received, ros.sequence, ros.publisher, ros.latched, ros.dateTime, ros.rate})
+"""What the server says about messages: sent back to it, it means nothing."""
+
+Reader: TypeAlias = Callable[[Term, Path, "GraphReading"], object]
+TermLeaf: TypeAlias = Callable[[Term], object]
+
+
+class GraphReading:
+    """One lowering under way: the body, what was found wrong, the nodes above, and how much may still be read."""
+
+    def __init__(self, body: RdfBody) -> None:
+        self.body = body
+        self.findings = Findings()
+        self.above: list[Term] = []
+        self._left = 1000 + 4 * body.size
+
+    def spend(self) -> None:
+        """Count one node or element. Raises Misfit once a few triples are being read over and over."""
+        self._left -= 1
+        if self._left < 0:
+            raise Misfit("the same nodes are used too often in this body")
+
+
+# Literals
+
+
+def _unexpected(kind: FieldType, term: Term) -> Misfit:
+    return Misfit(f"expected {described(kind)}", term)
+
+
+def _number(kind: Primitive, fit: Callable[[Number], object]) -> TermLeaf:
+    def read(term: Term) -> object:
+        if not isinstance(term, Literal) or (parse := NUMBERS.get(term.datatype)) is None:
+            raise _unexpected(kind, term)
+        return fit(parse(term.value))
+
+    return read
+
+
+def _bool(term: Term) -> bool:
+    if isinstance(term, Literal) and term.datatype == xsd.boolean:
+        return boolean(term.value)
+    raise _unexpected(Primitive("bool"), term)
+
+
+def _string(kind: Primitive) -> TermLeaf:
+    fit = string_fit(kind)
+
+    def read(term: Term) -> str:
+        if not isinstance(term, Literal):
+            raise _unexpected(kind, term)
+        datatype = term.datatype
+        if datatype == xsd.string:
+            return fit(term.value)
+        if datatype in BINARIES:
+            return fit(BINARIES[datatype](term.value).decode("utf-8", "surrogateescape"))
+        if datatype == rdf.langString:
+            raise Misfit(f"expected {described(kind)} without a language", term)
+        raise _unexpected(kind, term)
+
+    return read
+
+
+def term_leaf(kind: Primitive) -> TermLeaf:
+    """The reader of a literal as a primitive. It raises Misfit."""
+    if kind.name in STRINGS:
+        return _string(kind)
+    if kind.name == "bool":
+        return _bool
+    return _number(kind, float_fit(kind) if kind.name.startswith("float") else integer_fit(kind))
+
+
+# Lists
+
+
+def _elements(kind: Array, head: Term, reading: GraphReading) -> list[Term]:
+    """The elements of an rdf:List (RDF Schema 5.2). Raises Misfit for anything that is none."""
+    elements: list[Term] = []
+    cells: set[Term] = set()
+    cell = head
+    while cell != rdf.nil:
+        reading.spend()
+        first, rest = reading.body.objects(cell, rdf.first), reading.body.objects(cell, rdf.rest)
+        if cell is head and not first and not rest:
+            raise _no_list(kind, head, reading)
+        if len(first) != 1 or len(rest) != 1:
+            raise Misfit("malformed rdf:List: each cell has one rdf:first and one rdf:rest", cell)
+        if cell in cells:
+            raise Misfit("malformed rdf:List: it never ends", cell)
+        cells.add(cell)
+        elements.append(first[0])
+        cell = rest[0]
+    return elements
+
+
+def _no_list(kind: Array | Primitive, term: Term, reading: GraphReading) -> Misfit:
+    if ros.Elided in reading.body.objects(term, rdf.type):
+        return Misfit("this was left out where it was read (ros:Elided): fetch its ros:bytes and send it whole", term)
+    return _unexpected(kind, term)
+
+
+def _array(kind: Array, element: Primitive) -> Reader:
+    """The reader of an array of primitives: an rdf:JSON literal, octets or an rdf:List of literals."""
+    from_json, one = array_of_json(kind), term_leaf(element)
+    binary = is_octets(kind)
+
+    def read(term: Term, path: Path, reading: GraphReading) -> object:
+        if not isinstance(term, Literal):
+            return _listed(kind, element, one, _elements(kind, term, reading))
+        datatype = term.datatype
+        if datatype == rdf.JSON:
+            return from_json(term.value)
+        if binary and datatype in BINARIES:
+            return octet_array(kind, BINARIES[datatype](term.value))
+        raise _unexpected(kind, term)
+
+    return read
+
+
+def _listed(kind: Array, element: Primitive, one: TermLeaf, terms: list[Term]) -> object:
+    values = []
+    for index, term in enumerate(sized(kind, terms)):
+        try:
+            values.append(one(term))
+        except Misfit as misfit:
+            raise Misfit(misfit.words, misfit.value, str(index)) from misfit
+    return values if element.name in STRINGS else np.array(values, DTYPES[element.name])
+
+
+# Messages
+
+
+class _Entry(NamedTuple):
+    field: Field
+    read: Reader
+
+
+class GraphReaders:
+    """The readers of one schema's messages; `types` is the namespace of message types."""
+
+    def __init__(self, schema: MessageSchema, types: str) -> None:
+        self._schema = schema
+        self._names = type_names(schema.types, types)
+        self._messages: dict[str, Reader] = {}
+
+    def message(self, name: str) -> Reader:
+        """The reader of a node as a message of a type of this schema."""
+        if name not in self._messages:
+            self._messages[name] = self._message(name)
+        return self._messages[name]
+
+    def _message(self, name: str) -> Reader:
+        build, kind, own = self._schema.codec.build, Nested(name), NamedNode(self._names[name].iri)
+        fields = self._schema.types[name].fields
+        entries = {
+            NamedNode(self._names[name].property(field.name)): _Entry(field, self._reader(field.type))
+            for field in fields
+        }
+        types = (own, ros.Message)
+
+        def read(node: Term, path: Path, reading: GraphReading) -> object:
+            if isinstance(node, Literal):
+                raise _unexpected(kind, node)
+            if node in reading.above:
+                raise Misfit(f"expected {described(kind)} of its own, and this node holds itself", node)
+            reading.spend()
+            values: dict[str, object] = {}
+            reading.above.append(node)
+            properties = reading.body.properties(node)
+            for predicate, objects in properties.items():
+                entry = entries.get(predicate)
+                if entry is not None:
+                    _read(entry, objects, values, path, reading)
+                elif predicate == rdf.type:
+                    _check_type(types, objects, path, reading.findings)
+                elif predicate not in IGNORED:
+                    _unknown(self._names[name].iri, fields, predicate, path, reading.findings)
+            reading.above.pop()
+            if len(values) < len(entries):
+                _complete(name, fields, values, properties, path, reading.findings)
+            return None if reading.findings.violations else build(name, values)
+
+        return read
+
+    def _reader(self, kind: FieldType) -> Reader:
+        if isinstance(kind, Nested):
+            return self.message(kind.name)
+        if isinstance(kind, Primitive):
+            return _primitive(kind)
+        if isinstance(kind.element, Primitive):
+            return _array(kind, kind.element)
+        return self._messages_reader(kind, kind.element)
+
+    def _messages_reader(self, kind: Array, element: Nested) -> Reader:
+        one = self.message(element.name)
+
+        def read(term: Term, path: Path, reading: GraphReading) -> object:
+            if isinstance(term, Literal):
+                raise _unexpected(kind, term)
+            found = []
+            for index, item in enumerate(sized(kind, _elements(kind, term, reading))):
+                try:
+                    found.append(one(item, (path, str(index)), reading))
+                except Misfit as misfit:
+                    reading.findings.misfit((path, str(index)), misfit)
+            return found
+
+        return read
+
+
+def _primitive(kind: Primitive) -> Reader:
+    leaf = term_leaf(kind)
+
+    def read(term: Term, path: Path, reading: GraphReading) -> object:
+        if not isinstance(term, Literal):
+            raise _no_list(kind, term, reading)
+        return leaf(term)
+
+    return read
+
+
+def _read(entry: _Entry, objects: list[Term], values: dict[str, object], path: Path, reading: GraphReading) -> None:
+    """Read one field; whatever is wrong with it becomes a violation."""
+    field = entry.field
+    values[field.attribute] = None
+    if len(objects) > 1 and len(set(objects)) > 1:
+        reading.findings.add((path, field.name), f"expected one value, and there are {len(set(objects))}")
+        return
+    try:
+        values[field.attribute] = entry.read(objects[0], (path, field.name), reading)
+    except Misfit as misfit:
+        reading.findings.misfit((path, field.name), misfit)
+
+
+def _check_type(types: tuple[NamedNode, ...], objects: list[Term], path: Path, findings: Findings) -> None:
+    for each in objects:
+        if each not in types:
+            findings.add(path, f"expected a node of type {types[0]}", each)
+
+
+def _unknown(iri: str, fields: tuple[Field, ...], predicate: NamedNode, path: Path, findings: Findings) -> None:
+    """A predicate that is no field."""
+    has = ", ".join(field.name for field in fields) or "none"
+    step = predicate.value.removeprefix(iri + "#")
+    findings.add((path, step), f"{predicate} is no field of <{iri}>; it has {has}")
+
+
+def _complete(
+    name: str,
+    fields: tuple[Field, ...],
+    values: dict[str, object],
+    properties: Mapping[NamedNode, list[Term]],
+    path: Path,
+    findings: Findings,
+) -> None:
+    """Note what is missing; a stamp with nothing but its derived ros:dateTime is completed from it."""
+    if name == TIME and not values and ros.dateTime in properties:
+        _read_stamp(values, properties[ros.dateTime], path, findings)
+        return
+    for field in fields:
+        if field.attribute not in values:
+            findings.add((path, field.name), f"missing: expected {described(field.type)}")
+
+
+def _read_stamp(values: dict[str, object], objects: list[Term], path: Path, findings: Findings) -> None:
+    term = objects[0]
+    try:
+        if len(set(objects)) > 1 or not isinstance(term, Literal) or term.datatype != xsd.dateTime:
+            raise Misfit("expected one xsd:dateTime", term)
+        seconds, nanosec = divmod(nanoseconds(term.value), 1_000_000_000)
+        values["sec"] = integer_fit(Primitive("int32"))(seconds)
+        values["nanosec"] = nanosec
+    except Misfit as misfit:
+        findings.misfit(path, misfit)

@@ -1,0 +1,71 @@
+"""Violations: where and how a body does not fit the type it was sent for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from rosld.ontology.fitting import Misfit
+
+Path: TypeAlias = "tuple[Path, str] | None"
+"""The way from the message to a field, innermost last: (((None, "linear"), "x")); text only once it is needed."""
+
+_MOST = 20
+_LONGEST = 120
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """One thing that does not fit: `path` of the field (`linear.x`, "" for the message), what was expected, what was
+
+    found (shortened, None where there was nothing).
+    """
+
+    path: str
+    message: str
+    value: str | None = None
+
+
+class LoweringError(ValueError):
+    """A body that is no message of the type, with the `violations` found (not necessarily all there are)."""
+
+    def __init__(self, *violations: Violation) -> None:
+        super().__init__(
+            "; ".join(f"{each.path}: {each.message}" if each.path else each.message for each in violations)
+        )
+        self.violations = violations
+
+
+class Findings:
+    """The violations found so far; the twentieth ends the search with a LoweringError."""
+
+    def __init__(self) -> None:
+        self.violations: list[Violation] = []
+
+    def add(self, path: Path, words: str, value: object = None) -> None:
+        """Note a violation."""
+        self.violations.append(Violation(dotted(path), words, shortened(value)))
+        if len(self.violations) >= _MOST:
+            raise LoweringError(*self.violations)
+
+    def misfit(self, path: Path, misfit: Misfit) -> None:
+        """Note a misfit as a violation at (or below) `path`."""
+        self.add((path, misfit.path) if misfit.path else path, misfit.words, misfit.value)
+
+
+def dotted(path: Path) -> str:
+    """The path as text."""
+    steps: list[str] = []
+    while path is not None:
+        path, step = path
+        steps.append(step)
+    return ".".join(reversed(steps))
+
+
+def shortened(value: object) -> str | None:
+    """A value as a person may want to see it; None for nothing."""
+    if value is None:
+        return None
+    text = str(value)
+    text = text.encode("utf-8", "backslashreplace").decode()
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"

@@ -58,7 +58,8 @@ def test_the_wheel_holds_every_file_of_every_room(wheel: Path) -> None:
         for path in (ROOT / room).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts and path.suffix != ".md"
     }
-    assert not files - set(zipfile.ZipFile(wheel).namelist())
+    missing = files - set(zipfile.ZipFile(wheel).namelist())
+    assert not missing
 
 
 def test_the_wheel_is_typed_and_licensed(wheel: Path) -> None:

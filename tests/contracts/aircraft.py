@@ -12,6 +12,8 @@ from rosld.adapters.base import AdapterOptions
 
 _robot = sys.modules["rosld_tests_contracts_robot"]
 
+HAS = frozenset(["writable", "answering", "parameter"])
+
 
 @contextmanager
 def robot(folder: Path) -> Iterator[object]:

@@ -1,7 +1,9 @@
 """The robots of the contract suite: one session-wide system a kind of adapter.
 
-Each module in `ROBOTS` lies beside this file and has a context manager `robot(folder: Path) -> Iterator[Robot]`, which
-may skip what cannot be run here. A new adapter joins the suite with one such module and one line.
+Each module in `ROBOTS` lies beside this file. It has a context manager `robot(folder: Path) -> Iterator[Robot]`, and
+`HAS`, which names the attributes of `Robot` that are not None there ("read_only" where nothing can be written): tests
+marked `@needs(...)` run only on robots that have what they need. A new adapter joins the suite with one such module
+and one line here.
 """
 
 from __future__ import annotations
@@ -34,11 +36,20 @@ def load(path: Path) -> ModuleType:
 _HERE = Path(__file__).parent
 load(_HERE / "robot.py")
 load(_HERE.parent / "adapters" / "recording" / "recorder.py")
+load(_HERE.parent / "adapters" / "ros1" / "system.py")
+_MODULES = {name: load(_HERE / f"{name}.py") for name in ROBOTS}
 
 
-@pytest.fixture(scope="session", params=[each for each in ROBOTS if (_HERE / f"{each}.py").exists()])
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run a test on every robot that has what it needs."""
+    if "robot" in metafunc.fixturenames:
+        needed = frozenset(getattr(metafunc.function, "needed", ()))
+        able = [name for name, module in _MODULES.items() if needed <= module.HAS]
+        metafunc.parametrize("robot", able, indirect=True, scope="session")
+
+
+@pytest.fixture(scope="session")
 def robot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A running system, as `robot.py` describes it."""
-    module = load(_HERE / f"{request.param}.py")
-    with module.robot(tmp_path_factory.mktemp(request.param)) as running:
+    with _MODULES[request.param].robot(tmp_path_factory.mktemp(request.param)) as running:
         yield running

@@ -13,6 +13,8 @@ from rosld.adapters.recording import adapter
 _robot = sys.modules["rosld_tests_contracts_robot"]
 _recorder = sys.modules["rosld_tests_recording_recorder"]
 
+HAS = frozenset(["nowhere", "trace", "read_only"])
+
 
 @contextmanager
 def robot(folder: Path) -> Iterator[object]:

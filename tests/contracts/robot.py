@@ -30,7 +30,7 @@ class Asked:
 
 @dataclass(frozen=True)
 class Robot:
-    """A running system and how to reach it. None stands for what it has not, and the tests of that are skipped.
+    """A running system and how to reach it. None stands for what it has not, and the tests of that do not run.
 
     `adapter` makes a new adapter, not yet open; `nowhere` one whose source is not there. `readable` is a topic with at
     least five messages a second. `writable` is a topic that another node subscribes to. `answering`, `raising` and

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
 
@@ -30,6 +30,8 @@ from rosld.adapters.model import (
     UnknownType,
     Unreachable,
 )
+
+Test = TypeVar("Test", bound=Callable[..., None])
 
 PATIENCE = 10.0
 """Seconds that anything that should happen at once may take on a busy machine."""
@@ -121,10 +123,14 @@ async def ask(adapter: Adapter, asked: Any, *, deadline: float | None = None) ->
     return schema.response.codec.decode(answer, encoding)
 
 
-def needs(thing: object, what: str) -> None:
-    """Skip where a robot has none of it."""
-    if thing is None:
-        pytest.skip(f"this robot has no {what}")
+def needs(*what: str) -> Callable[[Test], Test]:
+    """Run a test only on robots that have all this (see conftest.py)."""
+
+    def mark(test: Test) -> Test:
+        test.needed = what  # type: ignore[attr-defined]
+        return test
+
+    return mark
 
 
 # Opening and closing
@@ -170,9 +176,8 @@ def test_closing_what_was_never_opened_is_no_error(robot: Any) -> None:
     run(scenario())
 
 
+@needs("nowhere")
 def test_a_source_that_is_not_there_is_told_in_a_sentence_and_nothing_was_sent(robot: Any) -> None:
-    needs(robot.nowhere, "source that is not there")
-
     async def scenario() -> None:
         adapter = robot.nowhere()
         with pytest.raises((Unreachable, NotFound)) as caught:
@@ -221,9 +226,8 @@ def test_the_graph_stays_the_same_object_while_nothing_changes(robot: Any) -> No
     run(scenario())
 
 
+@needs("writable")
 def test_a_change_raises_the_revision_and_is_told_to_the_sink(robot: Any) -> None:
-    needs(robot.writable, "writable topic")
-
     async def scenario() -> None:
         sink = Sink()
         async with opened(robot, sink) as adapter:
@@ -379,9 +383,8 @@ def test_a_topic_that_is_not_there_can_be_subscribed_to_and_shows_nothing(robot:
     run(scenario())
 
 
+@needs("trace")
 def test_reading_leaves_no_trace(robot: Any) -> None:
-    needs(robot.trace, "trace to look for")
-
     async def scenario() -> None:
         before = robot.trace()
         async with opened(robot) as adapter:
@@ -395,10 +398,8 @@ def test_reading_leaves_no_trace(robot: Any) -> None:
     run(scenario())
 
 
+@needs("trace", "writable")
 def test_a_published_topic_leaves_no_trace_once_closed(robot: Any) -> None:
-    needs(robot.trace, "trace to look for")
-    needs(robot.writable, "writable topic")
-
     async def scenario() -> None:
         before = robot.trace()
         async with opened(robot) as adapter:
@@ -444,9 +445,8 @@ def test_a_type_that_nobody_knows_is_unknown_by_name(robot: Any, ref: TypeRef) -
 # Publishing
 
 
+@needs("writable")
 def test_what_rosld_publishes_is_its_newest_sample_before_publish_returns(robot: Any) -> None:
-    needs(robot.writable, "writable topic")
-
     async def scenario() -> None:
         async with opened(robot) as adapter:
             before = await adapter.subscribe(robot.writable.topic)
@@ -462,9 +462,8 @@ def test_what_rosld_publishes_is_its_newest_sample_before_publish_returns(robot:
     run(scenario())
 
 
+@needs("writable")
 def test_every_publish_counts_one_further(robot: Any) -> None:
-    needs(robot.writable, "writable topic")
-
     async def scenario() -> None:
         async with opened(robot) as adapter:
             ref, data = await message(adapter, robot.writable)
@@ -479,9 +478,8 @@ def test_every_publish_counts_one_further(robot: Any) -> None:
     run(scenario())
 
 
+@needs("writable")
 def test_rosld_is_in_the_graph_only_while_it_advertises(robot: Any) -> None:
-    needs(robot.writable, "writable topic")
-
     async def scenario() -> None:
         async with opened(robot) as adapter:
             own = adapter.graph.own_node
@@ -498,9 +496,8 @@ def test_rosld_is_in_the_graph_only_while_it_advertises(robot: Any) -> None:
     run(scenario())
 
 
+@needs("writable")
 def test_a_topic_that_is_not_there_is_created_by_publishing_and_matches_nobody(robot: Any) -> None:
-    needs(robot.writable, "writable topic")
-
     async def scenario() -> None:
         async with opened(robot) as adapter:
             assert adapter.capabilities.creates_topics
@@ -516,9 +513,8 @@ def test_a_topic_that_is_not_there_is_created_by_publishing_and_matches_nobody(r
     run(scenario())
 
 
+@needs("writable")
 def test_a_message_of_an_unknown_type_is_not_published(robot: Any) -> None:
-    needs(robot.writable, "writable topic")
-
     async def scenario() -> None:
         async with opened(robot) as adapter:
             with pytest.raises(UnknownType) as caught:
@@ -532,9 +528,8 @@ def test_a_message_of_an_unknown_type_is_not_published(robot: Any) -> None:
 # Services
 
 
+@needs("answering")
 def test_a_service_answers(robot: Any) -> None:
-    needs(robot.answering, "service")
-
     async def scenario() -> None:
         async with opened(robot) as adapter:
             await until(lambda: robot.answering.service in adapter.graph.services)
@@ -555,9 +550,8 @@ def test_a_service_that_is_not_there_is_not_found_and_nothing_was_sent(robot: An
     run(scenario())
 
 
+@needs("raising")
 def test_what_a_node_raises_is_refused_in_its_words(robot: Any) -> None:
-    needs(robot.raising, "raising service")
-
     async def scenario() -> None:
         async with opened(robot) as adapter:
             await until(lambda: robot.raising.service in adapter.graph.services)
@@ -569,9 +563,8 @@ def test_what_a_node_raises_is_refused_in_its_words(robot: Any) -> None:
     run(scenario())
 
 
+@needs("hanging")
 def test_a_service_that_hangs_is_given_up_at_the_deadline_and_holds_up_nobody(robot: Any) -> None:
-    needs(robot.hanging, "hanging service")
-
     async def scenario() -> None:
         async with opened(robot) as adapter:
             await until(lambda: robot.hanging.service in adapter.graph.services)
@@ -587,9 +580,8 @@ def test_a_service_that_hangs_is_given_up_at_the_deadline_and_holds_up_nobody(ro
     run(scenario())
 
 
+@needs("hanging")
 def test_giving_up_waiting_for_an_answer_harms_nothing(robot: Any) -> None:
-    needs(robot.hanging, "hanging service")
-
     async def scenario() -> None:
         async with opened(robot) as adapter:
             await until(lambda: robot.hanging.service in adapter.graph.services)
@@ -603,9 +595,8 @@ def test_giving_up_waiting_for_an_answer_harms_nothing(robot: Any) -> None:
     run(scenario())
 
 
+@needs("answering")
 def test_nothing_is_sent_when_the_deadline_has_passed_already(robot: Any) -> None:
-    needs(robot.answering, "service")
-
     async def scenario() -> None:
         async with opened(robot) as adapter:
             await until(lambda: robot.answering.service in adapter.graph.services)
@@ -619,9 +610,8 @@ def test_nothing_is_sent_when_the_deadline_has_passed_already(robot: Any) -> Non
 # Parameters
 
 
+@needs("parameter")
 def test_parameters_are_created_read_changed_and_deleted_and_the_sink_is_told(robot: Any) -> None:
-    needs(robot.parameter, "parameter")
-
     async def scenario() -> None:
         sink = Sink()
         async with opened(robot, sink) as adapter:
@@ -640,9 +630,8 @@ def test_parameters_are_created_read_changed_and_deleted_and_the_sink_is_told(ro
     run(scenario())
 
 
+@needs("parameter")
 def test_a_namespace_of_parameters_is_read_whole(robot: Any) -> None:
-    needs(robot.parameter, "parameter")
-
     async def scenario() -> None:
         async with opened(robot) as adapter:
             assert adapter.capabilities.parameter_trees
@@ -655,9 +644,8 @@ def test_a_namespace_of_parameters_is_read_whole(robot: Any) -> None:
     run(scenario())
 
 
+@needs("parameter")
 def test_what_parameters_cannot_hold_is_refused_by_name_and_nothing_is_set(robot: Any) -> None:
-    needs(robot.parameter, "parameter")
-
     async def scenario() -> None:
         async with opened(robot) as adapter:
             bad: Any = {"/contract/good": 1, "/contract/bad": 2**40}
@@ -718,11 +706,11 @@ def test_unknown_things_allow_nothing_but_what_creates_them(robot: Any) -> None:
     run(scenario())
 
 
+@needs("read_only")
 def test_a_system_that_cannot_be_written_to_refuses_every_write(robot: Any) -> None:
     async def scenario() -> None:
         async with opened(robot) as adapter:
-            if adapter.capabilities.writes:
-                pytest.skip("this robot can be written to")
+            assert not adapter.capabilities.writes
             kind = adapter.graph.topics[robot.readable].types[0]
             writes = [
                 adapter.publish(robot.readable, kind, b"", deadline=soon()),
@@ -776,9 +764,8 @@ def test_nothing_blocks_the_loop(robot: Any) -> None:
     run(scenario())
 
 
+@needs("vanish")
 def test_a_system_that_vanishes_leaves_a_stale_graph_and_its_return_is_noticed(robot: Any) -> None:
-    needs(robot.vanish, "way to vanish")
-
     async def scenario() -> None:
         sink = Sink()
         async with opened(robot, sink) as adapter:

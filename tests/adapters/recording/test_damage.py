@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import socket
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -325,12 +326,10 @@ def test_a_chunk_that_claims_to_be_huge_is_not_believed(recorder: ModuleType, tm
         bag.message(0)
 
 
-def test_a_file_nobody_may_read_is_refused(recorder: ModuleType, tmp_path: Path) -> None:
-    if os.geteuid() == 0:
-        pytest.skip("root may read everything")
-    path = recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines())
-    path.chmod(0)
-    assert "Permission denied" in refused(path)
+def test_what_cannot_be_opened_is_refused_with_the_systems_words(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "s"))
+        assert "No such device" in refused(tmp_path / "s")
 
 
 @pytest.fixture(scope="module")
@@ -376,11 +375,12 @@ def test_whatever_is_damaged_the_file_is_read_as_far_as_it_goes_or_refused(
 # Real recordings, where there are any
 
 
-@pytest.mark.skipif("ROSLD_BAGS" not in os.environ, reason="ROSLD_BAGS names no folder of recordings")
-def test_real_recordings_are_read_to_the_last_message(opened: Opened) -> None:
-    for path in sorted(Path(os.environ["ROSLD_BAGS"]).iterdir()):
-        if path.suffix not in (".bag", ".mcap", ".db3") and not (path / "metadata.yaml").exists():
-            continue
+REAL = sorted(Path(os.environ["ROSLD_BAGS"]).iterdir()) if "ROSLD_BAGS" in os.environ else []
+
+if REAL:
+
+    @pytest.mark.parametrize("path", REAL, ids=lambda path: path.name)
+    def test_a_real_recording_is_read_to_the_last_message(path: Path, opened: Opened) -> None:
         with opened(path) as bag:
             count = 0
             for each in bag.messages():

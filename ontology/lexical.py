@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable
 from datetime import date
 from decimal import Decimal
-from math import isinf
+from math import isfinite, isinf
 
 from pyoxigraph import NamedNode
 
@@ -60,7 +60,7 @@ def _double(text: str) -> float:
 def _float(text: str) -> float:
     double = _double(text)
     try:
-        return single(Decimal(text.strip())) if double and may_tie(double) and not isinf(double) else single(double)
+        return single(Decimal(text.strip()) if double and isfinite(double) and may_tie(double) else double)
     except OverflowError:
         raise Misfit("this number is beyond the range of xsd:float (infinity is written INF)", text) from None
 

@@ -36,7 +36,7 @@ class Stream:
 class Bag:
     """An open recording: a `Recording`, and what playing it needs. Any thread may read from it.
 
-    In memory are 24 bytes a message and the chunks read last; the messages stay on the disk.
+    In memory are 40 bytes a message and the chunks read last (64 MB at most); the messages stay on the disk.
     """
 
     def __init__(self, name: str, path: Path, storage: Storage, library: TypeLibrary) -> None:

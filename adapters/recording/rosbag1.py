@@ -23,6 +23,7 @@ _MOST_HEADER = 1 << 20
 _ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
 _UINT32 = struct.Struct("<I")
 _UINT64 = struct.Struct("<Q")
+_IS_MESSAGE = _UINT32.pack(4) + b"op=" + bytes([_MESSAGE])
 
 
 class _Record(NamedTuple):
@@ -99,6 +100,10 @@ class Rosbag1:
     def read(self, place: int, offset: int) -> bytes:
         """The bytes of the message at `offset` of the file or of a chunk. Raises Damaged."""
         source: Source = self._cache.get(place - 1) if place else self._file
+        head = source.some(offset, 256)
+        if (size := _header_size(head)) and _IS_MESSAGE in head[4 : size + 4] and len(head) >= size + 8:
+            # what nearly every message is, without taking its header apart
+            return exactly(source, offset + size + 8, _UINT32.unpack_from(head, size + 4)[0])
         record = _record_at(source, offset)
         while record.op == _CONNECTION:
             record = _record_at(source, record.end)
@@ -238,7 +243,7 @@ def _records(source: Source, at: int) -> Iterator[_Record]:
 
 def _record_at(source: Source, at: int) -> _Record:
     head = source.some(at, 256)
-    size = _UINT32.unpack_from(head)[0] if len(head) >= 4 else 0
+    size = _header_size(head)
     if not 0 < size <= _MOST_HEADER:
         raise Damaged(f"there is no record at {at}")
     if len(head) < size + 8:
@@ -250,6 +255,11 @@ def _record_at(source: Source, at: int) -> _Record:
         raise Damaged(f"the record at {at} is cut off")
     op = header.get(b"op", b"")
     return _Record(op[0] if op else -1, header, data_at, data_size)
+
+
+def _header_size(head: bytes) -> int:
+    """How long the header is that begins so; 0 where nothing begins."""
+    return int(_UINT32.unpack_from(head)[0]) if len(head) >= 4 else 0
 
 
 def _fields(data: bytes) -> dict[bytes, bytes]:

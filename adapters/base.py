@@ -21,15 +21,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
 from typing import Protocol, TypeAlias
 
 from rosld.adapters.model import Encoding, Graph, Operation, Ref, Sample, Schema, TypeRef
-
-ParameterValue: TypeAlias = (
-    "bool | int | float | str | bytes | datetime | list[ParameterValue] | dict[str, ParameterValue]"
-)
+from rosld.adapters.model import ParameterValue as ParameterValue
 
 
 @dataclass(frozen=True, slots=True)

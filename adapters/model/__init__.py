@@ -16,6 +16,7 @@ from rosld.adapters.model.graph import (
     Topic,
     frozen,
 )
+from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.model.sample import Encoding, Sample
 from rosld.adapters.model.schema import (
     Array,
@@ -53,6 +54,7 @@ __all__ = [
     "NotFound",
     "Operation",
     "Parameter",
+    "ParameterValue",
     "Primitive",
     "Ref",
     "Refused",

@@ -56,7 +56,8 @@ def described(kind: FieldType) -> str:
         return f"an array of {_count(kind)}{described(kind.element).partition(' ')[2]}"
     if kind.name in RANGES:
         least, greatest = RANGES[kind.name]
-        return f"an {kind.name} (an integer from {least} to {greatest})"
+        article = "a" if kind.name[0] in "ubc" else "an"
+        return f"{article} {kind.name} (an integer from {least} to {greatest})"
     return f"a {kind.name}" + (f" of at most {kind.bound} bytes" if kind.bound is not None else "")
 
 

@@ -1,0 +1,1 @@
+"""Live values: subscriptions on demand, views of topics, and folding."""

@@ -1,0 +1,105 @@
+"""GET and PUT through HTTP, as ratios to a bare Starlette on the same server (uvloop, httptools), in one run.
+
+Run: python bench/http.py [seconds]. Needs `wrk` (Debian: apt-get install wrk).
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+ROUNDS = 3
+BASELINE = """
+import socket, uvicorn
+from starlette.applications import Starlette
+from starlette.responses import Response
+from starlette.routing import Route
+
+BODY = b"<#s> <#p> " + b'"x" .' + b"#" * 1009
+
+async def read(request):
+    return Response(BODY, media_type="text/turtle")
+
+async def write(request):
+    await request.body()
+    return Response(status_code=204)
+
+app = Starlette(routes=[Route("/x", read, methods=["GET"]), Route("/x", write, methods=["PUT"])])
+sock = socket.socket(); sock.bind(("127.0.0.1", 0))
+print(f"http://127.0.0.1:{sock.getsockname()[1]}/", flush=True)
+config = uvicorn.Config(app, loop="uvloop", http="httptools", access_log=False, log_level="error")
+uvicorn.Server(config).run(sockets=[sock])
+"""
+PUT = """
+wrk.method = "PUT"
+wrk.headers["Content-Type"] = "text/turtle"
+wrk.body = [[<#message> a <https://w3id.org/rosld/types/std_msgs/msg/String> ;
+  <https://w3id.org/rosld/types/std_msgs/msg/String#data> "climb to 3000" .]]
+"""
+
+
+class Rate(NamedTuple):
+    """What wrk measured."""
+
+    per_second: float
+    failures: int
+
+
+@contextmanager
+def serving(*command: str) -> Iterator[str]:
+    """A server as a process; its URL is the first line it prints."""
+    process = subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        yield process.stdout.readline().strip()
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
+def measure(url: str, seconds: int, *options: str) -> Rate:
+    """Requests a second on sixteen connections."""
+    command = ["wrk", "-t1", "-c16", f"-d{seconds}s", *options, url]
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    found = re.search(r"Requests/sec:\s+([\d.]+)", output)
+    failed = re.search(r"Non-2xx or 3xx responses: (\d+)", output)
+    assert found, output
+    return Rate(float(found[1]), int(failed[1]) if failed else 0)
+
+
+def main() -> None:
+    """Print the table."""
+    if shutil.which("wrk") is None:
+        raise SystemExit("bench/http.py needs wrk: apt-get install wrk")
+    seconds = int(sys.argv[1]) if len(sys.argv) > 1 else 4
+    with tempfile.TemporaryDirectory() as folder:
+        script = Path(folder, "put.lua")
+        script.write_text(PUT)
+        serve = ("-m", "rosld", "serve", "aircraft", "--port", "0", "--max-publish-rate", "1000000000")
+        with serving("-c", BASELINE) as bare, serving(*serve) as rosld:
+            speed = f"{rosld}topics/aircraft/engine/speed"
+            rows = {
+                "GET live topic at 10 Hz, Turtle": (speed, f"{bare}x", ("-H", "Accept: text/turtle")),
+                "GET live topic at 10 Hz, JSON-LD": (speed, f"{bare}x", ("-H", "Accept: application/ld+json")),
+                "GET live topic at 10 Hz, JSON": (speed, f"{bare}x", ("-H", "Accept: application/json")),
+                "PUT that publishes, Turtle": (f"{rosld}topics/cockpit/display", f"{bare}x", ("-s", str(script))),
+            }
+            print(f"{'':36}{'rosld/s':>10}{'bare/s':>10}{'ratio':>8}")
+            for label, (ours, theirs, options) in rows.items():
+                pairs = [(measure(ours, seconds, *options), measure(theirs, seconds, *options)) for _ in range(ROUNDS)]
+                ratio = statistics.median(one.per_second / other.per_second for one, other in pairs)
+                fast, slow = (statistics.median(pair[at].per_second for pair in pairs) for at in (0, 1))
+                failures = sum(one.failures for one, _ in pairs)
+                print(f"{label:36}{fast:10.0f}{slow:10.0f}{ratio:8.2f}" + (f"  {failures} failed" if failures else ""))
+
+
+if __name__ == "__main__":
+    main()

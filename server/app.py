@@ -1,0 +1,108 @@
+"""The application: composes robot, resources, verbs and pages into one ASGI app. Nothing is decided here."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from rosld.adapters.base import Adapter
+from rosld.adapters.model import RosError
+from rosld.ontology.body import BodyError
+from rosld.ontology.lower import LoweringError
+from rosld.server.errors import problem_of, problem_of_body
+from rosld.server.http.origin import Site, check_host, check_origin, sharing, site
+from rosld.server.http.problem import Problem, render
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.pages import Pages
+from rosld.server.ldp.resource import Resource
+from rosld.server.ldp.verbs import Verbs, options
+from rosld.server.resources.router import Router
+from rosld.server.robot import Robot
+from rosld.server.settings import Settings
+
+_log = logging.getLogger("rosld")
+
+
+def create_app(adapter: Adapter, settings: Settings) -> ASGIApp:
+    """The ASGI app that serves this adapter; its lifespan opens and closes the adapter, raising what `open` raises."""
+    robot = Robot(adapter, settings)
+    pages = Pages(robot)
+    names = site(settings.base_url, settings.host, settings.port, settings.cors_origins)
+    return Application(robot, Router(robot), Verbs(robot.boot, pages), pages, names)
+
+
+class Application:
+    """One robot on the web."""
+
+    def __init__(self, robot: Robot, router: Router, verbs: Verbs, pages: Pages, names: Site) -> None:
+        self.robot = robot
+        self._router = router
+        self._verbs = verbs
+        self._pages = pages
+        self._site = names
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http":
+            await self._http(scope, receive, send)
+        elif scope["type"] == "lifespan":
+            await self._lifespan(receive, send)
+        else:
+            await send({"type": "websocket.close", "code": 1008, "reason": "no WebSocket is offered here"})
+
+    async def _lifespan(self, receive: Receive, send: Send) -> None:
+        await receive()
+        await self.robot.start()
+        await send({"type": "lifespan.startup.complete"})
+        await receive()
+        await self.robot.stop()
+        await send({"type": "lifespan.shutdown.complete"})
+
+    async def _http(self, scope: Scope, receive: Receive, send: Send) -> None:
+        exchange = Exchange(Request(scope, receive), self.robot.settings.body_limit)
+        origin = exchange.header("origin")
+        try:
+            response = await self._answer(exchange, origin)
+        except Exception as error:
+            response = self._failure(exchange, error)
+        if origin is not None or self._site.shared:
+            _share(response, sharing(self._site, exchange.method, origin))
+        await response(scope, receive, send)
+
+    async def _answer(self, exchange: Exchange, origin: str | None) -> Response:
+        check_host(self._site, exchange.hosts)
+        check_origin(self._site, exchange.method, origin, exchange.header("sec-fetch-site"))
+        resource = self._router.resolve(exchange.request.scope)
+        if exchange.method == "OPTIONS" and exchange.header("access-control-request-method") is not None:
+            return self._preflight(resource, origin)
+        return await self._verbs.answer(exchange, resource)
+
+    def _preflight(self, resource: Resource, origin: str | None) -> Response:
+        headers = options(resource)
+        response = Response(status_code=204, headers=headers)
+        _share(response, sharing(self._site, "OPTIONS", origin, preflight=True))
+        return response
+
+    def _failure(self, exchange: Exchange, error: Exception) -> Response:
+        """The response that tells of an error. What nobody foresaw is logged in full and told in one sentence."""
+        if isinstance(error, RosError):
+            error = problem_of(error)
+        elif isinstance(error, BodyError | LoweringError):
+            error = problem_of_body(error)
+        if not isinstance(error, Problem):
+            _log.exception("%s %s failed", exchange.method, exchange.request.scope["path"], exc_info=error)
+            error = Problem(500, "The server failed on this request; its log says more.")
+        return self._pages.problem(exchange, error) or render(error, exchange.accept).response()
+
+
+def _share(response: Response, headers: Mapping[str, str]) -> None:
+    """Add CORS headers to a response, joining Vary. The header list is copied: it may belong to a kept rendering."""
+    raw = [(name, value) for name, value in response.raw_headers if name != b"vary" or "vary" not in headers]
+    if "vary" in headers:
+        known = [value for name, value in response.raw_headers if name == b"vary"]
+        headers = {**headers, "vary": ", ".join([*(value.decode("latin-1") for value in known), headers["vary"]])}
+    raw.extend((name.encode("latin-1"), value.encode("latin-1")) for name, value in headers.items())
+    response.raw_headers = raw

@@ -1,0 +1,35 @@
+"""The one table from ROS's errors, and from lifting's and lowering's, to HTTP's."""
+
+from __future__ import annotations
+
+from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, UnknownType, Unreachable
+from rosld.ontology.body import BodyError
+from rosld.ontology.lower import LoweringError
+from rosld.server.http.problem import Problem
+
+RETRY_AFTER_SECONDS = 2
+
+_STATUS: tuple[tuple[type[RosError], int], ...] = (
+    (NotFound, 404),
+    (Refused, 422),
+    (TimedOut, 504),
+    (Unreachable, 503),
+    (UnknownType, 404),
+)
+
+
+def problem_of(error: RosError) -> Problem:
+    """The Problem that tells of a ROS error: its sentence, the robot's words, whether it may have been done."""
+    status = next((status for kind, status in _STATUS if isinstance(error, kind)), 502)
+    extra: dict[str, object] = {"sent": error.sent.value}
+    if error.words is not None:
+        extra["words"] = error.words
+    headers = {"Retry-After": str(RETRY_AFTER_SECONDS)} if status == 503 and error.sent is Sent.NO else {}
+    return Problem(status, error.sentence, title=type(error).__name__, headers=headers, extra=extra)
+
+
+def problem_of_body(error: BodyError | LoweringError) -> Problem:
+    """400 for a body that cannot be read, 422 for one that does not fit, with every violation."""
+    if isinstance(error, LoweringError):
+        return Problem(422, str(error), title="Does not fit", violations=error.violations)
+    return Problem(400, str(error), title="Malformed body")

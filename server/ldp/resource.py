@@ -1,0 +1,135 @@
+"""The contract of resources: everything that has a URL is one of these.
+
+A resource is made for a request and holds no state of its own: `state()` tells what it is like now. Verbs it lists in
+`methods` are its coroutines of the same names; `verbs.py` has done negotiation, `Allow` and preconditions before them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from starlette.responses import Response
+
+from rosld.ontology.serialize import Syntax
+from rosld.server.html import Form, Listing, Notice, Page, Site, Step, render_page
+from rosld.server.http.link import Link
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.state import State
+
+READ = frozenset({"GET", "HEAD", "OPTIONS"})
+LDP = "http://www.w3.org/ns/ldp#"
+RESOURCE = Link(f"{LDP}Resource", "type")
+RDF_SOURCE = Link(f"{LDP}RDFSource", "type")
+BASIC_CONTAINER = Link(f"{LDP}BasicContainer", "type")
+
+JSON = "application/json"
+MERGE_PATCH = "application/merge-patch+json"
+SPARQL_UPDATE = "application/sparql-update"
+RDF_BODIES = tuple(syntax.media_type for syntax in Syntax)
+
+
+class Resource:
+    """Base of all resources: readable, nothing else."""
+
+    kind = "Resource"
+    links: tuple[Link, ...] = (RESOURCE, RDF_SOURCE)
+    accepts: Mapping[str, Sequence[str]] = {}
+    """The media types that PUT, POST and PATCH take, by method."""
+    takes_forms = True
+    """Whether a posted form is one of our pages' (else the resource reads it itself)."""
+    title = ""
+    """What its page is called: a ROS name as a rule."""
+
+    def __init__(self, url: str) -> None:
+        self.url = url
+
+    def methods(self) -> frozenset[str]:
+        """The verbs it answers now; what `Allow` says."""
+        return READ
+
+    def why_not(self, method: str) -> str:
+        """Why a verb is not allowed, in a sentence for a 405."""
+        return f"{self.kind} resources do not answer {method}."
+
+    async def state(self) -> State:
+        """What it is like now. Raises a 404 (or 410) Problem where there is nothing."""
+        raise NotImplementedError
+
+    async def forms(self) -> Sequence[Form]:
+        """What its page offers to send."""
+        return ()
+
+    @property
+    def constrained_by(self) -> str | None:
+        """The URL of what constrains the bodies it takes, such as the shape of its type."""
+        return None
+
+    def page(self, site: Site, state: State, forms: Sequence[Form], csrf: str, notices: Sequence[Notice]) -> bytes:
+        """Its page for people."""
+        return render_page(
+            Page(
+                site,
+                self.kind,
+                self.title or self.url.removeprefix(site.base),
+                state.document,
+                tuple(sorted(self.methods())),
+                tuple(forms),
+                csrf,
+                tuple(notices),
+                self.listing(),
+                self.steps(),
+            )
+        )
+
+    def listing(self) -> Listing | None:
+        """What its page tells of its members beside their names."""
+        return None
+
+    def steps(self) -> tuple[Step, ...]:
+        """The neighbours that its page links to."""
+        return ()
+
+    async def narrowed(self, exchange: Exchange) -> Resource:
+        """The resource that the query asks for: a page of this one, a variant, itself."""
+        return self
+
+    async def special(self, exchange: Exchange) -> Response | None:
+        """An answer to a GET that is no representation of the whole, such as the bytes of one field."""
+        return None
+
+    async def put(self, exchange: Exchange) -> Answer:
+        raise _not_there(self, "PUT")
+
+    async def post(self, exchange: Exchange) -> Answer:
+        raise _not_there(self, "POST")
+
+    async def patch(self, exchange: Exchange) -> Answer:
+        raise _not_there(self, "PATCH")
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        raise _not_there(self, "DELETE")
+
+
+@dataclass(frozen=True, slots=True)
+class Created:
+    """A resource that a write made: answered as 201 with its location and, as body, its state."""
+
+    location: str
+    resource: Resource
+    state: State
+
+
+Answer: TypeAlias = Response | Created
+"""What a write answers: a finished response, or a new resource still to be represented as the request prefers."""
+
+
+def _not_there(resource: Resource, method: str) -> Problem:
+    return Problem(405, resource.why_not(method), headers={"Allow": allow(resource)})
+
+
+def allow(resource: Resource) -> str:
+    """The Allow field of a resource."""
+    return ", ".join(sorted(resource.methods()))

@@ -1,0 +1,51 @@
+"""The state of a resource at one moment, and its renderings, each made once."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+from rosld.ontology.document import Document
+from rosld.ontology.serialize import Syntax, serialize
+
+
+class Rendering(NamedTuple):
+    """A representation ready to be sent: its bytes and all headers that do not change from request to request."""
+
+    body: bytes
+    headers: list[tuple[bytes, bytes]]
+    etag: str
+
+
+@dataclass(eq=False)
+class State:
+    """What a resource is like: its RDF (made when first needed), and its plain JSON where there is a ROS value.
+
+    `token` is the state part of its ETag; without one it is a digest of the RDF. `plain` returns ROS's own JSON or raises
+    the Problem that says why there is none (406). `received_ns` is when its newest sample was received, for Age.
+    A state is kept as long as nothing changes, and its renderings with it.
+    """
+
+    describe: Callable[[], Document]
+    plain: Callable[[], bytes] | None = None
+    token: str | None = None
+    received_ns: int | None = None
+    renderings: dict[str, Rendering] = field(default_factory=dict)
+
+    @cached_property
+    def document(self) -> Document:
+        """The RDF of the resource."""
+        return self.describe()
+
+    @cached_property
+    def tag(self) -> str:
+        """The state part of the ETag."""
+        return self.token if self.token is not None else digest(serialize(self.document, Syntax.N_TRIPLES))
+
+
+def digest(data: bytes) -> str:
+    """A short name for these bytes: another one for other bytes."""
+    return hashlib.blake2b(data, digest_size=9).hexdigest()

@@ -1,0 +1,240 @@
+"""The verbs on any resource: Allow, negotiation, preconditions and preferences, the same for all (RFC 9110, LDP 4.2)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+
+from starlette.responses import Response
+
+from rosld.ontology.lower import LoweringError
+from rosld.ontology.serialize import CannotCarry, Syntax, serialize
+from rosld.server.errors import problem_of_body
+from rosld.server.http import link, negotiation
+from rosld.server.http.conditional import ETag, guard
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.pages import FORM, FormRefused, Pages
+from rosld.server.ldp.resource import JSON, LDP, RDF_BODIES, Answer, Created, Resource, allow
+from rosld.server.ldp.state import Rendering, State
+
+HTML = "text/html"
+VARIANTS: Mapping[str, str] = {syntax.media_type: syntax.extension for syntax in Syntax} | {JSON: "json", HTML: "html"}
+FORMATS: Mapping[str, str] = {extension: media_type for media_type, extension in VARIANTS.items()}
+OFFERS = (*RDF_BODIES, JSON, HTML)
+"""What every resource can be read as, the default first. `application/json` is JSON-LD where there is no ROS value."""
+_JSON_IS_JSONLD = {JSON: Syntax.JSON_LD.media_type}
+
+
+class Prepared(Response):
+    """A response whose header list is ready."""
+
+    def __init__(self, status: int, body: bytes, headers: list[tuple[bytes, bytes]]) -> None:
+        self.status_code = status
+        self.body = body
+        self.background = None
+        self.raw_headers = headers
+
+
+@dataclass(frozen=True, slots=True)
+class Verbs:
+    """Answers requests on resources. `boot` tells this run of the server from others in ETags."""
+
+    boot: str
+    pages: Pages
+
+    async def answer(self, exchange: Exchange, resource: Resource) -> Response:
+        """The response to a request on a resource; raises Problems."""
+        method = exchange.method
+        if exchange.request.scope["query_string"]:
+            resource = await resource.narrowed(exchange)
+        if method in ("GET", "HEAD"):
+            return await self.read(exchange, resource)
+        if method == "OPTIONS":
+            return Response(status_code=204, headers=options(resource))
+        if method == "POST" and resource.takes_forms and (exchange.header("content-type") or "").startswith(FORM):
+            return await self._form(exchange, resource)
+        if method not in resource.methods():
+            raise Problem(405, resource.why_not(method), headers={"Allow": allow(resource)})
+        await self._check_preconditions(exchange, resource)
+        _check_media_type(exchange, resource)
+        try:
+            answer = await _VERBS[method](resource, exchange)
+        except LoweringError as error:
+            raise _unfit(resource, error) from error
+        if isinstance(answer, Created):
+            return await self._created(exchange, answer)
+        return await self._as_preferred(exchange, resource, answer)
+
+    async def read(self, exchange: Exchange, resource: Resource) -> Response:
+        """GET and HEAD."""
+        special = await resource.special(exchange)
+        if special is not None:
+            return special
+        state = await resource.state()
+        rendering = await self.rendering(exchange, resource, state)
+        headers = rendering.headers
+        if state.received_ns is not None:
+            age = max(0, time.time_ns() - state.received_ns) // 1_000_000_000
+            headers = [*headers, (b"age", b"%d" % age)]
+        if _not_modified(exchange, rendering):
+            return Prepared(304, b"", [pair for pair in headers if pair[0] not in _CONTENT])
+        return Prepared(200, rendering.body, headers)
+
+    async def rendering(self, exchange: Exchange, resource: Resource, state: State) -> Rendering:
+        """The representation that the request prefers, from the state's renderings or made now. Raises a 406 Problem."""
+        media_type = chosen(exchange)
+        variant = VARIANTS[media_type]
+        found = state.renderings.get(variant)
+        if found is None:
+            found = state.renderings[variant] = await self._render(resource, state, media_type)
+        return found
+
+    async def _render(self, resource: Resource, state: State, media_type: str) -> Rendering:
+        if media_type == HTML:
+            body = await self.pages.page(resource, state)
+        elif media_type == JSON and state.plain is not None:
+            body = state.plain()
+        else:
+            body = _serialized(state, _JSON_IS_JSONLD.get(media_type, media_type))
+        etag = str(ETag(f"{self.boot}-{state.tag}", VARIANTS[media_type]))
+        headers = {
+            "content-type": f"{media_type}; charset=utf-8" if media_type.startswith("text/") else media_type,
+            "content-length": str(len(body)),
+            "etag": etag,
+            "vary": "Accept",
+            "cache-control": "no-cache",
+            **standing_headers(resource),
+        }
+        if media_type == HTML:
+            headers |= self.pages.headers
+        return Rendering(
+            body, [(name.encode("latin-1"), value.encode("latin-1")) for name, value in headers.items()], etag
+        )
+
+    async def _check_preconditions(self, exchange: Exchange, resource: Resource) -> None:
+        """If-Match and If-None-Match of a write (RFC 9110 13.1), judged against the resource as it is now."""
+        if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
+        if if_match is None and if_none_match is None:
+            return
+        try:
+            state: State | None = await resource.state()
+        except Problem as problem:
+            if problem.status not in (404, 410):
+                raise
+            state = None
+        current = None if state is None else ETag(f"{self.boot}-{state.tag}", "any")
+        guard(exchange.method, current, if_match=if_match, if_none_match=if_none_match)
+
+    async def _form(self, exchange: Exchange, resource: Resource) -> Response:
+        """A form of one of our pages: the write it means, then the way back to a page (303)."""
+        try:
+            form = await self.pages.meant(exchange, resource)
+            try:
+                answer = await _VERBS[form.method](resource, exchange)
+            except LoweringError as error:
+                raise FormRefused(form, exchange.typed, error) from error
+        except FormRefused as refusal:
+            return await self.pages.refused(resource, refusal)
+        if isinstance(answer, Response) and answer.status_code == 202:
+            return await self.pages.told(resource, "It was published, but no subscriber was there to get it.")
+        back = answer.location if isinstance(answer, Created) else answer.headers.get("location", resource.url)
+        if form.method == "DELETE":
+            back = resource.url.rstrip("/").rpartition("/")[0] + "/"
+        return Response(status_code=303, headers={"Location": link.uri(back)})
+
+    async def _created(self, exchange: Exchange, created: Created) -> Response:
+        """201 with the new resource as body (RFC 9110 15.3.2), or without where less is preferred."""
+        location = (b"location", link.uri(created.location).encode("ascii"))
+        if exchange.prefer.minimal:
+            return Prepared(201, b"", [location, (b"content-length", b"0")])
+        rendering = await self.rendering(exchange, created.resource, created.state)
+        return Prepared(201, rendering.body, [*rendering.headers, location, (b"content-location", location[1])])
+
+    async def _as_preferred(self, exchange: Exchange, resource: Resource, response: Response) -> Response:
+        """The representation after a write instead of an empty 204, where the request prefers it (RFC 7240 4.2)."""
+        if not exchange.prefer.representation or response.status_code != 204 or exchange.method == "DELETE":
+            return response
+        state = await resource.state()
+        rendering = await self.rendering(exchange, resource, state)
+        headers = [*rendering.headers, (b"preference-applied", b"return=representation")]
+        headers.append((b"content-location", link.uri(resource.url).encode("ascii")))
+        return Prepared(200, rendering.body, headers)
+
+
+_CONTENT = (b"content-type", b"content-length")
+_VERBS: Mapping[str, Callable[[Resource, Exchange], Awaitable[Answer]]] = {
+    "PUT": lambda resource, exchange: resource.put(exchange),
+    "POST": lambda resource, exchange: resource.post(exchange),
+    "PATCH": lambda resource, exchange: resource.patch(exchange),
+    "DELETE": lambda resource, exchange: resource.delete(exchange),
+}
+
+
+def _unfit(resource: Resource, error: LoweringError) -> Problem:
+    """422 with what does not fit, and a link to what constrains the body (LDP 4.2.1.6)."""
+    problem = problem_of_body(error)
+    if resource.constrained_by is not None:
+        problem.headers["Link"] = link.render([link.Link(resource.constrained_by, f"{LDP}constrainedBy")])
+    return problem
+
+
+def chosen(exchange: Exchange) -> str:
+    """The media type to answer with: `?format=` before Accept. Raises a 406 Problem naming what there is."""
+    if b"format=" in exchange.request.scope["query_string"] and (wanted := exchange.query.get("format")):
+        if wanted not in FORMATS:
+            raise Problem(406, f"?format={wanted} is unknown; there are {', '.join(FORMATS)}.")
+        return FORMATS[wanted]
+    found = negotiation.choose(exchange.accept, OFFERS)
+    if found is None:
+        raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(OFFERS)}.")
+    return found
+
+
+def _not_modified(exchange: Exchange, rendering: Rendering) -> bool:
+    if_none_match = exchange.header("if-none-match")
+    if_match = exchange.header("if-match")
+    if if_none_match is None and if_match is None:
+        return False
+    state, _, variant = rendering.etag.strip('"').rpartition(".")
+    return guard(exchange.method, ETag(state, variant), if_match=if_match, if_none_match=if_none_match)
+
+
+def _serialized(state: State, media_type: str) -> bytes:
+    syntax = next(syntax for syntax in Syntax if syntax.media_type == media_type)
+    try:
+        return serialize(state.document, syntax)
+    except CannotCarry as error:
+        raise Problem(406, f"{media_type} cannot carry this resource: {error}") from error
+
+
+def _check_media_type(exchange: Exchange, resource: Resource) -> None:
+    accepted = resource.accepts.get(exchange.method)
+    if accepted is None:
+        return
+    if exchange.header("content-type") is None and exchange.header("content-length") in (None, "0"):
+        return
+    if exchange.media_type not in accepted:
+        headers = {_ACCEPT_FIELDS[exchange.method]: ", ".join(accepted)}
+        raise Problem(
+            415, f"{exchange.method} takes {', '.join(accepted)} here, not {exchange.media_type}.", headers=headers
+        )
+
+
+_ACCEPT_FIELDS = {"PUT": "Accept-Put", "POST": "Accept-Post", "PATCH": "Accept-Patch"}
+
+
+def standing_headers(resource: Resource) -> dict[str, str]:
+    """The headers every answer about a resource has: Allow, Link, and Accept-* for the writes it takes."""
+    methods = resource.methods()
+    headers = {"allow": ", ".join(sorted(methods)), "link": link.render(resource.links)}
+    for method, accepted in resource.accepts.items():
+        if method in methods:
+            headers[_ACCEPT_FIELDS[method].lower()] = ", ".join(accepted)
+    return headers
+
+
+def options(resource: Resource) -> dict[str, str]:
+    """The headers of an answer to OPTIONS."""
+    return {**standing_headers(resource), "vary": "Accept"}

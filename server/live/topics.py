@@ -1,0 +1,199 @@
+"""Live topics: subscribed to when somebody looks, kept a while, within a budget."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+
+from rosld.adapters.base import Adapter, Subscription
+from rosld.adapters.model import Graph, Message, MessageSchema, RosError, Sample
+from rosld.server.live.fold import DEPTH, FOLDS, Folded, decoder
+from rosld.server.live.schemas import Schemas
+from rosld.server.live.view import Rates, View, in_order
+
+_SWEEP = 0.5
+"""Seconds between sweeps, which fold what came and give back what nobody looks at any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveSettings:
+    """`first_value`: seconds to wait for the first message of a topic that somebody publishes; `idle`: seconds a
+
+    subscription is kept after the last look; `budget`: how many there may be; `eager`: globs of topics always kept.
+    """
+
+    first_value: float = 1.0
+    idle: float = 60.0
+    budget: int = 2000
+    eager: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class _Look:
+    """One subscription and what was made of it last."""
+
+    subscription: Subscription
+    looked_at: float
+    eager: bool = False
+    folded: Folded | None = None
+    rates: Rates = field(default_factory=Rates)
+    latest: Sequence[Sample] | None = None
+    view: View = field(default_factory=View)
+
+
+class LiveTopics:
+    """The values of topics. A look costs nothing while nothing new has come: the same `View` is handed out."""
+
+    def __init__(self, adapter: Adapter, schemas: Schemas, settings: LiveSettings) -> None:
+        self._adapter = adapter
+        self._schemas = schemas
+        self._settings = settings
+        self._looks: dict[str, _Look] = {}
+        self._opening: dict[str, asyncio.Lock] = {}
+        self._sweeper: asyncio.Task[None] | None = None
+
+    def start(self) -> None:
+        """Begin to sweep; needs a running loop."""
+        self._sweeper = asyncio.get_running_loop().create_task(self._sweep_for_ever())
+
+    async def stop(self) -> None:
+        """Give every subscription back."""
+        if self._sweeper is not None:
+            self._sweeper.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._sweeper
+        for topic in list(self._looks):
+            self._close(topic)
+
+    def subscribed(self) -> Sequence[str]:
+        """The topics subscribed to now."""
+        return list(self._looks)
+
+    def peek(self, topic: str) -> View | None:
+        """The view of a topic if it is subscribed to and has a value: at once, asking nobody."""
+        look = self._looks.get(topic)
+        if look is None:
+            return None
+        look.looked_at = asyncio.get_running_loop().time()
+        view = self._refresh(look)
+        return view if view.samples else None
+
+    async def look(self, topic: str) -> View:
+        """The view of a topic, subscribing if need be and then waiting a moment where somebody publishes it."""
+        view = self.peek(topic)
+        if view is not None:
+            return view
+        look = await self._open(topic)
+        await self._know_types(look)
+        view = self._refresh(look)
+        if not view.samples and self._is_published(topic):
+            await self._wait(look, self._settings.first_value)
+            await self._know_types(look)
+            view = self._refresh(look)
+        return view
+
+    async def eager(self, graph: Graph) -> None:
+        """Subscribe to what the eager globs match in this graph."""
+        for topic in graph.topics:
+            if topic not in self._looks and any(fnmatchcase(topic, glob) for glob in self._settings.eager):
+                (await self._open(topic)).eager = True
+
+    def _is_published(self, topic: str) -> bool:
+        entry = self._adapter.graph.topics.get(topic)
+        return entry is not None and any(publisher.unreachable is None for publisher in entry.publishers)
+
+    async def _open(self, topic: str) -> _Look:
+        async with self._opening.setdefault(topic, asyncio.Lock()):
+            look = self._looks.get(topic)
+            if look is None:
+                look = self._looks[topic] = await self._subscribe(topic)
+                self._keep_within_budget()
+        self._opening.pop(topic, None)
+        return look
+
+    async def _subscribe(self, topic: str) -> _Look:
+        entry = self._adapter.graph.topics.get(topic)
+        names = {ref.name for ref in entry.types} if entry else set()
+        fold = next((FOLDS[name] for name in names if name in FOLDS), None)
+        subscription = await self._adapter.subscribe(topic, depth=DEPTH if fold else 1)
+        now = asyncio.get_running_loop().time()
+        return _Look(subscription, now, folded=Folded(fold) if fold else None)
+
+    async def _know_types(self, look: _Look) -> None:
+        """See that the schemas needed to fold are at hand."""
+        if look.folded is None:
+            return
+        for ref in {sample.schema for sample in look.subscription.latest()}:
+            with contextlib.suppress(RosError):
+                await self._schemas.find(ref)
+
+    async def _wait(self, look: _Look, seconds: float) -> None:
+        """Until a sample is there, at most `seconds`."""
+        arrived = asyncio.Event()
+        watch = look.subscription.watch(arrived.set)
+        try:
+            if not look.subscription.latest():
+                with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
+                    await asyncio.wait_for(arrived.wait(), seconds)
+        finally:
+            watch.close()
+
+    def _refresh(self, look: _Look) -> View:
+        latest = look.subscription.latest()
+        if latest is look.latest:
+            return look.view
+        if look.folded is None:
+            samples = in_order(latest)
+            look.view = View(samples, look.rates.observe(samples))
+        else:
+            self._fold(look, look.folded, latest)
+        look.latest = latest
+        return look.view
+
+    def _fold(self, look: _Look, folded: Folded, latest: Sequence[Sample]) -> None:
+        ordered = in_order(latest)
+        try:
+            if not folded.take(ordered, self._decode):
+                return
+            whole = folded.sample(self._schema_at_hand(ordered[-1]))
+        except (ValueError, LookupError):
+            look.view = View(ordered[-1:], 0.0)  # what cannot be folded is shown as it came
+            return
+        newest = {sample.publisher: sample for sample in ordered}
+        rate = look.rates.observe(list(newest.values()))
+        look.view = View((whole,) if whole is not None else (), rate, folded=True)
+
+    def _schema_at_hand(self, sample: Sample) -> MessageSchema:
+        schema = self._schemas.at_hand(sample.schema)
+        if not isinstance(schema, MessageSchema):
+            raise LookupError(sample.schema.name)
+        return schema
+
+    def _decode(self, sample: Sample) -> Message:
+        return decoder(self._schema_at_hand(sample))(sample)
+
+    def _keep_within_budget(self) -> None:
+        over = len(self._looks) - self._settings.budget
+        if over > 0:
+            idlest = sorted((look.looked_at, topic) for topic, look in self._looks.items() if not look.eager)
+            for _, topic in idlest[:over]:
+                self._close(topic)
+
+    def _close(self, topic: str) -> None:
+        look = self._looks.pop(topic, None)
+        if look is not None:
+            look.subscription.close()
+
+    async def _sweep_for_ever(self) -> None:
+        while True:
+            await asyncio.sleep(_SWEEP)
+            horizon = asyncio.get_running_loop().time() - self._settings.idle
+            for topic, look in list(self._looks.items()):
+                if not look.eager and look.looked_at < horizon:
+                    self._close(topic)
+                elif look.folded is not None:
+                    await self._know_types(look)
+                    self._refresh(look)

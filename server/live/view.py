@@ -1,0 +1,103 @@
+"""What is known of a topic's values at one moment, as an immutable value."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from rosld.adapters.model import Sample
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """The samples of a topic as of one look: the newest of each publisher, and how often they come.
+
+    `samples` is in order of receipt, the newest last; `folded` says that they belong together (`/tf`), so that one
+    message is made of all. `rate` is in messages a second over all publishers, 0.0 until known.
+    """
+
+    samples: tuple[Sample, ...] = ()
+    rate: float = 0.0
+    folded: bool = False
+
+    @property
+    def newest(self) -> Sample | None:
+        """The newest sample of all."""
+        return self.samples[-1] if self.samples else None
+
+    def identity(self) -> str:
+        """A short text that differs whenever samples or rate do."""
+        digest = hashlib.blake2b(digest_size=9)
+        for sample in self.samples:
+            digest.update(f"{sample.publisher}\0{sample.epoch}\0{sample.sequence}\0{sample.received_ns}\0".encode())
+        digest.update(repr(self.rate).encode("ascii"))
+        return digest.hexdigest()
+
+
+def in_order(samples: Iterable[Sample]) -> tuple[Sample, ...]:
+    """Samples by time of receipt, the newest last."""
+    return tuple(sorted(samples, key=_received))
+
+
+def _received(sample: Sample) -> int:
+    return sample.received_ns
+
+
+@dataclass(slots=True)
+class _Anchor:
+    """Where counting began for one publisher, and a younger place to begin anew from."""
+
+    epoch: int
+    sequence: int
+    received_ns: int
+    next_sequence: int
+    next_ns: int
+
+
+_SPAN_NS = 5_000_000_000
+"""Rates are means over the last five to ten seconds, as `rostopic hz` shows them."""
+
+
+@dataclass(slots=True)
+class Rates:
+    """Message rates, computed from sequence numbers as samples are taken: nothing is done per message."""
+
+    _anchors: dict[str, _Anchor] = field(default_factory=dict)
+    _rates: dict[str, float] = field(default_factory=dict)
+
+    def observe(self, samples: Sequence[Sample]) -> float:
+        """The rate over all publishers in messages a second after seeing these newest samples."""
+        for sample in samples:
+            self._observe(sample)
+        gone = self._anchors.keys() - {sample.publisher for sample in samples}
+        for publisher in gone:
+            self._anchors.pop(publisher)
+            self._rates.pop(publisher, None)
+        return round(sum(self._rates.values()), 3)
+
+    def _observe(self, sample: Sample) -> None:
+        anchor = self._anchors.get(sample.publisher)
+        if anchor is None or sample.epoch != anchor.epoch or sample.sequence < anchor.sequence:
+            self._anchors[sample.publisher] = _Anchor(
+                sample.epoch, sample.sequence, sample.received_ns, sample.sequence, sample.received_ns
+            )
+            return
+        elapsed = sample.received_ns - anchor.received_ns
+        if elapsed <= 0:
+            return
+        self._rates[sample.publisher] = (sample.sequence - anchor.sequence) * 1e9 / elapsed
+        if elapsed > 2 * _SPAN_NS:
+            anchor.sequence, anchor.received_ns = anchor.next_sequence, anchor.next_ns
+        if sample.received_ns - anchor.next_ns > _SPAN_NS:
+            anchor.next_sequence, anchor.next_ns = sample.sequence, sample.received_ns
+
+
+def newest_of_each(samples: Iterable[Sample]) -> Mapping[str, Sample]:
+    """The newest sample of each publisher, by publisher."""
+    newest: dict[str, Sample] = {}
+    for sample in samples:
+        known = newest.get(sample.publisher)
+        if known is None or sample.received_ns >= known.received_ns:
+            newest[sample.publisher] = sample
+    return newest

@@ -1,0 +1,169 @@
+"""Recordings: `/bags/B/`, its messages in LDP pages, and each message under its own URL."""
+
+from __future__ import annotations
+
+import asyncio
+
+from starlette.responses import Response
+
+from rosld.adapters.base import RecordedMessage, Recording
+from rosld.adapters.model import NotFound
+from rosld.ontology.describe_bags import bag_document, bag_message_document, bag_messages_document
+from rosld.ontology.describe_containers import container_document
+from rosld.ontology.document import Document
+from rosld.ontology.urls import Location
+from rosld.server.http.link import Link
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
+from rosld.server.ldp.state import State
+from rosld.server.resources.topics import decode, field_response, lifted
+from rosld.server.robot import Robot
+
+PAGE = 100
+"""Messages on one page of `/bags/B/messages/`."""
+
+
+class BagContainer(Resource):
+    """`/bags/`: the recordings of this source."""
+
+    kind = "Bags"
+    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot.space.container("bags"))
+        self.robot = robot
+
+    async def state(self) -> State:
+        members = [self.robot.space.bag(name) for name in self.robot.adapter.recordings]
+        return self.robot.states.get(
+            self.url, len(members), lambda: State(lambda: container_document(self.url, members, "Recordings"))
+        )
+
+
+class BagResource(Resource):
+    """One recording."""
+
+    kind = "Bag"
+    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+
+    def __init__(self, robot: Robot, recording: Recording) -> None:
+        super().__init__(robot.space.bag(recording.name))
+        self.robot = robot
+        self.recording = recording
+
+    async def state(self) -> State:
+        recording, space = self.recording, self.robot.space
+        return self.robot.states.get(self.url, 0, lambda: State(lambda: bag_document(recording, space)))
+
+
+class BagMessages(Resource):
+    """The messages of a recording: a container in pages (`?page=N` from 0; without it, links only)."""
+
+    kind = "Messages"
+    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+
+    def __init__(self, robot: Robot, recording: Recording, page: int | None = None) -> None:
+        base = robot.space.bag_messages(recording.name)
+        super().__init__(base if page is None else f"{base}?page={page}")
+        self.robot = robot
+        self.recording = recording
+        self.number = page
+
+    async def state(self) -> State:
+        recording, space, page = self.recording, self.robot.space, self.number
+        return self.robot.states.get(
+            self.url, 0, lambda: State(lambda: bag_messages_document(recording, space, page, PAGE))
+        )
+
+    async def narrowed(self, exchange: Exchange) -> Resource:
+        """The page that `?page=` asks for; a 404 Problem where there is none."""
+        wanted = exchange.query.get("page")
+        if wanted is None:
+            return self
+        last = max(0, (self.recording.count - 1) // PAGE)
+        if not (wanted.isascii() and wanted.isdigit()) or int(wanted) > last:
+            raise Problem(404, f"?page={wanted}: the pages of {self.recording.name} are 0 to {last}.")
+        return BagMessages(self.robot, self.recording, int(wanted))
+
+
+class BagMessage(Resource):
+    """One message of a recording."""
+
+    kind = "Recorded message"
+
+    def __init__(self, robot: Robot, recording: Recording, index: int) -> None:
+        super().__init__(robot.space.bag_message(recording.name, index))
+        self.robot = robot
+        self.recording = recording
+        self.index = index
+        self.links = (*Resource.links, *self._neighbours())
+
+    def _neighbours(self) -> list[Link]:
+        """The messages before and after, first and last (RFC 8288)."""
+        last = self.recording.count - 1
+        places = {"first": 0, "prev": self.index - 1, "next": self.index + 1, "last": last}
+        url = self.robot.space.bag_message
+        return [Link(url(self.recording.name, at), rel) for rel, at in places.items() if 0 <= at <= last]
+
+    async def message(self) -> RecordedMessage:
+        """The message, read off the loop; a 404 Problem where there is none."""
+        try:
+            return await asyncio.to_thread(self.recording.message, self.index)
+        except NotFound as error:
+            raise Problem(404, error.sentence) from error
+
+    async def state(self) -> State:
+        known = self.robot.states.known(self.url, 0)
+        if known is not None:
+            return known
+        message = await self.message()
+        robot, recording = self.robot, self.recording
+        decoded = await decode(robot, message.sample)
+
+        def plain() -> bytes:
+            if decoded.schema is None or decoded.message is None:
+                raise Problem(406, f"The message cannot be read: {decoded.reason}.")
+            return lifted(robot, decoded).lifter.json(decoded.message, self.url)
+
+        def describe() -> Document:
+            found = lifted(robot, decoded) if decoded.message is not None else None
+            return bag_message_document(recording, message, robot.space, found, unreadable=decoded.reason)
+
+        return robot.states.keep(self.url, 0, State(describe, plain))
+
+    async def special(self, exchange: Exchange) -> Response | None:
+        if "field" not in exchange.query:
+            return None
+        return await field_response(self.robot, (await self.message()).sample, exchange.query["field"])
+
+
+def bag_room(robot: Robot, location: Location) -> Resource:
+    """`/bags/` and below."""
+    match location.segments:
+        case ():
+            return BagContainer(robot) if location.is_container else _slash(robot, location)
+        case (name,):
+            recording = _recording(robot, name)
+            return BagResource(robot, recording) if location.is_container else _slash(robot, location)
+        case (name, "messages"):
+            recording = _recording(robot, name)
+            return BagMessages(robot, recording) if location.is_container else _slash(robot, location)
+        case (name, "messages", index) if not location.is_container:
+            recording = _recording(robot, name)
+            if index.isascii() and index.isdigit() and str(int(index)) == index and int(index) < recording.count:
+                return BagMessage(robot, recording, int(index))
+            raise Problem(404, f"{name} has the messages 0 to {recording.count - 1}, not {index}.")
+    raise Problem(404, "Under /bags/B/ there is messages/ and nothing else.")
+
+
+def _slash(robot: Robot, location: Location) -> Resource:
+    url = robot.space.container("bags", location.segments)
+    raise Problem(308, f"It is at {url}", title="Moved", headers={"Location": url})
+
+
+def _recording(robot: Robot, name: str) -> Recording:
+    found = robot.adapter.recordings.get(name)
+    if found is None:
+        raise Problem(404, f"There is no recording {name}.")
+    return found

@@ -1,0 +1,44 @@
+"""The files that pages are drawn with: their style and their icon."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from starlette.responses import Response
+
+from rosld.server import html
+from rosld.server.http.link import Link
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.resource import LDP, RESOURCE, Resource
+from rosld.server.robot import Robot
+
+_DAY = 86400
+
+
+class FileResource(Resource):
+    """A file that never changes in one version of rosld."""
+
+    kind = "File"
+    links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
+
+    def __init__(self, robot: Robot, name: str, data: bytes, media_type: str) -> None:
+        super().__init__(robot.space.base + name)
+        self._data = data
+        self._media_type = media_type
+
+    async def special(self, exchange: Exchange) -> Response | None:
+        headers = {"Cache-Control": f"max-age={_DAY}", "X-Content-Type-Options": "nosniff"}
+        return Response(self._data, media_type=self._media_type, headers=headers)
+
+
+def style(robot: Robot) -> FileResource:
+    """`/style.css`."""
+    return FileResource(robot, "style.css", html.STYLESHEET, "text/css; charset=utf-8")
+
+
+def icon(robot: Robot) -> FileResource:
+    """`/icon.svg`."""
+    return FileResource(robot, "icon.svg", html.ICON, "image/svg+xml")
+
+
+FILES: dict[str, Callable[[Robot], FileResource]] = {"style.css": style, "icon.svg": icon, "favicon.ico": icon}

@@ -1,0 +1,124 @@
+"""From a path to its resource: one line a room."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TypeAlias
+
+from starlette.types import Scope
+
+from rosld.adapters.model import names
+from rosld.ontology.urls import Location, locate
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.resource import Resource
+from rosld.server.resources.bags import bag_room
+from rosld.server.resources.calls import CallContainer
+from rosld.server.resources.entry import EntryResource
+from rosld.server.resources.files import FILES
+from rosld.server.resources.namespaces import NamespaceContainer
+from rosld.server.resources.nodes import NodeResource
+from rosld.server.resources.ontology import OntologyResource
+from rosld.server.resources.parameters import ParameterResource, ParameterTree
+from rosld.server.resources.queries import query_room
+from rosld.server.resources.services import CallResource, ServiceResource
+from rosld.server.resources.sparql import SparqlResource
+from rosld.server.resources.topics import TopicResource
+from rosld.server.resources.types import shape_room, type_room
+from rosld.server.robot import Robot
+
+Room: TypeAlias = Callable[[Robot, Location], Resource]
+_MOST = 8192
+
+
+def _named(kind: str, leaf: Callable[[Robot, str], Resource]) -> Room:
+    """A room of things with ROS names: leaves, and the containers of their namespaces."""
+
+    def room(robot: Robot, location: Location) -> Resource:
+        if location.is_container:
+            return NamespaceContainer(robot, kind, location.segments)
+        if not location.segments:
+            raise moved(robot.space.container(kind))
+        return leaf(robot, location.name)
+
+    return room
+
+
+def _parameters(robot: Robot, location: Location) -> Resource:
+    if location.is_container:
+        return ParameterTree(robot, location.segments)
+    if not location.segments:
+        raise moved(robot.space.container("parameters"))
+    return ParameterResource(robot, names.join(location.segments))
+
+
+def _calls(robot: Robot, location: Location) -> Resource:
+    if location.is_container and not location.segments:
+        return CallContainer(robot)
+    if not location.segments:
+        raise moved(robot.space.container("calls"))
+    if len(location.segments) > 1 or location.is_container:
+        raise Problem(404, "A call lies directly under /calls/.")
+    return CallResource(robot, location.segments[0])
+
+
+def _single(make: Callable[[Robot], Resource]) -> Room:
+    def room(robot: Robot, location: Location) -> Resource:
+        if location.segments or (location.is_container and location.kind):
+            raise Problem(404, f"There is nothing below /{location.kind}.")
+        return make(robot)
+
+    return room
+
+
+ROOMS: Mapping[str, Room] = {
+    "": _single(EntryResource),
+    "nodes": _named("nodes", NodeResource),
+    "topics": _named("topics", TopicResource),
+    "services": _named("services", ServiceResource),
+    "calls": _calls,
+    "parameters": _parameters,
+    "types": type_room,
+    "shapes": shape_room,
+    "bags": bag_room,
+    "queries": query_room,
+    "ontology": _single(OntologyResource),
+    "sparql": _single(SparqlResource),
+} | {name: _single(make) for name, make in FILES.items()}
+
+
+def moved(url: str) -> Problem:
+    """308: the same thing is at `url`."""
+    return Problem(308, f"It is at {url}", title="Moved", headers={"Location": url})
+
+
+class Router:
+    """Resolves paths; the resources of the last few thousand are kept, as they hold no state of their own."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._base = robot.space.path.rstrip("/")
+        self._kept: dict[bytes, Resource] = {}
+
+    def resolve(self, scope: Scope) -> Resource:
+        """The resource at the path of a request; raises Problems: 400 malformed, 404 no such room, 308 moved."""
+        raw: bytes = scope["raw_path"]
+        resource = self._kept.get(raw)
+        if resource is None:
+            resource = self._find(raw)
+            if len(self._kept) >= _MOST:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[raw] = resource
+        return resource
+
+    def _find(self, raw: bytes) -> Resource:
+        try:
+            path = raw.decode("ascii")
+            location = locate(path.removeprefix(self._base))
+            room = ROOMS.get(location.kind)
+            if room is None:
+                raise Problem(404, f"There is nothing at {path}; begin at {self._robot.space.base}")
+            return room(self._robot, location)
+        except UnicodeDecodeError as error:
+            raise Problem(400, "The path is not ASCII: percent-encode it.") from error
+        except ValueError as error:
+            raise Problem(400, f"{error}.") from error

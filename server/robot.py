@@ -1,0 +1,140 @@
+"""The robot as the server holds it: the adapter, and beside it everything that one run of the server remembers."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import secrets
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+
+from rosld.adapters.base import Adapter
+from rosld.adapters.model import Graph, RosError, TypeRef
+from rosld.ontology.lift import LiftSettings
+from rosld.ontology.urls import Space
+from rosld.server.calls import Calls
+from rosld.server.http.csrf import FormKey
+from rosld.server.ldp.state import State
+from rosld.server.limiter import PublishLimiter
+from rosld.server.live.schemas import Schemas
+from rosld.server.live.topics import LiveSettings, LiveTopics
+from rosld.server.settings import Settings
+
+OPEN_SECONDS = 5.0
+
+
+class Robot:
+    """One adapter being served. Also the adapter's `Sink`: told of changes, from any thread."""
+
+    def __init__(self, adapter: Adapter, settings: Settings) -> None:
+        self.adapter = adapter
+        self.settings = settings
+        self.space = Space(settings.base_url, settings.types_namespace)
+        self.lifting = LiftSettings(settings.types_namespace, settings.inline_limit)
+        self.schemas = Schemas(adapter)
+        live = LiveSettings(
+            settings.first_value_wait, settings.idle_time, settings.subscription_budget, tuple(settings.subscribe)
+        )
+        self.topics = LiveTopics(adapter, self.schemas, live)
+        self.calls = Calls(adapter, most=settings.calls_kept, age=settings.calls_age)
+        self.limiter = PublishLimiter(settings.max_publish_rate)
+        self.forms = FormKey()
+        self.states = States()
+        self.boot = secrets.token_hex(4)
+        self._changed = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._follower: asyncio.Task[None] | None = None
+
+    @property
+    def graph(self) -> Graph:
+        """The computation graph as last known."""
+        return self.adapter.graph
+
+    def deadline(self, seconds: float) -> float:
+        """The loop time so many seconds from now."""
+        return asyncio.get_running_loop().time() + seconds
+
+    async def start(self) -> None:
+        """Open the adapter unless it is, and follow its graph. Raises what `Adapter.open` raises."""
+        self._loop = asyncio.get_running_loop()
+        await self.adapter.open(self, deadline=self.deadline(OPEN_SECONDS))
+        self.topics.start()
+        self._changed.set()
+        self._follower = self._loop.create_task(self._follow())
+
+    async def stop(self) -> None:
+        """Give everything back to the robot; idempotent."""
+        if self._follower is not None:
+            self._follower.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._follower
+        await self.calls.stop()
+        await self.topics.stop()
+        await self.adapter.close()
+
+    def graph_changed(self, graph: Graph) -> None:
+        """`Sink`: look at what the graph now holds."""
+        if self._loop is not None and not self._loop.is_closed():
+            with contextlib.suppress(RuntimeError):
+                self._loop.call_soon_threadsafe(self._changed.set)
+
+    def parameter_changed(self, name: str) -> None:
+        """`Sink`: parameters are read anew whenever somebody asks, so there is nothing to do."""
+
+    async def _follow(self) -> None:
+        """After each change: subscribe to what is to be eager, and learn the types in use, so that they are listed."""
+        while True:
+            await self._changed.wait()
+            self._changed.clear()
+            graph = self.graph
+            await self.topics.eager(graph)
+            for ref in used_types(graph):
+                with contextlib.suppress(RosError, asyncio.TimeoutError):
+                    await self.schemas.find(ref)
+
+
+def used_types(graph: Graph) -> list[TypeRef]:
+    """Every type that a topic or a service of the graph has."""
+    refs = {ref: None for topic in graph.topics.values() for ref in topic.types}
+    refs |= {service.type: None for service in graph.services.values() if service.type is not None}
+    return list(refs)
+
+
+@dataclass(slots=True)
+class States:
+    """States that are made once for each version of what they show; the oldest go first."""
+
+    most: int = 4096
+    _kept: dict[str, tuple[Hashable, State]] = field(default_factory=dict)
+
+    def known(self, url: str, version: Hashable) -> State | None:
+        """The state kept of a resource, if it is of this version."""
+        kept = self._kept.get(url)
+        return kept[1] if kept is not None and kept[0] == version else None
+
+    def keep(self, url: str, version: Hashable, state: State) -> State:
+        """Keep a state; returns it."""
+        self._kept.pop(url, None)
+        self._kept[url] = (version, state)
+        if len(self._kept) > self.most:
+            self._kept.pop(next(iter(self._kept)))
+        return state
+
+    def get(self, url: str, version: Hashable, make: Callable[[], State]) -> State:
+        """The state of a resource at this version: kept, or made now."""
+        return self.known(url, version) or self.keep(url, version, make())
+
+
+class Same:
+    """Compares by identity: a version that costs nothing to compare."""
+
+    __slots__ = ("value",)
+
+    def __init__(self, value: object) -> None:
+        self.value = value
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Same) and other.value is self.value
+
+    def __hash__(self) -> int:
+        return id(self.value)

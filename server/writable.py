@@ -1,0 +1,51 @@
+"""Which topics may be written to: safety before comfort (DESIGN section 3).
+
+A robot's sensors are published by its nodes; to publish there too is to lie to it. So a topic is writable when no
+other node publishes it and somebody else listens (or rosld itself advertised it); more needs an explicit permission.
+"""
+
+from __future__ import annotations
+
+from fnmatch import fnmatchcase
+
+from rosld.adapters.model import Graph, Topic
+
+RESERVED = frozenset({"/clock", "/tf", "/tf_static", "/rosout", "/rosout_agg", "/parameter_events"})
+_ACTION_PARTS = frozenset({"goal", "cancel", "status", "feedback", "result"})
+
+
+def refusal(topic: Topic, graph: Graph, permitted: tuple[str, ...]) -> str | None:
+    """Why `topic` must not be published to, in a sentence; None where it may be.
+
+    `permitted` are the globs of --allow-publish; reserved topics must be among them by their exact name.
+    """
+    name = topic.name
+    if name in permitted:
+        return _conflict(topic)
+    if name in RESERVED or _of_action(name, graph):
+        return f"{name} belongs to ROS itself; to publish there anyway start rosld with --allow-publish {name}."
+    if any(fnmatchcase(name, glob) for glob in permitted):
+        return _conflict(topic)
+    others = [endpoint.node for endpoint in topic.publishers if endpoint.node != graph.own_node]
+    if others:
+        return (
+            f"{name} is published by {', '.join(others[:3])}: it tells of the robot, it does not command it. "
+            f"To publish there anyway start rosld with --allow-publish {name}."
+        )
+    own = any(endpoint.node == graph.own_node for endpoint in topic.publishers)
+    if not own and not any(endpoint.node != graph.own_node for endpoint in topic.subscribers):
+        return f"No node subscribes to {name}; to publish there anyway start rosld with --allow-publish {name}."
+    return _conflict(topic)
+
+
+def _conflict(topic: Topic) -> str | None:
+    if len(topic.types) > 1:
+        names = " and ".join(f"{ref.name} ({ref.hash})" if ref.hash else ref.name for ref in topic.types)
+        return f"The nodes on {topic.name} do not agree on its type: {names}."
+    return None
+
+
+def _of_action(name: str, graph: Graph) -> bool:
+    """Whether the topic is one of the five of an action (actionlib): its siblings are all there."""
+    parent, _, last = name.rpartition("/")
+    return last in _ACTION_PARTS and all(f"{parent}/{part}" in graph.topics for part in _ACTION_PARTS)

@@ -1,0 +1,85 @@
+"""A real server over real HTTP: `rosld serve` as a process, ended by its own handle."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+
+import httpx
+import pytest
+from pyoxigraph import RdfFormat, Triple, parse
+
+
+class Served:
+    """A running server: its process, its entry URL, a client for it."""
+
+    def __init__(self, process: subprocess.Popen[str], url: str) -> None:
+        self.process = process
+        self.url = url
+        self.http = httpx.Client(base_url=url, timeout=15)
+
+    def topic(self, name: str) -> str:
+        """The URL of a topic."""
+        return f"{self.url}topics{name}"
+
+    def stop(self) -> int:
+        """End it as a service manager does; its exit code."""
+        self.http.close()
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(10)
+
+
+def start(*arguments: str) -> Served:
+    """`rosld serve ARGUMENTS` on a free port."""
+    command = [sys.executable, "-m", "rosld", "serve", *arguments, "--port", "0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    url = process.stdout.readline().strip()
+    assert url.startswith("http"), f"{command} printed {url!r}"
+    return Served(process, url)
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[..., Served]]:
+    """Starts servers that end with the test."""
+    running: list[Served] = []
+
+    def started(*arguments: str) -> Served:
+        running.append(start(*arguments))
+        return running[-1]
+
+    yield started
+    for one in running:
+        if one.process.poll() is None:
+            one.stop()
+
+
+@pytest.fixture(scope="session")
+def aircraft() -> Iterator[Served]:
+    """The embedded aircraft, shared by the tests that leave it as it was."""
+    served = start("aircraft", "--max-publish-rate", "100000")
+    yield served
+    assert served.process.poll() is None, "the server died during the tests"
+    assert served.stop() == 0
+
+
+@pytest.fixture(scope="session")
+def http(aircraft: Served) -> httpx.Client:
+    """A client of the aircraft."""
+    return aircraft.http
+
+
+@pytest.fixture(scope="session")
+def triples_of() -> Callable[[httpx.Response], set[Triple]]:
+    """The triples of an answer in any RDF syntax, graph names left out."""
+
+    def read(answer: httpx.Response) -> set[Triple]:
+        assert answer.status_code == 200, answer.text
+        media_type = answer.headers["content-type"].partition(";")[0]
+        syntax = RdfFormat.from_media_type(media_type)
+        assert syntax is not None, media_type
+        return {quad.triple for quad in parse(answer.content, format=syntax, base_iri=str(answer.url))}
+
+    return read

@@ -1,0 +1,221 @@
+"""Topics over HTTP: read in every syntax, written by publishing (DESIGN sections 3 and 7)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+import httpx
+import pytest
+from pyoxigraph import Literal, NamedNode, Triple
+
+ROS = "https://w3id.org/rosld#"
+TYPES = "https://w3id.org/rosld/types/"
+Triples = Callable[[httpx.Response], set[Triple]]
+SPEED = "/topics/aircraft/engine/speed"
+DISPLAY = "/topics/cockpit/display"
+STRING = f"{TYPES}std_msgs/msg/String"
+SYNTAXES = (
+    "text/turtle",
+    "application/ld+json",
+    "application/n-triples",
+    "application/rdf+xml",
+    "text/n3",
+    "application/n-quads",
+    "application/trig",
+)
+
+
+def message(text: str) -> str:
+    """A String message in Turtle."""
+    return f"<#message> a <{STRING}> ; <{STRING}#data> {json.dumps(text)} ."
+
+
+@pytest.mark.parametrize("media_type", SYNTAXES)
+def test_a_topic_says_the_same_in_every_syntax(http: httpx.Client, media_type: str, triples_of: Triples) -> None:
+    http.put(DISPLAY, content=message("same"), headers={"Content-Type": "text/turtle"})
+    turtle = http.get(DISPLAY, headers={"Accept": "text/turtle"})
+    other = http.get(DISPLAY, headers={"Accept": media_type})
+    assert other.headers["content-type"].startswith(media_type)
+    assert triples_of(other) == triples_of(turtle)
+
+
+def test_turtle_is_what_a_client_without_accept_gets(aircraft: httpx.Client, http: httpx.Client) -> None:
+    assert httpx.get(http.base_url.join(SPEED), headers={"Accept": "*/*"}).headers["content-type"].startswith("text/tu")
+
+
+def test_plain_json_is_the_message_as_ros_has_it(http: httpx.Client) -> None:
+    answer = http.get(SPEED, headers={"Accept": "application/json"})
+    assert answer.json() == {"data": 0.0}
+
+
+def test_a_topic_that_nobody_has_published_on_is_null_in_plain_json(serve: Callable[..., object]) -> None:
+    served = serve("aircraft")
+    assert served.http.get(DISPLAY, headers={"Accept": "application/json"}).text == "null"
+    assert f"{ROS}latest" not in served.http.get(DISPLAY).text
+
+
+def test_the_latest_message_has_its_type_time_number_and_publisher(http: httpx.Client, triples_of: Triples) -> None:
+    found = triples_of(http.get(SPEED))
+    url = str(http.base_url.join(SPEED))
+    node = NamedNode(f"{url}#message")
+    about = {triple.predicate.value: triple.object for triple in found if triple.subject == node}
+    assert about[f"{ROS}publisher"] == NamedNode(str(http.base_url.join("/nodes/aircraft")))
+    assert about[f"{ROS}received"].datatype.value.endswith("#dateTime")
+    assert about[f"{TYPES}std_msgs/msg/Float64#data"].datatype.value.endswith("#double")
+
+
+@pytest.mark.parametrize(
+    ("media_type", "body"),
+    [
+        ("text/turtle", message("hello")),
+        ("application/n-triples", f'<BASE#message> <{STRING}#data> "hello" .'),
+        ("application/ld+json", json.dumps({"@id": "#message", "@type": STRING, f"{STRING}#data": "hello"})),
+        ("application/json", '{"data": "hello"}'),
+        (
+            "application/rdf+xml",
+            f'<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#" xmlns:s="{STRING}#">'
+            f'<rdf:Description rdf:about="#message"><s:data>hello</s:data></rdf:Description></rdf:RDF>',
+        ),
+    ],
+)
+def test_put_publishes_and_is_the_latest_before_it_is_answered(http: httpx.Client, media_type: str, body: str) -> None:
+    http.put(DISPLAY, json={"data": "before"})
+    content = body.replace("BASE", str(http.base_url.join(DISPLAY)))
+    answer = http.put(DISPLAY, content=content, headers={"Content-Type": media_type})
+    assert answer.status_code == 204, answer.text
+    assert http.get(DISPLAY, headers={"Accept": "application/json"}).json() == {"data": "hello"}
+
+
+def test_put_answers_with_the_representation_where_it_is_preferred(http: httpx.Client) -> None:
+    headers = {"Prefer": "return=representation", "Accept": "application/json"}
+    answer = http.put(DISPLAY, json={"data": "echo"}, headers=headers)
+    assert answer.status_code == 200
+    assert answer.json() == {"data": "echo"}
+    assert answer.headers["preference-applied"] == "return=representation"
+
+
+def test_a_message_nobody_listens_to_is_202_and_says_so(serve: Callable[..., object]) -> None:
+    served = serve("aircraft", "--allow-publish", "/lonely")
+    turtle = {"Content-Type": "text/turtle"}
+    assert served.http.put("/topics/lonely", content=message("1"), headers=turtle).status_code == 201
+    answer = served.http.put("/topics/lonely", content=message("2"), headers=turtle)
+    assert answer.status_code == 202
+    assert "no subscriber" in answer.json()["detail"]
+
+
+def test_a_new_topic_is_made_by_rdf_that_states_its_type_and_unmade_by_delete(serve: Callable[..., object]) -> None:
+    served = serve("aircraft")
+    assert served.http.put("/topics/new", json={"data": "x"}).status_code == 404
+    made = served.http.put("/topics/new", content=message("x"), headers={"Content-Type": "text/turtle"})
+    assert made.status_code == 201
+    assert made.headers["location"] == f"{served.url}topics/new"
+    assert "DELETE" in served.http.options("/topics/new").headers["allow"]
+    assert served.http.delete("/topics/new").status_code == 204
+    assert served.http.get("/topics/new").status_code == 404
+
+
+def test_a_sensor_of_the_robot_is_not_writable_and_allow_says_so(http: httpx.Client) -> None:
+    before = http.get(SPEED, headers={"Accept": "application/json"}).json()
+    answer = http.put(SPEED, json={"data": 500.0})
+    assert answer.status_code == 405
+    assert "PUT" not in answer.headers["allow"]
+    assert "--allow-publish /aircraft/engine/speed" in answer.json()["detail"]
+    assert http.get(SPEED, headers={"Accept": "application/json"}).json() == before
+
+
+def test_patch_changes_the_latest_message_and_needs_if_match(http: httpx.Client) -> None:
+    http.put(DISPLAY, json={"data": "one"})
+    etag = http.get(DISPLAY).headers["etag"]
+    merge = {"Content-Type": "application/merge-patch+json"}
+    assert http.patch(DISPLAY, content='{"data": "two"}', headers=merge).status_code == 428
+    assert http.patch(DISPLAY, content='{"data": "two"}', headers=merge | {"If-Match": etag}).status_code == 204
+    assert http.patch(DISPLAY, content='{"data": "three"}', headers=merge | {"If-Match": etag}).status_code == 412
+    assert http.get(DISPLAY, headers={"Accept": "application/json"}).json() == {"data": "two"}
+
+
+def test_patch_by_sparql_update_is_about_the_one_topic(http: httpx.Client) -> None:
+    http.put(DISPLAY, json={"data": "one"})
+    headers = {"Content-Type": "application/sparql-update", "If-Match": http.get(DISPLAY).headers["etag"]}
+    update = f'DELETE {{ ?m <{STRING}#data> ?old }} INSERT {{ ?m <{STRING}#data> "swapped" }} WHERE {{ ?m <{STRING}#data> ?old }}'
+    assert http.patch(DISPLAY, content=update, headers=headers).status_code == 204
+    assert http.get(DISPLAY, headers={"Accept": "application/json"}).json() == {"data": "swapped"}
+
+
+def test_patch_of_a_topic_without_a_message_is_409(serve: Callable[..., object]) -> None:
+    served = serve("aircraft")
+    headers = {"Content-Type": "application/merge-patch+json", "If-Match": "*"}
+    assert served.http.patch(DISPLAY, content='{"data": "x"}', headers=headers).status_code == 409
+
+
+def test_what_was_read_as_turtle_guards_a_write_in_json(http: httpx.Client) -> None:
+    http.put(DISPLAY, json={"data": "guarded"})
+    etag = http.get(DISPLAY, headers={"Accept": "text/turtle"}).headers["etag"]
+    assert http.put(DISPLAY, json={"data": "a"}, headers={"If-Match": etag}).status_code == 204
+    assert http.put(DISPLAY, json={"data": "b"}, headers={"If-Match": etag}).status_code == 412
+    assert http.get(DISPLAY, headers={"Accept": "application/json"}).json() == {"data": "a"}
+
+
+def test_a_state_that_was_seen_is_304_and_another_syntax_of_it_is_not(http: httpx.Client) -> None:
+    http.put(DISPLAY, json={"data": "seen"})
+    etag = http.get(DISPLAY).headers["etag"]
+    again = http.get(DISPLAY, headers={"If-None-Match": etag})
+    assert again.status_code == 304
+    assert again.headers["etag"] == etag
+    assert not again.content
+    other = http.get(DISPLAY, headers={"If-None-Match": etag, "Accept": "application/ld+json"})
+    assert other.status_code == 200
+
+
+def test_the_name_and_type_that_the_server_states_may_be_repeated_but_not_changed(http: httpx.Client) -> None:
+    turtle = {"Content-Type": "text/turtle"}
+    same = f'<> <{ROS}name> "/cockpit/display" ; <{ROS}messageType> <{STRING}> . {message("same")}'
+    assert http.put(DISPLAY, content=same, headers=turtle).status_code == 204
+    other = f'<> <{ROS}name> "/elsewhere" . {message("other")}'
+    answer = http.put(DISPLAY, content=other, headers=turtle)
+    assert answer.status_code == 409
+    assert "constrainedBy" in answer.headers["link"]
+
+
+def test_what_was_read_can_be_put_back(http: httpx.Client) -> None:
+    http.put(DISPLAY, json={"data": "round trip"})
+    for syntax in SYNTAXES:
+        body = http.get(DISPLAY, headers={"Accept": syntax}).content
+        answer = http.put(DISPLAY, content=body, headers={"Content-Type": syntax})
+        assert answer.status_code == 204, (syntax, answer.text)
+    assert http.get(DISPLAY, headers={"Accept": "application/json"}).json() == {"data": "round trip"}
+
+
+def test_more_publishes_than_the_limit_are_429_with_retry_after(serve: Callable[..., object]) -> None:
+    served = serve("aircraft", "--max-publish-rate", "3")
+    codes = [served.http.put(DISPLAY, json={"data": str(number)}).status_code for number in range(8)]
+    assert codes[:3] == [204] * 3
+    refused = served.http.put(DISPLAY, json={"data": "late"})
+    assert 429 in codes
+    assert refused.status_code in (204, 429)
+    assert served.http.get(DISPLAY).status_code == 200
+
+
+def test_a_read_only_server_offers_nothing_to_write(serve: Callable[..., object]) -> None:
+    served = serve("aircraft", "--read-only")
+    assert served.http.put(DISPLAY, json={"data": "x"}).status_code == 405
+    assert served.http.options(DISPLAY).headers["allow"] == "GET, HEAD, OPTIONS"
+    assert served.http.post("/services/aircraft/start").status_code == 405
+    assert served.http.put("/parameters/aircraft/name", json="x").status_code == 405
+
+
+def test_age_is_a_header_and_the_rate_is_in_the_rdf(http: httpx.Client, triples_of: Triples) -> None:
+    answer = http.get(SPEED)
+    assert int(answer.headers["age"]) <= 2
+    rates = [triple.object for triple in triples_of(answer) if triple.predicate.value == f"{ROS}rate"]
+    assert len(rates) == 1
+    assert isinstance(rates[0], Literal)
+    assert float(rates[0].value) >= 0.0
+
+
+def test_head_has_the_headers_of_get_and_no_body(http: httpx.Client) -> None:
+    http.put(DISPLAY, json={"data": "head"})
+    get, head = http.get(DISPLAY), http.head(DISPLAY)
+    assert not head.content
+    for name in ("content-type", "content-length", "etag", "link", "allow", "vary"):
+        assert head.headers[name] == get.headers[name]

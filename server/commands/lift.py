@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import gzip
 import os
 import signal
@@ -20,8 +21,9 @@ from rosld.ontology.lift import LiftSettings
 from rosld.ontology.serialize import Syntax
 from rosld.ontology.urls import Space
 from rosld.server.commands.failure import Failure, told
-from rosld.server.commands.lifting import Lifting, Writer
+from rosld.server.commands.lifting import Lifting
 from rosld.server.commands.types import opened
+from rosld.server.commands.writing import writer
 
 SYNTAXES: Mapping[str, Syntax] = {
     ".nq": Syntax.N_QUADS,
@@ -71,13 +73,14 @@ def _exit(number: int, frame: object) -> NoReturn:
 
 def write(lifting: Lifting, to: Target) -> None:
     """Write the descriptions, then every message, with a progress bar on stderr."""
-    writer = Writer(to.syntax)
+    gc.freeze()  # what is loaded stays: the collector need not look through it again and again
+    to_bytes = writer(to.syntax, lifting)
     recording = lifting.recording
     with draft(to) as file, click.progressbar(length=recording.count, label=recording.name, file=sys.stderr) as bar:
         for document in lifting.descriptions():
-            file.write(writer.bytes(document))
-        for done, document in enumerate(lifting.messages(), 1):
-            file.write(writer.bytes(document))
+            file.write(to_bytes.document(document))
+        for done, one in enumerate(lifting.messages(), 1):
+            file.write(to_bytes.message(one))
             if done % _STRIDE == 0:
                 bar.update(_STRIDE)
         bar.update(recording.count % _STRIDE)

@@ -161,8 +161,8 @@ class _Writer:
         return self._iri(term) if kind == _ID else {_ID: self._iri(term)}
 
     def _may_nest(self, term: NamedNode) -> bool:
-        """Parts of this very document (`#...`) are nested where they are first linked."""
-        return term in self.shape.subjects and term not in self.written and term.value.startswith(self.fragment)
+        """What is described is nested where it is first linked."""
+        return term in self.shape.subjects and term not in self.written
 
     def _blank(self, blank: BlankNode, kind: str | None, depth: int) -> Json:
         elements = self.shape.lists.get(blank)

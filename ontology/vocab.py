@@ -163,6 +163,7 @@ class rdf(Namespace, iri="http://www.w3.org/1999/02/22-rdf-syntax-ns#"):
 
     type: NamedNode
     Property: NamedNode
+    List: NamedNode
     first: NamedNode
     rest: NamedNode
     nil: NamedNode

@@ -1,0 +1,33 @@
+"""Describing: pure functions from plain ROS values to documents, one a kind of resource. All IRIs are in full."""
+
+from rosld.ontology.describe_bags import bag_document, bag_message_document, bag_messages_document
+from rosld.ontology.describe_containers import container_document, namespace_document, type_container_document
+from rosld.ontology.describe_graph import ROOMS, entry_document, links_by_node, node_document
+from rosld.ontology.describe_services import CallView, call_document, service_document
+from rosld.ontology.describe_topics import topic_document
+from rosld.ontology.describe_types import type_document
+from rosld.ontology.namespaces import Members, is_namespace, members_of
+from rosld.ontology.parameters import parameter_container_document, parameter_document
+
+__all__ = [
+    "ROOMS",
+    "CallView",
+    "Members",
+    "bag_document",
+    "bag_message_document",
+    "bag_messages_document",
+    "call_document",
+    "container_document",
+    "entry_document",
+    "is_namespace",
+    "links_by_node",
+    "members_of",
+    "namespace_document",
+    "node_document",
+    "parameter_container_document",
+    "parameter_document",
+    "service_document",
+    "topic_document",
+    "type_container_document",
+    "type_document",
+]

@@ -1,0 +1,142 @@
+"""Recordings described: what they hold, their messages in pages, and each message."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from pyoxigraph import NamedNode
+
+from rosld.adapters.model import Sample, TypeRef
+from rosld.ontology.describe_topics import MESSAGE, defined
+from rosld.ontology.document import Document, LiftedMessage
+from rosld.ontology.triples import CONTAINER, RDF_SOURCE, Statement, about, each, integer, moment, text
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import dcterms, ldp, rdf, rdfs, ros, xhv
+
+
+class Track(Protocol):
+    """What is described of a topic of a recording."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def type(self) -> TypeRef: ...
+    @property
+    def count(self) -> int: ...
+    @property
+    def unreadable(self) -> str | None: ...
+
+
+class Bag(Protocol):
+    """What is described of a recording. Times are nanoseconds after the epoch."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def format(self) -> str: ...
+    @property
+    def count(self) -> int: ...
+    @property
+    def start_ns(self) -> int: ...
+    @property
+    def end_ns(self) -> int: ...
+    @property
+    def topics(self) -> Mapping[str, Track]: ...
+
+
+class BagMessage(Protocol):
+    """What is described of a recorded message: its number, its topic, and the sample with its time."""
+
+    @property
+    def index(self) -> int: ...
+    @property
+    def topic(self) -> str: ...
+    @property
+    def sample(self) -> Sample: ...
+
+
+def bag_document(bag: Bag, space: Space) -> Document:
+    """A recording: how it is stored, from when to when, its topics with their types and counts."""
+    url, messages = space.bag(bag.name), NamedNode(space.bag_messages(bag.name))
+    tracks = {
+        NamedNode(space.fragment(url, "topic", *name[1:].split("/"))): track for name, track in bag.topics.items()
+    }
+    triples = about(
+        NamedNode(url),
+        (rdf.type, ros.Bag),
+        *CONTAINER,
+        (ros.name, text(bag.name)),
+        (ros.format, text(bag.format)),
+        (ros.count, integer(bag.count)),
+        (ros.start, moment(bag.start_ns) if bag.count else None),
+        (ros.end, moment(bag.end_ns) if bag.count else None),
+        (ldp.contains, messages),
+        *each(ros.topic, tracks),
+    )
+    triples += about(messages, (rdf.type, ldp.BasicContainer), (rdfs.label, text("Messages")))
+    for node, track in tracks.items():
+        triples += about(node, *_track(track, space))
+    for ref in dict.fromkeys(track.type for track in bag.topics.values()):
+        triples += defined(ref, space)
+    return Document(url, tuple(triples))
+
+
+def _track(track: Track, space: Space) -> list[Statement]:
+    return [
+        (rdf.type, ros.BagTopic),
+        (ros.name, text(track.name)),
+        (ros.messageType, NamedNode(space.class_of(track.type.name))),
+        (ros.count, integer(track.count)),
+        (ros.unreadable, text(track.unreadable)),
+        (rdfs.seeAlso, NamedNode(space.topic(track.name))),
+    ]
+
+
+def bag_messages_document(bag: Bag, space: Space, page: int | None = None, size: int = 100) -> Document:
+    """The messages of a recording: page `page` (from 0) of `size` members; without a page, where they begin and end.
+
+    LDP Paging: the members are those of the container, listed by its pages.
+    """
+    container = NamedNode(space.bag_messages(bag.name))
+    last = max(0, (bag.count - 1) // size)
+    pages = [NamedNode(f"{container.value}?page={number}") for number in (0, last)]
+    subject = container if page is None else NamedNode(f"{container.value}?page={page}")
+    triples = about(
+        container,
+        *CONTAINER,
+        (dcterms.title, text(f"Messages of {bag.name}")),
+        (ros.bag, NamedNode(space.bag(bag.name))),
+        (ros.count, integer(bag.count)),
+    )
+    triples += about(subject, (xhv.first, pages[0]), (xhv.last, pages[1]))
+    if page is not None:
+        first, beyond = page * size, min((page + 1) * size, bag.count)
+        members = [NamedNode(space.bag_message(bag.name, index)) for index in range(first, beyond)]
+        triples += about(
+            subject,
+            (rdf.type, ldp.Page),
+            (ldp.pageSequence, container),
+            (xhv.prev, NamedNode(f"{container.value}?page={page - 1}") if page > 0 else None),
+            (xhv.next, NamedNode(f"{container.value}?page={page + 1}") if page < last else None),
+        )
+        triples += about(container, *each(ldp.contains, members))
+    return Document(subject.value, tuple(triples))
+
+
+def bag_message_document(
+    bag: Bag, message: BagMessage, space: Space, lifted: LiftedMessage | None, *, unreadable: str | None = None
+) -> Document:
+    """One recorded message: when it was recorded, on which topic, and the message itself or why it cannot be read."""
+    url = space.bag_message(bag.name, message.index)
+    triples = about(
+        NamedNode(url),
+        *RDF_SOURCE,
+        (ros.bag, NamedNode(space.bag(bag.name))),
+        (ros.index, integer(message.index)),
+        (ros.topic, NamedNode(space.topic(message.topic))),
+        (ros.recordedAt, moment(message.sample.received_ns)),
+        (ros.message, NamedNode(url + MESSAGE) if lifted else None),
+        (ros.unreadable, text(unreadable)),
+    )
+    return Document(url, tuple(triples), (lifted,) if lifted else ())

@@ -1,0 +1,74 @@
+"""Containers described (LDP 5.2): what they contain, and the namespaces within them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.adapters.model import names
+from rosld.ontology.describe_graph import ROOMS
+from rosld.ontology.document import Document
+from rosld.ontology.namespaces import Members
+from rosld.ontology.triples import CONTAINER, about, each, text
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import dcterms, ldp, rdf, rdfs, ros
+
+_CLASSES: Mapping[str, NamedNode] = {
+    "nodes": ros.Node,
+    "topics": ros.Topic,
+    "services": ros.Service,
+    "parameters": ros.Parameter,
+}
+
+
+def container_document(url: str, members: Iterable[str], title: str) -> Document:
+    """A container and the URLs of its members, those ending in a slash being containers themselves."""
+    found = [NamedNode(member) for member in members]
+    triples = about(NamedNode(url), *CONTAINER, (dcterms.title, text(title)), *each(ldp.contains, found))
+    for member in found:
+        if member.value.endswith("/"):
+            triples += about(member, (rdf.type, ldp.BasicContainer))
+    return Document(url, tuple(triples))
+
+
+def namespace_document(room: str, namespace: tuple[str, ...], members: Members, space: Space) -> Document:
+    """A namespace of names of one kind: its direct members, and the namespaces below, both where a name is both."""
+    url = space.container(room, namespace)
+    kind = _CLASSES.get(room)
+    title = ROOMS.get(room, room.capitalize())
+    leaves = {leaf: NamedNode(space.url(room, (*namespace, leaf))) for leaf in members.leaves}
+    below = {inner: NamedNode(space.container(room, (*namespace, inner))) for inner in members.namespaces}
+    triples = about(
+        NamedNode(url),
+        *CONTAINER,
+        (dcterms.title, text(f"{title} in {names.join(namespace)}" if namespace else title)),
+        (ros.name, text(names.join(namespace)) if namespace else None),
+        *each(ldp.contains, leaves.values()),
+        *each(ldp.contains, below.values()),
+    )
+    for leaf, node in leaves.items():
+        triples += about(node, (rdf.type, kind), (ros.name, text(names.join((*namespace, leaf)))))
+        if leaf in below:
+            triples += about(node, (ros.namespace, below[leaf]))
+    for node in below.values():
+        triples += about(node, (rdf.type, ldp.BasicContainer))
+    return Document(url, tuple(triples))
+
+
+def type_container_document(room: str, namespace: tuple[str, ...], below: Sequence[str], space: Space) -> Document:
+    """A container of types or shapes: `below` are the type names (`pkg/msg/X`) that lie in this namespace."""
+    depth = len(namespace)
+    members: dict[str, None] = {}
+    for name in below:
+        path = tuple(name.split("/"))
+        leaf = len(path) == depth + 1
+        members[space.url(room, path) if leaf else space.container(room, path[: depth + 1])] = None
+    title = ROOMS[room] + (f" of {'/'.join(namespace)}" if namespace else "")
+    document = container_document(space.container(room, namespace), members, title)
+    labels = [_label(space.url(room, tuple(name.split("/"))), name) for name in below if name.count("/") == depth]
+    return Document(document.url, (*document.triples, *labels))
+
+
+def _label(url: str, name: str) -> Triple:
+    return Triple(NamedNode(url), rdfs.label, Literal(name))

@@ -1,0 +1,86 @@
+"""Services and their calls described."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pyoxigraph import NamedNode
+
+from rosld.adapters.model import Graph, Message, MessageSchema, Service
+from rosld.ontology.describe_topics import defined
+from rosld.ontology.document import Document, LiftedMessage
+from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.namespaces import is_namespace
+from rosld.ontology.triples import RDF_SOURCE, Statement, about, each, moment, text
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import rdf, ros
+
+_SETTINGS = LiftSettings()
+
+
+def service_document(service: Service, space: Space, graph: Graph) -> Document:
+    """A service: its type, who provides it, the shapes of what to send and what comes back, why it cannot be called."""
+    url = space.service(service.name)
+    triples = about(
+        NamedNode(url),
+        (rdf.type, ros.Service),
+        *RDF_SOURCE,
+        (ros.name, text(service.name)),
+        *_type(service, space),
+        *each(ros.provider, [NamedNode(space.node(node)) for node in dict.fromkeys(service.providers)]),
+        (ros.uncallable, text(service.uncallable)),
+        (ros.namespace, NamedNode(url + "/") if is_namespace(service.name, graph.services) else None),
+    )
+    if service.type is not None:
+        triples += defined(service.type, space)
+    return Document(url, tuple(triples), simulated_time=graph.simulated_time)
+
+
+def _type(service: Service, space: Space) -> list[Statement]:
+    if service.type is None:
+        return []
+    name = service.type.name
+    return [
+        (ros.serviceType, NamedNode(space.class_of(name))),
+        (ros.requestShape, NamedNode(space.shape(f"{name}_Request"))),
+        (ros.responseShape, NamedNode(space.shape(f"{name}_Response"))),
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class CallView:
+    """A call as it is described: `state` is a local name of the vocabulary (`Running`, `Succeeded`, ...); a message
+
+    comes with its schema. Times are wall-clock nanoseconds.
+    """
+
+    id: str
+    service: str
+    state: str
+    created_ns: int
+    request: tuple[MessageSchema, Message]
+    response: tuple[MessageSchema, Message] | None = None
+    answered_ns: int | None = None
+    words: str | None = None
+
+
+def call_document(call: CallView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
+    """One call of a service: what was asked, what was answered, what became of it."""
+    url = space.call(call.id)
+    halves = {"request": call.request, "response": call.response}
+    messages = tuple(
+        LiftedMessage(f"#{half}", lifter(found[0], settings), found[1]) for half, found in halves.items() if found
+    )
+    triples = about(
+        NamedNode(url),
+        (rdf.type, ros.Call),
+        *RDF_SOURCE,
+        (ros.service, NamedNode(space.service(call.service))),
+        (ros.state, ros.terms()[call.state]),
+        (ros.created, moment(call.created_ns)),
+        (ros.answered, moment(call.answered_ns)),
+        (ros.words, text(call.words)),
+        (ros.request, NamedNode(f"{url}#request")),
+        (ros.response, NamedNode(f"{url}#response") if call.response else None),
+    )
+    return Document(url, tuple(triples), messages)

@@ -1,0 +1,137 @@
+"""Topics described: type, endpoints, rate, and the latest messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+from pyoxigraph import NamedNode, Triple
+
+from rosld.adapters.model import Endpoint, Graph, Topic, TypeRef
+from rosld.ontology.document import Document, LiftedMessage
+from rosld.ontology.namespaces import is_namespace
+from rosld.ontology.triples import RDF_SOURCE, Statement, about, boolean, double, each, text
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import rdf, rdfs, ros
+
+MESSAGE = "#message"
+
+
+def topic_document(
+    topic: Topic,
+    space: Space,
+    graph: Graph,
+    rate: float = 0.0,
+    messages: Sequence[LiftedMessage] = (),
+    *,
+    unreadable: str | None = None,
+) -> Document:
+    """A topic and its latest messages, the newest of each publisher in order of receipt (the newest last).
+
+    The newest of all is `#message`; where several publish, each publisher's is linked by ros:latestFrom. `unreadable`
+    says why messages cannot be decoded, and goes before what the topic says itself.
+    """
+    url = space.topic(topic.name)
+    subject = NamedNode(url)
+    named = _named(messages, space)
+    nodes = [NamedNode(url + message.node) for message in named]
+    several = len(nodes) > 1 or len(topic.publishers) > 1
+    triples = [
+        *_description(topic, space, is_namespace(topic.name, graph.topics)),
+        *about(
+            subject,
+            (ros.unreadable, text(unreadable or topic.unreadable)),
+            (ros.rate, double(rate)),
+            (ros.latest, nodes[-1] if nodes else None),
+            *(each(ros.latestFrom, nodes) if several else ()),
+        ),
+    ]
+    return Document(url, tuple(triples), named, graph.simulated_time)
+
+
+def _named(messages: Sequence[LiftedMessage], space: Space) -> tuple[LiftedMessage, ...]:
+    """The messages under fragments of their own: the newest is `#message`, the others are called by publisher."""
+    if len(messages) < 2:
+        return tuple(messages)
+    nodes = space.container("nodes")
+    taken = {MESSAGE}
+    named: list[LiftedMessage] = [replace(messages[-1], node=MESSAGE)]
+    for message in reversed(messages[:-1]):
+        node = _fragment(message, nodes)
+        while node in taken:  # several messages of one publisher
+            node = f"{node};{message.envelope.sequence if message.envelope else len(taken)}"
+        taken.add(node)
+        named.append(replace(message, node=node))
+    return tuple(reversed(named))
+
+
+def _fragment(message: LiftedMessage, nodes: str) -> str:
+    """`#from/talker`. Dots are escaped, because a dot leads to a nested message (`#message.linear`)."""
+    publisher = message.envelope.publisher if message.envelope else None
+    return f"#from/{publisher.removeprefix(nodes).replace('.', '%2E')}" if publisher else "#from"
+
+
+@lru_cache(maxsize=4096)
+def _description(topic: Topic, space: Space, is_namespace: bool) -> tuple[Triple, ...]:
+    """What does not change with the messages."""
+    url = space.topic(topic.name)
+    endpoints = [
+        *_endpoints("publisher", topic.publishers, topic, space),
+        *_endpoints("subscriber", topic.subscribers, topic, space),
+    ]
+    triples = about(
+        NamedNode(url),
+        (rdf.type, ros.Topic),
+        *RDF_SOURCE,
+        (ros.name, text(topic.name)),
+        *_type(topic, space),
+        *each(ros.publisher, _nodes(topic.publishers, space)),
+        *each(ros.subscriber, _nodes(topic.subscribers, space)),
+        *each(ros.endpoint, [node for node, _ in endpoints]),
+        (ros.namespace, NamedNode(url + "/") if is_namespace else None),
+    )
+    for _, said in endpoints:
+        triples += said
+    for ref in topic.types:
+        triples += defined(ref, space)
+    return tuple(triples)
+
+
+def _type(topic: Topic, space: Space) -> list[Statement]:
+    """The type with its shape, or the variants that contradict each other."""
+    if topic.type is None:
+        return each(ros.conflictingType, [NamedNode(space.type(ref)) for ref in topic.types])
+    name = topic.type.name
+    return [(ros.messageType, NamedNode(space.class_of(name))), (ros.shape, NamedNode(space.shape(name)))]
+
+
+def defined(ref: TypeRef, space: Space) -> list[Triple]:
+    """Where the class of a type is described on this server: its IRI lies elsewhere."""
+    return about(NamedNode(space.class_of(ref.name)), (rdfs.isDefinedBy, NamedNode(space.type(ref.name))))
+
+
+def _nodes(endpoints: Iterable[Endpoint], space: Space) -> list[NamedNode]:
+    return [NamedNode(url) for url in dict.fromkeys(space.node(endpoint.node) for endpoint in endpoints)]
+
+
+def _endpoints(
+    role: str, endpoints: Iterable[Endpoint], topic: Topic, space: Space
+) -> Iterator[tuple[NamedNode, list[Triple]]]:
+    """Those endpoints that have more to say than that they are there."""
+    for endpoint in endpoints:
+        conflict = endpoint.type if len(topic.types) > 1 else None
+        if not (endpoint.latched or endpoint.unreachable or conflict):
+            continue
+        node = NamedNode(space.fragment(space.topic(topic.name), role, *endpoint.node[1:].split("/")))
+        yield (
+            node,
+            about(
+                node,
+                (rdf.type, ros.Endpoint),
+                (ros.node, NamedNode(space.node(endpoint.node))),
+                (ros.latched, boolean(True) if endpoint.latched else None),
+                (ros.unreachable, text(endpoint.unreachable)),
+                (ros.conflictingType, NamedNode(space.type(conflict)) if conflict else None),
+            ),
+        )

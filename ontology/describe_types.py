@@ -1,0 +1,150 @@
+"""Message and service types described: classes, the properties of their fields, constants, definitions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.adapters.model import (
+    Array,
+    Constant,
+    Field,
+    FieldType,
+    MessageSchema,
+    MessageType,
+    Nested,
+    Primitive,
+    Schema,
+    TypeRef,
+)
+from rosld.ontology.document import Document
+from rosld.ontology.literals import DATATYPES, OCTETS
+from rosld.ontology.triples import RDF_SOURCE, Statement, about, boolean, double, each, integer, text
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import foaf, rdf, rdfs, ros, xsd
+
+
+def type_document(schema: Schema, space: Space, variants: Sequence[TypeRef] = ()) -> Document:
+    """A type: its class with definition and hash, fields in order, constants; the other variants where there are any.
+
+    The class is the document's primary topic: it lies in the namespace of types, which all robots share.
+    """
+    others = [ref for ref in variants if ref.hash and ref.hash != schema.ref.hash]
+    url = space.type(TypeRef(schema.ref.name, schema.ref.hash if others else None))
+    kind = NamedNode(space.class_of(schema.ref.name))
+    triples = about(NamedNode(url), *RDF_SOURCE, (foaf.primaryTopic, kind))
+    is_message = isinstance(schema, MessageSchema)
+    triples += about(
+        kind,
+        (rdf.type, ros.MessageType if is_message else ros.ServiceType),
+        (rdf.type, rdfs.Class if is_message else None),
+        (rdfs.subClassOf, ros.Message if is_message else None),
+        (rdfs.label, text(schema.ref.name)),
+        (ros.name, text(schema.ref.name)),
+        _hash(schema.ref),
+        (rdfs.isDefinedBy, NamedNode(url)),
+        *each(ros.variant, [NamedNode(space.type(ref)) for ref in others]),
+    )
+    if isinstance(schema, MessageSchema):
+        triples += about(kind, (ros.shape, NamedNode(space.shape(schema.ref.name))))
+        triples += _message_type(schema.type, space)
+    else:
+        for half, predicate in ((schema.request, ros.requestType), (schema.response, ros.responseType)):
+            inner = NamedNode(space.class_of(half.ref.name))
+            triples += about(kind, (predicate, inner))
+            triples += about(inner, (rdfs.isDefinedBy, NamedNode(space.type(half.ref.name))))
+            triples += _message_type(half.type, space)
+    triples += about(kind, (ros.definition, text(schema.definition)))
+    return Document(url, tuple(triples))
+
+
+def _hash(ref: TypeRef) -> Statement:
+    """The hash under the name that its kind of ROS has for it."""
+    return (ros.typeHash if ref.hash and ref.hash.startswith("RIHS") else ros.md5, text(ref.hash))
+
+
+def _message_type(kind: MessageType, space: Space) -> list[Triple]:
+    """Fields and constants."""
+    subject = NamedNode(space.class_of(kind.name))
+    fields = [NamedNode(space.property_of(kind.name, field.name)) for field in kind.fields]
+    constants = [NamedNode(space.property_of(kind.name, constant.name)) for constant in kind.constants]
+    triples = about(subject, *each(ros.field, fields), *each(ros.constant, constants))
+    for position, (node, field) in enumerate(zip(fields, kind.fields, strict=True)):
+        triples += about(node, *_field(field, position, subject, space))
+        if (nested := _nested(field.type)) is not None:
+            triples += about(
+                NamedNode(space.class_of(nested)), (rdfs.isDefinedBy, NamedNode(space.type(nested)))
+            )  # fmt: skip
+    for position, (node, constant) in enumerate(zip(constants, kind.constants, strict=True)):
+        triples += about(node, *_constant(constant, position))
+    return triples
+
+
+def _field(field: Field, position: int, kind: NamedNode, space: Space) -> list[Statement]:
+    nested = _nested(field.type)
+    array = field.type if isinstance(field.type, Array) else None
+    element = array.element if array else field.type
+    return [
+        (rdf.type, ros.Field),
+        (rdf.type, rdf.Property),
+        (rdfs.label, text(field.name)),
+        (ros.fieldName, text(field.name)),
+        (ros.fieldType, text(written(field.type))),
+        (ros.position, integer(position)),
+        (ros.nestedType, NamedNode(space.class_of(nested)) if nested else None),
+        (ros.arrayLength, integer(array.length) if array else None),
+        (ros.arrayBound, integer(array.bound) if array else None),
+        (ros.stringBound, integer(element.bound) if isinstance(element, Primitive) else None),
+        (rdfs.domain, kind),
+        (rdfs.range, value_type(field.type, space)),
+    ]
+
+
+def _constant(constant: Constant, position: int) -> list[Statement]:
+    return [
+        (rdf.type, ros.Constant),
+        (rdfs.label, text(constant.name)),
+        (ros.fieldName, text(constant.name)),
+        (ros.fieldType, text(constant.type)),
+        (ros.position, integer(position)),
+        (ros.value, constant_value(constant)),
+    ]
+
+
+def constant_value(constant: Constant) -> Literal | None:
+    """The value of a constant, with the datatype of its type."""
+    value = constant.value
+    if isinstance(value, str):
+        return text(value)
+    if isinstance(value, bool):
+        return boolean(value)
+    datatype = NamedNode(xsd.iri + DATATYPES.get(constant.type, "integer" if isinstance(value, int) else "double"))
+    return Literal(double(value).value if isinstance(value, float) else str(value), datatype=datatype)
+
+
+def _nested(kind: FieldType) -> str | None:
+    """The name of the message type within a field's type."""
+    element = kind.element if isinstance(kind, Array) else kind
+    return element.name if isinstance(element, Nested) else None
+
+
+def written(kind: FieldType) -> str:
+    """A field's type as ROS definitions write it: `float64`, `geometry_msgs/msg/Point[]`, `string<=10[<=3]`."""
+    if isinstance(kind, Nested):
+        return kind.name
+    if isinstance(kind, Primitive):
+        return kind.name if kind.bound is None else f"{kind.name}<={kind.bound}"
+    size = f"<={kind.bound}" if kind.bound is not None else "" if kind.length is None else str(kind.length)
+    return f"{written(kind.element)}[{size}]"
+
+
+def value_type(kind: FieldType, space: Space) -> NamedNode:
+    """What the values of a field are in RDF: a class or a datatype (DESIGN section 4)."""
+    if isinstance(kind, Nested):
+        return NamedNode(space.class_of(kind.name))
+    if isinstance(kind, Primitive):
+        return NamedNode(xsd.iri + DATATYPES[kind.name])
+    if isinstance(kind.element, Nested):
+        return rdf.List
+    return xsd.base64Binary if kind.element.name in OCTETS else rdf.JSON

@@ -1,0 +1,313 @@
+"""Parameter values to RDF and to plain JSON, and back (DESIGN section 4).
+
+A scalar is its XSD literal. A list (and a dict within a list) is one rdf:JSON literal. A dict is a container whose
+members are parameters. Where JSON has no form for a value (NaN, octets, a date, an integer beyond 2^53) it is an
+object `{"@value": "NaN", "@type": "xsd:double"}`; a dict that could be mistaken for one is written
+`{"@value": {...}, "@type": "@json"}`, as JSON-LD would.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from base64 import b64decode, b64encode
+from binascii import Error as Base64Error
+from collections.abc import Callable, Iterable, Mapping
+from datetime import datetime
+from typing import TypeAlias
+
+import orjson
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.ontology.body import BodyError, RdfBody, Term, parse_json
+from rosld.ontology.document import Document
+from rosld.ontology.fitting import Misfit
+from rosld.ontology.lexical import NUMBERS, boolean
+from rosld.ontology.triples import CONTAINER, RDF_SOURCE, about, double, integer, text
+from rosld.ontology.triples import boolean as boolean_literal
+from rosld.ontology.urls import Space, decode_segment, encode_segment
+from rosld.ontology.violations import LoweringError, Violation
+from rosld.ontology.vocab import dcterms, ldp, rdf, ros, xsd
+
+ParameterValue: TypeAlias = (
+    "bool | int | float | str | bytes | datetime | list[ParameterValue] | dict[str, ParameterValue]"
+)
+"""As in the adapter contract: what a parameter can hold."""
+Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
+
+SAFE = 2**53
+DEEPEST = 64
+"""How deep lists and dicts may be nested."""
+
+_TYPED = frozenset({"@value", "@type"})
+_DATE_TIME = re.compile(
+    r"(\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2})(?:\.(\d{1,6})0*)?(Z|[+-]\d{2}:\d{2})?", re.ASCII
+)  # fmt: skip
+
+
+# Into RDF
+
+
+def parameter_document(name: str, value: ParameterValue, space: Space) -> Document:
+    """A parameter and its value; a dict comes with all that lies in it, under the container of this name."""
+    if isinstance(value, dict):
+        return parameter_container_document(tuple(name[1:].split("/")), value, space)
+    url = space.parameter(name)
+    return Document(url, tuple(_leaf(url, name, value)))
+
+
+def parameter_container_document(
+    namespace: tuple[str, ...], tree: Mapping[str, ParameterValue], space: Space
+) -> Document:
+    """A tree of parameters as a container with all its members and their values."""
+    url = space.container("parameters", namespace)
+    title = f"Parameters in /{'/'.join(namespace)}" if namespace else "Parameters"
+    triples = about(NamedNode(url), (dcterms.title, text(title)))
+    return Document(url, (*_tree(url, "/" + "/".join(namespace), tree, 0), *triples))
+
+
+def _leaf(url: str, name: str, value: ParameterValue) -> list[Triple]:
+    return about(
+        NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(name)), (ros.value, literal(value))
+    )
+
+
+def _tree(url: str, name: str, tree: Mapping[str, ParameterValue], depth: int) -> list[Triple]:
+    if depth > DEEPEST:
+        raise ValueError(f"{name} lies deeper than {DEEPEST} levels, which is more than rosld shows")
+    subject = NamedNode(url)
+    triples = about(subject, (rdf.type, ros.Parameter), *CONTAINER, (ros.name, text(name)))
+    for key, value in tree.items():
+        member, inner = url + encode_segment(key), f"{name.rstrip('/')}/{key}"
+        if isinstance(value, dict):
+            triples.append(Triple(subject, ldp.contains, NamedNode(member + "/")))
+            triples += _tree(member + "/", inner, value, depth + 1)
+        else:
+            triples.append(Triple(subject, ldp.contains, NamedNode(member)))
+            triples += _leaf(member, inner, value)
+    return triples
+
+
+def literal(value: ParameterValue) -> Literal | None:
+    """The literal of a value that is no dict. Raises ValueError for a dict."""
+    match value:
+        case bool():
+            return boolean_literal(value)
+        case int():
+            return integer(value)
+        case float():
+            return double(value)
+        case str():
+            return text(value)
+        case bytes():
+            return Literal(b64encode(value).decode(), datatype=xsd.base64Binary)
+        case datetime():
+            return Literal(_date_time(value), datatype=xsd.dateTime)
+        case list():
+            return Literal(parameter_json(value).decode(), datatype=rdf.JSON)
+        case dict():
+            raise ValueError("a dict is a container of parameters, not a literal")
+
+
+def _date_time(value: datetime) -> str:
+    """The xsd:dateTime, without a zone where the value has none; UTC is `Z`."""
+    written = value.isoformat()
+    return written.removesuffix("+00:00") + "Z" if written.endswith("+00:00") else written
+
+
+# Into plain JSON
+
+
+def parameter_json(value: ParameterValue) -> bytes:
+    """The value as plain JSON."""
+    return orjson.dumps(plain(value))
+
+
+def plain(value: ParameterValue) -> Json:
+    """The value as what JSON can hold. Raises ValueError where it is nested too deep."""
+    return _plain(value, 0)
+
+
+def _plain(value: ParameterValue, depth: int) -> Json:
+    if depth > DEEPEST:
+        raise ValueError(f"the value is nested deeper than {DEEPEST} levels")
+    match value:
+        case bool() | str():
+            return value
+        case int() if abs(value) <= SAFE:
+            return value
+        case float() if math.isfinite(value):
+            return value
+        case list():
+            return [_plain(element, depth + 1) for element in value]
+        case dict():
+            members: dict[str, Json] = {key: _plain(element, depth + 1) for key, element in value.items()}
+            return {"@value": members, "@type": "@json"} if members.keys() == _TYPED else members
+        case _:
+            written = literal(value)
+            assert written is not None
+            return {"@value": written.value, "@type": "xsd:" + written.datatype.value.removeprefix(xsd.iri)}
+
+
+# Out of RDF
+
+
+def lower_parameter(body: RdfBody, url: str) -> ParameterValue:
+    """The value that a body states for the parameter at `url` (for a tree with or without its slash).
+
+    Also found: the only subject of type ros:Parameter, or the only one with an ros:value, that nothing links to.
+    Raises LoweringError with the path of what does not fit.
+    """
+    return _lowered(body, _subject(body, url), "", 0)
+
+
+def _subject(body: RdfBody, url: str) -> NamedNode:
+    bare = url.rstrip("/")
+    for candidate in (url, bare, bare + "/"):
+        if body.properties(node := NamedNode(candidate)):
+            return node
+    roots = [
+        subject
+        for subject in body.roots()
+        if isinstance(subject, NamedNode)
+        and (ros.Parameter in body.objects(subject, rdf.type) or body.objects(subject, ros.value))
+    ]
+    if len(roots) != 1:
+        raise _error("", f"expected one parameter: <{url}> ros:value and its value", None)
+    return roots[0]
+
+
+def _lowered(body: RdfBody, subject: NamedNode, path: str, depth: int) -> ParameterValue:
+    values = body.objects(subject, ros.value)
+    kinds = body.objects(subject, rdf.type)
+    members = body.objects(subject, ldp.contains)
+    if len(values) > 1:
+        raise _error(path, f"expected one ros:value, not {len(values)}", None)
+    if values and members:
+        raise _error(path, "a parameter has a value or members, not both", None)
+    if values:
+        return _value(values[0], path)
+    if members or ldp.BasicContainer in kinds or ldp.Container in kinds:
+        if depth > DEEPEST:
+            raise _error(path, f"nested deeper than {DEEPEST} levels", None)
+        return {_key(member, subject, path): _member(body, member, subject, path, depth) for member in members}
+    raise _error(path, "expected an ros:value (or, for a tree, ldp:contains and the type ldp:BasicContainer)", None)
+
+
+def _key(member: Term, container: NamedNode, path: str) -> str:
+    """The key of a member: the last segment of its URL, which lies directly in the container's."""
+    base = container.value.rstrip("/") + "/"
+    value = member.value if isinstance(member, NamedNode) else ""
+    segment = value.removeprefix(base).removesuffix("/")
+    if not value.startswith(base) or not segment or "/" in segment:
+        raise _error(path, f"expected members that lie directly in <{base}>", str(member))
+    try:
+        return decode_segment(segment)
+    except ValueError as error:
+        raise _error(path, str(error), value) from error
+
+
+def _member(body: RdfBody, member: Term, container: NamedNode, path: str, depth: int) -> ParameterValue:
+    assert isinstance(member, NamedNode)
+    key = _key(member, container, path)
+    return _lowered(body, member, f"{path}/{key}" if path else key, depth + 1)
+
+
+def _value(term: Term, path: str) -> ParameterValue:
+    if not isinstance(term, Literal):
+        raise _error(path, "expected a literal as ros:value", str(term))
+    if term.language is not None:
+        raise _error(path, "ROS has no languages: leave the language tag away", term.value)
+    try:
+        if term.datatype == rdf.JSON:
+            value = lower_json(parse_json(term.value.encode()))
+            if isinstance(value, dict):
+                raise Misfit("a dict is written as a container with members, not as rdf:JSON", term.value)
+            return value
+        return _scalar(term.datatype, term.value)
+    except BodyError as error:
+        raise _error(path, f"this rdf:JSON cannot be read: {error}", term.value) from error
+    except Misfit as error:
+        raise _error(path, error.words, term.value) from error
+
+
+def _scalar(datatype: NamedNode, lexical: str) -> ParameterValue:
+    """The value of a literal. Raises Misfit."""
+    if datatype == xsd.string:
+        return lexical
+    if datatype == xsd.boolean:
+        return boolean(lexical)
+    if datatype in _FLOATS:
+        return float(NUMBERS[datatype](lexical))
+    if (number := NUMBERS.get(datatype)) is not None:
+        return int(number(lexical))
+    read = _OTHERS.get(datatype)
+    if read is None:
+        raise Misfit(f"no parameter has the datatype <{datatype.value}>", lexical)
+    return read(lexical)
+
+
+def _base64(lexical: str) -> bytes:
+    try:
+        return b64decode("".join(lexical.split()), validate=True)
+    except (Base64Error, ValueError) as error:
+        raise Misfit("expected an xsd:base64Binary", lexical) from error
+
+
+def _moment(lexical: str) -> datetime:
+    """A date to the microsecond, which is as fine as ROS parameters get."""
+    match = _DATE_TIME.fullmatch(lexical.strip())
+    if match is None:
+        raise Misfit("expected an xsd:dateTime to the microsecond, such as 2026-01-31T12:00:00.5Z", lexical)
+    zone = (match[3] or "").replace("Z", "+00:00")
+    try:
+        return datetime.fromisoformat(f"{match[1]}.{(match[2] or '0').ljust(6, '0')}{zone}")
+    except ValueError as error:
+        raise Misfit(f"expected an xsd:dateTime ({error})", lexical) from error
+
+
+_FLOATS = frozenset({xsd.double, xsd.float, xsd.decimal})
+_OTHERS: Mapping[NamedNode, Callable[[str], ParameterValue]] = {xsd.base64Binary: _base64, xsd.dateTime: _moment}
+
+
+# Out of plain JSON
+
+
+def lower_json(value: object) -> ParameterValue:
+    """The value of parsed JSON. Raises LoweringError naming the place of a null or of a typed value that is none."""
+    return _from_json(value, "", 0)
+
+
+def _from_json(value: object, path: str, depth: int) -> ParameterValue:
+    if depth > DEEPEST:
+        raise _error(path, f"nested deeper than {DEEPEST} levels", None)
+    match value:
+        case bool() | int() | float() | str():
+            return value
+        case list():
+            return [_from_json(each, f"{path}.{index}".lstrip("."), depth + 1) for index, each in enumerate(value)]
+        case {"@value": inner, "@type": str(kind), **rest} if not rest:
+            return _typed(inner, kind, path, depth)
+        case dict():
+            return _members(value.items(), path, depth)
+        case _:
+            raise _error(path, "ROS parameters cannot be null", "null")
+
+
+def _members(items: Iterable[tuple[object, object]], path: str, depth: int) -> dict[str, ParameterValue]:
+    return {str(key): _from_json(each, f"{path}.{key}".lstrip("."), depth + 1) for key, each in items}
+
+
+def _typed(inner: object, kind: str, path: str, depth: int) -> ParameterValue:
+    if kind == "@json" and isinstance(inner, dict):
+        return _members(inner.items(), path, depth)
+    if not isinstance(inner, str):
+        raise _error(path, 'expected "@value" to be a string beside its "@type"', str(inner)[:80])
+    try:
+        return _scalar(NamedNode(xsd.iri + kind.removeprefix("xsd:") if kind.startswith("xsd:") else kind), inner)
+    except (Misfit, ValueError) as error:
+        raise _error(path, str(error), inner) from error
+
+
+def _error(path: str, words: str, value: str | None) -> LoweringError:
+    return LoweringError(Violation(path, words, None if value is None else value[:120]))

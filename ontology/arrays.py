@@ -22,9 +22,9 @@ def json_numbers(values: npt.NDArray[Any], quote: str = '"') -> str:
     """An array of numbers or bools as JSON; `quote` is how a quotation mark is written (`\\"` within a literal)."""
     text = _dumped(values)
     if values.dtype.kind == "f":
-        if "null" in text:
+        if "n" in text:  # only `null` has one, and one character is found much faster than four
             text = _with_specials(text, values, quote)
-        if "-0.0," in text or text.endswith("-0.0]"):
+        if "-" in text and ("-0.0," in text or text.endswith("-0.0]")):
             text = _with_negative_zeros(text, quote)
     elif values.dtype.itemsize == 8 and values.size and _beyond_doubles(values):
         text = _with_wide_integers(values, quote)

@@ -143,7 +143,7 @@ class Ros1Adapter:
             service = graph.services.get(ref.name)
             return frozenset({Operation.CALL} if service is not None and service.uncallable is None else ())
         if ref.kind is Kind.PARAMETER:
-            return _parameter_operations(ref.name, graph)
+            return self._client.parameters.operations(ref.name) if self._client else frozenset()
         return frozenset()
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
@@ -298,15 +298,6 @@ class Ros1Adapter:
             except (asyncio.TimeoutError, RosError):
                 pass  # it was promised to be quick
         await thread.stop(max(0.2, _CLOSE - (time.monotonic() - began)))
-
-
-def _parameter_operations(name: str, graph: Graph) -> frozenset[Operation]:
-    """A parameter or a tree that is there is read, set and deleted; any other can be set."""
-    below = name.rstrip("/") + "/"
-    if name not in graph.parameters and not any(each.startswith(below) for each in graph.parameters):
-        return frozenset({Operation.SET_PARAMETER} | ({Operation.GET_PARAMETER} if name == "/" else set()))
-    both = frozenset({Operation.GET_PARAMETER, Operation.SET_PARAMETER})
-    return both if name == "/" else both | {Operation.DELETE_PARAMETER}
 
 
 def _until(deadline: float) -> float:

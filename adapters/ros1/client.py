@@ -22,6 +22,7 @@ from rosld.adapters.ros1.types import Types
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 
 _EVERY = 1.0
+_SELDOM = 30.0
 _SHARE = 20  # a look may take one part in so many of our time, and the master's
 _LOOK_UPS = 8
 _SOON = 0.1
@@ -140,17 +141,18 @@ class Client:
             started = time.monotonic()
             await self.look()
             took = time.monotonic() - started
-            pause = max(_EVERY, _SHARE * took) - took
+            live = self._looked is not None  # one that does not answer costs it nothing: its return is seen at once
+            pause = min(max(_EVERY, _SHARE * took), _SELDOM) - took if live else _EVERY
             await asyncio.sleep(_SOON)
             try:
-                await asyncio.wait_for(self._wanted.wait(), pause - _SOON)
+                await asyncio.wait_for(self._wanted.wait(), max(pause - _SOON, 0.0))
             except asyncio.TimeoutError:
                 pass
             self._wanted.clear()
 
     async def _watch_parameters(self) -> None:
         while True:
-            await asyncio.sleep(max(_EVERY, _SHARE * self.parameters.took))
+            await asyncio.sleep(min(max(_EVERY, _SHARE * self.parameters.took), _SELDOM))
             try:
                 await self.parameters.look()
             except RosError:
@@ -200,6 +202,7 @@ class Client:
             if self._own_node in system.publishers.get(topic, ()):
                 facts = EndpointFacts(publication.ref, publication.latched is not None)
                 self.learnt.endpoint(topic, self._own_node, facts)
+                self.learnt.node_at(self._own_node, self.publications.uri or "")
 
     def _look_up_some(self, nodes: set[str]) -> None:
         """Ask where new nodes are, all of them, and a few of the others again: a restart keeps the name."""

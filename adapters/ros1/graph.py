@@ -78,7 +78,7 @@ def stale(previous: Graph, since_ns: int, why: str) -> Graph:
 
 
 def _topic_names(system: SystemState) -> set[str]:
-    return {*system.publishers, *system.subscribers, *system.topic_types}
+    return {*system.publishers, *system.subscribers}  # the master never forgets the type of a topic that has gone
 
 
 def _topic(name: str, system: SystemState, learnt: Learnt, unreadable: Mapping[TypeRef, str]) -> Topic:

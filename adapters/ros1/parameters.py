@@ -15,13 +15,15 @@ from datetime import datetime
 from typing import NamedTuple
 
 from rosld.adapters.base import ParameterValue
-from rosld.adapters.model import NotFound, Parameter, Refused, TimedOut
+from rosld.adapters.model import NotFound, Operation, Parameter, Refused, TimedOut
 from rosld.adapters.ros1.master import MasterApi
 
 _NOT_XML = re.compile(r"[^\t\n\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _MOST_DEPTH = 100
 _INT32 = range(-(2**31), 2**31)
 _MOST_HINTS = 1000
+_ROOT = frozenset({Operation.GET_PARAMETER, Operation.SET_PARAMETER})
+_ALL = _ROOT | {Operation.DELETE_PARAMETER}
 
 
 class Leaf(NamedTuple):
@@ -148,11 +150,13 @@ def _plain_name(name: str) -> str:
 class Parameters:
     """The parameters of a master: read, written, and watched by reading the tree now and then.
 
-    `changed` is given the names that changed; `leaves` are those last seen. All methods run on the reading thread.
+    `changed` is given the names that changed; `leaves` and `trees` are those last seen (an empty tree is a leaf, but
+    no parameter of the graph, as in the master's own list). All methods but one run on the reading thread.
     """
 
     def __init__(self, master: MasterApi, changed: Callable[[Sequence[str]], None]) -> None:
         self.leaves: Mapping[str, Leaf] = {}
+        self.trees: frozenset[str] = frozenset("/")
         self.graph_parameters: Mapping[str, Parameter] = {}
         self.took = 0.0
         self._master = master
@@ -164,6 +168,15 @@ class Parameters:
         """The value of a leaf when it was last seen."""
         leaf = self.leaves.get(name)
         return leaf.value if leaf else None
+
+    def operations(self, name: str) -> frozenset[Operation]:
+        """What can be done with a parameter or a tree; from any thread."""
+        leaf = self.leaves.get(name)
+        if leaf is None and name not in self.trees:
+            return frozenset({Operation.SET_PARAMETER})
+        if leaf is not None and leaf.odd:
+            return frozenset({Operation.GET_PARAMETER})
+        return _ROOT if name == "/" else _ALL
 
     async def look(self) -> None:
         """Read the tree and tell what changed. Raises Unreachable, TimedOut."""
@@ -235,14 +248,25 @@ class Parameters:
     def _see(self, named: Mapping[str, Leaf]) -> None:
         changed = differences(self.leaves, named)
         self.leaves = named
-        if named.keys() != self.graph_parameters.keys():
-            self.graph_parameters = {name: self.graph_parameters.get(name) or Parameter(name) for name in named}
+        self.trees = frozenset(_trees(named))
+        self.graph_parameters = {name: Parameter(name) for name, leaf in named.items() if leaf.value != {}}
         if changed:
             self._changed(changed[:_MOST_HINTS])
 
     def note_write(self) -> None:
         """A write begins or ends: a tree read before that is not to be believed."""
         self._writes += 1
+
+
+def _trees(named: Mapping[str, Leaf]) -> Iterator[str]:
+    """The names of all trees that hold these leaves, the root first."""
+    yield "/"
+    for name, leaf in named.items():
+        if not leaf.odd:
+            above = name.rpartition("/")[0]
+            while above:
+                yield above
+                above = above.rpartition("/")[0]
 
 
 class _Writing:

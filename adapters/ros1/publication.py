@@ -16,7 +16,6 @@ from rosld.adapters.ros1.tcpros import (
     decode_header,
     encode_header,
     frame,
-    no_delay,
 )
 from rosld.adapters.ros1.types import ros_name
 
@@ -178,7 +177,6 @@ class Link(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.Transport, transport)
         self._transport.set_write_buffer_limits(high=_HIGH_WATER)
-        no_delay(transport)
 
     def data_received(self, data: bytes) -> None:
         if self._publication is not None:

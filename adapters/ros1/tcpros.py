@@ -7,7 +7,6 @@ A frame is a little-endian uint32 length and that many bytes. The first frame ea
 from __future__ import annotations
 
 import asyncio
-import socket
 import struct
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -118,7 +117,6 @@ class FrameReceiver(asyncio.BufferedProtocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.Transport, transport)
-        no_delay(transport)
         self._transport.write(self._hello)
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -231,10 +229,3 @@ class FrameReceiver(asyncio.BufferedProtocol):
     def _new_buffer(self, size: int) -> None:
         self._buffer = bytearray(size)
         self._view = memoryview(self._buffer)
-
-
-def no_delay(transport: asyncio.BaseTransport) -> None:
-    """Send small frames at once."""
-    connection: socket.socket | None = transport.get_extra_info("socket")
-    if connection is not None:
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

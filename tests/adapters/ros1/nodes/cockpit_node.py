@@ -1,0 +1,9 @@
+"""The cockpit of the rospy aircraft: shows on its output what is published to /cockpit/display."""
+
+import rospy
+from std_msgs.msg import String
+
+rospy.init_node("cockpit")
+rospy.Subscriber("/cockpit/display", String, lambda text: print("display", text.data, flush=True), queue_size=1000)
+print("ready", flush=True)
+rospy.spin()

@@ -1,0 +1,27 @@
+"""Publishes 200 messages a second without a queue, and says each half second the longest time that one took.
+
+A publisher with queue_size=None writes to its subscribers itself: one that does not read makes it wait.
+"""
+
+import sys
+import time
+import warnings
+
+import rospy
+from std_msgs.msg import String
+
+warnings.simplefilter("ignore")
+rospy.init_node("steady")
+publisher = rospy.Publisher(sys.argv[1], String, queue_size=None)
+text = String("x" * 100_000)
+rate = rospy.Rate(200)
+print("ready", flush=True)
+longest, told = 0.0, time.monotonic()
+while not rospy.is_shutdown():
+    began = time.monotonic()
+    publisher.publish(text)
+    longest = max(longest, time.monotonic() - began)
+    if time.monotonic() - told > 0.5:
+        print(f"longest {longest:.4f} {publisher.get_num_connections()}", flush=True)
+        longest, told = 0.0, time.monotonic()
+    rate.sleep()

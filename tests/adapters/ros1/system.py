@@ -1,0 +1,201 @@
+"""A real ROS 1 system for tests: Debian's rosmaster on a free port, and nodes on the system's own Python.
+
+Every process started here is ended by its own handle.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import socket
+import subprocess
+import threading
+import time
+import xmlrpc.client
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROSMASTER = Path("/usr/bin/rosmaster")
+PYTHON = "/usr/bin/python3"
+NODES = Path(__file__).parent / "nodes"
+PACKAGES = Path(__file__).parents[2] / "debian-ros.txt"
+PATIENCE = 20.0
+
+
+def require_ros() -> None:
+    """Skip, saying how to install ROS, where there is none; fail instead under CI."""
+    if ROSMASTER.exists():
+        return
+    words = f"no ROS 1 here: apt-get install --no-install-recommends {' '.join(PACKAGES.read_text().split())}"
+    if os.environ.get("CI") == "true":
+        pytest.fail(words)
+    pytest.skip(words)
+
+
+def free_port() -> int:
+    """A port nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Running:
+    """A process and the lines it prints."""
+
+    def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
+        self.process = subprocess.Popen(
+            command, env=dict(environment), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, bufsize=1
+        )
+        self.seen: list[str] = []
+        self._lines: queue.Queue[str | None] = queue.Queue()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def line(self, beginning: str = "", timeout: float = PATIENCE) -> str:
+        """The next line that begins so; fails with everything printed if none comes in time."""
+        until = time.monotonic() + timeout
+        while (left := until - time.monotonic()) > 0:
+            try:
+                line = self._lines.get(timeout=left)
+            except queue.Empty:
+                break
+            if line is None:
+                break
+            if line.startswith(beginning):
+                return line
+        raise AssertionError(f"no line {beginning!r} from {self.process.args}: {self.seen[-20:]}")
+
+    def kill(self) -> None:
+        """End it as a crash would."""
+        self.process.kill()
+        self.process.wait(PATIENCE)
+
+    def stop(self) -> None:
+        """End it politely, then for good."""
+        self.process.terminate()
+        try:
+            self.process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self.kill()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.seen.append(line.rstrip("\n"))
+            self._lines.put(self.seen[-1])
+        self._lines.put(None)
+
+
+class RosSystem:
+    """A rosmaster and the nodes started on it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.port = free_port()
+        self.folder = folder
+        self.environment = {
+            "ROS_MASTER_URI": f"http://127.0.0.1:{self.port}",
+            "ROS_IP": "127.0.0.1",
+            "ROS_HOME": str(folder),
+            "ROS_LOG_DIR": str(folder / "log"),
+            "ROS_PYTHON_VERSION": "3",
+            "PATH": "/usr/bin:/bin",
+            "HOME": str(folder),
+            "PYTHONUNBUFFERED": "1",
+            "LANG": "C.UTF-8",
+        }
+        self._running: list[Running] = []
+        self._master: Running | None = None
+        (folder / "log").mkdir(parents=True, exist_ok=True)
+
+    @property
+    def source(self) -> str:
+        """What `rosld serve` is given."""
+        return f"ros1://127.0.0.1:{self.port}"
+
+    @property
+    def master(self) -> Any:
+        """The master itself, for asking what it knows."""
+        return xmlrpc.client.ServerProxy(f"http://127.0.0.1:{self.port}")
+
+    def start_master(self) -> None:
+        """Start a rosmaster that knows nothing, and wait until it answers."""
+        self._master = self.start([str(ROSMASTER), "--core", "-p", str(self.port)])
+        until = time.monotonic() + PATIENCE
+        while time.monotonic() < until:
+            try:
+                self.master.getPid("/test")
+                return
+            except OSError:
+                time.sleep(0.05)
+        raise AssertionError(f"rosmaster did not start: {self._master.seen}")
+
+    def kill_master(self) -> None:
+        """End the master as a crash would."""
+        assert self._master is not None
+        self._master.kill()
+
+    @property
+    def master_process(self) -> subprocess.Popen[str]:
+        """The master's process."""
+        assert self._master is not None
+        return self._master.process
+
+    def start(self, command: Sequence[str], **environment: str) -> Running:
+        """Start a program in this system."""
+        running = Running(command, {**self.environment, **environment})
+        self._running.append(running)
+        return running
+
+    def node(self, script: str, *arguments: str, **environment: str) -> Running:
+        """Start one of the nodes beside this file and wait until it is ready."""
+        running = self.start([PYTHON, str(NODES / script), *arguments], **environment)
+        running.line("ready")
+        return running
+
+    def publish(self, topic: str, type_name: str, value: str, *, rate: float = 10, name: str | None = None) -> Running:
+        """Publish a value (YAML) again and again with rostopic, and wait until the master knows."""
+        before = set(self.publishers(topic))
+        named = [f"__name:={name}"] if name else []
+        running = self.start(["/usr/bin/rostopic", "pub", "-r", str(rate), topic, type_name, value, *named])
+        self.until(lambda: set(self.publishers(topic)) - before, f"a publisher of {topic}")
+        return running
+
+    def run(self, *command: str, timeout: float = PATIENCE) -> str:
+        """What a program of ROS prints."""
+        done = subprocess.run(
+            command, env=self.environment, capture_output=True, text=True, timeout=timeout, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    def yaml(self, text: str) -> Any:
+        """What a YAML document says; read by the system's Python, which has a parser."""
+        program = "import json, sys, yaml; json.dump(yaml.safe_load(sys.stdin), sys.stdout)"
+        done = subprocess.run([PYTHON, "-c", program], input=text, capture_output=True, text=True, check=True)
+        return json.loads(done.stdout)
+
+    def echo(self, topic: str) -> Any:
+        """A message of a topic as `rostopic echo -n1` prints it."""
+        return self.yaml(self.run("/usr/bin/rostopic", "echo", "-n1", topic).split("\n---")[0])
+
+    def publishers(self, topic: str) -> list[str]:
+        """The nodes that the master lists as publishers of a topic."""
+        return dict(self.master.getSystemState("/test")[2][0]).get(topic, [])
+
+    def until(self, true: Any, what: str, timeout: float = PATIENCE) -> None:
+        """Wait until something about the system is so."""
+        end = time.monotonic() + timeout
+        while not true():
+            assert time.monotonic() < end, f"never came: {what}"
+            time.sleep(0.05)
+
+    def close(self) -> None:
+        """End every process started here."""
+        for running in reversed(self._running):
+            if running.process.poll() is None:
+                running.process.terminate()
+        for running in reversed(self._running):
+            running.stop()

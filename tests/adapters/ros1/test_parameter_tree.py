@@ -1,0 +1,117 @@
+"""Parameter trees as values: names, odd keys, changes, and what is refused before anything is sent."""
+
+from __future__ import annotations
+
+from datetime import datetime, timezone
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rosld.adapters.base import ParameterValue
+from rosld.adapters.model import Refused
+from rosld.adapters.ros1.parameters import assign, by_name, check, differences, find, leaves, without
+
+keys = st.text(alphabet="ab/", max_size=3)
+plain_keys = st.text(alphabet="abc", min_size=1, max_size=2)
+scalars = st.integers(-5, 5) | st.booleans() | st.floats(allow_nan=True) | st.text(max_size=3)
+
+
+def trees(of: st.SearchStrategy[str]) -> st.SearchStrategy[dict[str, ParameterValue]]:
+    return st.recursive(
+        st.dictionaries(of, scalars, max_size=3), lambda below: st.dictionaries(of, below | scalars, max_size=3)
+    )
+
+
+@given(trees(plain_keys))
+def test_every_leaf_of_a_plain_tree_is_found_by_its_name(tree: dict[str, ParameterValue]) -> None:
+    for name, leaf in by_name(leaves(tree)).items():
+        assert find(tree, name[1:]) is leaf.value
+        assert not leaf.odd
+
+
+@given(trees(keys))
+def test_every_leaf_of_an_odd_tree_has_a_name_that_finds_something(tree: dict[str, ParameterValue]) -> None:
+    for name in by_name(leaves(tree)):
+        assert find(tree, name[1:]) is not None
+
+
+def test_empty_segments_and_slashes_in_keys_have_names() -> None:
+    named = by_name(leaves({"dict": {"a/b": 1, "": 2, "c": {"": {"d": 3}}}}))
+    assert {name: leaf.value for name, leaf in named.items()} == {"/dict/a/b": 1, "/dict/": 2, "/dict/c//d": 3}
+    assert all(leaf.odd for leaf in named.values())
+
+
+def test_an_empty_tree_is_a_leaf() -> None:
+    assert by_name(leaves({"a": {"b": {}}}))["/a/b"].value == {}
+
+
+@given(trees(plain_keys), st.lists(plain_keys, min_size=1, max_size=3), scalars)
+def test_assign_does_to_the_leaves_what_the_master_does_to_the_tree(
+    tree: dict[str, ParameterValue], path: list[str], value: ParameterValue
+) -> None:
+    before = by_name(leaves(tree))
+    node = tree
+    for key in path[:-1]:
+        below = node.get(key)
+        node[key] = node = below if isinstance(below, dict) else {}  # type: ignore[assignment]
+    node[path[-1]] = value
+    after = by_name(leaves(tree))
+    assert not differences(assign(before, "/" + "/".join(path), value), after)
+
+
+@given(trees(plain_keys), trees(plain_keys))
+def test_differences_name_exactly_what_changed(old: dict[str, ParameterValue], new: dict[str, ParameterValue]) -> None:
+    one, other = by_name(leaves(old)), by_name(leaves(new))
+    changed = set(differences(one, other))
+    for name in one.keys() | other.keys():
+        same = name in one and name in other and repr(one[name].value) == repr(other[name].value)
+        assert (name in changed) is not same
+
+
+def test_without_takes_a_tree_whole_and_nothing_beside_it() -> None:
+    named = by_name(leaves({"a": {"b": 1, "c": 2}, "ab": 3}))
+    assert set(without(named, "/a")) == {"/ab"}
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        2**31,
+        -(2**31) - 1,
+        float("nan"),
+        float("inf"),
+        None,
+        "a\x01b",
+        "a\r\nb",
+        "\ud800",
+        "\ufffe",
+        [1, [2**40]],
+        {"a": {"b": None}},
+        {"\x00": 1},
+        {1: 1},
+        datetime(2026, 1, 1, tzinfo=timezone.utc),
+        datetime(2026, 1, 1, 0, 0, 0, 5),
+        1j,
+    ],
+)
+def test_what_the_wire_would_change_is_refused_naming_the_parameter(value: object) -> None:
+    with pytest.raises(Refused, match="/robot/name"):
+        check("/robot/name", value)  # type: ignore[arg-type]
+
+
+def test_a_value_nested_for_ever_is_refused() -> None:
+    nest: list[ParameterValue] = []
+    nest.append(nest)
+    with pytest.raises(Refused, match="deep"):
+        check("/x", nest)
+
+
+@pytest.mark.parametrize("value", [2**31 - 1, -(2**31), True, 0.5, "tab\tnewline\n\U0001f916", b"\0\xff", [], {}])
+def test_what_the_wire_keeps_is_accepted(value: ParameterValue) -> None:
+    check("/x", value)
+
+
+def test_the_root_is_only_set_to_a_tree() -> None:
+    with pytest.raises(Refused, match="root"):
+        check("/", 5)

@@ -8,31 +8,27 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from http import HTTPStatus
-from typing import TYPE_CHECKING
 
 import orjson
-from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, serialize
+from pyoxigraph import NamedNode
 from starlette.responses import Response
 
+from rosld.ontology.document import Document
+from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.triples import about, integer, text
+from rosld.ontology.violations import Violation
+from rosld.ontology.vocab import rdf, rdfs
 from rosld.server.http import field, negotiation
-
-if TYPE_CHECKING:
-    from rosld.ontology.lower import Violation
+from rosld.shapes.report import validation_report
 
 JSON = "application/problem+json"
-_SYNTAXES: Mapping[str, RdfFormat] = {
-    "text/turtle": RdfFormat.TURTLE,
-    "application/ld+json": RdfFormat.JSON_LD,
-    "application/n-triples": RdfFormat.N_TRIPLES,
-    "application/rdf+xml": RdfFormat.RDF_XML,
-}
+_SYNTAXES: Mapping[str, Syntax] = {syntax.media_type: syntax for syntax in Syntax}
 _OFFERS = (JSON, "application/json", "text/html", *_SYNTAXES)
 _HYDRA = "http://www.w3.org/ns/hydra/core#"
-_SH = "http://www.w3.org/ns/shacl#"
-_RDF_TYPE = NamedNode("http://www.w3.org/1999/02/22-rdf-syntax-ns#type")
+_NOWHERE = "about:blank"
 _LONGEST = 2000
 """Characters of a value that are told back to whoever sent it."""
 
@@ -87,14 +83,15 @@ def phrase(status: int) -> str:
         return f"Status {status}"
 
 
-def render(problem: Problem, accept: str | None = None) -> Rendered:
+def render(problem: Problem, accept: str | None = None, *, url: str = _NOWHERE) -> Rendered:
     """The problem in the form the client prefers: problem+json by default and whenever nothing else is acceptable.
 
-    Headers that could not be sent safely are left out, so that a hostile name can never turn a refusal into a failure.
+    `url` is the resource the problem is with; RDF is about it. Headers that could not be sent safely are left out, so
+    that a hostile name can never turn a refusal into a failure.
     """
     chosen = negotiation.choose(accept, _OFFERS) or JSON
     if chosen in _SYNTAXES:
-        body = _rdf(problem, _SYNTAXES[chosen])
+        body = _rdf(problem, _SYNTAXES[chosen], url)
     elif chosen == "text/html":
         body = _page(problem).encode("utf-8", "replace")
     else:
@@ -125,13 +122,8 @@ def members(problem: Problem) -> dict[str, object]:
         "detail": _clean(problem.detail),
     }
     if problem.violations:
-        found["violations"] = [_members_of(violation) for violation in problem.violations]
+        found["violations"] = [asdict(_cleaned(violation)) for violation in problem.violations]
     return found
-
-
-def _members_of(violation: Violation) -> dict[str, str | None]:
-    value = None if violation.value is None else _clean(violation.value)
-    return {"path": _clean(violation.path), "message": _clean(violation.message), "value": value}
 
 
 def _json(problem: Problem) -> bytes:
@@ -142,38 +134,31 @@ def _json(problem: Problem) -> bytes:
         return json.dumps(found, default=str, indent=2).encode("ascii")
 
 
-def triples(problem: Problem) -> Iterator[Triple]:
-    """The problem as a hydra:Error and, where fields do not fit, a sh:ValidationReport."""
-    node = BlankNode()
-    yield Triple(node, _RDF_TYPE, NamedNode(f"{_HYDRA}Error"))
-    yield Triple(node, NamedNode(f"{_HYDRA}statusCode"), Literal(problem.status))
-    yield Triple(node, NamedNode(f"{_HYDRA}title"), Literal(_clean(problem.title)))
-    yield Triple(node, NamedNode(f"{_HYDRA}description"), Literal(_clean(problem.detail)))
-    if problem.violations:
-        yield from _report(problem.violations)
+def document(problem: Problem, url: str = _NOWHERE) -> Document:
+    """The problem with the resource at `url`: a hydra:Error and, where fields do not fit, a sh:ValidationReport."""
+    node = NamedNode(f"{url}#problem")
+    report = validation_report(url, [_cleaned(one) for one in problem.violations]) if problem.violations else None
+    triples = about(
+        node,
+        (rdf.type, NamedNode(f"{_HYDRA}Error")),
+        (NamedNode(f"{_HYDRA}statusCode"), integer(problem.status)),
+        (NamedNode(f"{_HYDRA}title"), text(_clean(problem.title))),
+        (NamedNode(f"{_HYDRA}description"), text(_clean(problem.detail))),
+        (rdfs.seeAlso, NamedNode(f"{url}#report") if report else None),
+    )
+    return Document(url, (*triples, *(report.triples if report else ())))
 
 
-def _report(violations: Sequence[Violation]) -> Iterator[Triple]:
-    report = BlankNode()
-    yield Triple(report, _RDF_TYPE, NamedNode(f"{_SH}ValidationReport"))
-    yield Triple(report, NamedNode(f"{_SH}conforms"), Literal(False))
-    for violation in violations:
-        result = BlankNode()
-        yield Triple(report, NamedNode(f"{_SH}result"), result)
-        yield Triple(result, _RDF_TYPE, NamedNode(f"{_SH}ValidationResult"))
-        yield Triple(result, NamedNode(f"{_SH}resultSeverity"), NamedNode(f"{_SH}Violation"))
-        yield Triple(
-            result, NamedNode(f"{_SH}resultMessage"), Literal(_clean(f"{violation.path}: {violation.message}"))
-        )
-        if violation.value is not None:
-            yield Triple(result, NamedNode(f"{_SH}value"), Literal(_clean(violation.value)))
+def _cleaned(violation: Violation) -> Violation:
+    value = None if violation.value is None else _clean(violation.value)
+    return Violation(_clean(violation.path), _clean(violation.message), value)
 
 
-def _rdf(problem: Problem, syntax: RdfFormat) -> bytes:
-    prefixes = {"hydra": _HYDRA, "sh": _SH}
-    written = serialize(triples(problem), format=syntax, prefixes=prefixes)
-    assert written is not None
-    return written
+def _rdf(problem: Problem, syntax: Syntax, url: str) -> bytes:
+    try:
+        return serialize(document(problem, url), syntax)
+    except ValueError:  # the URL of the request is no IRI
+        return serialize(document(problem), syntax)
 
 
 def _page(problem: Problem) -> str:

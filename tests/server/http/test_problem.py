@@ -3,32 +3,19 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pyoxigraph import RdfFormat, parse
 
+from rosld.ontology.violations import Violation
 from rosld.server.http.problem import JSON, Problem, render
-
-if TYPE_CHECKING:
-    from rosld.ontology.lower import Violation
-
-
-@dataclass(frozen=True)
-class Misfit:
-    """A violation as lowering tells of it."""
-
-    path: str
-    message: str
-    value: str | None
 
 
 def unfit() -> Problem:
-    misfits = [Misfit("linear.x", "must be a float64", '"<b>"'), Misfit("angular", "is missing", None)]
-    return Problem(422, "The message does not fit.", violations=cast("list[Violation]", misfits))
+    misfits = [Violation("linear.x", "must be a float64", '"<b>"'), Violation("angular", "is missing", None)]
+    return Problem(422, "The message does not fit.", violations=misfits)
 
 
 def test_problem_json_is_the_default() -> None:
@@ -74,6 +61,16 @@ def test_rdf_holds_the_status_and_a_validation_report(accept: str, syntax: RdfFo
     objects = [str(quad.object) for quad in parse(rendered.body, format=syntax)]
     assert '"422"^^<http://www.w3.org/2001/XMLSchema#integer>' in objects
     assert objects.count("<http://www.w3.org/ns/shacl#ValidationResult>") == 2
+
+
+def test_rdf_is_about_the_resource_that_the_problem_is_with() -> None:
+    body = render(unfit(), "application/n-triples", url="http://127.0.0.1:8080/topics/cmd_vel").body
+    assert b"<http://127.0.0.1:8080/topics/cmd_vel#report>" in body
+    assert b"about:blank" not in body
+
+
+def test_a_url_that_is_no_iri_does_no_harm() -> None:
+    assert b"about:blank" in render(unfit(), "text/turtle", url="http://[/ <x>").body
 
 
 def test_a_page_escapes_what_was_sent() -> None:

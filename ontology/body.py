@@ -94,14 +94,16 @@ def parse_body(data: bytes, media_type: str, base: str) -> RdfBody:
     else:
         _check_depth(data, _TURTLE_TOKENS, b"[({<")
     try:
-        return _indexed(parse(data, form, base_iri=base), base)
+        return indexed(parse(data, form, base_iri=base), base)
     except SyntaxError as error:
         raise _syntax_error(error) from error
     except ValueError as error:
         raise BodyError(str(error)) from error
 
 
-def _indexed(quads: Iterable[Quad], base: str) -> RdfBody:
+def indexed(quads: Iterable[Quad], base: str) -> RdfBody:
+    """The quads of the default graph and of the graph named `base`, as a body."""
+    """The triples of the default graph and of the graph named `base`, by subject and predicate."""
     graphs = (DefaultGraph(), NamedNode(base))
     subjects: dict[Subject, dict[NamedNode, list[Term]]] = {}
     size = 0

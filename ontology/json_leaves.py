@@ -1,0 +1,209 @@
+"""Leaves: JSON values as primitives and as arrays of them.
+
+A leaf takes a value, as `parse_json` gives it, and returns what belongs into the message or raises `Misfit`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import isfinite
+from typing import Any, TypeAlias, cast
+
+import numpy as np
+import orjson
+
+from rosld.adapters.model import Array, FieldType, Primitive
+from rosld.ontology.fitting import (
+    RANGES,
+    SPECIALS,
+    Misfit,
+    Numbers,
+    base64_octets,
+    described,
+    float_fit,
+    integer_fit,
+    is_octets,
+    octet_array,
+    sized,
+    string_fit,
+)
+from rosld.ontology.literals import BASE64, DTYPES, STRINGS
+
+Leaf: TypeAlias = Callable[[object], object]
+
+
+def json_leaf(kind: Primitive | Array) -> Leaf:
+    """The reader of a primitive or of an array of them. It raises Misfit, for an element with its index as path."""
+    if isinstance(kind, Array):
+        return _array(kind)
+    if kind.name in STRINGS:
+        return _string(kind)
+    if kind.name == "bool":
+        return _bool
+    return _float(kind) if kind.name.startswith("float") else _integer(kind)
+
+
+def _bool(value: object) -> bool:
+    if value is True or value is False:
+        return value
+    raise unexpected(Primitive("bool"), value)
+
+
+def _integer(kind: Primitive) -> Leaf:
+    fit = integer_fit(kind)
+    wide = kind.name.endswith("64")
+
+    def read(value: object) -> int:
+        if type(value) is int or type(value) is float:
+            return fit(value)
+        if wide and isinstance(value, str) and _is_integer(value):
+            return fit(int(value))
+        raise unexpected(kind, value)
+
+    return read
+
+
+def _is_integer(text: str) -> bool:
+    return len(text) <= 24 and text.isascii() and text.removeprefix("-").isdigit()
+
+
+def _float(kind: Primitive) -> Leaf:
+    fit = float_fit(kind)
+
+    def read(value: object) -> float:
+        if type(value) is float and not isfinite(value):  # 1e400: JSON has no infinity, this was a number too large
+            raise Misfit(f"expected a {kind.name}, and this is beyond its range", value)
+        if type(value) is float or type(value) is int:
+            return fit(value)
+        if isinstance(value, str):
+            if value == "-0.0":
+                return -0.0
+            if value in SPECIALS:
+                return SPECIALS[value]
+            if _is_integer(value):
+                return fit(int(value))
+        raise unexpected(kind, value)
+
+    return read
+
+
+def _string(kind: Primitive) -> Leaf:
+    fit = string_fit(kind)
+
+    def read(value: object) -> str:
+        if isinstance(value, str):
+            return fit(_utf8(value))
+        if isinstance(value, dict) and value.keys() == {"@value", "@type"} and value["@type"] == BASE64:
+            return fit(_raw(value["@value"]))
+        raise unexpected(kind, value)
+
+    return read
+
+
+def _utf8(value: str) -> str:
+    try:
+        value.encode()
+    except UnicodeEncodeError as error:
+        raise Misfit("expected a string of Unicode characters, and half a surrogate pair is none", value) from error
+    return value
+
+
+def _raw(value: object) -> str:
+    if not isinstance(value, str):
+        raise Misfit("expected base64", value)
+    return base64_octets(value).decode("utf-8", "surrogateescape")
+
+
+def unexpected(kind: FieldType, value: object) -> Misfit:
+    """The misfit of a value of the wrong kind; one that was elided says so."""
+    if isinstance(value, dict) and value.get("elided") is True:
+        return Misfit("this was left out where it was read (elided): fetch it and send it whole", value)
+    return Misfit(f"expected {described(kind)}", value)
+
+
+# Arrays of primitives
+
+
+def _array(kind: Array) -> Leaf:
+    element = cast(Primitive, kind.element)
+    values = _string_array(kind, element) if element.name in STRINGS else _number_array(kind, element)
+    octets = is_octets(kind)
+
+    def read(value: object) -> object:
+        if octets and isinstance(value, str):
+            return octet_array(kind, base64_octets(value))
+        if not isinstance(value, list):
+            raise unexpected(kind, value)
+        return values(sized(kind, value))
+
+    return read
+
+
+def _string_array(kind: Array, element: Primitive) -> Callable[[list[object]], object]:
+    read = json_leaf(element)
+    return lambda values: each(read, values)
+
+
+def _number_array(kind: Array, element: Primitive) -> Callable[[list[object]], object]:
+    dtype, read = DTYPES[element.name], json_leaf(element)
+    whole = _floats_at_once if dtype.kind == "f" else _bools_at_once if dtype.kind == "b" else _integers_at_once
+    limits = RANGES.get(element.name, (0, 0))
+
+    def numbers(values: list[object]) -> Numbers:
+        fast = whole(values, dtype, limits)
+        return np.array(each(read, values), dtype) if fast is None else fast
+
+    return numbers
+
+
+def each(read: Leaf, values: Sequence[object]) -> list[object]:
+    """All values read, one by one; a misfit has the index as its path."""
+    found = []
+    for index, value in enumerate(values):
+        try:
+            found.append(read(value))
+        except Misfit as misfit:
+            raise Misfit(misfit.words, misfit.value, str(index)) from misfit
+    return found
+
+
+# These three read a whole array of what is plainly right, and return None to have it read one by one instead.
+
+
+def _floats_at_once(values: list[Any], dtype: np.dtype[Any], limits: tuple[int, int]) -> Numbers | None:
+    if not set(map(type, values)) <= {float, int}:
+        return None
+    try:
+        with np.errstate(over="ignore"):
+            numbers = np.array(values, np.float64).astype(dtype)
+    except OverflowError:
+        return None
+    return numbers if np.isfinite(numbers).all() else None
+
+
+def _integers_at_once(values: list[Any], dtype: np.dtype[Any], limits: tuple[int, int]) -> Numbers | None:
+    if not set(map(type, values)) <= {int}:
+        return None
+    if values and not (limits[0] <= min(values) and max(values) <= limits[1]):
+        return None
+    return np.array(values, dtype)
+
+
+def _bools_at_once(values: list[Any], dtype: np.dtype[Any], limits: tuple[int, int]) -> Numbers | None:
+    return np.array(values, dtype) if set(map(type, values)) <= {bool} else None
+
+
+def array_of_json(kind: Array) -> Callable[[str], object]:
+    """The reader of an rdf:JSON literal as an array of primitives. It raises Misfit."""
+    read = json_leaf(kind)
+
+    def parse(text: str) -> object:
+        try:
+            value = orjson.loads(text)
+        except orjson.JSONDecodeError as error:
+            raise Misfit(f"expected {described(kind)} in JSON ({error.msg})", text) from error
+        if not isinstance(value, list):
+            raise Misfit(f"expected {described(kind)} in JSON", text)
+        return read(value)
+
+    return parse

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rosld.adapters.model import Array, FieldType, Nested, Primitive
-from rosld.ontology.literals import DTYPES, OCTETS, STRINGS, octet_count
+from rosld.ontology.literals import DTYPES, OCTETS, octet_count
 
 Number: TypeAlias = "int | float | Decimal"
 Numbers: TypeAlias = npt.NDArray[Any]
@@ -164,8 +164,3 @@ def sized(kind: Array, values: _Sized) -> _Sized:
 def is_octets(kind: Array) -> bool:
     """Whether an array is octets."""
     return kind.element.name in OCTETS
-
-
-def is_string(kind: FieldType) -> bool:
-    """Whether a field is a string."""
-    return isinstance(kind, Primitive) and kind.name in STRINGS

@@ -27,8 +27,8 @@ from rosld.ontology.fitting import (
     string_fit,
 )
 from rosld.ontology.json_leaves import array_of_json
-from rosld.ontology.literals import DTYPES, STRINGS
 from rosld.ontology.lexical import BINARIES, NUMBERS, boolean, nanoseconds
+from rosld.ontology.literals import DTYPES, STRINGS
 from rosld.ontology.typenames import type_names
 from rosld.ontology.violations import Findings, Path
 from rosld.ontology.vocab import rdf, ros, xsd

@@ -163,7 +163,13 @@ def lift(recording: Path, output: Path, base_url: str, inline_limit: int, types:
 @click.argument("source")
 @_options("types")
 def types(source: str, types: tuple[Path, ...]) -> None:
-    """List the message and service types that SOURCE uses: name, tab, hash."""
+    """List the message and service types that SOURCE uses: name, tab, hash.
+
+    \b
+    Examples:
+      rosld types run.bag
+      rosld types ros1://localhost:11311
+    """
     from rosld.server.commands.types import types as run
 
     run(source, AdapterOptions(types=types))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
 import socket
@@ -80,4 +81,12 @@ class Server(uvicorn.Server):
 def quiet_logs() -> None:
     """All logs to stderr; of uvicorn only what went wrong here, not what strangers send."""
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
-    logging.getLogger("uvicorn").setLevel(logging.ERROR)
+    uvicorns = logging.getLogger("uvicorn.error")
+    uvicorns.setLevel(logging.ERROR)
+    uvicorns.addFilter(_unless_cancelled)
+
+
+def _unless_cancelled(record: logging.LogRecord) -> bool:
+    """Leaves out the requests that are cut short when the server ends: that is no error."""
+    cancelled = record.exc_info is not None and record.exc_info[0] is asyncio.CancelledError
+    return not cancelled and not record.msg.startswith("Cancel %s running task")

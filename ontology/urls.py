@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 from urllib.parse import quote, unquote_to_bytes, urlsplit
 
@@ -21,6 +22,7 @@ _ESCAPED = re.compile(r"~*\.{0,2}")
 _MALFORMED = re.compile(r"%(?![0-9A-Fa-f]{2}).{0,2}", re.DOTALL)
 
 
+@lru_cache(maxsize=8192)
 def encode_segment(segment: str) -> str:
     """One segment as it stands in a path. Raises ValueError for lone surrogates, which UTF-8 cannot carry."""
     text = "~" + segment if _ESCAPED.fullmatch(segment) else segment

@@ -67,7 +67,7 @@ LATE_SECONDS = 60.0
 
 
 class Calls:
-    """The calls made through rosld. A call goes on when its caller stops waiting, and takes the answer when it comes."""
+    """The calls made through rosld: each goes on when its caller stops waiting, and takes the answer when it comes."""
 
     def __init__(self, adapter: Adapter, *, most: int, age: float) -> None:
         self._adapter = adapter

@@ -24,8 +24,8 @@ class Rendering(NamedTuple):
 class State:
     """What a resource is like: its RDF (made when first needed), and its plain JSON where there is a ROS value.
 
-    `token` is the state part of its ETag; without one it is a digest of the RDF. `plain` returns ROS's own JSON or raises
-    the Problem that says why there is none (406). `received_ns` is when its newest sample was received, for Age.
+    `token` is the state part of its ETag; without one it is a digest of the RDF. `plain` returns ROS's own JSON or
+    raises the Problem that says why there is none (406). `received_ns` is when its newest sample was received, for Age.
     A state is kept as long as nothing changes, and its renderings with it.
     """
 

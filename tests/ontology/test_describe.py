@@ -1,0 +1,448 @@
+"""Plain ROS described as documents."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.adapters.model import (
+    Encoding,
+    Endpoint,
+    Graph,
+    Master,
+    MessageSchema,
+    Node,
+    Sample,
+    Service,
+    ServiceSchema,
+    Stale,
+    Topic,
+    TypeRef,
+    names,
+)
+from rosld.adapters.model.library import TypeLibrary
+from rosld.ontology.describe import (
+    ROOMS,
+    CallView,
+    Members,
+    bag_document,
+    bag_message_document,
+    bag_messages_document,
+    call_document,
+    container_document,
+    entry_document,
+    is_namespace,
+    members_of,
+    namespace_document,
+    node_document,
+    service_document,
+    topic_document,
+    type_container_document,
+    type_document,
+)
+from rosld.ontology.document import Document, Envelope, LiftedMessage
+from rosld.ontology.lift import lifter
+from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import foaf, ldp, rdf, rdfs, ros, xhv, xsd
+
+SPACE = Space("http://127.0.0.1:8080/")
+LIBRARY = TypeLibrary(ros_version=1)
+POINT = TypeRef("geometry_msgs/msg/Point")
+TRIGGER = TypeRef("std_srvs/srv/Trigger")
+
+GRAPH = Graph(
+    revision=7,
+    master=Master("http://localhost:11311/", "run-1"),
+    nodes={name: Node(name) for name in ("/talker", "/listener")},
+    topics={
+        "/chatter": Topic("/chatter", (POINT,), (Endpoint("/talker"),), (Endpoint("/listener"),)),
+        "/chatter/fast": Topic("/chatter/fast", (POINT,), (Endpoint("/talker"),)),
+        "/lonely": Topic("/lonely"),
+    },
+    services={"/talker/reset": Service("/talker/reset", TRIGGER, ("/talker",))},
+)
+
+
+def url(path: str) -> NamedNode:
+    return NamedNode(SPACE.base + path)
+
+
+def said(document: Document, subject: NamedNode, predicate: NamedNode) -> list[object]:
+    return [t.object for t in document.triples if t.subject == subject and t.predicate == predicate]
+
+
+def own(document: Document, predicate: NamedNode) -> list[object]:
+    return said(document, NamedNode(document.url), predicate)
+
+
+def point() -> MessageSchema:
+    schema = LIBRARY.find(POINT)
+    assert isinstance(schema, MessageSchema)
+    return schema
+
+
+def lifted(publisher: str | None, sequence: int) -> LiftedMessage:
+    message = point().codec.build(POINT.name, {"x": 1.0, "y": 2.0, "z": float(sequence)})
+    envelope = Envelope(1_700_000_000_000_000_000 + sequence, sequence, publisher and SPACE.node(publisher))
+    return LiftedMessage("#message", lifter(point()), message, envelope)
+
+
+# The entry point and nodes
+
+
+def test_the_entry_point_links_to_every_room_and_names_the_master() -> None:
+    document = entry_document(GRAPH, SPACE, "ROS 1")
+    assert document.url == SPACE.base
+    assert own(document, rdf.type)[0] == ros.Graph
+    assert own(document, ldp.contains) == [url(f"{room}/") for room in ROOMS]
+    assert own(document, ros.state) == [ros.Live]
+    assert said(document, url("#master"), ros.uri) == [Literal("http://localhost:11311/", datatype=xsd.anyURI)]
+    assert said(document, url("topics/"), ros.count) == [Literal("3", datatype=xsd.integer)]
+
+
+def test_a_stale_graph_says_since_when_and_why() -> None:
+    document = entry_document(Graph(1, Stale(1_700_000_000_500_000_000, "the master does not answer")), SPACE)
+    assert own(document, ros.state) == [ros.Stale]
+    assert own(document, ros.staleSince) == [Literal("2023-11-14T22:13:20.5Z", datatype=xsd.dateTime)]
+    assert own(document, ros.reason) == [Literal("the master does not answer")]
+
+
+def test_a_node_says_what_it_takes_part_in() -> None:
+    document = node_document(GRAPH.nodes["/talker"], GRAPH, SPACE)
+    assert own(document, ros.publishes) == [url("topics/chatter"), url("topics/chatter/fast")]
+    assert own(document, ros.provides) == [url("services/talker/reset")]
+    assert own(node_document(GRAPH.nodes["/listener"], GRAPH, SPACE), ros.subscribes) == [url("topics/chatter")]
+
+
+def test_a_node_that_does_not_answer_says_why() -> None:
+    document = node_document(Node("/a", "http://gone:1/", "gone does not resolve"), GRAPH, SPACE)
+    assert own(document, ros.unreachable) == [Literal("gone does not resolve")]
+
+
+# Topics
+
+
+def test_a_topic_names_type_endpoints_and_rate_even_before_it_is_known() -> None:
+    document = topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH)
+    assert own(document, ros.messageType) == [NamedNode("https://w3id.org/rosld/types/geometry_msgs/msg/Point")]
+    assert own(document, ros.publisher) == [url("nodes/talker")]
+    assert own(document, ros.subscriber) == [url("nodes/listener")]
+    assert own(document, ros.rate) == [Literal("0.0", datatype=xsd.double)]
+    assert own(document, ros.latest) == []
+
+
+def test_a_topic_that_is_a_namespace_too_links_to_its_container_and_back() -> None:
+    document = topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH)
+    assert own(document, ros.namespace) == [url("topics/chatter/")]
+    container = namespace_document("topics", (), members_of(GRAPH.topics)[()], SPACE)
+    assert said(container, url("topics/chatter"), ros.namespace) == [url("topics/chatter/")]
+    assert own(topic_document(GRAPH.topics["/lonely"], SPACE, GRAPH), ros.namespace) == []
+
+
+def test_the_newest_message_is_the_latest_and_each_publishers_is_linked() -> None:
+    messages = [lifted("/listener", 1), lifted("/a.b", 2), lifted("/talker", 3)]
+    document = topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH, 1.0, messages)
+    assert own(document, ros.latest) == [url("topics/chatter#message")]
+    assert own(document, ros.latestFrom) == [
+        url("topics/chatter#from/listener"),
+        url("topics/chatter#from/a%2Eb"),
+        url("topics/chatter#message"),
+    ]
+    assert [m.node for m in document.messages] == ["#from/listener", "#from/a%2Eb", "#message"]
+    assert document.messages[-1].message.z == 3.0  # type: ignore[attr-defined]
+
+
+def test_one_publisher_has_no_latest_from() -> None:
+    document = topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH, 1.0, [lifted("/talker", 3)])
+    assert own(document, ros.latest) == [url("topics/chatter#message")]
+    assert own(document, ros.latestFrom) == []
+
+
+@given(st.lists(st.sampled_from(["/a", "/a.b", "/a/b", "/a;1", "//", None]), min_size=2, max_size=6))
+def test_no_two_messages_of_a_topic_share_a_node(publishers: list[str | None]) -> None:
+    messages = [lifted(publisher, number % 2) for number, publisher in enumerate(publishers)]
+    document = topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH, 1.0, messages)
+    nodes = [message.node for message in document.messages]
+    assert len(set(nodes)) == len(publishers)
+    assert nodes[-1] == "#message"
+    assert not any("." in node for node in nodes)
+
+
+def test_conflicting_types_are_linked_as_variants_and_there_is_no_type() -> None:
+    one, other = TypeRef("a/msg/B", "11"), TypeRef("a/msg/B", "22")
+    topic = Topic("/t", (one, other), (Endpoint("/x", one), Endpoint("/y", other)), unreadable="two types")
+    document = topic_document(topic, SPACE, GRAPH)
+    assert own(document, ros.conflictingType) == [url("types/a/msg/B?hash=11"), url("types/a/msg/B?hash=22")]
+    assert own(document, ros.messageType) == []
+    assert own(document, ros.unreadable) == [Literal("two types")]
+    assert said(document, url("topics/t#publisher/y"), ros.conflictingType) == [url("types/a/msg/B?hash=22")]
+
+
+def test_an_unreachable_or_latched_publisher_is_an_endpoint_of_its_own() -> None:
+    topic = Topic("/t", (POINT,), (Endpoint("/a/b", latched=True), Endpoint("/c", unreachable="no such host")))
+    document = topic_document(topic, SPACE, GRAPH)
+    assert own(document, ros.endpoint) == [url("topics/t#publisher/a/b"), url("topics/t#publisher/c")]
+    assert said(document, url("topics/t#publisher/c"), ros.unreachable) == [Literal("no such host")]
+
+
+def test_why_a_message_cannot_be_read_goes_before_what_the_topic_says() -> None:
+    topic = Topic("/t", unreadable="old words")
+    assert own(topic_document(topic, SPACE, GRAPH, unreadable="new"), ros.unreadable) == [Literal("new")]
+
+
+# Services and calls
+
+
+def test_a_service_links_to_type_provider_and_shapes() -> None:
+    document = service_document(GRAPH.services["/talker/reset"], SPACE, GRAPH)
+    assert own(document, ros.serviceType) == [NamedNode("https://w3id.org/rosld/types/std_srvs/srv/Trigger")]
+    assert own(document, ros.provider) == [url("nodes/talker")]
+    assert own(document, ros.requestShape) == [url("shapes/std_srvs/srv/Trigger_Request")]
+    assert own(document, ros.responseShape) == [url("shapes/std_srvs/srv/Trigger_Response")]
+
+
+def test_a_service_of_unknown_type_says_why_it_cannot_be_called() -> None:
+    document = service_document(Service("/s", uncallable="no definition"), SPACE, GRAPH)
+    assert own(document, ros.uncallable) == [Literal("no definition")]
+    assert own(document, ros.serviceType) == []
+
+
+def trigger() -> ServiceSchema:
+    schema = LIBRARY.find(TRIGGER)
+    assert isinstance(schema, ServiceSchema)
+    return schema
+
+
+def test_a_call_carries_request_response_state_and_times() -> None:
+    service = trigger()
+    request = (service.request, service.request.codec.build(service.request.ref.name, {}))
+    answer = service.response.codec.build(service.response.ref.name, {"success": False, "message": "no"})
+    call = CallView("c1", "/talker/reset", "Failed", 10**18, request, (service.response, answer), 10**18 + 1, "no")
+    document = call_document(call, SPACE)
+    assert own(document, ros.state) == [ros.Failed]
+    assert own(document, ros.service) == [url("services/talker/reset")]
+    assert own(document, ros.request) == [url("calls/c1#request")]
+    assert own(document, ros.response) == [url("calls/c1#response")]
+    assert [message.node for message in document.messages] == ["#request", "#response"]
+    triples = document.all_triples()
+    assert Literal("no") in [t.object for t in triples if t.subject == url("calls/c1#response")]
+
+
+def test_a_running_call_has_no_response_yet() -> None:
+    service = trigger()
+    request = (service.request, service.request.codec.build(service.request.ref.name, {}))
+    document = call_document(CallView("c1", "/s", "Running", 10**18, request), SPACE)
+    assert own(document, ros.response) == []
+    assert own(document, ros.answered) == []
+
+
+# Containers
+
+
+def test_members_are_found_by_namespace() -> None:
+    found = members_of(["/a", "/a/b", "/a/c/d", "/z//y"])
+    assert found[()] == Members(("a",), ("a", "z"))
+    assert found[("a",)] == Members(("b",), ("c",))
+    assert found[("a", "c")] == Members(("d",), ())
+    assert found[("z",)] == Members((), ("",))
+    assert found[("z", "")] == Members(("y",), ())
+    assert members_of([]) == {(): Members()}
+
+
+@given(st.lists(st.lists(st.sampled_from(["", "a", "b", "."]), min_size=1, max_size=4)))
+def test_every_name_is_a_member_of_its_namespace_and_every_namespace_of_its_parent(paths: list[list[str]]) -> None:
+    found = members_of("/" + "/".join(path) for path in paths)
+    for path in paths:
+        for depth in range(1, len(path)):
+            assert path[depth - 1] in found[tuple(path[: depth - 1])].namespaces
+        assert path[-1] in found[tuple(path[:-1])].leaves
+    listed = {(*namespace, leaf) for namespace, members in found.items() for leaf in members.leaves}
+    assert listed == {tuple(path) for path in paths}
+
+
+def test_a_name_is_known_as_a_namespace() -> None:
+    assert is_namespace("/chatter", GRAPH.topics)
+    assert not is_namespace("/lonely", GRAPH.topics)
+
+
+def test_a_namespace_contains_names_and_namespaces() -> None:
+    document = namespace_document("topics", ("camera",), Members(("image", ""), ("image",)), SPACE)
+    assert document.url == "http://127.0.0.1:8080/topics/camera/"
+    assert ldp.BasicContainer in own(document, rdf.type)
+    assert own(document, ldp.contains) == [
+        url("topics/camera/image"),
+        url("topics/camera/~"),
+        url("topics/camera/image/"),
+    ]
+    assert said(document, url("topics/camera/image"), ros.name) == [Literal(names.join(("camera", "image")))]
+
+
+def test_a_container_of_types_holds_packages_kinds_and_types() -> None:
+    listed = ("a/msg/X", "a/msg/Y", "a/srv/Z", "b/msg/X")
+    assert own(type_container_document("types", (), listed, SPACE), ldp.contains) == [url("types/a/"), url("types/b/")]
+    inner = type_container_document("types", ("a", "msg"), listed[:2], SPACE)
+    assert own(inner, ldp.contains) == [url("types/a/msg/X"), url("types/a/msg/Y")]
+    assert said(inner, url("types/a/msg/X"), rdfs.label) == [Literal("a/msg/X")]
+
+
+def test_any_container_says_which_members_are_containers() -> None:
+    document = container_document(f"{SPACE.base}bags/", [f"{SPACE.base}bags/run/"], "Recordings")
+    assert said(document, url("bags/run/"), rdf.type) == [ldp.BasicContainer]
+
+
+# Types
+
+
+def test_a_message_type_has_its_fields_in_order() -> None:
+    schema = LIBRARY.learn_message(
+        "p/msg/T", "int8 A=3\nstring B=x y\nfloat64[3] xs\ngeometry_msgs/Point[] ps\nbool b\n"
+    )
+    document = type_document(schema, SPACE)
+    kind = NamedNode("https://w3id.org/rosld/types/p/msg/T")
+    assert own(document, foaf.primaryTopic) == [kind]
+    assert ros.MessageType in said(document, kind, rdf.type)
+    assert said(document, kind, ros.md5) == [Literal(schema.ref.hash or "")]
+    assert said(document, kind, ros.field) == [NamedNode(f"{kind.value}#{name}") for name in ("xs", "ps", "b")]
+    xs, ps = NamedNode(f"{kind.value}#xs"), NamedNode(f"{kind.value}#ps")
+    assert said(document, xs, ros.fieldType) == [Literal("float64[3]")]
+    assert said(document, xs, ros.arrayLength) == [Literal("3", datatype=xsd.integer)]
+    assert said(document, xs, rdfs.range) == [rdf.JSON]
+    assert said(document, ps, ros.nestedType) == [NamedNode("https://w3id.org/rosld/types/geometry_msgs/msg/Point")]
+    assert said(document, ps, rdfs.range) == [rdf.List]
+    assert said(document, NamedNode(f"{kind.value}#A"), ros.value) == [Literal("3", datatype=xsd.byte)]
+    assert said(document, NamedNode(f"{kind.value}#B"), ros.value) == [Literal("x y")]
+    assert said(document, kind, ros.definition) == [Literal(schema.definition)]
+
+
+def test_a_service_type_describes_both_halves() -> None:
+    document = type_document(trigger(), SPACE)
+    response = NamedNode("https://w3id.org/rosld/types/std_srvs/srv/Trigger_Response")
+    assert Triple(NamedNode("https://w3id.org/rosld/types/std_srvs/srv/Trigger"), ros.responseType, response) in (
+        document.triples
+    )
+    assert said(document, response, ros.field) == [NamedNode(f"{response.value}#{n}") for n in ("success", "message")]
+
+
+def test_variants_of_a_type_have_urls_of_their_own_and_know_of_each_other() -> None:
+    schema = point()
+    other = TypeRef(schema.ref.name, "0" * 32)
+    document = type_document(schema, SPACE, (schema.ref, other))
+    assert document.url == SPACE.type(schema.ref)
+    kind = NamedNode(SPACE.class_of(schema.ref.name))
+    assert said(document, kind, ros.variant) == [NamedNode(SPACE.type(other))]
+    assert type_document(schema, SPACE, (schema.ref,)).url == SPACE.type(schema.ref.name)
+
+
+# Recordings
+
+
+@dataclass(frozen=True)
+class Track:
+    name: str
+    type: TypeRef
+    count: int
+    unreadable: str | None = None
+
+
+@dataclass(frozen=True)
+class Bag:
+    name: str = "run 1.bag"
+    format: str = "ROS 1 bag"
+    count: int = 250
+    start_ns: int = 10**18
+    end_ns: int = 10**18 + 5
+    topics: Mapping[str, Track] = field(default_factory=lambda: {"/a/b": Track("/a/b", POINT, 250, "odd")})
+
+
+@dataclass(frozen=True)
+class Recorded:
+    index: int
+    topic: str
+    sample: Sample
+
+
+def test_a_recording_lists_topics_with_types_and_counts() -> None:
+    document = bag_document(Bag(), SPACE)
+    assert document.url == "http://127.0.0.1:8080/bags/run%201.bag/"
+    (track,) = own(document, ros.topic)
+    assert isinstance(track, NamedNode)
+    assert said(document, track, ros.count) == [Literal("250", datatype=xsd.integer)]
+    assert said(document, track, ros.unreadable) == [Literal("odd")]
+    assert own(document, ldp.contains) == [url("bags/run%201.bag/messages/")]
+
+
+@pytest.mark.parametrize(("page", "members", "prev", "next"), [(0, 100, 0, 1), (1, 100, 1, 1), (2, 50, 1, 0)])
+def test_a_page_of_messages_has_its_members_and_neighbours(page: int, members: int, prev: int, next: int) -> None:
+    document = bag_messages_document(Bag(), SPACE, page)
+    container = url("bags/run%201.bag/messages/")
+    contained = said(document, container, ldp.contains)
+    assert len(contained) == members
+    assert contained[0] == url(f"bags/run%201.bag/messages/{page * 100}")
+    assert own(document, ldp.pageSequence) == [container]
+    assert (len(own(document, xhv.prev)), len(own(document, xhv.next))) == (prev, next)
+
+
+def test_the_container_of_messages_only_links_to_its_first_and_last_page() -> None:
+    document = bag_messages_document(Bag(), SPACE)
+    assert own(document, ldp.contains) == []
+    assert own(document, xhv.first) == [url("bags/run%201.bag/messages/?page=0")]
+    assert own(document, xhv.last) == [url("bags/run%201.bag/messages/?page=2")]
+    assert own(bag_messages_document(Bag(count=0), SPACE), xhv.last) == [url("bags/run%201.bag/messages/?page=0")]
+
+
+def test_a_recorded_message_says_when_and_where_or_why_it_cannot_be_read() -> None:
+    recorded = Recorded(3, "/a/b", Sample(b"", Encoding.ROS1, POINT, "", 10**18, 1))
+    document = bag_message_document(Bag(), recorded, SPACE, lifted(None, 1))
+    assert own(document, ros.message) == [NamedNode(f"{document.url}#message")]
+    assert own(document, ros.index) == [Literal("3", datatype=xsd.integer)]
+    assert own(document, ros.recordedAt) == [Literal("2001-09-09T01:46:40Z", datatype=xsd.dateTime)]
+    unread = bag_message_document(Bag(), recorded, SPACE, None, unreadable="odd")
+    assert own(unread, ros.message) == []
+    assert own(unread, ros.unreadable) == [Literal("odd")]
+
+
+# All of them
+
+
+def documents() -> list[Document]:
+    recorded = Recorded(3, "/a/b", Sample(b"", Encoding.ROS1, POINT, "", 10**18, 1))
+    return [
+        entry_document(GRAPH, SPACE),
+        node_document(GRAPH.nodes["/talker"], GRAPH, SPACE),
+        topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH, 1.0, [lifted("/listener", 1), lifted("/talker", 2)]),
+        service_document(GRAPH.services["/talker/reset"], SPACE, GRAPH),
+        namespace_document("topics", (), members_of(GRAPH.topics)[()], SPACE),
+        type_document(point(), SPACE),
+        type_document(trigger(), SPACE),
+        bag_document(Bag(), SPACE),
+        bag_messages_document(Bag(), SPACE, 0),
+        bag_message_document(Bag(), recorded, SPACE, lifted(None, 1)),
+    ]
+
+
+@pytest.mark.parametrize("document", documents(), ids=lambda document: document.url)
+def test_every_document_describes_the_resource_at_its_url_in_every_syntax(document: Document) -> None:
+    kinds = {ldp.Resource, ldp.Page}
+    assert kinds & set(own(document, rdf.type))
+    for syntax in Syntax:
+        assert document.url.encode() in serialize(document, syntax)
+
+
+@pytest.mark.parametrize("document", documents(), ids=lambda document: document.url)
+def test_every_term_used_is_in_the_vocabulary(document: Document) -> None:
+    known = set(ros.terms().values())
+    for triple in document.all_triples():
+        for term in triple:
+            if isinstance(term, NamedNode) and term.value.startswith(ros.iri):
+                assert term in known
+
+
+def test_names_that_are_not_utf_8_are_shown_all_the_same() -> None:
+    topic = Topic("/t", unreadable="bad \udcff byte")
+    assert own(topic_document(topic, SPACE, GRAPH), ros.unreadable) == [Literal("bad ��� byte")]

@@ -1,0 +1,47 @@
+"""Reports of refused bodies as SHACL says them."""
+
+from __future__ import annotations
+
+import rdflib
+from pyoxigraph import Literal, NamedNode
+from rdflib.namespace import RDF, SH
+
+from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.violations import Violation
+from rosld.ontology.vocab import ros, sh
+from rosld.shapes.report import validation_report
+
+URL = "http://127.0.0.1:8080/topics/cmd_vel"
+VIOLATIONS = [Violation("linear.x", "expected a float64", '"fast"'), Violation("", "the message is missing", None)]
+
+
+def test_a_report_names_path_words_and_value_of_each_violation() -> None:
+    triples = validation_report(URL, VIOLATIONS).triples
+    first = NamedNode(f"{URL}#result.0")
+    said = {t.predicate: t.object for t in triples if t.subject == first}
+    assert said[ros.fieldPath] == Literal("linear.x")
+    assert said[sh.resultMessage] == Literal("expected a float64")
+    assert said[sh.value] == Literal('"fast"')
+    assert said[sh.focusNode] == NamedNode(URL + "#message")
+
+
+def test_a_report_has_everything_that_shacl_demands_of_one() -> None:
+    graph = rdflib.Graph().parse(serialize(validation_report(URL, VIOLATIONS), Syntax.TURTLE), format="turtle")
+    (report,) = graph.subjects(RDF.type, SH.ValidationReport)
+    assert graph.value(report, SH.conforms).toPython() is False  # type: ignore[union-attr]
+    results = list(graph.objects(report, SH.result))
+    assert len(results) == 2
+    for result in results:
+        for required in (SH.focusNode, SH.resultSeverity, SH.sourceConstraintComponent):
+            assert len(list(graph.objects(result, required))) == 1
+
+
+def test_a_report_without_violations_conforms() -> None:
+    triples = validation_report(URL, []).triples
+    assert [t.object for t in triples if t.predicate == sh.conforms] == [Literal(True)]
+
+
+def test_hostile_words_are_literals_in_every_syntax() -> None:
+    hostile = Violation('a"b', "\x00<script>", "\ud800")
+    for syntax in (Syntax.TURTLE, Syntax.JSON_LD, Syntax.N_TRIPLES):
+        assert serialize(validation_report(URL, [hostile]), syntax)

@@ -63,7 +63,7 @@ class Subscription(Protocol):
     """A counted interest in one topic."""
 
     def latest(self) -> Sequence[Sample]:
-        """The newest sample of each publisher (the newest `depth`, oldest first, where more was asked for).
+        """The newest sample of each publisher (the newest `depth` of each), the one that came last at the end.
 
         Cheap: the very same sequence object comes back while nothing new has arrived.
         """

@@ -12,7 +12,7 @@ from rosld.adapters.base import Adapter, Subscription
 from rosld.adapters.model import Graph, Message, MessageSchema, RosError, Sample
 from rosld.server.live.fold import DEPTH, FOLDS, Folded, decoder
 from rosld.server.live.schemas import Schemas
-from rosld.server.live.view import Rates, View, in_order
+from rosld.server.live.view import Rates, View
 
 _SWEEP = 0.5
 """Seconds between sweeps, which fold what came and give back what nobody looks at any more."""
@@ -146,7 +146,7 @@ class LiveTopics:
         if latest is look.latest:
             return look.view
         if look.folded is None:
-            samples = in_order(latest)
+            samples = tuple(latest)
             look.view = View(samples, look.rates.observe(samples))
         else:
             self._fold(look, look.folded, latest)
@@ -154,7 +154,7 @@ class LiveTopics:
         return look.view
 
     def _fold(self, look: _Look, folded: Folded, latest: Sequence[Sample]) -> None:
-        ordered = in_order(latest)
+        ordered = tuple(latest)
         try:
             if not folded.take(ordered, self._decode):
                 return

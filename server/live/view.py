@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from rosld.adapters.model import Sample
@@ -33,15 +33,6 @@ class View:
             digest.update(f"{sample.publisher}\0{sample.epoch}\0{sample.sequence}\0{sample.received_ns}\0".encode())
         digest.update(repr(self.rate).encode("ascii"))
         return digest.hexdigest()
-
-
-def in_order(samples: Iterable[Sample]) -> tuple[Sample, ...]:
-    """Samples by time of receipt, the newest last."""
-    return tuple(sorted(samples, key=_received))
-
-
-def _received(sample: Sample) -> int:
-    return sample.received_ns
 
 
 @dataclass(slots=True)
@@ -91,13 +82,3 @@ class Rates:
             anchor.sequence, anchor.received_ns = anchor.next_sequence, anchor.next_ns
         if sample.received_ns - anchor.next_ns > _SPAN_NS:
             anchor.next_sequence, anchor.next_ns = sample.sequence, sample.received_ns
-
-
-def newest_of_each(samples: Iterable[Sample]) -> Mapping[str, Sample]:
-    """The newest sample of each publisher, by publisher."""
-    newest: dict[str, Sample] = {}
-    for sample in samples:
-        known = newest.get(sample.publisher)
-        if known is None or sample.received_ns >= known.received_ns:
-            newest[sample.publisher] = sample
-    return newest

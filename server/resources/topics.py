@@ -141,7 +141,8 @@ class TopicResource(Resource):
             return lifter(newest.schema, self.robot.lifting).json(newest.message, self.url)
 
         token = digest(f"{topic!r}{view.identity()}{[one.reason for one in decoded]}".encode("utf-8", "replace"))
-        received = view.newest.received_ns if view.newest else None
+        recorded = bool(self.robot.adapter.recordings)  # a recording's times are of the past: no Age (RFC 9111 5.1)
+        received = view.newest.received_ns if view.newest and not recorded else None
         return State(lambda: self._document(topic, view, decoded), plain, token, received)
 
     def _document(self, topic: Topic, view: View, decoded: Sequence[Decoded]) -> Document:
@@ -305,7 +306,8 @@ def lifted(robot: Robot, one: Decoded) -> LiftedMessage:
     """A decoded sample as the `#message` of a document."""
     assert one.schema is not None
     assert one.message is not None
-    envelope = Envelope(one.sample.received_ns, one.sample.sequence, robot.space.node(one.sample.publisher))
+    publisher = robot.space.node(one.sample.publisher) if one.sample.publisher else None
+    envelope = Envelope(one.sample.received_ns, one.sample.sequence, publisher)
     return LiftedMessage("#message", lifter(one.schema, robot.lifting), one.message, envelope)
 
 

@@ -1,6 +1,6 @@
 """GET and PUT through HTTP, as ratios to a bare Starlette on the same server (uvloop, httptools), in one run.
 
-Run: python bench/http.py [seconds]. Needs `wrk` (Debian: apt-get install wrk).
+Run: python bench/web.py [seconds]. Needs `wrk` (Debian: apt-get install wrk).
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def measure(url: str, seconds: int, *options: str) -> Rate:
 def main() -> None:
     """Print the table."""
     if shutil.which("wrk") is None:
-        raise SystemExit("bench/http.py needs wrk: apt-get install wrk")
+        raise SystemExit("bench/web.py needs wrk: apt-get install wrk")
     seconds = int(sys.argv[1]) if len(sys.argv) > 1 else 4
     with tempfile.TemporaryDirectory() as folder:
         script = Path(folder, "put.lua")

@@ -1,0 +1,23 @@
+"""`make bench`: every measurement, one after the other, each a ratio against its baseline in the same run."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+PARTS = ("lifting.py", "web.py", "ros1_ingest.py", "sparql.py")
+
+
+def main() -> int:
+    """Run the parts; the number of those that failed."""
+    failed = 0
+    for part in PARTS:
+        path = Path(__file__).with_name(part)
+        print(f"\n== {part}", flush=True)
+        failed += subprocess.run([sys.executable, str(path)], check=False).returncode != 0
+    return failed
+
+
+if __name__ == "__main__":
+    sys.exit(main())

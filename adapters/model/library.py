@@ -25,6 +25,8 @@ _BUILTIN = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
     "builtin_interfaces/msg/Duration": "int32 sec\nuint32 nanosec",
 }
+_ROS1_ONLY = frozenset({"control_msgs", "dynamic_reconfigure", "move_base_msgs", "roscpp", "roslib", "tf"})
+"""Shipped packages whose definitions have another layout, or no meaning, in ROS 2."""
 _MOST_FILES = 50_000
 
 
@@ -112,11 +114,18 @@ class TypeLibrary:
         kind, _, short = rest.partition("/")
         if path := self._index().get((package, f"{short}.{kind}")):
             yield path.read_text("utf-8", "replace")
+        stored = _stored_texts(self._ros_version).get(name)
+        if stored is not None and self._ros_version == 2:
+            yield stored
         path = SHIPPED / package / kind / f"{short}.{kind}"
-        if _plain(package, kind, short) and path.is_file():
+        if _plain(package, kind, short) and path.is_file() and self._speaks(package):
             yield path.read_text("utf-8")
-        if (text := _stored_texts(self._ros_version).get(name)) is not None:
-            yield text
+        if stored is not None and self._ros_version == 1:
+            yield stored
+
+    def _speaks(self, package: str) -> bool:
+        """Whether the shipped definitions of a package are those of this ROS: some differ between ROS 1 and ROS 2."""
+        return self._ros_version == 1 or package not in _ROS1_ONLY
 
     def _index(self) -> Mapping[tuple[str, str], Path]:
         if self._files is None:

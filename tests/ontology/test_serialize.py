@@ -7,6 +7,7 @@ import logging
 from collections.abc import Iterable, Sequence
 from typing import TypeAlias
 
+import numpy as np
 import pytest
 import rdflib
 from hypothesis import given
@@ -24,7 +25,10 @@ from pyoxigraph import (
     parse,
 )
 
-from rosld.ontology.document import Document
+from rosld.adapters.model import MessageSchema
+from rosld.adapters.model.library import TypeLibrary
+from rosld.ontology.document import Document, Envelope, LiftedMessage
+from rosld.ontology.lift import lifter
 from rosld.ontology.serialize import CannotCarry, Syntax, serialize
 from rosld.ontology.vocab import ldp, rdf, rdfs, ros, xsd
 
@@ -337,3 +341,58 @@ def test_media_types_extensions_and_labels_are_unique_and_known() -> None:
     assert serialize(POSE, "text/turtle") == serialize(POSE, Syntax.TURTLE)
     with pytest.raises(ValueError, match="'text/html' is no RDF syntax"):
         serialize(POSE, "text/html")
+
+
+# Documents that carry messages
+
+LIBRARY = TypeLibrary(ros_version=1)
+
+
+def learnt(name: str, definition: str) -> MessageSchema:
+    return LIBRARY.learn_message(name, definition)
+
+
+POINT = learnt("one_msgs/msg/Value", "float64 x\nstring name\nfloat32[] xs\n")
+OTHER = learnt(
+    "other_msgs/msg/Value",
+    f"int64 x\none_msgs/Value[] inner\n{'=' * 80}\nMSG: one_msgs/Value\nfloat64 x\nstring name\nfloat32[] xs\n",
+)
+
+
+def carrying(*nodes: str) -> Document:
+    """Messages of two types that want one prefix, under several nodes."""
+    value = POINT.codec.build(POINT.ref.name, {"x": float("inf"), "name": 'a"\n\x00', "xs": np.array([1, 2], "f4")})
+    other = OTHER.codec.build(OTHER.ref.name, {"x": 2**53 + 1, "inner": [value, value]})
+    messages = [(POINT, value), (OTHER, other)] * len(nodes)
+    carried = tuple(
+        LiftedMessage(node, lifter(schema), message, Envelope(10**18, 3, "http://127.0.0.1:8080/nodes/a"))
+        for node, (schema, message) in zip(nodes, messages, strict=False)
+    )
+    links = tuple(Triple(TOPIC, ros.latestFrom, NamedNode(URL + node)) for node in nodes)
+    return Document(URL, (*POSE.triples[:4], *links), carried)
+
+
+CARRYING = [carrying("#message"), carrying("#request", "#response"), carrying("#message", "#from/b", "#from/c")]
+
+
+@pytest.mark.parametrize("syntax", [s for s in Syntax if s is not Syntax.RDF_XML])
+@pytest.mark.parametrize("document", CARRYING, ids=lambda document: len(document.messages))
+def test_messages_are_the_same_in_every_syntax(syntax: Syntax, document: Document) -> None:
+    assert canonical(read(serialize(document, syntax), syntax)) == canonical(document.all_triples())
+
+
+def test_a_message_is_nested_in_json_ld_where_it_is_linked() -> None:
+    found = json.loads(serialize(carrying("#message"), Syntax.JSON_LD))
+    assert found["latestFrom"]["@id"] == "#message"
+    assert "@graph" not in found
+
+
+def test_a_message_that_nothing_links_to_is_still_there() -> None:
+    document = Document(URL, (), CARRYING[0].messages)
+    for syntax in (Syntax.TURTLE, Syntax.JSON_LD):
+        assert canonical(read(serialize(document, syntax), syntax)) == canonical(document.all_triples())
+
+
+def test_what_xml_cannot_hold_of_a_message_is_refused() -> None:
+    with pytest.raises(CannotCarry, match=r"U\+0000"):
+        serialize(CARRYING[0], Syntax.RDF_XML)

@@ -1,0 +1,1 @@
+"""HTTP: one header a file, as pure functions of values; connections and bodies with bounds."""

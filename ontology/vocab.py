@@ -103,6 +103,7 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     Refused: NamedNode
     Canceled: NamedNode
     OutcomeUnknown: NamedNode
+    NotSent: NamedNode
 
     # types
     MessageType: NamedNode

@@ -10,7 +10,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode
 from rosld.ontology.document import Document
 from rosld.ontology.outline import Outline, Statements, Subject, outline
 from rosld.ontology.vocab import ldp, rdf, rdfs, ros
-from rosld.server.html.labels import label, local_name, sentence
+from rosld.server.html.labels import label, local_name
 from rosld.server.html.page import Term
 from rosld.server.html.site import Site
 from rosld.server.html.terms import term_view
@@ -39,19 +39,25 @@ class Section:
 
 @dataclass(slots=True)
 class _Walk:
-    """One document being walked: `drawn` are the subjects that have their place already, `left` bounds the rows."""
+    """One document being walked: `drawn` are the subjects that have their place already, `left` bounds the rows.
+
+    `parts` are what the IRIs of the parts of its subject begin with.
+    """
 
     outline: Outline
     site: Site
     url: str
+    parts: tuple[str, ...]
     drawn: set[Subject] = field(default_factory=set)
     left: int = 4_000
 
 
 def describe(document: Document, site: Site, *, without: Iterable[NamedNode] = ()) -> tuple[Section, ...]:
     """The sections of a document. `without` are predicates of the resource itself that are shown elsewhere."""
-    walk = _Walk(outline(document.triples), site, document.url)
-    main = main_subject(document, walk.outline)
+    found = outline(document.triples)
+    main = main_subject(document, found)
+    about = main.value if isinstance(main, NamedNode) else document.url
+    walk = _Walk(found, site, document.url, (f"{document.url}#", f"{about}#"))
     skipped = frozenset(without)
     sections: list[Section] = []
     own = walk.outline.subjects.get(main)
@@ -85,7 +91,7 @@ def _others(walk: _Walk, hidden: set[Subject]) -> Iterator[Section]:
             continue
         walk.drawn.add(subject)
         body = Rows(_rows(walk, walk.outline.subjects[subject], 0))
-        yield Section(sentence(_title(walk, subject)), body, fragment(subject, walk.url))
+        yield Section(_title(walk, subject), body, fragment(subject, walk.url))
 
 
 def _title(walk: _Walk, subject: Subject) -> str:
@@ -151,12 +157,12 @@ def _view(walk: _Walk, term: Term, depth: int) -> View:
 
 
 def _nests(walk: _Walk, term: Subject, depth: int) -> bool:
-    """Whether a subject is drawn in place: a blank node used once, or a fragment of the page not drawn before."""
+    """Whether a subject is drawn in place: a blank node used once, or a part of the subject not drawn before."""
     if depth >= _DEEPEST or term in walk.drawn or term not in walk.outline.subjects:
         return False
     if isinstance(term, BlankNode):
         return term in walk.outline.nested
-    return term.value.startswith(f"{walk.url}#")
+    return term.value.startswith(walk.parts)
 
 
 def _list(walk: _Walk, terms: list[Term], depth: int) -> View:

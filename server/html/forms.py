@@ -7,13 +7,13 @@ have a field called `method`: only the first of that name is ours.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, TypeAlias
+from typing import ClassVar, Literal, TypeAlias, cast
 
 from rosld.adapters.model import FieldType, MessageSchema, Nested, Primitive
+from rosld.ontology.body import BodyError, parse_json
 from rosld.ontology.literals import STRINGS
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.server.html.inputs import (
@@ -23,10 +23,12 @@ from rosld.server.html.inputs import (
     Filling,
     Input,
     Json,
+    can_be_typed,
     controls,
     is_fieldset,
     is_octets,
     number_text,
+    written,
 )
 from rosld.server.html.view import visible
 from rosld.server.http import csrf
@@ -258,16 +260,9 @@ def _read_json(text: str) -> JsonValue:
     if len(text) > 50 * MOST_TEXT:
         raise ValueError(f"is too long for a form ({len(text):,} characters): send it as application/json")
     try:
-        value: JsonValue = json.loads(text.replace("\r\n", "\n"), parse_constant=_constant)
-    except RecursionError:
-        raise ValueError("is nested too deeply") from None
-    except json.JSONDecodeError as error:
-        raise ValueError(f"is no JSON: {error.msg} at character {error.pos + 1}") from None
-    return value
-
-
-def _constant(name: str) -> str:
-    return _SPECIAL[name.lower()]
+        return cast(JsonValue, parse_json(text.replace("\r\n", "\n").encode("utf-8", "surrogatepass")))
+    except BodyError as error:
+        raise ValueError(str(error)) from None
 
 
 # Parameters
@@ -277,22 +272,24 @@ PARAMETER_TYPES = ("number", "string", "boolean", "JSON")
 
 
 def kind_of(value: Json) -> str:
-    """Which of `PARAMETER_TYPES` a present value has; a string where there is none."""
+    """Which of `PARAMETER_TYPES` a present value is typed as; a string where there is none."""
     if isinstance(value, bool):
         return "boolean"
     if isinstance(value, int | float):
         return "number"
-    return "string" if value is None or isinstance(value, str) else "JSON"
+    if value is None or isinstance(value, str):
+        return "string" if can_be_typed(value or "") else "JSON"
+    return "JSON"
 
 
 def _parameter_text(value: Json) -> str:
-    if value is None or isinstance(value, str):
+    if value is None or (isinstance(value, str) and can_be_typed(value)):
         return value or ""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int | float):
         return number_text(value)
-    return json.dumps(value, ensure_ascii=False, indent=2)
+    return written(value, indent=2)
 
 
 def _parameter_input(kind: str, text: str) -> Input:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import isfinite
 from typing import ClassVar, TypeAlias
-
-import orjson
 
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
 from rosld.ontology.fitting import RANGES
@@ -24,6 +23,7 @@ MOST_LEAVES = 120
 """A nested message with more fields than this (all levels counted) is one text of JSON, not a fieldset."""
 MOST_TEXT = 20_000
 """Characters that an input is filled with; what is longer stays empty, to be sent by other means."""
+_DEEPEST = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,19 +149,24 @@ def _primitive(kind: Primitive, label: str, path: str, value: Json, filling: Fil
 
 
 def _text(kind: Primitive, label: str, path: str, value: Json, filling: Filling) -> Input:
-    is_text = isinstance(value, str) and len(value) <= MOST_TEXT
-    text = filling.text(path, value if is_text and isinstance(value, str) else "")
+    present = value if isinstance(value, str) and can_be_typed(value) else None
+    text = filling.text(path, present or "")
     return Input(
         path,
         label,
         "textarea" if "\n" in text or "\r" in text else "text",
         visible(text),
         hint=type_name(kind),
-        note="" if is_text else "The present value cannot be edited here.",
+        note="The present value cannot be edited here." if present is None and filling.typed is None else "",
         error=filling.below(path),
         required=False,
         maxlength=str(kind.bound or ""),
     )
+
+
+def can_be_typed(text: str) -> bool:
+    """Whether a browser sends a text back as it got it: not too long, and without control characters."""
+    return len(text) <= MOST_TEXT and visible(text) == text and "\r" not in text
 
 
 def _number(kind: Primitive, label: str, path: str, value: Json, filling: Filling) -> Input:
@@ -233,13 +238,19 @@ def json_text(kind: FieldType, value: Json) -> str | None:
     """The text for a field that is edited as JSON (or base64); None where it is elided or too long for that."""
     if is_octets(kind):
         return value if isinstance(value, str) and len(value) <= MOST_TEXT else None
-    if isinstance(kind, Array) != isinstance(value, list | tuple):
+    if not isinstance(value, list if isinstance(kind, Array) else Mapping):
         return None
     try:
-        text = orjson.dumps(value, option=orjson.OPT_INDENT_2 if _is_of_messages(kind) else 0).decode()
-    except TypeError:
+        text = written(value, indent=2 if _is_of_messages(kind) else None)
+    except (TypeError, ValueError):
         return None
     return text if len(text) <= MOST_TEXT else None
+
+
+def written(value: Json, indent: int | None = None) -> str:
+    """A value as JSON that a browser sends back as it is."""
+    text = json.dumps(value, ensure_ascii=False, indent=indent)
+    return text if visible(text) == text else json.dumps(value, indent=indent)
 
 
 def _is_of_messages(kind: FieldType) -> bool:
@@ -247,14 +258,32 @@ def _is_of_messages(kind: FieldType) -> bool:
 
 
 def default(schema: MessageSchema, kind: FieldType) -> Json:
-    """ROS's default of a field, as plain JSON."""
-    if isinstance(kind, Primitive):
-        return "" if kind.name in STRINGS else False if kind.name == "bool" else 0
-    if isinstance(kind, Nested):
-        return {each.name: default(schema, each.type) for each in schema.types[kind.name].fields}
-    if is_octets(kind):
-        return _zeros(kind.length or 0)
-    return [default(schema, kind.element)] * (kind.length or 0)
+    """ROS's default of a field, as plain JSON; None where it would be too large to be typed anyway."""
+    try:
+        return _Defaults(schema).of(kind, 0)
+    except OverflowError:
+        return None
+
+
+class _Defaults:
+    """Defaults being made: by nesting, a few lines of definition may come to more values than there are atoms."""
+
+    def __init__(self, schema: MessageSchema) -> None:
+        self._schema = schema
+        self._left = MOST_TEXT // 2
+
+    def of(self, kind: FieldType, depth: int) -> Json:
+        """The default of a type; raises OverflowError where it is too large."""
+        self._left -= 1
+        if self._left < 0 or depth > _DEEPEST:
+            raise OverflowError
+        if isinstance(kind, Primitive):
+            return "" if kind.name in STRINGS else False if kind.name == "bool" else 0
+        if isinstance(kind, Nested):
+            return {each.name: self.of(each.type, depth + 1) for each in self._schema.types[kind.name].fields}
+        if is_octets(kind):
+            return _zeros(kind.length or 0)
+        return [self.of(kind.element, depth + 1) for _ in range(kind.length or 0)]
 
 
 def _zeros(count: int) -> str:

@@ -63,7 +63,7 @@ def _anchor(site: Site, url: str, container: str) -> Anchor:
 
 
 def _cells(cells: tuple[Cell, ...], width: int, site: Site) -> tuple[tuple[View, ...], ...]:
-    views = tuple((cell_view(cell, site),) for cell in cells[:width])
+    views = tuple((cell_view(cell, site),) if cell != "" else () for cell in cells[:width])
     return views + ((),) * (width - len(views))
 
 

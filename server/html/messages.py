@@ -20,6 +20,7 @@ TIME = "builtin_interfaces/msg/Time"
 DURATION = "builtin_interfaces/msg/Duration"
 
 _HEAD = 8
+_SHORT = 4
 _SHOWN = 2_000
 _ITEMS = 25
 _ROWS = 1_500
@@ -55,7 +56,14 @@ def _rows(kind: MessageType, message: Message, path: str, depth: int, drawing: _
         drawing.left -= 1
         value = _value(each, getattr(message, each.attribute), f"{path}{each.name}", depth, drawing)
         rows.append(Row(each.name, (value,), hint=type_name(each.type)))
-    return Rows(tuple(rows), kind.name)
+    return Rows(tuple(rows), kind.name, short=depth > 0 and _is_short(kind))
+
+
+def _is_short(kind: MessageType) -> bool:
+    """Whether a nested message fits on one line: a vector, a quaternion, a colour."""
+    return len(kind.fields) <= _SHORT and all(
+        isinstance(each.type, Primitive) and each.type.name not in STRINGS for each in kind.fields
+    )
 
 
 def _value(each: Field, value: object, path: str, depth: int, drawing: _Drawing) -> View:

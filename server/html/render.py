@@ -105,12 +105,21 @@ def _environment() -> Environment:
     folder = _HERE / "templates"
     texts = {each.name: each.read_text("utf-8") for each in folder.iterdir() if each.name.endswith(".html")}
     environment = Environment(
-        loader=DictLoader(texts), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=DictLoader(texts),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_printable,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    environment.filters["visible"] = visible
     environment.filters["grouped"] = lambda number: f"{number:,}"
     environment.globals |= {"csrf_field": CSRF_FIELD, "method_field": METHOD_FIELD}
     return environment
+
+
+def _printable(value: object) -> object:
+    """What the templates print: escaping makes text harmless, this makes it something HTML can hold."""
+    return visible(value) if type(value) is str else value
 
 
 def _render(template: str, frame: _Frame, **values: object) -> bytes:

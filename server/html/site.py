@@ -81,7 +81,8 @@ class Site:
         if href is None:
             return None
         if here and iri.startswith(f"{here}#"):
-            href = iri.removeprefix(here)
+            fragment = iri.removeprefix(here)
+            return Anchor(fragment, readable(fragment), iri)
         return Anchor(href, self.short(iri), iri, external=self.local(iri) is None)
 
     def short(self, iri: str) -> str:
@@ -111,7 +112,9 @@ def _place(path: str) -> str:
         kind, segments, is_container = locate(f"/{path}")
     except ValueError:
         return readable(path)
-    name = "/".join(segments) + ("/" if is_container and segments else "")
+    if is_container and not segments:
+        return f"{kind}/" if kind else ""
+    name = "/".join(segments) + ("/" if is_container else "")
     return f"/{name}" if kind in _NAMED else name or kind
 
 

@@ -87,17 +87,20 @@ class Row:
     @property
     def nested(self) -> bool:
         """Whether the values are tables of their own."""
-        return any(value.kind in ("rows", "many", "block") for value in self.values)
+        return any(
+            value.kind in ("many", "block") or (isinstance(value, Rows) and not value.short) for value in self.values
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """A table of named values. `id` is the fragment it has on the page."""
+    """A table of named values. `id` is the fragment it has on the page; `short` ones (a few numbers) take one line."""
 
     kind: ClassVar[str] = "rows"
     rows: tuple[Row, ...]
     hint: str = ""
     id: str = ""
+    short: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +124,8 @@ def visible(text: str) -> str:
 def text_view(text: str, hint: str = "", tone: str = "") -> View:
     """How a string is shown: several lines as a block, a long one shortened."""
     shown = visible(text)
+    if not shown:
+        return Text("empty", hint, tone="none")
     if "\n" in shown:
         return Block(shown, hint)
     if len(shown) > _LONG:

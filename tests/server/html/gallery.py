@@ -16,7 +16,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import cast
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -26,8 +25,7 @@ from rosld.adapters.model import Message, MessageSchema, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import TYPES, lifter
-from rosld.ontology.lower_json import JsonReaders, JsonReading
-from rosld.ontology.violations import Findings, Violation
+from rosld.ontology.lower import Violation, lowerer
 from rosld.ontology.vocab import ldp, rdf, rdfs, ros, xsd
 from rosld.server.html import (
     HEADERS,
@@ -73,10 +71,7 @@ def schema(name: str) -> MessageSchema:
 
 def message(kind: MessageSchema, value: object) -> Message:
     """A message from plain JSON; what is left out has ROS's defaults."""
-    findings = Findings()
-    found = JsonReaders(kind).message(kind.ref.name)(value, None, JsonReading(findings, True))
-    assert not findings.violations, findings.violations
-    return cast(Message, found)
+    return lowerer(kind).from_json(value, defaults=True)
 
 
 def lifted(node: str, kind: MessageSchema, value: object, publisher: str | None = "nodes/aircraft") -> LiftedMessage:
@@ -128,8 +123,8 @@ def speed() -> Page:
     return Page(SITE, "Topic", "/aircraft/engine/speed", Document(url, tuple(triples), messages))
 
 
-def display(refused: bool = False) -> Page:
-    """A topic that can be written, at first or after a form that did not fit."""
+def display() -> Page:
+    """A topic that can be written."""
     kind = schema("std_msgs/msg/String")
     url, triples = topic(
         "cockpit/display", kind.ref.name, (ros.subscriber, f"{BASE}nodes/cockpit"), (ros.writable, Literal(True))
@@ -492,7 +487,8 @@ def chromium(*arguments: str) -> str:
 
 def phone(name: str, width: int = 390, height: int = 844) -> bytes:
     """A page holding another in a frame as wide as a phone."""
-    return f'<!doctype html><body style="margin:0"><iframe src="/{name}" width="{width}" height="{height}" style="border:0">'.encode()
+    frame = f'<iframe src="/{name}" width="{width}" height="{height}" style="border:0"></iframe>'
+    return f'<!doctype html><body style="margin:0">{frame}'.encode()
 
 
 def shoot(folder: Path, names: Sequence[str]) -> None:

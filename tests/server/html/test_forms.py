@@ -1,0 +1,352 @@
+"""Forms: drawn from a schema, filled by a person, read back as the plain JSON that lowers to the message meant."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import lru_cache
+from html.parser import HTMLParser
+from types import ModuleType
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rosld.adapters.model import (
+    Array,
+    Encoding,
+    Field,
+    FieldType,
+    Message,
+    MessageSchema,
+    MessageType,
+    Nested,
+    Primitive,
+    TypeRef,
+)
+from rosld.adapters.model.library import TypeLibrary
+from rosld.ontology.document import Document
+from rosld.ontology.fitting import RANGES
+from rosld.ontology.lift import lifter
+from rosld.ontology.literals import OCTETS, STRINGS
+from rosld.ontology.lower import LoweringError, Violation, lowerer
+from rosld.server.html import (
+    DeleteForm,
+    Form,
+    MessageForm,
+    Page,
+    ParameterForm,
+    Site,
+    parse_form,
+    parse_parameter,
+    render_page,
+    split_hidden,
+)
+from rosld.server.html.inputs import Json
+
+URL = "http://127.0.0.1:8080/topics/x"
+SITE = Site("http://127.0.0.1:8080/", "robot")
+LIBRARY = TypeLibrary(ros_version=1)
+TYPES = (
+    "std_msgs/msg/String", "std_msgs/msg/Bool", "std_msgs/msg/Float32", "std_msgs/msg/UInt64", "std_msgs/msg/Empty",
+    "std_msgs/msg/Float64MultiArray", "geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/PoseWithCovariance",
+    "sensor_msgs/msg/BatteryState", "sensor_msgs/msg/JointState", "sensor_msgs/msg/CompressedImage",
+    "sensor_msgs/msg/PointField", "diagnostic_msgs/msg/DiagnosticArray", "tf2_msgs/msg/TFMessage",
+    "nav_msgs/msg/Odometry",
+)  # fmt: skip
+
+
+@lru_cache
+def schema(name: str) -> MessageSchema:
+    found = LIBRARY.find(TypeRef(name))
+    assert isinstance(found, MessageSchema)
+    return found
+
+
+class Browser(HTMLParser):
+    """What a browser would send for the first form of a page that nobody has touched (HTML, "form submission")."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.pairs: list[tuple[str, str]] = []
+        self.inputs: list[dict[str, str]] = []
+        self.forms = 0
+        self._textarea: str | None = None
+        self._select: str | None = None
+        self._text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        attributes = {name: value or "" for name, value in attrs}
+        self.forms += tag == "form"
+        if tag in ("input", "textarea", "select"):
+            self.inputs.append({"tag": tag, **attributes})
+        if self.forms != 1:
+            return
+        if tag == "input" and (attributes["type"] != "checkbox" or "checked" in attributes):
+            self._send(attributes["name"], attributes["value"].replace("\n", ""))
+        elif tag == "textarea":
+            self._textarea, self._text = attributes["name"], ""
+        elif tag == "select":
+            self._select = attributes["name"]
+        elif tag == "option" and self._select and "selected" in attributes:
+            self._textarea, self._text = self._select, "\n"
+
+    def handle_data(self, data: str) -> None:
+        self._text += data
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in ("textarea", "option") and self._textarea is not None:
+            self._send(self._textarea, self._text.removeprefix("\n"))
+            self._textarea = None
+
+    def _send(self, name: str, text: str) -> None:
+        self.pairs.append((name, text.replace("\n", "\r\n")))
+
+
+def page(*forms: Form, allow: tuple[str, ...] = ("GET", "PUT", "POST", "DELETE")) -> Browser:
+    drawn = render_page(Page(SITE, "Topic", "/x", Document(URL, ()), allow, forms, csrf="token"))
+    return Browser(drawn.decode())
+
+
+def sent(form: Form) -> list[tuple[str, str]]:
+    """The form's own pairs, after the hidden ones were found to be right."""
+    token, method, pairs = split_hidden(page(form).pairs)
+    assert (token, method) == ("token", form.method)
+    return pairs
+
+
+def texts() -> st.SearchStrategy[str]:
+    return st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
+
+
+def typed_texts() -> st.SearchStrategy[str]:
+    """Texts that can be typed: no control characters but line ends and tabs."""
+    return st.text(st.characters(exclude_categories=("Cs", "Cc", "Cn"), include_characters="\n\t"), max_size=12)
+
+
+def floats(name: str) -> st.SearchStrategy[object]:
+    finite = st.floats(width=32 if name == "float32" else 64, allow_nan=False, allow_infinity=False)
+    return finite | st.sampled_from(["NaN", "INF", "-INF", "-0.0"])
+
+
+def values(kind: FieldType, types: MessageSchema, *, typed: bool = True) -> st.SearchStrategy[object]:
+    """Plain JSON of a field."""
+    if isinstance(kind, Nested):
+        fields = types.types[kind.name].fields
+        return st.fixed_dictionaries({each.name: values(each.type, types, typed=typed) for each in fields})
+    if isinstance(kind, Array):
+        if kind.element.name in OCTETS:
+            return st.just("AAEC/w==") if kind.length is None else st.just("")
+        size = kind.length if kind.length is not None else st.integers(0, 3)
+        counted = (size, size) if isinstance(size, int) else (0, 3)
+        return st.lists(values(kind.element, types, typed=False), min_size=counted[0], max_size=counted[1])
+    if kind.name == "bool":
+        return st.booleans()
+    if kind.name in STRINGS:
+        return typed_texts() if typed else texts()
+    return st.integers(*RANGES[kind.name]) if kind.name in RANGES else floats(kind.name)
+
+
+def octets(kind: MessageSchema, message: Message) -> bytes:
+    return kind.codec.encode(message, Encoding.ROS1)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_a_form_sent_untouched_means_the_message_it_was_filled_with(data: st.DataObject) -> None:
+    kind = schema(data.draw(st.sampled_from(TYPES)))
+    value = data.draw(values(Nested(kind.ref.name), kind))
+    expected = lowerer(kind).from_json(value)
+    plain = json.loads(lifter(kind).json(expected, URL))
+    read = lowerer(kind).from_json(parse_form(kind, sent(MessageForm(kind, value=plain))))
+    assert octets(kind, read) == octets(kind, expected)
+
+
+@pytest.mark.parametrize("name", TYPES)
+def test_an_empty_form_means_ros_defaults(name: str) -> None:
+    kind = schema(name)
+    read = lowerer(kind).from_json(parse_form(kind, sent(MessageForm(kind))))
+    assert octets(kind, read) == octets(kind, lowerer(kind).from_json({}, defaults=True))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(TYPES), st.lists(st.tuples(texts(), texts()), max_size=4), st.data())
+def test_whatever_is_sent_is_json_or_refused_with_violations(
+    name: str, strange: list[tuple[str, str]], data: st.DataObject
+) -> None:
+    kind = schema(name)
+    fair = [(path, data.draw(st.one_of(texts(), st.just(text)))) for path, text in sent(MessageForm(kind))]
+    violations = refusal(kind, fair + strange)
+    assert page(MessageForm(kind).refilled(fair, violations)).forms == 1
+
+
+def refusal(kind: MessageSchema, pairs: list[tuple[str, str]]) -> tuple[Violation, ...]:
+    """Why pairs are refused; none where they are not."""
+    try:
+        lowerer(kind).from_json(parse_form(kind, pairs))
+    except LoweringError as error:
+        return error.violations
+    return ()
+
+
+def test_what_was_typed_stands_in_the_form_again_beside_what_does_not_fit(gallery: ModuleType) -> None:
+    body = render_page(gallery.twist(refused=True)).decode()
+    inputs = {each["name"]: each for each in Browser(body).inputs}
+    assert inputs["twist.linear.x"]["value"] == "fast"
+    assert inputs["twist.linear.x"]["type"] == "text"
+    assert inputs["twist.linear.x"]["aria-invalid"] == "true"
+    assert "aria-invalid" not in inputs["twist.linear.y"]
+    assert body.index('value="fast"') < body.index("must be a number", body.index('value="fast"'))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("std_msgs/msg/Float64", "fast", "must be a number"),
+        ("std_msgs/msg/Float64", "", "is empty"),
+        ("std_msgs/msg/Float64", "1e999", "too large"),
+        ("std_msgs/msg/Float64", "1_0", "must be a number"),
+        ("std_msgs/msg/Float64", "9" * 5000, "must be a number"),
+        ("std_msgs/msg/Int32", "1.5", "whole number"),
+        ("std_msgs/msg/Int32", "9" * 5000, "whole number"),
+        ("std_msgs/msg/Bool", "maybe", "true or false"),
+    ],
+)
+def test_a_text_that_is_no_value_is_refused_by_its_path(name: str, text: str, words: str) -> None:
+    with pytest.raises(LoweringError) as refusal:
+        parse_form(schema(name), [("data", text)])
+    assert [(each.path, each.value) for each in refusal.value.violations] == [("data", text)]
+    assert words in refusal.value.violations[0].message
+
+
+@pytest.mark.parametrize("text", ["", "[1, 2", "[" * 5000, "[NaN]", '{"a":1,"a":2}'])
+def test_arrays_that_are_no_json_are_refused(text: str) -> None:
+    kind = schema("sensor_msgs/msg/JointState")
+    pairs = [(name, text if name == "position" else given) for name, given in sent(MessageForm(kind))]
+    with pytest.raises(LoweringError) as refusal:
+        parse_form(kind, pairs)
+    assert [each.path for each in refusal.value.violations] == ["position"]
+
+
+def test_missing_unknown_and_repeated_fields_are_refused_together() -> None:
+    pairs = [("linear.x", "1"), ("linear.x", "2"), ("linear.q", "3"), ("__proto__", "4")]
+    with pytest.raises(LoweringError) as refusal:
+        parse_form(schema("geometry_msgs/msg/Twist"), pairs)
+    said = {(each.path, each.message) for each in refusal.value.violations}
+    assert ("linear.x", "is given twice") in said
+    assert ("linear.y", "is missing") in said
+    assert ("linear.q", "is no field of geometry_msgs/msg/Twist") in said
+    assert ("__proto__", "is no field of geometry_msgs/msg/Twist") in said
+
+
+def test_a_field_called_method_or_csrf_is_a_field() -> None:
+    kind = LIBRARY.learn_message("odd_msgs/msg/Odd", "string method\nstring csrf\n")
+    form = MessageForm(kind, value={"method": "none", "csrf": "none either"})
+    assert parse_form(kind, sent(form)) == {"method": "none", "csrf": "none either"}
+
+
+def twice(name: str, level: int) -> MessageType:
+    inner = Nested(f"deep_msgs/msg/L{level}")
+    return MessageType(name, (Field("a", inner, "a"), Field("b", inner, "b")))
+
+
+def test_types_that_nest_without_end_in_sight_have_forms_of_finite_size() -> None:
+    """Forty levels, each holding the next twice, would be a million million inputs."""
+    types = {f"deep_msgs/msg/L{level}": twice(f"deep_msgs/msg/L{level}", level + 1) for level in range(40)}
+    types["deep_msgs/msg/L40"] = MessageType("deep_msgs/msg/L40", (Field("x", Primitive("int8"), "x"),))
+    kind = replace(schema("std_msgs/msg/Empty"), ref=TypeRef("deep_msgs/msg/L0", "0"), types=types)
+    inputs = page(MessageForm(kind, value={})).inputs
+    assert [each["tag"] for each in inputs if each.get("name") in ("a", "b")] == ["textarea", "textarea"]
+    assert len(inputs) < 10
+
+
+def test_what_is_elided_or_too_long_is_left_to_be_typed() -> None:
+    kind = schema("sensor_msgs/msg/JointState")
+    elided: Json = {"elided": True, "length": 70000, "href": "?field=position"}
+    inputs = {each.get("name"): each for each in page(MessageForm(kind, value={"position": elided})).inputs}
+    assert "required" in inputs["position"]
+    pairs = dict(sent(MessageForm(kind, value={"position": elided, "velocity": [0.123456789] * 9000})))
+    assert pairs["position"] == pairs["velocity"] == ""
+
+
+def test_strings_that_a_browser_would_change_are_not_offered_to_be_changed() -> None:
+    form = MessageForm(schema("std_msgs/msg/String"), value={"data": "bell\x07 and return\r"})
+    assert dict(sent(form)) == {"data": ""}
+
+
+@pytest.mark.parametrize(
+    ("name", "attributes"),
+    [
+        ("std_msgs/msg/Int8", {"type": "number", "min": "-128", "max": "127", "step": "1"}),
+        ("std_msgs/msg/UInt64", {"type": "number", "min": "0", "max": "18446744073709551615", "step": "1"}),
+        ("std_msgs/msg/Float32", {"type": "number", "step": "any"}),
+        ("std_msgs/msg/Bool", {"type": "checkbox", "value": "true"}),
+        ("std_msgs/msg/String", {"type": "text"}),
+    ],
+)
+def test_inputs_follow_the_type_of_their_field(name: str, attributes: dict[str, str]) -> None:
+    found = next(each for each in page(MessageForm(schema(name))).inputs if each["name"] == "data")
+    assert {key: found.get(key) for key in attributes} == attributes
+
+
+def forms() -> Iterator[Form]:
+    kind = schema("std_msgs/msg/String")
+    yield MessageForm(kind, "PUT")
+    yield MessageForm(kind, "POST", "Call", "Call")
+    yield ParameterForm(1.5)
+    yield DeleteForm()
+
+
+@pytest.mark.parametrize("allow", [("GET",), ("GET", "PUT"), ("GET", "POST"), ("GET", "DELETE"), ("PUT", "DELETE")])
+def test_forms_are_there_exactly_as_far_as_allow_permits(allow: tuple[str, ...]) -> None:
+    for form in forms():
+        drawn = page(form, allow=allow)
+        assert drawn.forms == (form.method in allow)
+        assert (("method", form.method) in drawn.pairs) == (form.method in allow)
+        assert (("csrf", "token") in drawn.pairs) == (form.method in allow)
+
+
+JSON = st.recursive(
+    st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | texts(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(texts(), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(JSON)
+def test_a_parameter_form_sent_untouched_means_the_present_value(value: object) -> None:
+    if isinstance(value, int) and abs(value) >= 10**39:
+        return
+    read = parse_parameter(sent(ParameterForm(value)))  # type: ignore[arg-type]
+    assert read == value
+    assert type(read) is type(value)
+
+
+@pytest.mark.parametrize(
+    "pairs",
+    [
+        [("type", "number"), ("value", "many")],
+        [("type", "boolean"), ("value", "yes")],
+        [("type", "JSON"), ("value", "{")],
+        [("type", "colour"), ("value", "red")],
+        [("type", "string"), ("value", "a"), ("value", "b")],
+        [("type", "string"), ("value", "a"), ("other", "b")],
+        [],
+    ],
+)
+def test_a_parameter_that_does_not_fit_its_type_is_refused(pairs: list[tuple[str, str]]) -> None:
+    with pytest.raises(LoweringError) as refusal:
+        parse_parameter(pairs)
+    again = page(ParameterForm(1).refilled(pairs, refusal.value.violations))
+    assert again.forms == 1
+
+
+def test_violations_of_the_elements_of_an_array_stand_beside_the_array() -> None:
+    kind = schema("sensor_msgs/msg/JointState")
+    pairs = sent(MessageForm(kind))
+    form = MessageForm(kind).refilled(pairs, [Violation("position.3", "expected a float64", "x")])
+    body = render_page(Page(SITE, "Topic", "/x", Document(URL, ()), ("PUT",), (form,))).decode()
+    assert "position.3: expected a float64" in body

@@ -1,0 +1,170 @@
+"""What all pages have in common: valid, accessible HTML that runs nothing and holds nothing of a robot's as markup."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from html.parser import HTMLParser
+from itertools import pairwise
+from types import ModuleType
+
+import html5rdf  # type: ignore[import-untyped]
+import pytest
+
+from rosld.server.html import CONTENT_SECURITY_POLICY, STYLESHEET
+
+VOID = frozenset({"meta", "link", "img", "input", "br", "hr"})
+PAGES = (
+    "entry", "stale", "speed", "display", "odometry", "twist", "image", "scan", "transforms", "topics", "parameter",
+    "service", "call", "message_type", "refused", "hostile", "sparql", "query", "problem",
+)  # fmt: skip
+
+
+class Reader(HTMLParser):
+    """Reads a page strictly: every element is closed in order, and what it holds is kept."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.elements: list[tuple[str, dict[str, str | None], tuple[str, ...]]] = []
+        self.text: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open, f"left open: {self.open}"
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        names = [name for name, _ in attrs]
+        assert len(names) == len(set(names)), f"<{tag}> has an attribute twice: {names}"
+        self.elements.append((tag, dict(attrs), tuple(self.open)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        raise AssertionError(f"<{tag}/> is no HTML")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open[-1:] == [tag], f"</{tag}> closes {self.open}"
+        self.open.pop()
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes, _ in self.elements if name == tag]
+
+    @property
+    def ids(self) -> list[str]:
+        return [each["id"] or "" for _, each, _ in self.elements if "id" in each]
+
+
+@pytest.fixture(params=PAGES)
+def page(request: pytest.FixtureRequest, pages: Mapping[str, bytes]) -> Reader:
+    return Reader(pages[request.param].decode("utf-8"))
+
+
+def test_every_sample_page_is_tested(pages: Mapping[str, bytes]) -> None:
+    assert set(PAGES) == set(pages)
+
+
+def test_the_strict_parser_of_html5_finds_no_fault(pages: Mapping[str, bytes]) -> None:
+    for name, body in pages.items():
+        parser = html5rdf.HTMLParser()
+        parser.parse(body.decode())
+        assert not parser.errors, name
+
+
+def test_ids_are_unique_and_hold_no_space(page: Reader) -> None:
+    assert len(page.ids) == len(set(page.ids))
+    assert not [each for each in page.ids if not each or re.search(r"\s", each)]
+
+
+def test_nothing_is_run_and_nothing_is_styled_in_place(page: Reader) -> None:
+    for tag, attributes, _ in page.elements:
+        assert tag not in ("script", "style", "iframe", "object", "embed", "base", "svg", "math")
+        assert not [name for name in attributes if name.startswith("on") or name in ("style", "srcdoc", "formaction")]
+
+
+def test_only_http_and_local_references_are_links(page: Reader) -> None:
+    for tag, attributes, _ in page.elements:
+        for name in ("href", "src", "action"):
+            target = attributes.get(name)
+            if target is not None:
+                assert re.match(r"(https?://|/(?!/)|[?#])", target), (tag, target)
+
+
+def test_nothing_is_fetched_from_elsewhere(page: Reader) -> None:
+    assert all((each["src"] or "").startswith("/icon.svg") for each in page.all("img"))
+    fetched = [each for each in page.all("link") if each["rel"] in ("stylesheet", "icon")]
+    assert fetched
+    assert all((each["href"] or "").startswith("/") for each in fetched)
+    assert b"url(" not in STYLESHEET
+    assert b"@import" not in STYLESHEET
+
+
+def test_landmarks_and_one_heading_of_the_first_level(page: Reader) -> None:
+    for tag in ("main", "h1", "title"):
+        assert len(page.all(tag)) == 1, tag
+    assert len([place for tag, _, place in page.elements if tag == "header" and "main" not in place]) == 1
+    labels = [each.get("aria-label") for each in page.all("nav")]
+    assert "Site" in labels
+    assert len(labels) == len(set(labels))
+    levels = [int(tag[1]) for tag, _, _ in page.elements if re.fullmatch("h[1-6]", tag)]
+    assert all(below - above <= 1 for above, below in pairwise(levels))
+
+
+def test_every_input_has_a_label_and_every_description_is_there(page: Reader) -> None:
+    labelled = {each["for"] for each in page.all("label")}
+    for tag in ("input", "textarea", "select"):
+        for each in page.all(tag):
+            assert each.get("type") == "hidden" or each["id"] in labelled
+    references = [each for _, attributes, _ in page.elements for each in _references(attributes)]
+    assert set(references) <= set(page.ids)
+
+
+def _references(attributes: dict[str, str | None]) -> list[str]:
+    named = [attributes.get("aria-labelledby"), attributes.get("aria-describedby"), attributes.get("for")]
+    return [each for name in named if name for each in name.split()]
+
+
+def test_every_label_belongs_to_an_input_of_its_form(page: Reader) -> None:
+    assert {each["for"] for each in page.all("label")} <= set(page.ids)
+
+
+def test_a_hostile_robot_is_shown_as_text(pages: Mapping[str, bytes], gallery: ModuleType) -> None:
+    body = pages["hostile"].decode()
+    page = Reader(body)
+    assert "<script" not in body.lower()
+    assert "\x00" not in body
+    shown = gallery.HOSTILE.replace("\x00", "\u2400")
+    assert sum(text.count(shown) for text in page.text) > 15
+    values = [each["value"] for each in page.all("input") if each.get("name") == "data"]
+    assert values == [shown]
+
+
+def test_javascript_and_data_iris_are_shown_but_never_linked(pages: Mapping[str, bytes]) -> None:
+    page = Reader(pages["hostile"].decode())
+    assert "javascript:alert(1)" in page.text
+    assert not [each for each in page.all("a") if re.match(r"\s*(javascript|data|vbscript):", each["href"] or "", re.I)]
+
+
+def test_direction_overrides_stay_within_their_value(pages: Mapping[str, bytes]) -> None:
+    """Each text of the robot stands in a `bdi` (or an attribute), so that U+202E cannot turn what follows it."""
+    loose: list[tuple[str, ...]] = []
+
+    class Finder(Reader):
+        def handle_data(self, data: str) -> None:
+            if "\u202e" in data and "bdi" not in self.open:
+                loose.append(tuple(self.open))
+
+    Finder(pages["hostile"].decode())
+    blocks = {"title", "option", "button", "textarea", "pre", "h2", "p", "th", "legend"}
+    assert not [place for place in loose if place[-1] not in blocks]
+
+
+def test_the_policy_allows_no_script_and_no_foreign_place() -> None:
+    policy = dict(each.split(" ", 1) for each in CONTENT_SECURITY_POLICY.split("; "))
+    assert policy["default-src"] == "'none'"
+    assert {policy[name] for name in ("style-src", "img-src", "form-action")} == {"'self'"}
+    assert policy["base-uri"] == policy["frame-ancestors"] == "'none'"
+    assert "unsafe" not in CONTENT_SECURITY_POLICY
+    assert "script-src" not in policy

@@ -1,0 +1,198 @@
+"""What pages say: the description, messages, contents, notices and results."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from types import ModuleType
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+
+from rosld.ontology.document import Document
+from rosld.ontology.vocab import ldp, rdf, ros, xsd
+from rosld.server.html import Page, Results, Site, SparqlPage, render_page, render_sparql
+from rosld.server.html.messages import message_view
+from rosld.server.html.moments import duration, from_text, moment
+from rosld.server.html.page import Term
+from rosld.server.html.view import Moment, Octets, Rows, Series, Text, View
+
+BASE = "http://127.0.0.1:8080/"
+SITE = Site(BASE, "robot")
+URL = f"{BASE}topics/x"
+
+
+def drawn(*triples: Triple) -> str:
+    return render_page(Page(SITE, "Topic", "/x", Document(URL, triples))).decode()
+
+
+def field(view: Rows, *path: str) -> View:
+    """The value of a field of a message's table."""
+    found: View = view
+    for name in path:
+        assert isinstance(found, Rows)
+        found = next(row.values[0] for row in found.rows if row.label == name)
+    return found
+
+
+def test_times_are_readable_and_exact() -> None:
+    found = moment(1_795_225_901_123_456_789)
+    assert found == Moment("2026-11-21T01:51:41.123456789Z", "2026-11-21 01:51:41.123 UTC")
+    assert from_text("2026-11-21T01:51:41.5Z") == Moment("2026-11-21T01:51:41.5Z", "2026-11-21 01:51:41.500 UTC")
+    assert from_text("-0004-01-01T00:00:00Z") == Text("-0004-01-01T00:00:00Z")
+    assert duration(-1, 500_000_000) == Text("-0.5 s")
+
+
+@given(st.integers(-(2**70), 2**70))
+def test_no_time_is_too_strange_to_be_shown(nanoseconds: int) -> None:
+    assert isinstance(moment(nanoseconds), Moment | Text)
+
+
+def test_a_message_is_a_table_of_its_fields(gallery: ModuleType) -> None:
+    kind = gallery.schema("nav_msgs/msg/Odometry")
+    value = {"header": {"stamp": {"sec": 5}}, "pose": {"pose": {"position": {"x": 0.1}}, "covariance": [0.5] * 36}}
+    message = gallery.message(kind, value)
+    view = message_view(kind, message)
+    assert field(view, "pose", "pose", "position", "x") == Text("0.1", tone="number")
+    assert isinstance(field(view, "header", "stamp"), Moment)
+    assert isinstance(field(message_view(kind, message, simulated_time=True), "header", "stamp"), Text)
+    covariance = field(view, "pose", "covariance")
+    assert isinstance(covariance, Series)
+    assert (covariance.count, covariance.head.count(",")) == (36, 7)
+
+
+@pytest.mark.parametrize(("value", "text"), [("NaN", "NaN"), ("-INF", "-INF"), (0.1, "0.1"), (1e20, "1e+20")])
+def test_floats_have_their_shortest_digits(gallery: ModuleType, value: object, text: str) -> None:
+    for name in ("Float32", "Float64"):
+        kind = gallery.schema(f"std_msgs/msg/{name}")
+        assert field(message_view(kind, gallery.message(kind, {"data": value})), "data") == Text(text, tone="number")
+
+
+def test_bytes_are_counted_and_linked_where_they_are(gallery: ModuleType) -> None:
+    kind = gallery.schema("sensor_msgs/msg/Image")
+    message = gallery.message(kind, {"data": "AAEC"})
+    assert field(message_view(kind, message, octets="?field="), "data") == Octets(3, "00 01 02", "?field=data")
+    assert field(message_view(kind, message), "data") == Octets(3, "00 01 02")
+
+
+def test_a_huge_message_is_cut_visibly(gallery: ModuleType) -> None:
+    kind = gallery.schema("diagnostic_msgs/msg/DiagnosticArray")
+    many = {"status": [{"values": [{"key": str(n), "value": "v"} for n in range(200)]} for _ in range(200)]}
+    body = render_page(Page(SITE, "Topic", "/x", Document(URL, (), (gallery.lifted("#message", kind, many),)))).decode()
+    assert len(body) < 1_500_000
+    assert re.search(r"\d+ more in the other formats", body)
+
+
+def test_a_long_array_is_cut_visibly(gallery: ModuleType) -> None:
+    kind = gallery.schema("std_msgs/msg/Float64MultiArray")
+    view = field(message_view(kind, gallery.message(kind, {"data": list(map(float, np.arange(5000)))})), "data")
+    assert isinstance(view, Series)
+    assert view.full is not None
+    assert view.full.endswith("1999.0 …")
+
+
+def test_latest_messages_of_several_publishers_have_sections_of_their_own(pages: Mapping[str, bytes]) -> None:
+    body = pages["odometry"].decode()
+    assert body.index('id="message"') < body.index('id="from/base"') < body.index('id="from/ekf"')
+    assert "Latest from /ekf" in body
+
+
+def test_what_is_wrong_with_a_resource_comes_first(pages: Mapping[str, bytes]) -> None:
+    body = pages["image"].decode()
+    assert body.index("Unreachable: the publisher") < body.index("Latest message")
+    assert "no answer since 01:31:41 UTC" in pages["stale"].decode()
+    assert "Last known state" in pages["stale"].decode()
+
+
+def test_a_container_lists_members_with_their_columns_and_namespaces_apart(pages: Mapping[str, bytes]) -> None:
+    body = pages["topics"].decode()
+    assert re.search(r'<a href="/topics/front_laser_scan"><bdi>front_laser_scan</bdi></a>', body)
+    assert re.search(r'<li><a href="/topics/aircraft/"><bdi>aircraft/</bdi></a></li>', body)
+    assert '<a class="below" href="/topics/image_raw/">' in body
+    assert 'href="/types/sensor_msgs/msg/LaserScan"' in body
+
+
+def test_a_container_takes_its_columns_from_its_own_description() -> None:
+    container, member = NamedNode(URL + "/"), NamedNode(f"{URL}/a")
+    triples = (
+        Triple(container, ldp.contains, member),
+        Triple(member, rdf.type, ros.Topic),
+        Triple(member, ros.rate, Literal("5.0", datatype=xsd.double)),
+    )
+    body = render_page(Page(SITE, "Container", "x", Document(URL + "/", triples))).decode()
+    assert re.search(r'<th scope="col">rate</th>', body)
+    assert body.count("5.0") == 1
+
+
+def test_lists_blank_nodes_and_fragments_are_drawn_in_place() -> None:
+    here, part, cell, inner = NamedNode(URL), NamedNode(f"{URL}#part"), BlankNode(), BlankNode()
+    body = drawn(
+        Triple(here, ros.endpoint, part),
+        Triple(part, ros.latched, Literal(True)),
+        Triple(here, ros.field, cell),
+        Triple(cell, rdf.first, inner),
+        Triple(cell, rdf.rest, rdf.nil),
+        Triple(inner, ros.name, Literal("within")),
+    )
+    assert body.count("<h2") == 1
+    assert 'id="part"' in body
+    assert "within" in body
+
+
+def test_a_circle_of_nodes_is_drawn_once() -> None:
+    here, one, other = NamedNode(URL), NamedNode(f"{URL}#one"), NamedNode(f"{URL}#other")
+    body = drawn(
+        Triple(here, ros.node, one),
+        Triple(one, ros.node, other),
+        Triple(other, ros.node, one),
+        Triple(here, ros.node, here),
+    )
+    assert body.count('id="one"') == body.count('id="other"') == 1
+
+
+IRIS = st.sampled_from([URL, f"{URL}#a", f"{URL}#b", f"{BASE}nodes/n", "javascript:x", "https://w3id.org/rosld#Topic"])
+SUBJECTS = IRIS.map(NamedNode) | st.sampled_from([BlankNode("a"), BlankNode("b")])
+OBJECTS = SUBJECTS | st.text(st.characters(exclude_categories=["Cs"])).map(Literal)
+PREDICATES = st.sampled_from([rdf.type, rdf.first, rdf.rest, ros.name, ros.latest, ldp.contains, NamedNode("x:y")])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.builds(Triple, SUBJECTS, PREDICATES, OBJECTS), max_size=12))
+def test_any_description_can_be_drawn(triples: list[Triple]) -> None:
+    assert "</html>" in drawn(*triples)
+
+
+def rows(count: int, taken: list[int]) -> Iterator[Sequence[Term | None]]:
+    for number in range(count):
+        taken.append(number)
+        yield (Literal(number), None, BlankNode("b"), NamedNode(URL))
+
+
+def test_large_results_are_cut_and_not_read_further() -> None:
+    taken: list[int] = []
+    results = Results(("a", "b", "c", "d"), rows(10_000, taken), limit=50)
+    body = render_sparql(SparqlPage(SITE, "SELECT", results=results)).decode()
+    assert len(taken) == 51
+    assert "Only the first 50 rows" in body
+    assert body.count('<a href="/topics/x"') == 50
+
+
+@pytest.mark.parametrize(("boolean", "word"), [(True, "Yes"), (False, "No")])
+def test_an_answer_to_ask_is_a_word(boolean: bool, word: str) -> None:
+    assert f'<p class="answer">{word} ' in render_sparql(SparqlPage(SITE, results=Results(boolean=boolean))).decode()
+
+
+def test_the_query_stands_in_its_box_again() -> None:
+    text = 'SELECT * WHERE { ?s ?p "</textarea><script>" }'
+    body = render_sparql(SparqlPage(SITE, text)).decode()
+    assert "SELECT * WHERE { ?s ?p &#34;&lt;/textarea&gt;&lt;script&gt;&#34; }</textarea>" in body
+
+
+def test_commands_to_copy_are_safe_to_paste() -> None:
+    url = f"{BASE}topics/';rm%20-rf%20~;'"
+    body = render_page(Page(SITE, "Topic", "/x", Document(url, ()))).decode()
+    command = body[body.index("curl -H") :].split("</code>")[0].replace("&#39;", "'")
+    assert command == f"curl -H 'Accept: text/turtle' '{BASE}topics/%27;rm%20-rf%20~;%27'"

@@ -1,0 +1,55 @@
+"""Pages on a phone and without JavaScript: looked at with a real browser, where there is one."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from html import unescape
+from types import ModuleType
+from typing import TypeAlias
+
+import pytest
+
+WIDTH = 360
+MEASURE = """<!doctype html><meta charset="utf-8"><title>measuring</title><body>%s<script>
+addEventListener("load", () => {
+  const found = {};
+  for (const frame of document.querySelectorAll("iframe")) {
+    const page = frame.contentDocument.documentElement;
+    const styled = getComputedStyle(page.querySelector("main")).maxWidth !== "none";
+    const small = [...page.querySelectorAll("button, input:not([type=hidden]), select")].filter(
+      (each) => each.getBoundingClientRect().height < 18).length;
+    found[frame.title] = {width: page.scrollWidth, styled, small};
+  }
+  document.body.textContent = JSON.stringify(found);
+});
+</script>"""
+
+
+Measured: TypeAlias = Mapping[str, Mapping[str, object]]
+
+
+@pytest.fixture(scope="module")
+def measured(browser: None, gallery: ModuleType, pages: Mapping[str, bytes]) -> Measured:
+    """How wide each page gets in a frame of 360 pixels, and whether its stylesheet passed its policy."""
+    frames = "".join(f'<iframe title="{name}" src="/{name}" width="{WIDTH}" height="700"></iframe>' for name in pages)
+    with gallery.served(pages, {"measure": (MEASURE % frames).encode()}) as url:
+        printed = gallery.chromium("--dump-dom", "--virtual-time-budget=20000", f"{url}measure")
+    found = re.search(r"<body>(\{.*\})</body>", printed, re.DOTALL)
+    assert found, printed[-2000:]
+    numbers: Measured = json.loads(unescape(found[1]))
+    return numbers
+
+
+def test_no_page_is_wider_than_a_phone(measured: Measured, pages: Mapping[str, bytes]) -> None:
+    assert measured.keys() == pages.keys()
+    assert {name: each["width"] for name, each in measured.items()} == dict.fromkeys(pages, WIDTH)
+
+
+def test_the_stylesheet_passes_the_policy(measured: Measured) -> None:
+    assert all(each["styled"] for each in measured.values())
+
+
+def test_nothing_to_press_is_too_small_for_a_finger(measured: Measured) -> None:
+    assert not [name for name, each in measured.items() if each["small"]]

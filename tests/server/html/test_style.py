@@ -1,0 +1,57 @@
+"""The stylesheet: its colours can be read, light and dark."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from rosld.server.html import STYLESHEET
+
+TEXT = STYLESHEET.decode()
+LIGHT, DARK = (
+    dict(re.findall(r"--(\w[\w-]*): (#[0-9a-f]{6});", block)) for block in re.findall(r":root \{(.*?)\}", TEXT, re.S)
+)
+ON_GROUND = [
+    (ink, ground)
+    for ground in ("paper", "card", "wash")
+    for ink in ("ink", "quiet", "accent", "bad")
+]  # fmt: skip
+PAIRS = [*ON_GROUND, ("good", "good-wash"), ("warn", "warn-wash"), ("bad", "bad-wash"), ("on-accent", "accent")]
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance of sRGB (WCAG 2.2)."""
+    channels = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    linear = [each / 12.92 if each <= 0.04045 else ((each + 0.055) / 1.055) ** 2.4 for each in channels]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def contrast(one: str, other: str) -> float:
+    """Contrast ratio (WCAG 2.2), 1 to 21."""
+    dark, light = sorted((luminance(one), luminance(other)))
+    return (light + 0.05) / (dark + 0.05)
+
+
+@pytest.mark.parametrize("colours", [LIGHT, DARK], ids=["light", "dark"])
+@pytest.mark.parametrize(("ink", "ground"), PAIRS)
+def test_text_stands_out_by_at_least_4_5_to_1(colours: dict[str, str], ink: str, ground: str) -> None:
+    assert contrast(colours[ink], colours[ground]) >= 4.5
+
+
+@pytest.mark.parametrize("colours", [LIGHT, DARK], ids=["light", "dark"])
+def test_edges_of_inputs_stand_out_by_at_least_3_to_1(colours: dict[str, str]) -> None:
+    assert contrast(colours["edge"], colours["paper"]) >= 3
+
+
+def test_dark_has_every_colour_of_light() -> None:
+    assert DARK.keys() == LIGHT.keys()
+
+
+def test_every_class_in_the_stylesheet_is_used_by_a_template() -> None:
+    from importlib.resources import files
+
+    templates = "".join(each.read_text() for each in (files("rosld.server.html") / "templates").iterdir())
+    sources = "".join(each.read_text() for each in files("rosld.server.html").iterdir() if each.name.endswith(".py"))
+    classes = set(re.findall(r"\.([a-z][a-z-]+)(?=[^{}]*\{)", re.sub(r"/\*.*?\*/|@media[^{]*", "", TEXT, flags=re.S)))
+    assert not [name for name in sorted(classes) if not re.search(rf"\b{name}\b", templates + sources)]

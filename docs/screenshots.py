@@ -64,9 +64,7 @@ def photograph(url: str, target: Path, size: tuple[int, int]) -> None:
 def main() -> None:
     with aircraft() as base:
         for name, (path, size) in PICTURES.items():
-            urlopen(
-                base + path, timeout=30
-            ).close()  # the first look at a topic subscribes to it; the second has a rate
+            urlopen(base + path, timeout=30).close()  # the first look subscribes, so the second has a value
             photograph(base + path, HERE / name, size)
             print(HERE / name)
 

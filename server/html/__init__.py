@@ -9,9 +9,6 @@ from rosld.server.html.forms import (
     Form,
     MessageForm,
     ParameterForm,
-    parse_form,
-    parse_parameter,
-    split_hidden,
 )
 from rosld.server.html.page import (
     ALTERNATES,
@@ -29,6 +26,7 @@ from rosld.server.html.page import (
     Step,
     StoredQuery,
 )
+from rosld.server.html.reading import parse_form, parse_parameter, split_hidden
 from rosld.server.html.render import (
     CONTENT_SECURITY_POLICY,
     HEADERS,

@@ -1,4 +1,4 @@
-"""Forms: what a person may send to a resource, drawn from the schema of the message; and how they are read back.
+"""Forms: what a person may send to a resource, drawn from the schema of the message. `reading.py` reads them back.
 
 A form posts to the resource's own URL as `application/x-www-form-urlencoded`. Its first two fields are hidden: `csrf`,
 and `method`, the verb meant. All others are named by the path of their field (`linear.x`), so that a message may well
@@ -7,17 +7,13 @@ have a field called `method`: only the first of that name is ours.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, TypeAlias, cast
+from typing import ClassVar, Literal, TypeAlias
 
-from rosld.adapters.model import FieldType, MessageSchema, Nested, Primitive
-from rosld.ontology.body import BodyError, parse_json
-from rosld.ontology.literals import STRINGS
-from rosld.ontology.violations import LoweringError, Violation
+from rosld.adapters.model import MessageSchema
+from rosld.ontology.violations import Violation
 from rosld.server.html.inputs import (
-    FLOATS,
     MOST_TEXT,
     Control,
     Filling,
@@ -25,8 +21,6 @@ from rosld.server.html.inputs import (
     Json,
     can_be_typed,
     controls,
-    is_fieldset,
-    is_octets,
     number_text,
     written,
 )
@@ -38,14 +32,11 @@ METHOD_FIELD = "method"
 VALUE_FIELD = "value"
 TYPE_FIELD = "type"
 
-Method: TypeAlias = Literal["PUT", "POST", "PATCH", "DELETE"]
-JsonValue: TypeAlias = "bool | int | float | str | list[JsonValue] | dict[str, JsonValue] | None"
-Pairs: TypeAlias = Sequence[tuple[str, str]]
-_Reader: TypeAlias = Callable[[str], JsonValue]
+PARAMETER_TYPES = ("number", "string", "boolean", "JSON")
+"""What a parameter's form offers; whole numbers stay whole."""
 
-_INTEGER = re.compile(r"[+-]?[0-9]{1,40}")
-_FLOAT = re.compile(r"[+-]?([0-9]{1,400}\.?[0-9]{0,400}|\.[0-9]{1,400})([eE][+-]?[0-9]{1,6})?")
-_SPECIAL = {"nan": "NaN", "inf": "INF", "+inf": "INF", "-inf": "-INF", "infinity": "INF", "-infinity": "-INF"}
+Method: TypeAlias = Literal["PUT", "POST", "PATCH", "DELETE"]
+Pairs: TypeAlias = Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,150 +116,12 @@ class DeleteForm:
 Form: TypeAlias = MessageForm | ParameterForm | DeleteForm
 
 
-def split_hidden(pairs: Iterable[tuple[str, str]]) -> tuple[str | None, str | None, list[tuple[str, str]]]:
-    """The CSRF token, the method meant (either None where it is missing), and the form's own pairs."""
-    hidden: dict[str, str] = {}
-    rest: list[tuple[str, str]] = []
-    for name, value in pairs:
-        if name in (CSRF_FIELD, METHOD_FIELD) and name not in hidden:
-            hidden[name] = value
-        else:
-            rest.append((name, value))
-    return hidden.get(CSRF_FIELD), hidden.get(METHOD_FIELD), rest
-
-
 def _filling(typed: Pairs | None, violations: Iterable[Violation]) -> Filling:
     errors: dict[str, str] = {}
     for violation in violations:
         known = errors.get(violation.path)
         errors[violation.path] = f"{known}; {violation.message}" if known else violation.message
     return Filling(None if typed is None else dict(typed), errors)
-
-
-def parse_form(schema: MessageSchema, pairs: Iterable[tuple[str, str]]) -> JsonValue:
-    """The plain JSON of the message that a form was filled with, for `lowerer(schema).from_json`.
-
-    `pairs` are names (paths of fields) and texts, the hidden ones taken out. An unchecked box sends nothing and is
-    false; anything else that is missing, that no input of the form has sent, or that is no value of its type is a
-    violation. Line ends are LF: browsers send CR LF whatever was typed. Raises LoweringError with all violations.
-    """
-    reading = _Reading(schema, *_by_name(pairs))
-    value = reading.message(schema.ref.name, "")
-    reading.refuse_the_rest()
-    if reading.violations:
-        raise LoweringError(*reading.violations)
-    return value
-
-
-def _by_name(pairs: Iterable[tuple[str, str]]) -> tuple[dict[str, str], list[Violation]]:
-    texts: dict[str, str] = {}
-    violations: list[Violation] = []
-    for name, text in pairs:
-        if name in texts:
-            violations.append(Violation(name, "is given twice", text))
-        texts.setdefault(name, text)
-    return texts, violations
-
-
-class _Reading:
-    """A form being read: `texts` are those not yet taken."""
-
-    def __init__(self, schema: MessageSchema, texts: dict[str, str], violations: list[Violation]) -> None:
-        self.schema = schema
-        self.texts = texts
-        self.violations = violations
-
-    def message(self, name: str, prefix: str) -> JsonValue:
-        """The fields of a type."""
-        return {each.name: self.field(each.type, f"{prefix}{each.name}") for each in self.schema.types[name].fields}
-
-    def field(self, kind: FieldType, path: str) -> JsonValue:
-        """One field: a fieldset, or the text of one input."""
-        if is_fieldset(self.schema, kind):
-            assert isinstance(kind, Nested)
-            return self.message(kind.name, f"{path}.")
-        text = self.texts.pop(path, None)
-        if kind == Primitive("bool"):
-            return self._read(path, text, _read_bool)
-        if text is None:
-            self.violations.append(Violation(path, "is missing", None))
-            return None
-        return self._read(path, text, _reader(kind))
-
-    def _read(self, path: str, text: str | None, reader: _Reader) -> JsonValue:
-        try:
-            return reader(text or "")
-        except ValueError as error:
-            self.violations.append(Violation(path, str(error), text))
-            return None
-
-    def refuse_the_rest(self) -> None:
-        """What no input of this form has sent is no field of the message."""
-        self.violations.extend(
-            Violation(name, f"is no field of {self.schema.ref.name}", text) for name, text in self.texts.items()
-        )
-
-
-def _reader(kind: FieldType) -> _Reader:
-    if not isinstance(kind, Primitive):
-        return _read_base64 if is_octets(kind) else _read_json
-    if kind.name in STRINGS:
-        return _read_string
-    return _read_float if kind.name in FLOATS else _read_integer
-
-
-def _read_bool(text: str) -> JsonValue:
-    if text not in ("", "true", "on", "false"):
-        raise ValueError("must be true or false")
-    return text in ("true", "on")
-
-
-def _read_string(text: str) -> JsonValue:
-    return text.replace("\r\n", "\n")
-
-
-def _read_base64(text: str) -> JsonValue:
-    return "".join(text.split())
-
-
-def _read_integer(text: str) -> JsonValue:
-    text = text.strip()
-    if not text:
-        raise ValueError("is empty: a whole number is needed")
-    if not _INTEGER.fullmatch(text):
-        raise ValueError("must be a whole number")
-    return int(text)
-
-
-def _read_float(text: str) -> JsonValue:
-    text = text.strip()
-    if not text:
-        raise ValueError("is empty: a number is needed")
-    if special := _SPECIAL.get(text.lower()):
-        return special
-    if not _FLOAT.fullmatch(text):
-        raise ValueError("must be a number (NaN, INF and -INF are numbers too)")
-    value = float(text)
-    if value in (float("inf"), float("-inf")):
-        raise ValueError("is too large for a float64; write INF for infinity")
-    return value
-
-
-def _read_json(text: str) -> JsonValue:
-    if not text.strip():
-        raise ValueError("is empty: write JSON, such as [] for none")
-    if len(text) > 50 * MOST_TEXT:
-        raise ValueError(f"is too long for a form ({len(text):,} characters): send it as application/json")
-    try:
-        return cast(JsonValue, parse_json(text.replace("\r\n", "\n").encode("utf-8", "surrogatepass")))
-    except BodyError as error:
-        raise ValueError(str(error)) from None
-
-
-# Parameters
-
-PARAMETER_TYPES = ("number", "string", "boolean", "JSON")
-"""What a parameter's form offers; whole numbers stay whole."""
 
 
 def kind_of(value: Json) -> str:
@@ -297,32 +150,3 @@ def _parameter_input(kind: str, text: str) -> Input:
         return Input(VALUE_FIELD, "value", "textarea", note="The present value is too long to be edited here.")
     several = kind == "JSON" or "\n" in text
     return Input(VALUE_FIELD, "value", "textarea" if several else "text", visible(text), required=False)
-
-
-def parse_parameter(pairs: Iterable[tuple[str, str]]) -> JsonValue:
-    """The value that a parameter's form was filled with; raises LoweringError naming what does not fit."""
-    texts, violations = _by_name(pairs)
-    kind, text = texts.pop(TYPE_FIELD, ""), texts.pop(VALUE_FIELD, "")
-    violations += [Violation(name, "is no field of this form", value) for name, value in texts.items()]
-    value: JsonValue = None
-    try:
-        value = _read_parameter(kind, text)
-    except ValueError as error:
-        violations.append(Violation(VALUE_FIELD, str(error), text))
-    if violations:
-        raise LoweringError(*violations)
-    return value
-
-
-def _read_parameter(kind: str, text: str) -> JsonValue:
-    if kind == "number":
-        return _read_integer(text) if _INTEGER.fullmatch(text.strip()) else _read_float(text)
-    if kind == "boolean":
-        if text.strip().lower() not in ("true", "false"):
-            raise ValueError("must be true or false")
-        return text.strip().lower() == "true"
-    if kind == "JSON":
-        return _read_json(text)
-    if kind == "string":
-        return _read_string(text)
-    raise ValueError(f"{kind!r} is no type of parameter; there are {', '.join(PARAMETER_TYPES)}")

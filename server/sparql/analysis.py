@@ -1,0 +1,107 @@
+"""Analysing a query before it is asked: is it fit to be parsed, of what form is it, what does it need. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+from rosld.ontology.vocab import PREFIXES
+from rosld.server.http.problem import Problem
+from rosld.server.sparql.cursor import Unrecognised
+from rosld.server.sparql.functions import AGE
+from rosld.server.sparql.grammar import read
+from rosld.server.sparql.lexer import BOUNDS, Bounds, Checked, Kind, Token, check, place, update_keyword
+from rosld.server.sparql.narrowing import needs
+from rosld.server.sparql.needs import EVERYTHING, Needs
+from rosld.server.sparql.quick import is_quick
+from rosld.server.sparql.terms import Terms
+
+_CHANGING = frozenset({"NOW", "RAND", "UUID", "STRUUID", "BNODE", AGE})
+_FORMS = ("SELECT", "ASK", "CONSTRUCT", "DESCRIBE")
+_MOST_UNREAD = 60
+_KEPT = 512
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """A query fit to be asked: `text` is what goes to the store.
+
+    `form` is SELECT, ASK, CONSTRUCT or DESCRIBE, None where only the store can tell; `lasting`: the answer is the same
+    for as long as the dataset is. `quick`: it follows single values from constants, so that its answer is small and
+    takes less time than going to another thread. `prefixes`: those of the server that its names use.
+    """
+
+    text: str
+    form: str | None
+    needs: Needs
+    lasting: bool
+    quick: bool
+    prefixes: Mapping[str, str]
+
+
+class Analyser:
+    """Analyses queries for one server: `base` resolves their relative IRIs, `types` is the namespace of message types.
+
+    `prefixes` hold where a query does not declare them itself.
+    """
+
+    def __init__(
+        self, base: str, types: str, *, prefixes: Mapping[str, str] = PREFIXES, bounds: Bounds = BOUNDS
+    ) -> None:
+        self.base = base
+        self.prefixes = dict(prefixes)
+        self._types = types
+        self._bounds = bounds
+        self.analyse = lru_cache(maxsize=_KEPT)(self._analyse)
+
+    def _analyse(self, text: str) -> Analysis:
+        """The analysis of a query. Raises Problems: those of `check`, and 400 for an update."""
+        checked = check(text, self._bounds)
+        if keyword := update_keyword(checked.tokens):
+            raise Problem(400, f"{keyword} is an update, and this is the endpoint for queries: it only reads.")
+        try:
+            reading = read(checked, self.prefixes, self.base, AGE, self._bounds)
+        except (Unrecognised, RecursionError):
+            return self._unread(checked)
+        lasting = not reading.functions & _CHANGING
+        terms = Terms(self._types)
+        quick = reading.form == "SELECT" and reading.plain and is_quick(reading.where, terms)
+        return Analysis(checked.text, reading.form, needs(reading, terms), lasting, quick, self._used_prefixes(checked))
+
+    def _used_prefixes(self, checked: Checked) -> Mapping[str, str]:
+        """Only what a query uses: the store's parser copies all that it is given."""
+        names = {token.text.partition(":")[0] for token in checked.tokens if token.kind is Kind.NAME}
+        return {name: self.prefixes[name] for name in names & self.prefixes.keys()}
+
+    def _unread(self, checked: Checked) -> Analysis:
+        """What is not understood here goes to the store's parser for its words, if it is short enough to be safe."""
+        _check_comparisons(checked)
+        terms = [token for token in checked.tokens if token.kind not in (Kind.MARK, Kind.WORD)]
+        if len(terms) > _MOST_UNREAD:
+            raise Problem(400, "The query is no SPARQL 1.1, or begins to be none, somewhere: cut it to find the place.")
+        form = next((token.text.upper() for token in checked.tokens if token.is_word(*_FORMS)), None)
+        return Analysis(checked.text, form, EVERYTHING, False, False, self.prefixes)
+
+
+def _check_comparisons(checked: Checked) -> None:
+    """Refuse what may be an IRI, or "less than" and a comment: a comment must not hide anything."""
+    before: Token | None = None
+    brackets: list[str] = []
+    for token in checked.tokens:
+        if token.is_mark("(", "[", "{"):
+            brackets.append(token.text)
+        elif token.is_mark(")", "]", "}") and brackets:
+            brackets.pop()
+        elif (
+            token.kind is Kind.IRI and "#" in token.text and brackets[-1:] == ["("] and before and _ends_operand(before)
+        ):
+            where = place(checked.text, token.start)
+            raise Problem(400, f"The query is not understood; is {token.text} at {where} an IRI or a comparison?")
+        before = token
+
+
+def _ends_operand(token: Token) -> bool:
+    if token.kind is Kind.WORD:
+        return token.text.upper().endswith(("TRUE", "FALSE"))
+    return token.is_mark(")", "}") or token.kind not in (Kind.MARK, Kind.WORD)

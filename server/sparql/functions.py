@@ -1,0 +1,164 @@
+"""The SPARQL functions under `ros:`. What they cannot answer is SPARQL's type error, never an exception."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache, wraps
+from typing import TypeAlias
+
+import orjson
+from pyoxigraph import Literal, NamedNode
+
+from rosld.ontology.vocab import rdf, ros, xsd
+from rosld.server.store import Function
+from rosld.server.store.base import Term
+
+AGE = ros.age.value
+Number: TypeAlias = int | float
+_SPECIAL: Mapping[str, float] = {"NaN": math.nan, "INF": math.inf, "-INF": -math.inf, "-0.0": -0.0}
+_EXACT = 2**53
+_LONGEST_CACHED = 64 * 1024
+
+
+class _NoAnswer(Exception):
+    """The arguments are not what the function is about."""
+
+
+def functions(received_ns: Callable[[str], int | None]) -> Mapping[str, Function]:
+    """The functions by IRI.
+
+    `received_ns`, called in any thread, tells when the newest message of the topic at a URL was received (nanoseconds
+    of the wall clock), None where none was.
+    """
+
+    def age(topic: Term) -> Term:
+        received = received_ns(topic.value) if isinstance(topic, NamedNode) else None
+        if received is None:
+            raise _NoAnswer
+        return Literal(max(0, time.time_ns() - received) / 1e9)
+
+    named: Mapping[str, Callable[..., Term]] = {
+        ros.at.value: at,
+        ros.length.value: length,
+        ros.min.value: least,
+        ros.max.value: greatest,
+        ros.mean.value: mean,
+        AGE: age,
+    }
+    return {iri: _guarded(function) for iri, function in named.items()}
+
+
+def at(array: Term, index: Term) -> Term:
+    """`ros:at(?array, ?index)`: the element at an index from 0."""
+    elements, position = _array(array), _index(index)
+    if not 0 <= position < len(elements):
+        raise _NoAnswer
+    return _term(elements[position], numeric=_is_numeric(elements))
+
+
+def length(array: Term) -> Term:
+    """`ros:length(?array)`: how many elements there are."""
+    return Literal(len(_array(array)))
+
+
+def least(array: Term) -> Term:
+    """`ros:min(?array)`: the least number, NaN left out (NaN where there is nothing else)."""
+    return _number(min(_numbers(array), default=math.nan))
+
+
+def greatest(array: Term) -> Term:
+    """`ros:max(?array)`: the greatest number, NaN left out (NaN where there is nothing else)."""
+    return _number(max(_numbers(array), default=math.nan))
+
+
+def mean(array: Term) -> Term:
+    """`ros:mean(?array)`: the mean as xsd:double, NaN left out (NaN where there is nothing else)."""
+    numbers = _numbers(array)
+    try:
+        return Literal(math.fsum(numbers) / len(numbers) if numbers else math.nan)
+    except (OverflowError, ValueError):  # infinities of both signs; integers beyond doubles
+        return Literal(math.nan)
+
+
+def _guarded(function: Callable[..., Term]) -> Function:
+    @wraps(function)
+    def guarded(*terms: Term) -> Term | None:
+        try:
+            return function(*terms)
+        except (_NoAnswer, TypeError, ValueError):  # TypeError: another number of arguments
+            return None
+
+    return guarded
+
+
+def _array(term: Term) -> Sequence[object]:
+    if not isinstance(term, Literal) or term.datatype != rdf.JSON:
+        raise _NoAnswer
+    text = term.value
+    return _parsed(text) if len(text) <= _LONGEST_CACHED else _parse(text)
+
+
+def _parse(text: str) -> tuple[object, ...]:
+    found = orjson.loads(text)
+    if not isinstance(found, list):
+        raise _NoAnswer
+    return tuple(found)
+
+
+_parsed = lru_cache(maxsize=64)(_parse)
+
+
+def _index(term: Term) -> int:
+    if not isinstance(term, Literal) or not term.datatype.value.startswith(xsd.iri):
+        raise _NoAnswer
+    return int(term.value)
+
+
+def _numbers(term: Term) -> list[Number]:
+    """The numbers of an array that holds nothing else, NaN left out."""
+    elements = _array(term)
+    if not _is_numeric(elements):
+        raise _NoAnswer
+    numbers = [_read(element) for element in elements]
+    return [number for number in numbers if not math.isnan(number)]
+
+
+def _is_numeric(elements: Sequence[object]) -> bool:
+    return all(
+        (isinstance(element, int | float) and not isinstance(element, bool))
+        or (isinstance(element, str) and _is_special(element))
+        for element in elements
+    )
+
+
+def _is_special(text: str) -> bool:
+    """Whether it is a number that JSON cannot carry exactly, which is a string there."""
+    if text in _SPECIAL:
+        return True
+    digits = text.removeprefix("-")
+    return digits.isascii() and digits.isdigit() and len(digits) <= 20 and int(digits) > _EXACT
+
+
+def _read(element: object) -> Number:
+    if isinstance(element, str):
+        return _SPECIAL[element] if element in _SPECIAL else int(element)
+    assert isinstance(element, int | float)
+    return element
+
+
+def _number(number: Number) -> Term:
+    return Literal(number) if isinstance(number, float) else Literal(str(number), datatype=xsd.integer)
+
+
+def _term(element: object, *, numeric: bool) -> Term:
+    if isinstance(element, bool):
+        return Literal(element)
+    if isinstance(element, int | float) or (numeric and isinstance(element, str)):
+        return _number(_read(element))
+    if isinstance(element, str):
+        return Literal(element)
+    if isinstance(element, dict) and isinstance(element.get("@value"), str) and isinstance(element.get("@type"), str):
+        return Literal(element["@value"], datatype=NamedNode(element["@type"]))
+    raise _NoAnswer

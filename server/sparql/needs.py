@@ -1,0 +1,119 @@
+"""What a query needs: which live values must be in the store before it is asked (DESIGN section 6).
+
+The answer may be too much and never too little; `narrowing.py` finds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True, slots=True)
+class Demand:
+    """Live values that fit one part of a query: of `graphs` (None: any), of topics that use all of `types`.
+
+    `messages` concerns the values of topics (messages, rate, what came when), `parameters` those of parameters.
+    """
+
+    graphs: frozenset[str] | None = None
+    types: frozenset[str] = frozenset()
+    messages: bool = True
+    parameters: bool = False
+
+    @property
+    def anything(self) -> bool:
+        """Whether it names no graph and no type."""
+        return self.graphs is None and not self.types
+
+    def covers(self, other: Demand) -> bool:
+        """Whether all that the other asks for is asked for here."""
+        return (
+            (self.graphs is None or (other.graphs is not None and other.graphs <= self.graphs))
+            and self.types <= other.types
+            and self.messages >= other.messages
+            and self.parameters >= other.parameters
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Needs:
+    """All live values that a query could see: those that any of its `demands` asks for.
+
+    `documents` are the IRIs (without fragment) of resources that the query names, live or not: what is in the dataset
+    only when it is named (a recorded message, say) is to be put there.
+    """
+
+    demands: tuple[Demand, ...] = ()
+    documents: frozenset[str] = frozenset()
+
+    @property
+    def nothing(self) -> bool:
+        """Whether the query needs no live value and names no document."""
+        return not self.demands and not self.documents
+
+    @property
+    def everything(self) -> bool:
+        """Whether it looks at the messages of any topic whatever: all that are subscribed to are to be there."""
+        return any(demand.anything and demand.messages for demand in self.demands)
+
+    @property
+    def messages(self) -> bool:
+        """Whether it needs values of topics at all."""
+        return any(demand.messages for demand in self.demands)
+
+    @property
+    def parameters(self) -> bool:
+        """Whether it needs values of parameters at all."""
+        return any(demand.parameters for demand in self.demands)
+
+    @property
+    def graphs(self) -> frozenset[str] | None:
+        """The only graphs that its demands can concern; None where that is not known from the query alone."""
+        if any(demand.graphs is None for demand in self.demands):
+            return None
+        return frozenset().union(*(demand.graphs or () for demand in self.demands))
+
+    @property
+    def types(self) -> frozenset[str]:
+        """The message types it names, as ROS names (`geometry_msgs/msg/Twist`)."""
+        return frozenset().union(*(demand.types for demand in self.demands))
+
+    def wants_topic(self, url: str, types: Collection[str]) -> bool:
+        """Whether the values of the topic at `url` are needed; `types` are its type and all types nested in it."""
+        return any(
+            demand.messages
+            and (demand.graphs is None or url in demand.graphs)
+            and all(name in types for name in demand.types)
+            for demand in self.demands
+        )
+
+    def wants_parameter(self, url: str) -> bool:
+        """Whether the value of the parameter at `url` is needed."""
+        return any(demand.parameters and (demand.graphs is None or url in demand.graphs) for demand in self.demands)
+
+    def covers(self, other: Needs) -> bool:
+        """Whether whoever brings all of this has brought all of the other, documents aside."""
+        return all(any(mine.covers(one) for mine in self.demands) for one in other.demands)
+
+    def within(self, graphs: Collection[str]) -> Needs:
+        """The same query over these graphs alone (FROM, `default-graph-uri`), which it thereby names."""
+        allowed = frozenset(graphs)
+        narrowed = (
+            replace(one, graphs=allowed if one.graphs is None else one.graphs & allowed) for one in self.demands
+        )
+        return Needs(tuple(one for one in narrowed if one.graphs), self.documents | allowed)
+
+
+EVERYTHING = Needs((Demand(parameters=True),))
+"""The needs of a query that nothing is known of."""
+
+
+def largest(demands: Iterable[Demand]) -> Iterator[Demand]:
+    """The demands that no other covers."""
+    kept: list[Demand] = []
+    for one in dict.fromkeys(demands):
+        if not any(other.covers(one) for other in kept):
+            kept = [other for other in kept if not one.covers(other)]
+            kept.append(one)
+    yield from kept

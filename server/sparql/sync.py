@@ -1,0 +1,266 @@
+"""Synchronising: before a query is asked, the store holds what it needs as of now, and only that is paid for.
+
+The source tells what there is by tokens: a graph whose token is as before is left alone, the others are rendered and
+replaced in one transaction, so that no query sees a graph missing or two graphs of different moments.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import asynccontextmanager
+from itertools import count
+from typing import NamedTuple, Protocol
+
+from rosld.server.sparql.needs import Needs
+from rosld.server.store import MemoryStore, Store
+
+_log = logging.getLogger("rosld.sparql")
+
+WILDCARD_INTERVAL = 0.2
+"""Seconds for which one look at everything is good enough for the next query that looks at everything."""
+_INLINE = 16 * 1024
+"""Characters of N-Triples up to which a change is made on the loop: a thread would cost more than the change."""
+_SLICE = 0.002
+"""Seconds of rendering after which the loop gets its turn."""
+
+
+class GraphEntry(NamedTuple):
+    """A named graph as its source has it: `token` changes whenever `ntriples()` would (called in any thread)."""
+
+    iri: str
+    token: Hashable
+    ntriples: Callable[[], str]
+
+
+class GraphSource(Protocol):
+    """Where the graphs of the dataset come from. Called on the loop."""
+
+    @property
+    def revision(self) -> Hashable:
+        """Of the set of description graphs: while it is the same, none of them has changed."""
+        ...
+
+    def descriptions(self) -> Mapping[str, GraphEntry]:
+        """All graphs without live values, by IRI: the computation graph, containers, types, shapes, the ontology.
+
+        That of a topic or a parameter is there too, without its values.
+        """
+        ...
+
+    async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
+        """The graphs that the needs ask for, description included, with their values as of now.
+
+        Subscribes on demand, and waits no longer than `deadline` (loop time) for first values. Whatever has been
+        returned once comes again whenever it is asked for, with or without a value: what does not is taken as gone.
+        A topic is asked for by `needs.wants_topic(url, types)`, a parameter by `needs.wants_parameter(url)`, any other
+        document (a recorded message) by being one of `needs.documents`; `needs.graphs`, where it is not None, spares a
+        walk over all topics. Where `needs.everything`, that is all topics subscribed to, with no new subscription.
+        """
+        ...
+
+
+class _Held(NamedTuple):
+    """A graph as the store holds it: its token, that of the description it was made with, and the `look` it is of."""
+
+    token: Hashable
+    description: Hashable
+    live: bool
+    look: int
+    size: int
+
+
+class _Change(NamedTuple):
+    """What becomes of one graph: `entry` is None where it goes. `size` is the number of characters it had."""
+
+    entry: GraphEntry | None
+    description: Hashable
+    live: bool
+    size: int
+
+
+class _Look(NamedTuple):
+    """What the source said at one moment; `number` orders looks."""
+
+    number: int
+    revision: Hashable
+    described: Mapping[str, GraphEntry]
+    entries: Sequence[GraphEntry]
+    needs: Needs
+
+    @property
+    def extras(self) -> list[str]:
+        """Graphs that are there only because they were named."""
+        return [entry.iri for entry in self.entries if entry.iri not in self.described]
+
+
+class Synchroniser:
+    """Keeps a store in step with a source, as far as queries look. Belongs to one loop."""
+
+    def __init__(self, store: Store, source: GraphSource, *, interval: float = WILDCARD_INTERVAL) -> None:
+        self._store = store
+        self._source = source
+        self._interval = interval
+        self._held: dict[str, _Held] = {}
+        self._live: set[str] = set()
+        self._extras: set[str] = set()
+        self._pinned: Counter[str] = Counter()
+        self._numbers = count(1)
+        self._described: tuple[Hashable, Mapping[str, GraphEntry]] = (object(), {})
+        self._applied: Hashable = object()
+        self._everything: tuple[float, Needs] = (float("-inf"), Needs())
+        self._changing = asyncio.Lock()
+
+    @asynccontextmanager
+    async def synced(self, needs: Needs, *, deadline: float) -> AsyncIterator[None]:
+        """Within it the store holds what the needs ask for: begin the query there. Raises what the source raises."""
+        look = await self._look(needs, deadline)
+        extras = look.extras
+        self._pinned.update(extras)  # no other query's sync drops them before this one has begun
+        try:
+            if self._changes(look):
+                await asyncio.shield(asyncio.ensure_future(self._apply(look)))
+            if needs.everything and look.entries:
+                self._everything = (time.monotonic(), needs)
+            yield
+        finally:
+            self._pinned.subtract(extras)
+            self._pinned = +self._pinned
+
+    async def _look(self, needs: Needs, deadline: float) -> _Look:
+        revision, described = self._descriptions()
+        entries: Sequence[GraphEntry] = ()
+        if self._must_ask(needs, described):
+            entries = await self._source.live(needs, deadline=deadline)
+            revision, described = self._descriptions()
+        return _Look(next(self._numbers), revision, described, entries, needs)
+
+    def _descriptions(self) -> tuple[Hashable, Mapping[str, GraphEntry]]:
+        revision = self._source.revision
+        if self._described[0] != revision:
+            self._described = (revision, self._source.descriptions())
+        return self._described
+
+    def _must_ask(self, needs: Needs, described: Mapping[str, GraphEntry]) -> bool:
+        if not needs.documents <= described.keys():
+            return True
+        if not needs.demands:
+            return False
+        when, seen = self._everything
+        recently = time.monotonic() - when < self._interval
+        return not (needs.everything and recently and seen.covers(needs))
+
+    # --- what differs
+
+    def _changes(self, look: _Look) -> dict[str, _Change]:
+        """What the store must be told, by graph. Nothing newer than the look is touched."""
+        changes: dict[str, _Change] = {}
+        if look.revision != self._applied:
+            changes.update(self._changed_descriptions(look))
+        changes.update(self._vanished(look))
+        for entry in look.entries:
+            description = look.described[entry.iri].token if entry.iri in look.described else None
+            held = self._held.get(entry.iri)
+            if held is None or (held.token, held.description, held.live) != (entry.token, description, True):
+                if held is None or held.look < look.number:
+                    changes[entry.iri] = _Change(entry, description, True, _size(held))
+            else:
+                changes.pop(entry.iri, None)
+        return changes
+
+    def _changed_descriptions(self, look: _Look) -> Iterator[tuple[str, _Change]]:
+        for iri, entry in look.described.items():
+            held = self._held.get(iri)
+            if held is None or (held.description != entry.token and held.look < look.number):
+                yield iri, _Change(entry, entry.token, False, _size(held))
+        for iri, held in self._held.items():
+            if iri not in look.described and iri not in self._extras and held.look < look.number:
+                yield iri, _Change(None, None, False, 0)
+
+    def _vanished(self, look: _Look) -> Iterator[tuple[str, _Change]]:
+        """What was there for an earlier query only, and values that a look at everything no longer finds."""
+        if not self._extras and not look.needs.everything:
+            return
+        found = {entry.iri for entry in look.entries}
+        for iri in self._extras - found:
+            if iri not in self._pinned and self._held[iri].look < look.number:
+                yield iri, _Change(look.described.get(iri), None, False, 0)
+        if look.needs.everything and look.entries:
+            for iri in self._live - found - self._extras:
+                entry = look.described.get(iri)
+                if entry is not None and self._held[iri].look < look.number:
+                    yield iri, _Change(entry, entry.token, False, self._held[iri].size)
+
+    # --- telling the store
+
+    async def _apply(self, look: _Look) -> None:
+        """One change at a time; what another query has brought meanwhile is not brought again."""
+        async with self._changing:
+            changes = self._changes(look)
+            if sum(change.size for change in changes.values()) <= _INLINE:
+                sizes = _replace(self._store, changes)
+            else:
+                sizes = await asyncio.to_thread(_replace, self._store, changes)
+            for iri, change in changes.items():
+                self._note(iri, change, look, sizes.get(iri, 0))
+            self._applied = look.revision
+
+    def _note(self, iri: str, change: _Change, look: _Look, size: int) -> None:
+        self._live.discard(iri)
+        self._extras.discard(iri)
+        if change.entry is None:
+            self._held.pop(iri, None)
+            return
+        self._held[iri] = _Held(change.entry.token, change.description, change.live, look.number, size)
+        if change.live:
+            self._live.add(iri)
+            if iri not in look.described:
+                self._extras.add(iri)
+
+
+def _size(held: _Held | None) -> int:
+    """How large its graph was; one that is not known yet counts as large."""
+    return _INLINE + 1 if held is None else held.size
+
+
+def _replace(store: Store, changes: Mapping[str, _Change]) -> dict[str, int]:
+    """Render what changed and replace it; the number of characters of each. Runs in any thread."""
+    texts = _rendered(changes)
+    try:
+        store.replace(texts)
+    except ValueError:
+        # One graph that cannot be stored must not hide all others from every query.
+        texts = {iri: text if text is None or _is_ntriples(iri, text) else None for iri, text in texts.items()}
+        store.replace(texts)
+    return {iri: len(text or "") for iri, text in texts.items()}
+
+
+def _rendered(changes: Mapping[str, _Change]) -> dict[str, str | None]:
+    texts: dict[str, str | None] = {}
+    pause = time.monotonic() + _SLICE
+    for iri, change in changes.items():
+        texts[iri] = None if change.entry is None else _render(change.entry)
+        if time.monotonic() > pause:
+            time.sleep(_SLICE / 10)
+            pause = time.monotonic() + _SLICE
+    return texts
+
+
+def _render(entry: GraphEntry) -> str | None:
+    try:
+        return entry.ntriples()
+    except Exception:  # a source's failure concerns one graph only
+        _log.exception("%s cannot be rendered and is left out of the dataset", entry.iri)
+        return None
+
+
+def _is_ntriples(iri: str, text: str) -> bool:
+    try:
+        MemoryStore().replace({iri: text})
+    except ValueError as error:
+        _log.error("%s is left out of the dataset: %s", iri, error)
+        return False
+    return True

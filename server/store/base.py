@@ -1,0 +1,58 @@
+"""The contract of stores, which any SPARQL 1.1 store can be put behind. `tests/server/store` holds it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Protocol, TypeAlias
+
+from pyoxigraph import BlankNode, Literal, NamedNode, QueryBoolean, QuerySolutions, QueryTriples, Triple
+
+Results: TypeAlias = QuerySolutions | QueryBoolean | QueryTriples
+Term: TypeAlias = NamedNode | BlankNode | Literal | Triple
+Function: TypeAlias = Callable[..., Term | None]
+"""A SPARQL function: from terms to a term, None being SPARQL's type error. It must not raise."""
+
+
+class QueryError(ValueError):
+    """The store cannot answer this query, in the words of its parser."""
+
+
+class Store(Protocol):
+    """A dataset of named graphs; its default graph is their union. Thread-safe.
+
+    Queries see the dataset as it was when `query` returned, whatever is replaced while their results are read.
+    """
+
+    @property
+    def version(self) -> int:
+        """A number that another one follows whenever the dataset has changed."""
+        ...
+
+    def graphs(self) -> Collection[str]:
+        """The IRIs of all named graphs."""
+        ...
+
+    def replace(self, graphs: Mapping[str, str | None]) -> None:
+        """Replace each graph by its N-Triples, or drop it (None), all in ONE transaction.
+
+        No query ever sees some of them replaced and others not. Labels of blank nodes hold within one text. Raises
+        ValueError, with nothing changed, for text that is no N-Triples or an IRI that is none.
+        """
+        ...
+
+    def query(
+        self,
+        text: str,
+        *,
+        base: str | None = None,
+        prefixes: Mapping[str, str] = {},
+        functions: Mapping[str, Function] = {},
+        default_graphs: Sequence[str] = (),
+        named_graphs: Sequence[str] = (),
+    ) -> Results:
+        """Begin to answer a query; results come as they are read. Raises QueryError.
+
+        `default_graphs` and `named_graphs` are the dataset of the SPARQL Protocol: with either given, only these
+        graphs are there, and the query's own FROM has no say.
+        """
+        ...

@@ -74,7 +74,7 @@ def bag_document(bag: Bag, space: Space) -> Document:
         (ldp.contains, messages),
         *each(ros.topic, tracks),
     )
-    triples += about(messages, (rdf.type, ldp.BasicContainer), (rdfs.label, text("Messages")))
+    triples += about(messages, (rdfs.label, text("Messages")))
     for node, track in tracks.items():
         triples += about(node, *_track(track, space))
     for ref in dict.fromkeys(track.type for track in bag.topics.values()):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 from pyoxigraph import Literal, NamedNode, Triple
 
@@ -12,30 +12,26 @@ from rosld.ontology.document import Document
 from rosld.ontology.namespaces import Members
 from rosld.ontology.triples import CONTAINER, about, each, text
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import dcterms, ldp, rdf, rdfs, ros
-
-_CLASSES: Mapping[str, NamedNode] = {
-    "nodes": ros.Node,
-    "topics": ros.Topic,
-    "services": ros.Service,
-    "parameters": ros.Parameter,
-}
+from rosld.ontology.vocab import dcterms, ldp, rdfs, ros
 
 
 def container_document(url: str, members: Iterable[str], title: str) -> Document:
     """A container and the URLs of its members, those ending in a slash being containers themselves."""
     found = [NamedNode(member) for member in members]
-    triples = about(NamedNode(url), *CONTAINER, (dcterms.title, text(title)), *each(ldp.contains, found))
-    for member in found:
-        if member.value.endswith("/"):
-            triples += about(member, (rdf.type, ldp.BasicContainer))
-    return Document(url, tuple(triples))
+    return Document(
+        url, tuple(about(NamedNode(url), *CONTAINER, (dcterms.title, text(title)), *each(ldp.contains, found)))
+    )
 
 
-def namespace_document(room: str, namespace: tuple[str, ...], members: Members, space: Space) -> Document:
-    """A namespace of names of one kind: its direct members, and the namespaces below, both where a name is both."""
+def namespace_document(
+    room: str, namespace: tuple[str, ...], members: Members, space: Space, *, is_name: bool = False
+) -> Document:
+    """A namespace of names of one kind: its direct members, and the namespaces below, both where a name is both.
+
+    `is_name`: the namespace is a name too (`/camera/image_raw`), and links to it. What members are, they say
+    themselves and nobody else, so that a query over all graphs finds it once.
+    """
     url = space.container(room, namespace)
-    kind = _CLASSES.get(room)
     title = ROOMS.get(room, room.capitalize())
     leaves = {leaf: NamedNode(space.url(room, (*namespace, leaf))) for leaf in members.leaves}
     below = {inner: NamedNode(space.container(room, (*namespace, inner))) for inner in members.namespaces}
@@ -46,13 +42,8 @@ def namespace_document(room: str, namespace: tuple[str, ...], members: Members, 
         (ros.name, text(names.join(namespace)) if namespace else None),
         *each(ldp.contains, leaves.values()),
         *each(ldp.contains, below.values()),
+        (rdfs.seeAlso, NamedNode(space.url(room, namespace)) if is_name else None),
     )
-    for leaf, node in leaves.items():
-        triples += about(node, (rdf.type, kind), (ros.name, text(names.join((*namespace, leaf)))))
-        if leaf in below:
-            triples += about(node, (ros.namespace, below[leaf]))
-    for node in below.values():
-        triples += about(node, (rdf.type, ldp.BasicContainer))
     return Document(url, tuple(triples))
 
 

@@ -62,7 +62,6 @@ def entry_document(graph: Graph, space: Space, system: str = "ROS") -> Document:
     for room, title in ROOMS.items():
         triples += about(
             rooms[room],
-            (rdf.type, ldp.BasicContainer),
             (rdfs.label, text(title)),
             (ros.count, integer(counts.get(room))),
         )

@@ -143,6 +143,7 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     # stored queries
     Query: NamedNode
     queryParameter: NamedNode
+    timeLimit: NamedNode
     text: NamedNode
 
     # validation

@@ -13,6 +13,7 @@ from rosld.adapters.base import Adapter
 from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
+from rosld.server.dataset import Dataset
 from rosld.server.errors import problem_of, problem_of_body
 from rosld.server.http.origin import Site, check_host, check_origin, sharing, site
 from rosld.server.http.problem import Problem, render
@@ -23,6 +24,12 @@ from rosld.server.ldp.verbs import Verbs, options
 from rosld.server.resources.router import Router
 from rosld.server.robot import Robot
 from rosld.server.settings import Settings
+from rosld.server.sparql.analysis import Analyser
+from rosld.server.sparql.endpoint import QueryService, QuerySettings
+from rosld.server.sparql.functions import functions
+from rosld.server.sparql.lexer import Bounds
+from rosld.server.sparql.sync import Synchroniser
+from rosld.server.store import MemoryStore
 
 _log = logging.getLogger("rosld")
 
@@ -31,8 +38,19 @@ def create_app(adapter: Adapter, settings: Settings) -> ASGIApp:
     """The ASGI app that serves this adapter; its lifespan opens and closes the adapter, raising what `open` raises."""
     robot = Robot(adapter, settings)
     pages = Pages(robot)
+    service = query_service(robot)
     names = site(settings.base_url, settings.host, settings.port, settings.cors_origins)
-    return Application(robot, Router(robot), Verbs(robot.boot, pages), pages, names)
+    return Application(robot, Router(robot, service, pages), Verbs(robot.boot, pages), pages, names)
+
+
+def query_service(robot: Robot) -> QueryService:
+    """SPARQL over everything that the robot's resources say."""
+    store = MemoryStore()
+    settings = robot.settings
+    analyser = Analyser(robot.space.base, robot.space.types, bounds=Bounds(size=settings.query_size_limit))
+    synchroniser = Synchroniser(store, Dataset(robot))
+    limits = QuerySettings(time_limit=settings.query_time_limit)
+    return QueryService(store, synchroniser, analyser, functions(robot.received_ns), limits)
 
 
 class Application:

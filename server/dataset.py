@@ -11,7 +11,7 @@ import contextlib
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from functools import partial
 
-from rosld.adapters.model import MessageSchema, RosError, Schema, ServiceSchema, Topic
+from rosld.adapters.model import MessageSchema, RosError, Schema, ServiceSchema, Topic, names
 from rosld.ontology.describe_bags import bag_document
 from rosld.ontology.describe_containers import container_document, namespace_document, type_container_document
 from rosld.ontology.describe_graph import entry_document, node_document
@@ -23,7 +23,7 @@ from rosld.ontology.serialize import Syntax, serialize
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.resource import Resource
 from rosld.server.resources.bags import BagMessage
-from rosld.server.resources.namespaces import namespaces
+from rosld.server.resources.namespaces import namespaces, of_room
 from rosld.server.resources.ontology import vocabulary
 from rosld.server.resources.parameters import ParameterResource
 from rosld.server.resources.services import CallResource
@@ -153,17 +153,18 @@ class Dataset:
         space, graph = self._robot.space, self._robot.graph
         for room in ("nodes", "topics", "services", "parameters"):
             for path, members in namespaces(graph, room).items():
-                describe = partial(namespace_document, room, path, members, space)
-                yield _described(space.container(room, path), members, describe)
+                is_name = names.join(path) in of_room(graph, room)
+                describe = partial(namespace_document, room, path, members, space, is_name=is_name)
+                yield _described(space.container(room, path), (members, is_name), describe)
         recordings = tuple(map(space.bag, self._robot.adapter.recordings))
         bags = partial(container_document, space.container("bags"), recordings, "Recordings")
         yield _described(space.container("bags"), recordings, bags)
 
     def _types(self) -> Iterator[GraphEntry]:
         space = self._robot.space
-        names = tuple(sorted({ref.name for ref in known_types(self._robot)}))
+        listed = tuple(sorted({ref.name for ref in known_types(self._robot)}))
         for room in ("types", "shapes"):
-            yield _described(space.container(room), names, partial(type_container_document, room, (), names, space))
+            yield _described(space.container(room), listed, partial(type_container_document, room, (), listed, space))
         for schema in self._robot.schemas.all():
             yield from self._type(schema)
 

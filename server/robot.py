@@ -50,6 +50,14 @@ class Robot:
         """The computation graph as last known."""
         return self.adapter.graph
 
+    def received_ns(self, url: str) -> int | None:
+        """When the newest message of the topic at `url` was received, None where none was; from any thread."""
+        location = self.space.location(url)
+        if location is None or location.kind != "topics":
+            return None
+        view = self.topics.last_seen(location.name)
+        return view.newest.received_ns if view is not None and view.newest is not None else None
+
     def deadline(self, seconds: float) -> float:
         """The loop time so many seconds from now."""
         return asyncio.get_running_loop().time() + seconds

@@ -118,16 +118,37 @@ def md5_text(name: str, text: str, md5_of: Callable[[str], str]) -> str:
     return "\n".join(lines).strip()
 
 
-def md5(name: str, texts: Mapping[str, str], _depth: int = 0) -> str:
+def md5(name: str, texts: Mapping[str, str]) -> str:
     """The MD5 of a message type, in hex, as genmsg computes it. `texts` must be closed; KeyError names what lacks."""
-    return hashlib.md5(message_text(name, texts, _depth).encode(), usedforsecurity=False).hexdigest()
+    return _Hashing(texts).md5(name)
 
 
-def message_text(name: str, texts: Mapping[str, str], _depth: int = 0) -> str:
+def message_text(name: str, texts: Mapping[str, str]) -> str:
     """The text whose hash is the MD5 of a type; raises ValueError for types nested in themselves."""
-    if _depth > _MAX_DEPTH:
-        raise ValueError(f"{name} is nested more than {_MAX_DEPTH} deep")
-    return md5_text(name, texts[name], lambda nested: md5(nested, texts, _depth + 1))
+    return _Hashing(texts).text(name)
+
+
+class _Hashing:
+    """Hashes types, each once however often it is nested."""
+
+    def __init__(self, texts: Mapping[str, str]) -> None:
+        self._texts = texts
+        self._known: dict[str, str] = {}
+        self._depth = 0
+
+    def md5(self, name: str) -> str:
+        if name not in self._known:
+            text = self.text(name)
+            self._known[name] = hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()
+        return self._known[name]
+
+    def text(self, name: str) -> str:
+        self._depth += 1
+        if self._depth > _MAX_DEPTH:
+            raise ValueError(f"{name} is nested more than {_MAX_DEPTH} deep")
+        found = md5_text(name, self._texts[name], self.md5)
+        self._depth -= 1
+        return found
 
 
 def service_md5(name: str, texts: Mapping[str, str]) -> str:

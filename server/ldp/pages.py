@@ -89,7 +89,9 @@ class Pages:
         form = refusal.form
         if isinstance(form, DeleteForm):
             raise refusal.error
-        notice = Notice(str(refusal.error), Tone.ERROR, tuple(refusal.error.violations))
+        count = len(refusal.error.violations)
+        sentence = f"Nothing was sent: {count} field{'s do' if count != 1 else ' does'} not fit."
+        notice = Notice(sentence, Tone.ERROR, tuple(refusal.error.violations))
         again = form.refilled(refusal.typed, refusal.error.violations)
         body = resource.page(self.site, await resource.state(), [again], self._token(resource), [notice])
         return Response(body, 422, {**self.headers, "Cache-Control": "no-store"}, "text/html; charset=utf-8")

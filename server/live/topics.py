@@ -81,6 +81,11 @@ class LiveTopics:
         view = self._refresh(look)
         return view if view.samples else None
 
+    def last_seen(self, topic: str) -> View | None:
+        """The view as somebody saw it last; from any thread."""
+        look = self._looks.get(topic)
+        return None if look is None else look.view
+
     async def look(self, topic: str) -> View:
         """The view of a topic, subscribing if need be and then waiting a moment where somebody publishes it."""
         view = self.peek(topic)

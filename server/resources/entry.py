@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from rosld.ontology.describe_graph import entry_document
+from collections.abc import Sequence
+
+from rosld.ontology.describe_graph import ROOMS, entry_document
+from rosld.server.html import Count, EntryPage, Form, Notice, Site, render_entry
 from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.ldp.state import State
 from rosld.server.robot import Robot
+from rosld.server.writable import RESERVED
 
 
 class EntryResource(Resource):
@@ -17,6 +21,26 @@ class EntryResource(Resource):
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot.space.base)
         self.robot = robot
+
+    def page(self, site: Site, state: State, forms: Sequence[Form], csrf: str, notices: Sequence[Notice]) -> bytes:
+        graph, space = self.robot.graph, self.robot.space
+        numbers = {
+            "topics": len(graph.topics),
+            "services": len(graph.services),
+            "nodes": len(graph.nodes),
+            "parameters": len(graph.parameters),
+            "bags": len(self.robot.adapter.recordings),
+        }
+        counts = tuple(
+            Count(ROOMS[room], number, space.container(room)) for room, number in numbers.items() if number
+        ) + tuple(Count(ROOMS[room], None, space.container(room)) for room in ("types", "calls", "queries"))
+        return render_entry(EntryPage(site, state.document, counts, self._example(), tuple(notices)))
+
+    def _example(self) -> str | None:
+        """The URL of a topic worth trying: a small one that somebody publishes."""
+        topics = [topic for topic in self.robot.graph.topics.values() if topic.publishers and topic.type is not None]
+        topics.sort(key=lambda topic: (topic.name in RESERVED, len(topic.name), topic.name))
+        return self.robot.space.topic(topics[0].name) if topics else None
 
     async def state(self) -> State:
         graph = self.robot.graph

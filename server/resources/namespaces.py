@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 from rosld.adapters.model import Graph, names
 from rosld.ontology.describe_containers import namespace_document
@@ -59,12 +60,9 @@ class NamespaceContainer(Resource):
         members = namespaces(self.robot.graph, self.room).get(self.namespace)
         if members is None:
             raise self._missing()
-        found = members
-        return self.robot.states.get(
-            self.url,
-            found,
-            lambda: State(lambda: namespace_document(self.room, self.namespace, found, self.robot.space)),
-        )
+        is_name = names.join(self.namespace) in of_room(self.robot.graph, self.room)
+        describe = partial(namespace_document, self.room, self.namespace, members, self.robot.space, is_name=is_name)
+        return self.robot.states.get(self.url, (members, is_name), lambda: State(describe))
 
     def _missing(self) -> Problem:
         """308 where the name is a leaf, else 404."""

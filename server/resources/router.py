@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TypeAlias
 
 from starlette.types import Scope
 
 from rosld.adapters.model import names
 from rosld.ontology.urls import Location, locate
+from rosld.server.html import StoredQuery
 from rosld.server.http.problem import Problem
+from rosld.server.ldp.pages import Pages
 from rosld.server.ldp.resource import Resource
 from rosld.server.resources.bags import bag_room
 from rosld.server.resources.calls import CallContainer
@@ -25,6 +28,8 @@ from rosld.server.resources.sparql import SparqlResource
 from rosld.server.resources.topics import TopicResource
 from rosld.server.resources.types import shape_room, type_room
 from rosld.server.robot import Robot
+from rosld.server.sparql.endpoint import QueryService
+from rosld.server.sparql.stored import shipped
 
 Room: TypeAlias = Callable[[Robot, Location], Resource]
 _MOST = 8192
@@ -80,9 +85,7 @@ ROOMS: Mapping[str, Room] = {
     "types": type_room,
     "shapes": shape_room,
     "bags": bag_room,
-    "queries": query_room,
     "ontology": _single(OntologyResource),
-    "sparql": _single(SparqlResource),
 } | {name: _single(make) for name, make in FILES.items()}
 
 
@@ -91,11 +94,23 @@ def moved(url: str) -> Problem:
     return Problem(308, f"It is at {url}", title="Moved", headers={"Location": url})
 
 
+def _sparql_rooms(robot: Robot, service: QueryService, pages: Pages) -> Mapping[str, Room]:
+    """The rooms that ask queries."""
+    queries = shipped()
+    examples = [StoredQuery(robot.space.query(one.name), one.name, one.purpose, one.text) for one in queries.values()]
+    endpoint = SparqlResource(robot, service, pages, examples)
+    return {
+        "sparql": _single(lambda robot: endpoint),
+        "queries": partial(query_room, queries=queries, service=service, pages=pages),
+    }
+
+
 class Router:
     """Resolves paths; the resources of the last few thousand are kept, as they hold no state of their own."""
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, service: QueryService, pages: Pages) -> None:
         self._robot = robot
+        self._rooms = {**ROOMS, **_sparql_rooms(robot, service, pages)}
         self._base = robot.space.path.rstrip("/")
         self._kept: dict[bytes, Resource] = {}
 
@@ -114,7 +129,7 @@ class Router:
         try:
             path = raw.decode("ascii")
             location = locate(path.removeprefix(self._base))
-            room = ROOMS.get(location.kind)
+            room = self._rooms.get(location.kind)
             if room is None:
                 raise Problem(404, f"There is nothing at {path}; begin at {self._robot.space.base}")
             return room(self._robot, location)

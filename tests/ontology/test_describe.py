@@ -23,7 +23,6 @@ from rosld.adapters.model import (
     Stale,
     Topic,
     TypeRef,
-    names,
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.describe import (
@@ -34,7 +33,6 @@ from rosld.ontology.describe import (
     bag_message_document,
     bag_messages_document,
     call_document,
-    container_document,
     entry_document,
     is_namespace,
     members_of,
@@ -140,8 +138,9 @@ def test_a_topic_names_type_endpoints_and_rate_even_before_it_is_known() -> None
 def test_a_topic_that_is_a_namespace_too_links_to_its_container_and_back() -> None:
     document = topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH)
     assert own(document, ros.namespace) == [url("topics/chatter/")]
-    container = namespace_document("topics", (), members_of(GRAPH.topics)[()], SPACE)
-    assert said(container, url("topics/chatter"), ros.namespace) == [url("topics/chatter/")]
+    members = members_of(GRAPH.topics)[("chatter",)]
+    container = namespace_document("topics", ("chatter",), members, SPACE, is_name=True)
+    assert own(container, rdfs.seeAlso) == [url("topics/chatter")]
     assert own(topic_document(GRAPH.topics["/lonely"], SPACE, GRAPH), ros.namespace) == []
 
 
@@ -280,7 +279,6 @@ def test_a_namespace_contains_names_and_namespaces() -> None:
         url("topics/camera/~"),
         url("topics/camera/image/"),
     ]
-    assert said(document, url("topics/camera/image"), ros.name) == [Literal(names.join(("camera", "image")))]
 
 
 def test_a_container_of_types_holds_packages_kinds_and_types() -> None:
@@ -289,11 +287,6 @@ def test_a_container_of_types_holds_packages_kinds_and_types() -> None:
     inner = type_container_document("types", ("a", "msg"), listed[:2], SPACE)
     assert own(inner, ldp.contains) == [url("types/a/msg/X"), url("types/a/msg/Y")]
     assert said(inner, url("types/a/msg/X"), rdfs.label) == [Literal("a/msg/X")]
-
-
-def test_any_container_says_which_members_are_containers() -> None:
-    document = container_document(f"{SPACE.base}bags/", [f"{SPACE.base}bags/run/"], "Recordings")
-    assert said(document, url("bags/run/"), rdf.type) == [ldp.BasicContainer]
 
 
 # Types

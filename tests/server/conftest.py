@@ -57,6 +57,21 @@ def serve() -> Iterator[Callable[..., Served]]:
 
 
 @pytest.fixture(scope="session")
+def start_server() -> Iterator[Callable[..., Served]]:
+    """As `serve`, for fixtures that outlive a test; whatever still runs at the end is ended."""
+    running: list[Served] = []
+
+    def started(*arguments: str) -> Served:
+        running.append(start(*arguments))
+        return running[-1]
+
+    yield started
+    for one in running:
+        if one.process.poll() is None:
+            one.stop()
+
+
+@pytest.fixture(scope="session")
 def aircraft() -> Iterator[Served]:
     """The embedded aircraft, shared by the tests that leave it as it was."""
     served = start("aircraft", "--max-publish-rate", "100000")

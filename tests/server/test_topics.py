@@ -137,7 +137,8 @@ def test_patch_changes_the_latest_message_and_needs_if_match(http: httpx.Client)
 def test_patch_by_sparql_update_is_about_the_one_topic(http: httpx.Client) -> None:
     http.put(DISPLAY, json={"data": "one"})
     headers = {"Content-Type": "application/sparql-update", "If-Match": http.get(DISPLAY).headers["etag"]}
-    update = f'DELETE {{ ?m <{STRING}#data> ?old }} INSERT {{ ?m <{STRING}#data> "swapped" }} WHERE {{ ?m <{STRING}#data> ?old }}'
+    data = f"<{STRING}#data>"
+    update = f'DELETE {{ ?m {data} ?old }} INSERT {{ ?m {data} "swapped" }} WHERE {{ ?m {data} ?old }}'
     assert http.patch(DISPLAY, content=update, headers=headers).status_code == 204
     assert http.get(DISPLAY, headers={"Accept": "application/json"}).json() == {"data": "swapped"}
 

@@ -1,0 +1,271 @@
+"""Stored queries: SPARQL with a purpose and parameters, told in the comments a text begins with (`queries/`).
+
+A parameter is bound as a term: wherever its variable is a token of the text, the term stands in its place, written out
+so that no reading can take it for anything else. So it holds everywhere, in subqueries and in HAVING too, and what a
+query needs (`narrowing.py`) is seen from the constants.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from importlib.resources import files
+
+from pyoxigraph import NamedNode, Store
+
+from rosld.ontology.describe_graph import ROOMS
+from rosld.ontology.fitting import Misfit
+from rosld.ontology.lexical import NUMBERS
+from rosld.ontology.triples import double
+from rosld.ontology.urls import Space, locate
+from rosld.ontology.vocab import xsd
+from rosld.server.http.problem import Problem
+from rosld.server.sparql.lexer import Kind, check, tokens
+
+_SUFFIX = ".rq"
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
+_PARAMETER = re.compile(r"@param\s+(?P<name>\S+)\s+(?P<type>\S+)(?:\s+(?P<default>.*?))??\s+--\s+(?P<about>\S.*)")
+_FORMAT = "format"
+_SURROGATE = re.compile("[\ud800-\udfff]")
+_INT64 = range(-(2**63), 2**63)
+_LONGEST_TOLD = 200
+
+
+class Type(Enum):
+    """What a parameter can be."""
+
+    IRI = "iri"
+    STRING = "string"
+    INTEGER = "integer"
+    DOUBLE = "double"
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter: the variable it binds, without its mark; `default` as it would be given, None where it must be."""
+
+    name: str
+    type: Type
+    default: str | None
+    about: str
+
+
+@dataclass(frozen=True, slots=True)
+class StoredQuery:
+    """A query as it is stored: `text` is all of it, comments included."""
+
+    name: str
+    purpose: str
+    parameters: tuple[Parameter, ...]
+    text: str
+
+
+# Reading
+
+
+def shipped() -> Mapping[str, StoredQuery]:
+    """The queries that come with rosld, by name in order. Raises ValueError, saying where one is malformed."""
+    found = (file for file in files("rosld.queries").iterdir() if file.name.endswith(_SUFFIX))
+    ordered = sorted(found, key=lambda file: file.name)
+    texts = {file.name.removesuffix(_SUFFIX): file.read_text("utf-8") for file in ordered}
+    return {name: read(name, text) for name, text in texts.items()}
+
+
+def read(name: str, text: str) -> StoredQuery:
+    """The stored query that a text is.
+
+    Raises ValueError naming the query and the line (or the parameter) that is not as it should be.
+    """
+    purpose: list[str] = []
+    parameters: list[Parameter] = []
+    for number, line in enumerate(_comments(text), 1):
+        if line.startswith("@"):
+            parameters.append(_parameter(line, f"{name}:{number}"))
+        elif parameters and line:
+            raise ValueError(f"{name}:{number}: {line!r} must stand before the parameters, with the purpose")
+        elif line:
+            purpose.append(line)
+    if not purpose:
+        raise ValueError(f"{name}: must begin with a comment that says in plain words what it is for")
+    query = StoredQuery(name, " ".join(purpose), tuple(parameters), text)
+    _check(query)
+    return query
+
+
+def _comments(text: str) -> Iterable[str]:
+    """The comment lines that the text begins with, without their marks."""
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            return
+        yield line[1:].strip()
+
+
+def _parameter(line: str, where: str) -> Parameter:
+    match = _PARAMETER.fullmatch(line)
+    if match is None:
+        raise ValueError(f"{where}: {line!r} should look like '@param seconds double 5 -- what it is'")
+    name, kind, default = match["name"], match["type"], match["default"]
+    if not _NAME.fullmatch(name):
+        raise ValueError(f"{where}: the parameter {name!r} must be named with ASCII letters, digits and underscores")
+    if name == _FORMAT:
+        raise ValueError(f"{where}: no parameter can be called {name}: it chooses the format of the results")
+    if kind not in (one.value for one in Type):
+        raise ValueError(f"{where}: {kind!r} is no type of parameter: take {', '.join(one.value for one in Type)}")
+    return Parameter(name, Type(kind), "" if default == '""' else default, match["about"])
+
+
+def _check(query: StoredQuery) -> None:
+    """That the parameters are told once each, fit their types, and stand where terms may stand."""
+    names = [parameter.name for parameter in query.parameters]
+    if repeated := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"{query.name}: the parameter {repeated[0]} is told of twice")
+    try:
+        if unused := set(names) - _variables(query.text):
+            raise ValueError(f"{query.name}: no ?{min(unused)} is in the query, though it is told of as a parameter")
+        bound = bind(
+            query, {one.name: _SAMPLES[one.type] for one in query.parameters if one.default is None}, _ANYWHERE
+        )
+        check(bound)
+        Store().query(bound)
+    except Problem as problem:
+        raise ValueError(f"{query.name}: {problem.detail}") from problem
+    except SyntaxError as error:
+        raise ValueError(f"{query.name}: with its parameters bound it is no query: {error}") from error
+    except RuntimeError:
+        pass  # it parsed; which functions there are is for whoever asks it
+
+
+def _variables(text: str) -> set[str]:
+    return {token.text[1:] for token in check(text).tokens if token.kind is Kind.VARIABLE}
+
+
+# Binding
+
+
+def bind(query: StoredQuery, given: Mapping[str, str], base: str) -> str:
+    """The text of the query with its parameters bound to what is given, or by default.
+
+    `base` is the server's base URL (with its slash at the end): an `iri` may be given as a path below it (`/topics/x`).
+    For all but strings, the empty text (a field of a form left empty) counts as not given. Raises Problem 400 for
+    parameters that are unknown, missing or no value of their type; it names them all and says what there is.
+    """
+    known = {parameter.name for parameter in query.parameters}
+    wrong = [f"there is no parameter {_told(name)}" for name in given if name not in known]
+    terms: dict[str, str] = {}
+    for parameter in query.parameters:
+        try:
+            terms[parameter.name] = _bound(parameter, given.get(parameter.name), base)
+        except ValueError as error:
+            wrong.append(f"{parameter.name}: {error}")
+    if wrong:
+        raise _refused(query, wrong)
+    return "".join(
+        # A blank on either side: a term never joins with what it stands next to.
+        f" {terms[token.text[1:]]} " if token.kind is Kind.VARIABLE and token.text[1:] in terms else token.text
+        for token in tokens(query.text)
+    )
+
+
+def _bound(parameter: Parameter, given: str | None, base: str) -> str:
+    """The term a parameter stands for, as SPARQL. Raises ValueError (a Misfit, or with words of its own)."""
+    if given is None or (not given and parameter.type is not Type.STRING):
+        given = parameter.default
+    if given is None:
+        raise ValueError(f"must be given; it is {parameter.about}")
+    if _SURROGATE.search(given):
+        raise ValueError(f"{_told(given)} holds a lone surrogate, which is no character")
+    return _TERMS[parameter.type](given, base)
+
+
+def _refused(query: StoredQuery, wrong: list[str]) -> Problem:
+    return Problem(
+        400,
+        f"The query {query.name} cannot be run so: {'; '.join(wrong)}. {_offer(query.parameters)}",
+        extra={
+            "parameters": [
+                {"name": one.name, "type": one.type.value, "default": one.default, "about": one.about}
+                for one in query.parameters
+            ]
+        },
+    )
+
+
+def _offer(parameters: tuple[Parameter, ...]) -> str:
+    if not parameters:
+        return "This query has no parameters."
+    return f"Its parameters: {', '.join(f'{one.name} ({one.type.value})' for one in parameters)}."
+
+
+def _told(value: str) -> str:
+    return repr(value if len(value) <= _LONGEST_TOLD else value[:_LONGEST_TOLD] + "...")
+
+
+# Terms as SPARQL writes them
+
+
+def _string(value: str, base: str = "") -> str:
+    r"""A string literal that reads the same whether codepoint escapes are replaced before parsing (SPARQL 1.1, 19.2) or
+
+    within strings: a backslash that would then begin one is followed by the escape of its `u`.
+    """
+    return f'"{_SPECIAL.sub(lambda match: _ESCAPES[match[0]], value)}"'
+
+
+_ESCAPES = {
+    '"': r"\"", "\n": r"\n", "\r": r"\r", "\\": r"\\", r"\u": r"\\\u0075", r"\U": r"\\\u0055",
+}  # fmt: skip
+_SPECIAL = re.compile(r'\\[uU]|["\n\r\\]')
+
+
+def _integer(value: str, base: str = "") -> str:
+    try:
+        number = int(NUMBERS[xsd.integer](value))
+    except Misfit as error:
+        raise ValueError(f"{_told(value)} is no whole number, such as 42") from error
+    if number not in _INT64:
+        raise ValueError(f"{_told(value)} is beyond the 64 bits of the store's integers")
+    return f'"{number}"^^<{xsd.integer.value}>'
+
+
+def _double(value: str, base: str = "") -> str:
+    try:
+        return str(double(float(NUMBERS[xsd.double](value))))
+    except Misfit as error:
+        raise ValueError(f"{_told(value)} is no number, such as 2.5") from error
+
+
+def _iri(value: str, base: str) -> str:
+    written = _url(value, base) if value.startswith("/") else value
+    try:
+        node = NamedNode(written)
+    except ValueError as error:
+        raise ValueError(
+            f"{_told(value)} is neither an absolute IRI nor a path such as /topics/x ({error})"
+        ) from error  # fmt: skip
+    return f"<{node.value}>"
+
+
+def _url(path: str, base: str) -> str:
+    """The URL of a path on this server, its segments encoded as they are in all its URLs."""
+    match = re.fullmatch(r"([^?#]*)(.*)", path, re.DOTALL)
+    assert match is not None
+    location = locate(match[1])
+    space = Space(base)
+    if location.kind not in ROOMS and path != "/":
+        raise ValueError(f"{_told(path)} is no path of this server, such as /topics/x or /nodes/x")
+    if not location.kind:
+        return base
+    written = space.url(location.kind, location.segments)
+    return f"{written}{'/' if location.is_container else ''}{match[2]}"
+
+
+_TERMS: Mapping[Type, Callable[[str, str], str]] = {
+    Type.IRI: _iri,
+    Type.STRING: _string,
+    Type.INTEGER: _integer,
+    Type.DOUBLE: _double,
+}
+_ANYWHERE = "http://localhost/"
+_SAMPLES: Mapping[Type, str] = {Type.IRI: "/", Type.STRING: "", Type.INTEGER: "0", Type.DOUBLE: "0"}

@@ -44,6 +44,8 @@ def contents(document: Document, site: Site, listing: Listing | None) -> Content
     if not urls and listing is None:
         return None
     columns, cells = (listing.columns, listing.cells) if listing and listing.columns else _columns(document, urls)
+    total = listing.total if listing and listing.total is not None else len(urls)
+    urls += [url for url in cells if url not in set(urls) and listing is not None and url in listing.cells]
     anchors = {url: _anchor(site, url, document.url) for url in urls}
     containers = {url for url in urls if url.endswith("/") and url.removesuffix("/") not in anchors}
     members = tuple(
@@ -51,7 +53,6 @@ def contents(document: Document, site: Site, listing: Listing | None) -> Content
         for url in urls
         if not url.endswith("/")
     )
-    total = listing.total if listing and listing.total is not None else len(urls)
     return Contents(columns, members, tuple(anchors[url] for url in urls if url in containers), total)
 
 

@@ -18,7 +18,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import FORM, FormRefused, Pages
 from rosld.server.ldp.resource import JSON, LDP, RDF_BODIES, Answer, Created, Resource, allow
-from rosld.server.ldp.state import Rendering, State
+from rosld.server.ldp.state import Rendering, State, digest
 
 HTML = "text/html"
 VARIANTS: Mapping[str, str] = {syntax.media_type: syntax.extension for syntax in Syntax} | {JSON: "json", HTML: "html"}
@@ -99,7 +99,8 @@ class Verbs:
             body = state.plain()
         else:
             body = _serialized(state, _JSON_IS_JSONLD.get(media_type, media_type))
-        etag = str(ETag(f"{self.boot}-{state.tag}", VARIANTS[media_type]))
+        tag = digest(body) if media_type == HTML else state.tag  # a page shows more than its resource says
+        etag = str(ETag(f"{self.boot}-{tag}", VARIANTS[media_type]))
         headers = {
             "content-type": f"{media_type}; charset=utf-8" if media_type.startswith("text/") else media_type,
             "content-length": str(len(body)),

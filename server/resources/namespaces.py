@@ -5,15 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 
-from rosld.adapters.model import Graph, names
+from pyoxigraph import NamedNode
+
+from rosld.adapters.model import Graph, Service, Topic, names
 from rosld.ontology.describe_containers import namespace_document
 from rosld.ontology.namespaces import Kept, Members, members_of
+from rosld.ontology.urls import Space
+from rosld.server.html import Listing
+from rosld.server.html.page import Cell
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.ldp.state import State
 from rosld.server.robot import Robot
 
 Namespaces = Mapping[tuple[str, ...], Members]
+
+MOST_ROWS = 1000
+"""Rows of a table on the page of a namespace."""
 
 _namespaces: Kept[Mapping[str, object], Namespaces] = Kept(members_of)
 
@@ -43,6 +51,16 @@ def moved_to_namespace(robot: Robot, room: str, name: str) -> Problem | None:
     return Problem(308, f"It is at {url}", title="Moved", headers={"Location": url})
 
 
+def _topic_cells(topic: Topic, space: Space) -> tuple[Cell, ...]:
+    kind = NamedNode(space.class_of(topic.type.name)) if topic.type else ", ".join(ref.name for ref in topic.types)
+    return (kind, str(len(topic.publishers)), str(len(topic.subscribers)))
+
+
+def _service_cells(service: Service, space: Space) -> tuple[Cell, ...]:
+    kind = NamedNode(space.class_of(service.type.name)) if service.type else ""
+    return (kind, NamedNode(space.node(service.providers[0])) if service.providers else "")
+
+
 class NamespaceContainer(Resource):
     """A namespace of one kind of names: `/topics/`, `/topics/camera/`, ..."""
 
@@ -62,7 +80,25 @@ class NamespaceContainer(Resource):
             raise self._missing()
         is_name = names.join(self.namespace) in of_room(self.robot.graph, self.room)
         describe = partial(namespace_document, self.room, self.namespace, members, self.robot.space, is_name=is_name)
-        return self.robot.states.get(self.url, (members, is_name), lambda: State(describe))
+        version = (members, is_name, self.robot.graph.revision)  # the page tells of what lies below, too
+        return self.robot.states.get(self.url, version, lambda: State(describe))
+
+    def listing(self) -> Listing | None:
+        """Everything below, with types and endpoints."""
+        prefix = "".join(f"/{part}" for part in self.namespace) + "/"
+        graph, space = self.robot.graph, self.robot.space
+        if self.room == "topics":
+            topics = [topic for name, topic in sorted(graph.topics.items()) if name.startswith(prefix)][:MOST_ROWS]
+            return Listing(
+                ("type", "publishers", "subscribers"),
+                {space.topic(topic.name): _topic_cells(topic, space) for topic in topics},
+            )
+        if self.room == "services":
+            services = [one for name, one in sorted(graph.services.items()) if name.startswith(prefix)][:MOST_ROWS]
+            return Listing(
+                ("type", "provider"), {space.service(one.name): _service_cells(one, space) for one in services}
+            )
+        return None
 
     def _missing(self) -> Problem:
         """308 where the name is a leaf, else 404."""

@@ -21,6 +21,7 @@ ROS = "https://w3id.org/rosld#"
 TWIST = f"{TYPES}geometry_msgs/msg/Twist"
 VECTOR = f"{TYPES}geometry_msgs/msg/Vector3"
 XSD = "http://www.w3.org/2001/XMLSchema#"
+DOUBLE = f"{XSD}double"
 JSON = {"Accept": "application/json"}
 
 
@@ -102,8 +103,8 @@ BODIES = {
         {
             "@id": "#message",
             "@type": TWIST,
-            f"{TWIST}#linear": {f"{VECTOR}#{axis}": {"@value": text, "@type": f"{XSD}double"} for axis, text in LINEAR},
-            f"{TWIST}#angular": {f"{VECTOR}#{axis}": {"@value": text, "@type": f"{XSD}double"} for axis, text in ANGULAR},
+            f"{TWIST}#linear": {f"{VECTOR}#{axis}": {"@value": text, "@type": DOUBLE} for axis, text in LINEAR},
+            f"{TWIST}#angular": {f"{VECTOR}#{axis}": {"@value": text, "@type": DOUBLE} for axis, text in ANGULAR},
         }
     ),
     "application/rdf+xml": f"""<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#" xmlns:t="{TWIST}#"

@@ -27,9 +27,10 @@ _KEPT = 512
 class Analysis:
     """A query fit to be asked: `text` is what goes to the store.
 
-    `form` is SELECT, ASK, CONSTRUCT or DESCRIBE, None where only the store can tell; `lasting`: the answer is the same
+    `needs` are those over all graphs. `form` is SELECT, ASK, CONSTRUCT or DESCRIBE, None where only the store can tell; `lasting`: the answer is the same
     for as long as the dataset is. `quick`: it follows single values from constants, so that its answer is small and
     takes less time than going to another thread. `prefixes`: those of the server that its names use.
+    `default_graphs` and `named_graphs` are its FROM and FROM NAMED.
     """
 
     text: str
@@ -38,6 +39,8 @@ class Analysis:
     lasting: bool
     quick: bool
     prefixes: Mapping[str, str]
+    default_graphs: tuple[str, ...] = ()
+    named_graphs: tuple[str, ...] = ()
 
 
 class Analyser:
@@ -67,7 +70,16 @@ class Analyser:
         lasting = not reading.functions & _CHANGING
         terms = Terms(self._types)
         quick = reading.form == "SELECT" and reading.plain and is_quick(reading.where, terms)
-        return Analysis(checked.text, reading.form, needs(reading, terms), lasting, quick, self._used_prefixes(checked))
+        return Analysis(
+            checked.text,
+            reading.form,
+            needs(reading, terms),
+            lasting,
+            quick,
+            self._used_prefixes(checked),
+            reading.default,
+            reading.named,
+        )
 
     def _used_prefixes(self, checked: Checked) -> Mapping[str, str]:
         """Only what a query uses: the store's parser copies all that it is given."""

@@ -104,7 +104,7 @@ class QueryService:
     async def _evaluate(
         self, analysis: Analysis, request: QueryRequest, media_type: str
     ) -> bytes | AsyncIterator[bytes]:
-        if analysis.quick and not (request.default_graphs or request.named_graphs):
+        if analysis.quick:
             written = results.few(self._at_once(analysis, request), media_type)
             if written is not None:
                 return written
@@ -124,19 +124,27 @@ class QueryService:
             raise refused(error) from error
 
     def _query(self, analysis: Analysis, request: QueryRequest) -> Results:
+        default, named = _dataset(analysis, request)
         return self._store.query(
             analysis.text,
             base=self._analyser.base,
             prefixes=analysis.prefixes,
             functions=self._functions,
-            default_graphs=request.default_graphs,
-            named_graphs=request.named_graphs,
+            default_graphs=default,
+            named_graphs=named,
         )
 
 
 def _needs(analysis: Analysis, request: QueryRequest) -> Needs:
-    dataset = request.default_graphs + request.named_graphs
-    return analysis.needs.within(dataset) if dataset else analysis.needs
+    default, named = _dataset(analysis, request)
+    return analysis.needs.within(default + named) if default or named else analysis.needs
+
+
+def _dataset(analysis: Analysis, request: QueryRequest) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The default and the named graphs: those of the request go before the query's own (SPARQL 1.1 Protocol 2.1.4)."""
+    if request.default_graphs or request.named_graphs:
+        return request.default_graphs, request.named_graphs
+    return analysis.default_graphs, analysis.named_graphs
 
 
 _Key: TypeAlias = tuple[QueryRequest, str]

@@ -23,12 +23,10 @@ from rosld.server.sparql.terms import BOTH, NEITHER, UNKNOWN, Said, Terms, docum
 
 
 def needs(reading: Reading, terms: Terms) -> Needs:
-    """What a query needs."""
+    """What a query needs, its FROM aside."""
     search = _Search(terms)
     search.group(reading.where, {})
-    found = Needs(tuple(largest(search.demands)), frozenset(search.documents))
-    dataset = (*reading.default, *reading.named)
-    return found.within(dataset) if dataset else found
+    return Needs(tuple(largest(search.demands)), frozenset(search.documents))
 
 
 class _Search:

@@ -52,7 +52,7 @@ class Store(Protocol):
     ) -> Results:
         """Begin to answer a query; results come as they are read. Raises QueryError.
 
-        `default_graphs` and `named_graphs` are the dataset of the SPARQL Protocol: with either given, only these
-        graphs are there, and the query's own FROM has no say.
+        `default_graphs` and `named_graphs` are the dataset (SPARQL 1.1, 13.2): with either given, only these graphs are
+        there. FROM in the text has no say: who asks gives its graphs here.
         """
         ...

@@ -1,0 +1,161 @@
+"""The contract of stores, run on each of them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from pyoxigraph import Literal, QueryBoolean, QuerySolutions, QueryTriples
+
+from rosld.server.store import MemoryStore, QueryError, Store
+
+G, H = "http://h/g", "http://h/h"
+P = "<http://h/p>"
+
+
+def memory(folder: Path) -> Store:
+    return MemoryStore()
+
+
+def disk(folder: Path) -> Store:
+    return MemoryStore(folder / "dataset")
+
+
+@pytest.fixture(params=[memory, disk], ids=["memory", "disk"])
+def store(request: pytest.FixtureRequest, tmp_path: Path) -> Store:
+    make: Callable[[Path], Store] = request.param
+    return make(tmp_path)
+
+
+def ask(store: Store, pattern: str, **dataset: tuple[str, ...]) -> bool:
+    found = store.query(f"ASK {{ {pattern} }}", **dataset)  # type: ignore[arg-type]
+    assert isinstance(found, QueryBoolean)
+    return bool(found)
+
+
+def count(store: Store, pattern: str = "?s ?p ?o") -> int:
+    found = store.query(f"SELECT * {{ {pattern} }}")
+    assert isinstance(found, QuerySolutions)
+    return len(list(found))
+
+
+def test_the_default_graph_is_the_union_of_all_named_graphs(store: Store) -> None:
+    store.replace({G: f'<{G}> {P} "1" .\n', H: f'<{H}> {P} "2" .\n'})
+    assert count(store) == 2
+    assert ask(store, f'GRAPH <{G}> {{ ?s {P} "1" }}')
+    assert not ask(store, f'GRAPH <{G}> {{ ?s {P} "2" }}')
+
+
+def test_replacing_forgets_what_a_graph_held_and_leaves_the_others(store: Store) -> None:
+    store.replace({G: f'<{G}> {P} "1" .\n', H: f'<{H}> {P} "2" .\n'})
+    store.replace({G: f'<{G}> {P} "3" .\n'})
+    assert not ask(store, f'?s {P} "1"')
+    assert ask(store, f'?s {P} "2"')
+    assert ask(store, f'?s {P} "3"')
+
+
+def test_dropping_a_graph_takes_its_name_away_and_a_graph_that_is_not_there_may_be_dropped(store: Store) -> None:
+    store.replace({G: f'<{G}> {P} "1" .\n'})
+    store.replace({G: None, H: None})
+    assert list(store.graphs()) == []
+
+
+def test_version_changes_with_the_dataset_and_only_then(store: Store) -> None:
+    before = store.version
+    count(store)
+    store.replace({})
+    assert store.version == before
+    store.replace({G: f'<{G}> {P} "1" .\n'})
+    assert store.version != before
+
+
+def test_blank_nodes_of_one_label_in_two_graphs_stay_apart(store: Store) -> None:
+    store.replace({G: f'_:b {P} "in <_:b> \\" _:b" .\n', H: f'_:b {P} "2" .\n'})
+    assert count(store, f'?s {P} "2" . ?s {P} ?o') == 1
+    assert ask(store, f'?s {P} "in <_:b> \\" _:b"')
+
+
+def test_malformed_text_is_refused_and_changes_nothing(store: Store) -> None:
+    store.replace({G: f'<{G}> {P} "1" .\n'})
+    version = store.version
+    with pytest.raises(ValueError, match="http://h/"):
+        store.replace({G: f'<{G}> {P} "2" .\n', H: "this is no triple"})
+    assert ask(store, f'?s {P} "1"')
+    assert store.version == version
+
+
+def test_a_name_that_is_no_iri_is_refused(store: Store) -> None:
+    with pytest.raises(ValueError, match="IRI"):
+        store.replace({"> } ; CLEAR ALL #": None})
+
+
+def test_a_dataset_can_be_chosen_for_a_query(store: Store) -> None:
+    store.replace({G: f'<{G}> {P} "1" .\n', H: f'<{H}> {P} "2" .\n'})
+    assert not ask(store, f'?s {P} "2"', default_graphs=(G,))
+    assert not ask(store, f'?s {P} "1"', named_graphs=(G,))
+    assert ask(store, f'GRAPH ?g {{ ?s {P} "1" }}', named_graphs=(G,))
+    assert not ask(store, f'GRAPH ?g {{ ?s {P} "2" }}', named_graphs=(G,))
+
+
+def test_functions_prefixes_and_base_hold_within_a_query(store: Store) -> None:
+    store.replace({G: f'<{G}> {P} "1" .\n'})
+    found = store.query(
+        "SELECT (h:twice(?o) AS ?x) { <g> h:p ?o }",
+        base="http://h/",
+        prefixes={"h": "http://h/"},
+        functions={"http://h/twice": lambda term: Literal(int(term.value) * 2)},  # type: ignore[union-attr]
+    )
+    assert isinstance(found, QuerySolutions)
+    [row] = found
+    assert row["x"] == Literal(2)
+
+
+def test_constructed_triples_come_as_triples(store: Store) -> None:
+    store.replace({G: f'<{G}> {P} "1" .\n'})
+    found = store.query("CONSTRUCT WHERE { ?s ?p ?o }")
+    assert isinstance(found, QueryTriples)
+    assert [str(triple) for triple in found] == [f'<{G}> {P} "1"']
+
+
+def test_what_is_no_query_is_told_in_the_words_of_the_parser(store: Store) -> None:
+    with pytest.raises(QueryError, match="1:16"):
+        store.query("SELECT * ?x { }")
+
+
+def test_results_are_those_of_the_moment_the_query_began(store: Store) -> None:
+    store.replace({G: "".join(f'<{G}> {P} "{n}" .\n' for n in range(1000))})
+    found = store.query("SELECT * { ?s ?p ?o }")
+    store.replace({G: None})
+    assert isinstance(found, QuerySolutions)
+    assert len(list(found)) == 1000
+
+
+def test_no_query_sees_a_part_of_a_replacement(store: Store) -> None:
+    names = [f"http://h/{n}" for n in range(50)]
+    store.replace({name: f'<{name}> {P} "0" .\n' for name in names})
+    ended = threading.Event()
+
+    def write() -> None:
+        for turn in range(1, 60):
+            store.replace({name: f'<{name}> {P} "{turn}" .\n' for name in names})
+        ended.set()
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    seen = []
+    while not ended.is_set():
+        found = store.query(f"SELECT ?o (COUNT(*) AS ?n) {{ ?s {P} ?o }} GROUP BY ?o")
+        assert isinstance(found, QuerySolutions)
+        seen.append([(row["o"], row["n"]) for row in found])
+    writer.join()
+    assert seen
+    assert all(len(groups) == 1 and groups[0][1] == Literal(50) for groups in seen)
+
+
+def test_a_dataset_on_disk_is_still_there_when_it_is_opened_again(tmp_path: Path) -> None:
+    first = MemoryStore(tmp_path / "d")
+    first.replace({G: f'<{G}> {P} "1" .\n'})
+    del first
+    assert list(MemoryStore(tmp_path / "d").graphs()) == [G]

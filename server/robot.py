@@ -50,6 +50,15 @@ class Robot:
         """The computation graph as last known."""
         return self.adapter.graph
 
+    @property
+    def name(self) -> str:
+        """What people call it: a recording's name, a master's address, else the kind of system."""
+        recordings = list(self.adapter.recordings)
+        if recordings:
+            return recordings[0]
+        master = self.graph.master
+        return master.uri.partition("//")[2].rstrip("/") if master else self.adapter.capabilities.system
+
     def received_ns(self, url: str) -> int | None:
         """When the newest message of the topic at `url` was received, None where none was; from any thread."""
         location = self.space.location(url)

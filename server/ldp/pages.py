@@ -15,6 +15,7 @@ from rosld.ontology.lower import LoweringError
 from rosld.server import html
 from rosld.server.html import DeleteForm, Form, Notice, ParameterForm, ProblemPage, Site
 from rosld.server.html.page import Tone
+from rosld.server.html.site import SECTIONS
 from rosld.server.http import negotiation
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
@@ -45,11 +46,12 @@ class Pages:
         stale = f"since {_moment(state.since_ns)}: {state.why}" if isinstance(state, Stale) else None
         return Site(
             robot.space.base,
-            robot.space.base.partition("//")[2].rstrip("/"),
+            robot.name,
             robot.adapter.capabilities.system,
             stale,
             robot.settings.read_only,
-            types=robot.space.types,
+            (*SECTIONS, "bags") if robot.adapter.recordings else SECTIONS,
+            robot.space.types,
         )
 
     async def page(self, resource: Resource, state: State, notices: Sequence[Notice] = ()) -> bytes:

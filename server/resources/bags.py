@@ -12,6 +12,7 @@ from rosld.ontology.describe_bags import bag_document, bag_message_document, bag
 from rosld.ontology.describe_containers import container_document
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Location
+from rosld.server.html import Step
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
@@ -76,6 +77,15 @@ class BagMessages(Resource):
             self.url, 0, lambda: State(lambda: bag_messages_document(recording, space, page, PAGE))
         )
 
+    def steps(self) -> tuple[Step, ...]:
+        base = self.robot.space.bag_messages(self.recording.name)
+        last = max(0, (self.recording.count - 1) // PAGE)
+        if self.number is None:
+            places = {"first": 0, "last": last}
+        else:
+            places = {"first": 0, "prev": self.number - 1, "next": self.number + 1, "last": last}
+        return tuple(Step(rel, f"{base}?page={at}") for rel, at in places.items() if 0 <= at <= last)
+
     async def narrowed(self, exchange: Exchange) -> Resource:
         """The page that `?page=` asks for; a 404 Problem where there is none."""
         wanted = exchange.query.get("page")
@@ -97,14 +107,15 @@ class BagMessage(Resource):
         self.robot = robot
         self.recording = recording
         self.index = index
-        self.links = (*Resource.links, *self._neighbours())
+        self.title = f"{recording.name}, message {index}"
+        self.links = (*Resource.links, *(Link(step.url, step.rel) for step in self.steps()))
 
-    def _neighbours(self) -> list[Link]:
+    def steps(self) -> tuple[Step, ...]:
         """The messages before and after, first and last (RFC 8288)."""
         last = self.recording.count - 1
         places = {"first": 0, "prev": self.index - 1, "next": self.index + 1, "last": last}
         url = self.robot.space.bag_message
-        return [Link(url(self.recording.name, at), rel) for rel, at in places.items() if 0 <= at <= last]
+        return tuple(Step(rel, url(self.recording.name, at)) for rel, at in places.items() if 0 <= at <= last)
 
     async def message(self) -> RecordedMessage:
         """The message, read off the loop; a 404 Problem where there is none."""

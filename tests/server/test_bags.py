@@ -1,0 +1,103 @@
+"""Recordings over HTTP: their topics played, every message under its own URL, nothing writable."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+JSON = {"Accept": "application/json"}
+COUNT = 250
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory, start_server: Callable[..., Any]) -> Any:
+    """A recording of a walk, served: 250 points in 2.5 seconds, a name that is said once and latched."""
+    path = tmp_path_factory.mktemp("bags") / "walk.bag"
+    write(path)
+    return start_server(str(path))
+
+
+def write(path: Path) -> None:
+    """Write the recording."""
+    types = get_typestore(Stores.ROS1_NOETIC)
+    point, text = types.types["geometry_msgs/msg/Point"], types.types["std_msgs/msg/String"]
+    with Writer(path) as bag:
+        points = bag.add_connection("/walk/point", point.__msgtype__, typestore=types, callerid="/walker")
+        names = bag.add_connection("/walk/name", text.__msgtype__, typestore=types, callerid="/walker", latching=1)
+        start = 1_700_000_000_000_000_000
+        bag.write(names, start, types.serialize_ros1(text(data="a walk"), text.__msgtype__))
+        for index in range(1, COUNT):
+            data = types.serialize_ros1(point(x=float(index), y=0.0, z=-0.5), point.__msgtype__)
+            bag.write(points, start + index * 10_000_000, data)
+
+
+def test_every_message_has_its_own_url_in_recorded_order(walk: Any) -> None:
+    assert walk.http.get("/bags/walk/messages/0", headers=JSON).json() == {"data": "a walk"}
+    assert walk.http.get("/bags/walk/messages/100", headers=JSON).json() == {"x": 100.0, "y": 0.0, "z": -0.5}
+    assert walk.http.get(f"/bags/walk/messages/{COUNT}").status_code == 404
+    for odd in ("-1", "01", "1.0", "x", "99999999999999999999"):
+        assert walk.http.get(f"/bags/walk/messages/{odd}").status_code == 404
+
+
+def test_a_message_links_to_its_neighbours(walk: Any) -> None:
+    links = walk.http.get("/bags/walk/messages/7").links
+    assert links["prev"]["url"].endswith("/messages/6")
+    assert links["next"]["url"].endswith("/messages/8")
+    assert "prev" not in walk.http.get("/bags/walk/messages/0").links
+    assert "next" not in walk.http.get(f"/bags/walk/messages/{COUNT - 1}").links
+
+
+def test_the_messages_are_a_container_in_pages_that_holds_each_once(walk: Any) -> None:
+    found: list[str] = []
+    for number in range(3):
+        page = walk.http.get(f"/bags/walk/messages/?page={number}", headers={"Accept": "application/n-triples"})
+        assert page.status_code == 200
+        found += [line.split("> <")[2].split(">")[0] for line in page.text.splitlines() if "ldp#contains" in line]
+    assert found == [f"{walk.url}bags/walk/messages/{index}" for index in range(COUNT)]
+    assert walk.http.get("/bags/walk/messages/?page=3").status_code == 404
+
+
+def test_the_bag_tells_its_topics_and_counts(walk: Any) -> None:
+    text = walk.http.get("/bags/walk/", headers={"Accept": "application/n-triples"}).text
+    assert "/walk/point" in text
+    assert f'"{COUNT - 1}"' in text
+    assert walk.http.get("/bags/walk", follow_redirects=False).status_code == 308
+
+
+def test_a_latched_message_is_there_whenever_it_is_first_looked_at(walk: Any) -> None:
+    assert walk.http.get("/topics/walk/name", headers=JSON).json() == {"data": "a walk"}
+
+
+def test_topics_play_and_loop(walk: Any) -> None:
+    seen = {walk.http.get("/topics/walk/point", headers=JSON).json()["x"] for _ in range(200)}
+    assert len(seen) > 1
+
+
+def test_nothing_is_writable_and_allow_says_so(walk: Any) -> None:
+    for path in ("/topics/walk/point", "/topics/new", "/bags/walk/messages/3", "/parameters/x", "/bags/walk/"):
+        assert walk.http.options(path).headers["allow"] == "GET, HEAD, OPTIONS", path
+        for method in ("PUT", "PATCH", "DELETE", "POST"):
+            answer = walk.http.request(method, path, json={"x": 1, "y": 2, "z": 3})
+            assert answer.status_code == 405, (method, path)
+
+
+def test_a_query_reads_recorded_messages_it_names(walk: Any) -> None:
+    url = f"{walk.url}bags/walk/messages/42"
+    point = "https://w3id.org/rosld/types/geometry_msgs/msg/Point#x"
+    query = f"SELECT ?x WHERE {{ GRAPH <{url}> {{ ?m <{point}> ?x }} }}"
+    answer = walk.http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"})
+    assert answer.text.split() == ["x", "42"]
+
+
+def test_once_rests_at_the_end(tmp_path: Path, serve: Callable[..., Any]) -> None:
+    write(tmp_path / "walk.bag")
+    served = serve(str(tmp_path / "walk.bag"), "--once", "--rate", "1000")
+    last = httpx.get(f"{served.url}topics/walk/point", headers=JSON).json()
+    again = httpx.get(f"{served.url}topics/walk/point", headers=JSON).json()
+    assert last == again == {"x": float(COUNT - 1), "y": 0.0, "z": -0.5}

@@ -1,0 +1,121 @@
+"""Pages as a browser gets and posts them, over HTTP."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+
+HTML = {"Accept": "text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8"}
+DISPLAY = "/topics/cockpit/display"
+
+
+def hidden(page: str, method: str) -> str:
+    """The token of the form with this method."""
+    for form in re.findall(r"<form.*?</form>", page, re.DOTALL):
+        if f'name="method" value="{method}"' in form:
+            return re.search(r'name="csrf" value="([^"]+)"', form)[1]  # type: ignore[index]
+    raise AssertionError(f"no form for {method}")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/", "/nodes/", "/nodes/aircraft", "/topics/", "/topics/aircraft/", DISPLAY, "/services/", "/calls/",
+        "/services/aircraft/engine/set_speed", "/parameters/", "/parameters/aircraft/", "/parameters/cockpit/night",
+        "/types/", "/types/std_msgs/", "/types/std_msgs/msg/String", "/shapes/", "/shapes/std_msgs/msg/String",
+        "/bags/", "/ontology", "/queries/", "/queries/node", "/sparql",
+    ],
+)  # fmt: skip
+def test_every_url_is_a_page_for_a_browser(http: httpx.Client, path: str) -> None:
+    page = http.get(path, headers=HTML)
+    assert page.status_code == 200, page.text[:300]
+    assert page.headers["content-type"] == "text/html; charset=utf-8"
+    assert "default-src 'none'" in page.headers["content-security-policy"]
+    assert "<script" not in page.text
+    assert "<nav" in page.text
+
+
+def test_every_link_of_the_site_leads_somewhere(http: httpx.Client) -> None:
+    seen: set[str] = set()
+    waiting = ["/"]
+    while waiting and len(seen) < 150:
+        path = waiting.pop(0)
+        if path in seen:
+            continue
+        seen.add(path)
+        page = http.get(path, headers=HTML)
+        assert page.status_code in (200, 303, 308), (path, page.status_code)
+        for href in re.findall(r'<a [^>]*?href="([^"]+)"', page.text):
+            target = href.replace("&amp;", "&").partition("#")[0]
+            if target.startswith("/") and not target.startswith("//"):
+                waiting.append(target)
+    assert len(seen) > 40
+
+
+def test_style_and_icon_are_served(http: httpx.Client) -> None:
+    assert http.get("/style.css").headers["content-type"].startswith("text/css")
+    assert http.get("/icon.svg").headers["content-type"] == "image/svg+xml"
+
+
+def test_an_error_is_a_page_too(http: httpx.Client) -> None:
+    page = http.get("/topics/none", headers=HTML)
+    assert page.status_code == 404
+    assert "There is no topic /none" in page.text
+
+
+def test_the_form_publishes_and_leads_back(http: httpx.Client) -> None:
+    token = hidden(http.get(DISPLAY, headers=HTML).text, "PUT")
+    sent = http.post(DISPLAY, data={"csrf": token, "method": "PUT", "data": "by hand"}, headers=HTML)
+    assert sent.status_code == 303, sent.text
+    assert sent.headers["location"].endswith(DISPLAY)
+    assert http.get(DISPLAY, headers={"Accept": "application/json"}).json() == {"data": "by hand"}
+
+
+def test_a_form_that_does_not_fit_comes_back_as_it_was_typed(serve: Callable[..., Any]) -> None:
+    http = serve("aircraft").http
+    path = "/services/aircraft/engine/set_speed"
+    token = hidden(http.get(path, headers=HTML).text, "POST")
+    sent = http.post(path, data={"csrf": token, "method": "POST", "data": "very fast"}, headers=HTML)
+    assert sent.status_code == 422
+    assert "very fast" in sent.text
+    assert "must be a number" in sent.text
+    assert "Succeeded" not in http.get("/calls/", headers=HTML).text
+
+
+def test_the_form_calls_and_leads_to_the_call(serve: Callable[..., Any]) -> None:
+    http = serve("aircraft").http
+    token = hidden(http.get("/services/aircraft/start", headers=HTML).text, "POST")
+    sent = http.post("/services/aircraft/start", data={"csrf": token, "method": "POST"}, headers=HTML)
+    assert sent.status_code == 303
+    assert "/calls/" in sent.headers["location"]
+    assert "started" in http.get(sent.headers["location"], headers=HTML).text
+
+
+def test_forms_set_and_delete_a_parameter(serve: Callable[..., Any]) -> None:
+    http = serve("aircraft").http
+    path = "/parameters/cockpit/brightness"
+    token = hidden(http.get(path, headers=HTML).text, "PUT")
+    fields = {"csrf": token, "method": "PUT", "type": "number", "value": "0.25"}
+    assert http.post(path, data=fields, headers=HTML).status_code == 303
+    assert http.get(path, headers={"Accept": "application/json"}).json() == 0.25
+    token = hidden(http.get(path, headers=HTML).text, "DELETE")
+    assert http.post(path, data={"csrf": token, "method": "DELETE"}, headers=HTML).status_code == 303
+    assert http.get(path).status_code == 404
+
+
+def test_a_token_is_for_one_resource_only(http: httpx.Client) -> None:
+    token = hidden(http.get(DISPLAY, headers=HTML).text, "PUT")
+    sent = http.post("/services/aircraft/start", data={"csrf": token, "method": "POST"}, headers=HTML)
+    assert sent.status_code == 403
+
+
+def test_what_a_robot_says_is_text_and_never_markup(http: httpx.Client) -> None:
+    http.put(DISPLAY, json={"data": "<script>alert(1)</script><img src=x onerror=alert(1)>"})
+    page = http.get(DISPLAY, headers=HTML).text
+    assert "<script" not in page
+    assert "<img src=x" not in page
+    assert "&lt;script&gt;" in page

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
+import sys
+from collections.abc import Coroutine
+
 import anyio
 from starlette.requests import ClientDisconnect, Request
+from starlette.types import Receive
 
 from rosld.server.http.problem import Problem
 
@@ -26,8 +31,7 @@ async def read_body(request: Request, *, limit: int, timeout: float = TIMEOUT) -
         await _let_finish(request)
         raise _too_large(limit)
     try:
-        with anyio.fail_after(timeout):
-            body = await _collect(request, limit)
+        body = await _within(timeout, _collect(request.receive, limit))
     except _TooLarge:
         await _let_finish(request)
         raise _too_large(limit) from None
@@ -66,15 +70,44 @@ class _TooLarge(Exception):
     """More came than is read."""
 
 
-async def _collect(request: Request, limit: int) -> bytes:
+async def _collect(receive: Receive, limit: int) -> bytes:
     chunks: list[bytes] = []
     size = 0
-    async for chunk in request.stream():
+    more = True
+    while more:
+        message = await receive()
+        if message["type"] != "http.request":
+            raise ClientDisconnect
+        chunk: bytes = message.get("body", b"")
         size += len(chunk)
         if size > limit:
             raise _TooLarge
         chunks.append(chunk)
+        more = message.get("more_body", False)
     return chunks[0] if len(chunks) == 1 else b"".join(chunks)
+
+
+async def _within(seconds: float, work: Coroutine[object, object, bytes]) -> bytes:
+    """What `work` returns, or TimeoutError. A timer and nothing else: most bodies are there at once."""
+    task = asyncio.current_task()
+    assert task is not None
+    expired: list[bool] = []
+
+    def expire() -> None:
+        expired.append(True)
+        task.cancel()
+
+    timer = asyncio.get_running_loop().call_later(seconds, expire)
+    try:
+        return await work
+    except asyncio.CancelledError:
+        if not expired:
+            raise
+        if sys.version_info >= (3, 11):
+            task.uncancel()
+        raise TimeoutError from None
+    finally:
+        timer.cancel()
 
 
 async def _let_finish(request: Request) -> None:

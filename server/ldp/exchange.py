@@ -89,6 +89,8 @@ class Exchange:
 
     def flag(self, name: str) -> bool:
         """Whether `?name=true` is asked for; raises a 400 Problem for anything but true and false."""
+        if not self.request.scope["query_string"]:
+            return False
         value = self.query.get(name, "false").lower()
         if value not in ("true", "false", ""):
             raise Problem(400, f"?{name}={value} is neither true nor false.")

@@ -246,6 +246,8 @@ class TopicResource(Resource):
     def _check_stable(self, body: RdfBody) -> None:
         """What the server says of a topic may be repeated, not changed (409)."""
         about = NamedNode(self.url)
+        if about not in body.subjects:
+            return
         said = {ros.name: self.name}
         topic = self.topic
         if topic is not None and topic.type is not None:

@@ -45,8 +45,9 @@ def create_app(adapter: Adapter, settings: Settings) -> ASGIApp:
 
 def query_service(robot: Robot) -> QueryService:
     """SPARQL over everything that the robot's resources say."""
-    store = MemoryStore()
     settings = robot.settings
+    store = MemoryStore(settings.data / "store" if settings.data is not None else None)
+    store.replace(dict.fromkeys(store.graphs()))  # what an earlier run knew of the robot is not so any more
     analyser = Analyser(robot.space.base, robot.space.types, bounds=Bounds(size=settings.query_size_limit))
     synchroniser = Synchroniser(store, Dataset(robot))
     limits = QuerySettings(time_limit=settings.query_time_limit)

@@ -27,10 +27,10 @@ _KEPT = 512
 class Analysis:
     """A query fit to be asked: `text` is what goes to the store.
 
-    `needs` are those over all graphs. `form` is SELECT, ASK, CONSTRUCT or DESCRIBE, None where only the store can tell; `lasting`: the answer is the same
-    for as long as the dataset is. `quick`: it follows single values from constants, so that its answer is small and
-    takes less time than going to another thread. `prefixes`: those of the server that its names use.
-    `default_graphs` and `named_graphs` are its FROM and FROM NAMED.
+    `form` is SELECT, ASK, CONSTRUCT or DESCRIBE, None where only the store can tell. `needs` are those over all graphs;
+    `default_graphs` and `named_graphs` are its FROM and FROM NAMED. `lasting`: the answer is the same for as long as the
+    dataset is. `quick`: it follows single values from constants, so that its answer is small and takes less time than
+    going to another thread. `prefixes`: those of the server that its names use.
     """
 
     text: str

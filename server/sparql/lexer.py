@@ -21,7 +21,7 @@ from rosld.server.http.problem import Problem
 
 
 class Kind(Enum):
-    """The kinds of token; `SPACE` and `COMMENT` mean nothing, `ERROR` is a character that begins no token."""
+    """The kinds of token; `SPACE` and `COMMENT` mean nothing, `ERROR` is what begins no token."""
 
     IRI = "iri"
     NAME = "prefixed name"
@@ -137,8 +137,8 @@ def _name(text: str, at: int, colon: int) -> str:
 
 def _other(text: str, at: int) -> Token:
     match = _TOKEN.match(text, at)
-    if match is None:
-        return Token(Kind.ERROR, text[at], at)
+    if match is None:  # a string without an end leaves nothing to be cut after it
+        return Token(Kind.ERROR, text[at:] if text[at] in "\"'" else text[at], at)
     kind = match.lastgroup or ""
     return Token(Kind.STRING if kind == "STRING1" else Kind[kind], match[0], at)
 
@@ -198,7 +198,7 @@ def _check_token(token: Token, text: str) -> None:
 
 
 def _unread(token: Token, text: str) -> str:
-    if token.text in "\"'":
+    if token.text[0] in "\"'":
         return "The string without an end"
     if token.text == "\\":
         return "An escape outside strings and IRIs"
@@ -227,7 +227,7 @@ def _check_shape(found: tuple[Token, ...], text: str, bounds: Bounds, what: str)
                 )
         elif token.kind is Kind.MARK and token.text in _CLOSE:
             depth -= 1
-            if values == depth:
+            if values == depth and token.text == "}":
                 values = None
         if values is None and token.kind in (Kind.MARK, Kind.WORD) and token.text not in ".,;":
             steps += 1

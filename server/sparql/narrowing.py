@@ -18,7 +18,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from rosld.server.sparql.needs import Demand, Needs, largest
-from rosld.server.sparql.patterns import Group, Iri, Pattern, Reading, Term, Value, Variable
+from rosld.server.sparql.patterns import Group, Iri, Pattern, Reading, Term, Variable
 from rosld.server.sparql.terms import BOTH, NEITHER, UNKNOWN, Said, Terms, document
 
 
@@ -72,14 +72,16 @@ class _Search:
             self.demands.append(Demand(part.said.graphs, types, live.messages, live.parameters))
 
     def _demand_apart(self, pattern: Pattern, group: Group, facts: Facts) -> None:
-        """The demands of a path whose matches stand in no one graph, or which matches any node there is."""
+        """The demands of a path whose matches stand in no one graph, or that may be empty between any nodes."""
         live = NEITHER
+        graphs = frozenset({group.graph.value}) if isinstance(group.graph, Iri) else None
         if _is_free(pattern, group, facts):
             live = BOTH
+            if graphs is None and not isinstance(group.graph, Variable):
+                graphs = _documents(pattern)
         elif is_loose(pattern, self._terms):
             live = self._terms.live(pattern, UNKNOWN)
         if any(live):
-            graphs = frozenset({group.graph.value}) if isinstance(group.graph, Iri) else None
             self.demands.append(Demand(graphs, frozenset(), *live))
 
 
@@ -89,11 +91,13 @@ def is_loose(pattern: Pattern, terms: Terms) -> bool:
 
 
 def _is_free(pattern: Pattern, group: Group, facts: Facts) -> bool:
-    """Whether it may be empty between variables that nothing else binds: it matches every node of the graph."""
-    ends = {term.name for term in (pattern.subject, pattern.object) if isinstance(term, Variable)}
-    constant = any(isinstance(term, Iri | Value) for term in (pattern.subject, pattern.object))
-    if not pattern.empty or constant:
+    """Whether it may be empty between what nothing else binds: the store matches any term that it finds in a graph.
+
+    (With every node, between two variables; SPARQL 1.1, 18.4, would match a constant that is nowhere, too.)
+    """
+    if not pattern.empty:
         return False
+    ends = {term.name for term in (pattern.subject, pattern.object) if isinstance(term, Variable)}
     others = {
         term.name
         for other in group.patterns
@@ -102,6 +106,12 @@ def _is_free(pattern: Pattern, group: Group, facts: Facts) -> bool:
         if isinstance(term, Variable)
     }
     return not ends & (others | facts.outside | group.bound.keys())
+
+
+def _documents(pattern: Pattern) -> frozenset[str] | None:
+    """The documents of the constants of a pattern, of which it must match one; None where it has others or none."""
+    ends = [term for term in (pattern.subject, pattern.object) if not isinstance(term, Variable)]
+    return frozenset(document(one.value) for one in ends if isinstance(one, Iri)) or None
 
 
 @dataclass(eq=False)

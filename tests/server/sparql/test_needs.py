@@ -246,7 +246,8 @@ FULL = dataset(None)
 variables = st.sampled_from(["?a", "?b", "?c"])
 predicates = st.sampled_from(
     [
-        "a", "ros:name", "ros:messageType", "ros:publisher", "ros:publishes", "ros:rate", "ros:latest", "ros:value", "pose:x",
+        "a", "ros:name", "ros:messageType", "ros:publisher", "ros:publishes", "ros:rate", "ros:latest", "ros:value",
+        "pose:x",
         "v:x", "twist:linear", "tf:transforms", "rdf:first", "rdf:rest", "ldp:contains", "ros:request", "?p", "?a",
         "ros:latest/pose:x", "ros:latest/tf:transforms/rdf:rest*/rdf:first", "rdf:rest*", "pose:x|v:x", "^ros:latest",
         "twist:linear?", "(ros:latest|twist:linear)+", "!ros:name", "!^ros:name", "(tf:transforms/rdf:first)/pose:x",
@@ -267,6 +268,10 @@ data = st.builds(
 ) | st.builds("BIND({} AS {})".format, constants, st.sampled_from(["?d", "?e"]))
 
 
+def _braced(members: list[str]) -> str:
+    return "{ " + " ".join(members) + " }"
+
+
 def _groups(inner: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
     member = st.one_of(
         triples,
@@ -282,12 +287,10 @@ def _groups(inner: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
         st.builds("{{ SELECT {} {} }}".format, st.sampled_from(["*", "?a", "DISTINCT ?b ?c"]), inner),
         inner.map("{{ SELECT ?a (COUNT(*) AS ?n) {} GROUP BY ?a }}".format),
     )
-    return st.lists(member, min_size=1, max_size=3).map(lambda members: "{ " + " ".join(members) + " }")
+    return st.lists(member, min_size=1, max_size=3).map(_braced)
 
 
-groups = st.recursive(
-    st.lists(triples, min_size=1, max_size=3).map(lambda t: "{ " + " ".join(t) + " }"), _groups, max_leaves=5
-)
+groups = st.recursive(st.lists(triples, min_size=1, max_size=3).map(_braced), _groups, max_leaves=5)
 queries = st.one_of(
     groups.map("SELECT * {}".format),
     groups.map("ASK {}".format),
@@ -295,9 +298,39 @@ queries = st.one_of(
     st.builds("SELECT * FROM {} FROM NAMED {} {}".format, st.just("t:a"), st.just("t:b"), groups),
 )
 
+fitting = st.sampled_from(
+    [
+        "?t a ros:Topic .", "?t ros:name ?n .", "?t ros:messageType ?k .", "?t ros:latest ?m .", "?t ros:rate ?r .",
+        "t:a ros:latest ?m .", "t:b ros:latest ?m .", "?m pose:x ?x .", "?m v:x ?x .", "?m twist:linear ?l .",
+        "?l v:x ?x .", "?m tf:transforms ?l .", "?l rdf:rest* ?l2 .", "?l rdf:first ?m .", "?m a ?k .", "?m ?p ?o .",
+        "?t ros:latest/pose:x ?x .", "?l ?p ?o .", "?t ?p ?o .", "VALUES ?t { t:a }", f"VALUES ?m {{ <{A}#message> }}",
+        "VALUES ?l { rdf:nil }", "VALUES ?t { t:b t:c }", "?m2 tf:transforms ?l .", "?m2 twist:linear ?l .",
+    ]
+)  # fmt: skip
+joined = st.sampled_from(["", "OPTIONAL", "MINUS", "FILTER EXISTS", "FILTER NOT EXISTS"])
+
+
+def _fitting_groups(inner: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
+    member = st.one_of(
+        fitting,
+        fitting,
+        st.builds("{}{}".format, joined, inner),
+        st.builds("{} UNION {}".format, inner, inner),
+        st.builds("GRAPH {} {}".format, st.sampled_from(["?t", "?g", "t:b"]), inner),
+        inner.map("{{ SELECT (COUNT(*) AS ?count) {} }}".format),
+        st.builds("{{ SELECT {} {} }}".format, st.sampled_from(["?m", "?t ?x", "?l"]), inner),
+    )
+    return st.lists(member, min_size=1, max_size=3).map(_braced)
+
+
+fitting_queries = st.recursive(
+    st.lists(fitting, min_size=1, max_size=2).map(_braced), _fitting_groups, max_leaves=6
+).map("SELECT * {}".format)
+"""Queries whose variables mean what their names say, so that many of them find something."""
+
 
 @settings(max_examples=300, deadline=None)
-@given(queries)
+@given(queries | fitting_queries)
 def test_a_query_over_what_it_needs_answers_as_over_everything(query: str) -> None:
     text = PREFIXES + query
     try:

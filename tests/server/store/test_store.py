@@ -105,7 +105,7 @@ def test_functions_prefixes_and_base_hold_within_a_query(store: Store) -> None:
         "SELECT (h:twice(?o) AS ?x) { <g> h:p ?o }",
         base="http://h/",
         prefixes={"h": "http://h/"},
-        functions={"http://h/twice": lambda term: Literal(int(term.value) * 2)},  # type: ignore[union-attr]
+        functions={"http://h/twice": lambda term: Literal(int(term.value) * 2)},
     )
     assert isinstance(found, QuerySolutions)
     [row] = found

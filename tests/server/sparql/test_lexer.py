@@ -1,0 +1,246 @@
+"""Tokens, and what is refused before a parser sees it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rosld.server.http.problem import Problem
+from rosld.server.sparql.lexer import (
+    BOUNDS,
+    Bounds,
+    Kind,
+    check,
+    check_update_of_one_graph,
+    place,
+    tokens,
+    update_keyword,
+)
+
+EVIL = "http://127.0.0.1:9/evil"
+
+
+def kinds(text: str) -> list[str]:
+    return [f"{token.kind.name} {token.text}" for token in tokens(text) if token.kind is not Kind.SPACE]
+
+
+def refusal(text: str, bounds: Bounds = BOUNDS) -> Problem:
+    with pytest.raises(Problem) as caught:
+        check(text, bounds)
+    return caught.value
+
+
+@given(st.text())
+def test_no_character_is_ever_lost(text: str) -> None:
+    assert "".join(token.text for token in tokens(text)) == text
+
+
+_PIECES = [*"\"'\\<>#{}()[]?$@:^|&.,;~!*/+-=a.b1 \n\r_\u00b7\u0301", '"""', "'''", "\\u0041", "SERVICE", "<<", "_:"]
+
+
+@given(st.lists(st.sampled_from(_PIECES)).map("".join))
+def test_no_character_is_ever_lost_from_what_looks_like_sparql(text: str) -> None:
+    assert "".join(token.text for token in tokens(text)) == text
+    at = 0
+    for token in tokens(text):
+        assert token.start == at
+        assert token.text
+        at = token.end
+
+
+def test_tokens_are_cut_as_the_grammar_says() -> None:
+    assert kinds("SELECT?x{?x a<h:t>;:p\"a\\\"b\"@en-GB,'''it's'''^^x:t . _:b.c ex:a.b. ?y 1.5e3 .5 5. }#end") == [
+        "WORD SELECT", "VARIABLE ?x", "MARK {", "VARIABLE ?x", "WORD a", "IRI <h:t>", "MARK ;", "NAME :p",
+        'STRING "a\\"b"', "LANGUAGE @en-GB", "MARK ,", "STRING '''it's'''", "MARK ^^", "NAME x:t", "MARK .",
+        "BLANK _:b.c", "NAME ex:a.b", "MARK .", "VARIABLE ?y", "NUMBER 1.5e3", "NUMBER .5", "NUMBER 5", "MARK .",
+        "MARK }", "COMMENT #end",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a." * 40_000,
+        "<" * 60_000,
+        '"' * 60_001,
+        "'\\" * 30_000,
+        '"""' + "a" * 60_000,
+        '"""\'' * 16_000,
+        "a" * 60_000 + ".",
+        "a" + "." * 60_000,
+        "?" * 60_000,
+        "ex:" + "\\-" * 30_000,
+        "ex:" + "." * 60_000,
+        "_:" + "a." * 30_000,
+        "1." * 30_000,
+        "@en" + "-a" * 30_000,
+        "#\n" * 30_000,
+    ],
+    ids=lambda text: repr(text[:6]),
+)
+def test_time_is_linear_in_the_text(text: str) -> None:
+    def seconds(size: int) -> float:
+        begun = time.process_time()
+        for _ in tokens(text[:size]):
+            pass
+        return time.process_time() - begun
+
+    quarter, whole = min(seconds(len(text) // 4) for _ in range(3)), min(seconds(len(text)) for _ in range(3))
+    assert whole < 9 * quarter + 0.02  # four times as long, not sixteen
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "SELECT * { SERVICE <%s> { ?s ?p ?o } }",
+        "SELECT * { service silent ?x { ?s ?p ?o } }",
+        "SELECT * { SerVice<%s>{} }",
+        "SELECT * { SERVICESILENT<%s>{} }",
+        "PREFIX ex: <%s> SELECT * { SERVICEex: {} }",
+        "PREFIX ex: <%s> PREFIX SERVICEex: <h:> SELECT * { SERVICEex: {} }",
+        "SELECT * { ?a ?b trueSERVICE <%s> {} }",
+        "SELECT * { ?a ?b 1SERVICE <%s> {} }",
+        "SELECT * { # c\rSERVICE <%s> {} }",
+        "SELECT * { # '''\nSERVICE <%s> {} # '''\n }",
+        "SELECT * { FILTER EXISTS { SERVICE <%s> {} } }",
+        "SELECT * { OPTIONAL{}SERVICE <%s> {} }",
+    ],
+)
+def test_service_is_refused_however_it_is_written(text: str) -> None:
+    assert "SERVICE" in refusal(text.replace("%s", EVIL)).detail
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "SELECT * { \\u0053ERVICE <h:x> {} }",
+        "SELECT * { ?a ?b 'x\\u0027 . SERVICE <h:x> {} . ?a ?b \\u0027' }",
+        "SELECT * { ?a ?b '\\\\u0027' }",
+        'SELECT * { ?a ?b "\\u0022" }',
+        "SELECT * { ?a ?b <h:a\\u003E> }",
+        "SELECT * { ?a ?b <h:a\\u0020b> }",
+        "SELECT * { ?a ?b '\\U0000000A' }",
+        "SELECT * { ?a ?b 'a\\uD800' }",
+        "SELECT * { ?a ?b '\\U00110000' }",
+        "SELECT * { ?a ?b <h:a\\b> }",
+        "SELECT * { ?a ?b 'open }",
+        'SELECT * { ?a ?b """open" }',
+        "SELECT * { ?a ?b ?c\x00 }",
+        "SELECT * { ?a ?b\u00a0?c }",
+        "SELECT * { ?a ?b\x0c?c }",
+        "SELECT * { <<?a ?b ?c>> ?p ?o }",
+        "SELECT * { ?a ?b ?c {| ?d ?e |} }",
+        "SELECT * { ?a ?b ?c ~ ?d }",
+    ],
+)
+def test_what_could_be_read_in_two_ways_or_not_at_all_is_400(text: str) -> None:
+    assert refusal(text).status == 400
+
+
+def test_escapes_that_mean_letters_are_taken_in_strings_and_iris() -> None:
+    check('SELECT * { <http://h/\\u0061> ?p "\\u00e4 \\\\ \\" \\n", \'\\U0001F600\' }')
+
+
+def test_words_in_strings_iris_and_comments_are_no_keywords() -> None:
+    check('SELECT * { <http://SERVICE/> ex:SERVICE "SERVICE" # SERVICE\n }')
+    check("SELECT ?SERVICE { ?SERVICE ?p '''LOAD <x>''' }")
+
+
+def test_comments_are_blanked_and_positions_stay() -> None:
+    text = "SELECT * # one\n{ ?s ?p <h:a#b> } # two"
+    checked = check(text)
+    assert len(checked.text) == len(text)
+    assert checked.text.split() == ["SELECT", "*", "{", "?s", "?p", "<h:a#b>", "}"]
+
+
+@pytest.mark.parametrize("bracket", ["{}", "()", "[]"])
+def test_nesting_is_bounded_and_the_place_told(bracket: str) -> None:
+    nested = bracket[0] * 200 + bracket[1] * 200
+    assert refusal(f"SELECT *\n{nested}").detail.endswith("2:129.")
+    check("SELECT * " + bracket[0] * 128 + bracket[1] * 128)
+
+
+CHAINS: list[Callable[[int], str]] = [
+    lambda n: f"SELECT * {{ ?s ?p ?o FILTER({'!' * n}?o) }}",
+    lambda n: f"SELECT * {{ ?s ?p ?o FILTER({'+'.join(['1'] * n)}) }}",
+    lambda n: f"SELECT * {{ ?s ?p ?o FILTER({'||'.join(['?s'] * n)}) }}",
+    lambda n: f"SELECT * {{ {'UNION'.join(['{}'] * n)} }}",
+    lambda n: f"SELECT * {{ {'FILTER(?s)' * n} }}",
+    lambda n: f"SELECT * {{ {''.join(f'BIND(1 AS ?b{i})' for i in range(n))} }}",
+    lambda n: f"SELECT * {{ {'MINUS{}' * n} }}",
+    lambda n: f"SELECT * {{ {'OPTIONAL{}' * n} }}",
+    lambda n: f"SELECT {''.join(f'(1 AS ?a{i})' for i in range(n))} {{ }}",
+    lambda n: f"SELECT * {{ ?s ?p ?o }} HAVING {'(1)' * n}",
+]
+
+
+@pytest.mark.parametrize("chain", CHAINS)
+def test_long_chains_that_would_overflow_the_parsers_stack_are_refused(chain: Callable[[int], str]) -> None:
+    check(chain(100))
+    assert "at most 1000" in refusal(chain(3000)).detail
+
+
+def test_inline_data_may_be_long() -> None:
+    check(f"SELECT * {{ VALUES (?a ?b) {{ {'(1 2)' * 5000} }} }}")
+    refusal(f"SELECT * {{ VALUES (?a ?b) {{ (1 2) }} FILTER({'!' * 3000}?a) }}")
+
+
+def test_size_is_bounded() -> None:
+    assert refusal("SELECT * { }" + " " * 100, Bounds(size=50)).status == 413
+
+
+def test_an_update_is_known_by_its_first_keyword() -> None:
+    def keyword(text: str) -> str | None:
+        return update_keyword(check(text).tokens)
+
+    assert keyword("PREFIX a: <h:> # x\nBASE <h:y> insert data { }") == "INSERT"
+    assert keyword("LOAD <h:x>") == "LOAD"
+    assert keyword("SELECT ?delete { ?s ?p 'DROP' }") is None
+
+
+def test_places_are_lines_and_columns_from_one() -> None:
+    assert place("ab\ncd", 4) == "2:2"
+    assert place("", 0) == "1:1"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "INSERT DATA { GRAPH <h:g> { <h:a> <h:b> 1 } }",
+        "WITH <h:g> DELETE { ?s ?p ?o } WHERE { ?s ?p ?o }",
+        "DELETE { ?s ?p ?o } USING <h:g> WHERE { ?s ?p ?o }",
+        "LOAD <http://127.0.0.1:9/x>",
+        "LOADSILENT<http://127.0.0.1:9/x>",
+        "INSERT DATA { };load <http://127.0.0.1:9/x>",
+        "PREFIX LOADx: <h:> PREFIX x: <h:> LOADx:y",
+        "CLEAR ALL",
+        "DROP ALL",
+        "CREATE GRAPH <h:g>",
+        "COPY <h:a> TO <h:b>",
+        "ADD <h:a> TO <h:b>",
+        "MOVE <h:a> TO <h:b>",
+        "INSERT { ?s ?p 1 } WHERE { { SELECT * { GRAPHex:g { ?s ?p ?o } } } }",
+    ],
+)
+def test_an_update_of_one_graph_reaches_no_other(text: str) -> None:
+    with pytest.raises(Problem) as caught:
+        check_update_of_one_graph(text)
+    assert caught.value.status == 422
+
+
+def test_an_update_of_one_graph_may_delete_and_insert() -> None:
+    check_update_of_one_graph('PREFIX p: <h:p#> DELETE { ?m p:x ?x } INSERT { ?m p:x "GRAPH" } WHERE { ?m p:x ?x }')
+
+
+@settings(max_examples=200)
+@given(st.text(alphabet="SERVICEservice <>{}?x'\"\\u0053#\n.:", max_size=60))
+def test_whatever_is_let_through_holds_no_service_outside_strings_iris_and_names(text: str) -> None:
+    try:
+        checked = check(text)
+    except Problem:
+        return
+    assert not any("SERVICE" in token.text.upper() for token in checked.tokens if token.kind is Kind.WORD)

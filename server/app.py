@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from urllib.parse import quote
 
 from starlette.requests import Request
 from starlette.responses import Response
@@ -87,7 +88,7 @@ class Application:
             response = await self._answer(exchange, origin)
         except Exception as error:
             response = self._failure(exchange, error)
-        if origin is not None or self._site.shared:
+        if origin is not None or self._site.shared or self._site.anybody:
             _share(response, sharing(self._site, exchange.method, origin))
         await response(scope, receive, send)
 
@@ -114,7 +115,9 @@ class Application:
         if not isinstance(error, Problem):
             _log.exception("%s %s failed", exchange.method, exchange.request.scope["path"], exc_info=error)
             error = Problem(500, "The server failed on this request; its log says more.")
-        return self._pages.problem(exchange, error) or render(error, exchange.accept).response()
+        path = quote(exchange.request.scope["raw_path"].lstrip(b"/"), safe="/%:@!$&'()*+,;=~")
+        url = self.robot.space.base + path
+        return self._pages.problem(exchange, error) or render(error, exchange.accept, url=url).response()
 
 
 def _share(response: Response, headers: Mapping[str, str]) -> None:

@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import product
 
 from rosld.adapters.model import MessageSchema, RosError, Schema, ServiceSchema, Topic, names
 from rosld.ontology.describe_bags import bag_document
@@ -73,12 +74,12 @@ class Dataset:
     def _wanted(self, needs: Needs) -> Iterator[Resource]:
         robot = self._robot
         if needs.messages:
-            named = needs.graphs
             subscribed = frozenset(robot.topics.subscribed())
-            for topic in self._candidates(named):
+            definite = Needs(tuple(demand for demand in needs.demands if not demand.anything))
+            for topic in self._candidates(needs.graphs):
                 url = robot.space.topic(topic.name)
-                sought = not needs.everything or url in (named or ()) or topic.name in subscribed
-                if sought and needs.wants_topic(url, self._types_within(topic)):
+                asked = needs if topic.name in subscribed else definite  # looking at anything subscribes to nothing new
+                if asked.wants_topic(url, self._types_within(topic)):
                     yield TopicResource(robot, topic.name)
         if needs.parameters:
             for name in robot.graph.parameters:
@@ -163,8 +164,11 @@ class Dataset:
     def _types(self) -> Iterator[GraphEntry]:
         space = self._robot.space
         listed = tuple(sorted({ref.name for ref in known_types(self._robot)}))
-        for room in ("types", "shapes"):
-            yield _described(space.container(room), listed, partial(type_container_document, room, (), listed, space))
+        paths = {tuple(name.split("/"))[:depth] for name in listed for depth in range(3)} | {()}
+        for room, path in product(("types", "shapes"), sorted(paths)):
+            below = tuple(name for name in listed if tuple(name.split("/"))[: len(path)] == path)
+            describe = partial(type_container_document, room, path, below, space)
+            yield _described(space.container(room, path), below, describe)
         for schema in self._robot.schemas.all():
             yield from self._type(schema)
 
@@ -179,6 +183,9 @@ class Dataset:
         space = self._robot.space
         for recording in self._robot.adapter.recordings.values():
             yield _described(space.bag(recording.name), 0, partial(bag_document, recording, space))
+        calls = tuple(space.call(call.id) for call in self._robot.calls.all())
+        listed = partial(container_document, space.container("calls"), calls, "Calls")
+        yield _described(space.container("calls"), calls, listed)
         for call in self._robot.calls.all():
             resource = CallResource(self._robot, call.id)
             yield _described(resource.url, (call.id, call.state), partial(resource.document, call))

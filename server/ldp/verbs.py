@@ -231,7 +231,10 @@ _ACCEPT_FIELDS = {"PUT": "Accept-Put", "POST": "Accept-Post", "PATCH": "Accept-P
 def standing_headers(resource: Resource) -> dict[str, str]:
     """The headers every answer about a resource has: Allow, Link, and Accept-* for the writes it takes."""
     methods = resource.methods()
-    headers = {"allow": ", ".join(sorted(methods)), "link": link.render(resource.links)}
+    links = resource.links
+    if resource.constrained_by is not None:
+        links = (*links, link.Link(resource.constrained_by, f"{LDP}constrainedBy"))
+    headers = {"allow": ", ".join(sorted(methods)), "link": link.render(links)}
     for method, accepted in resource.accepts.items():
         if method in methods:
             headers[_ACCEPT_FIELDS[method].lower()] = ", ".join(accepted)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 from starlette.responses import Response
 
@@ -139,7 +140,8 @@ class BagMessage(Resource):
 
         def describe() -> Document:
             found = lifted(robot, decoded) if decoded.message is not None else None
-            return bag_message_document(recording, message, robot.space, found, unreadable=decoded.reason)
+            said = bag_message_document(recording, message, robot.space, found, unreadable=decoded.reason)
+            return replace(said, simulated_time=robot.graph.simulated_time)
 
         return robot.states.keep(self.url, 0, State(describe, plain))
 

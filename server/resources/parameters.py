@@ -63,6 +63,13 @@ class _Parameters(Resource):
         deadline = self.robot.deadline(self.robot.settings.call_deadline)
         return (await self.robot.adapter.get_parameters([self.name], deadline=deadline)).get(self.name)
 
+    def _plain(self, value: ParameterValue) -> bytes:
+        """The value as plain JSON; a 406 Problem for one that another node nested too deep to be shown."""
+        try:
+            return parameter_json(value)
+        except ValueError as error:
+            raise Problem(406, f"{self.name} cannot be shown: {error}.") from error
+
     async def _set(self, values: Mapping[str, ParameterValue]) -> None:
         deadline = self.robot.deadline(self.robot.settings.call_deadline)
         await self.robot.adapter.set_parameters(values, deadline=deadline)
@@ -104,7 +111,7 @@ class ParameterResource(_Parameters):
         return self.robot.space.container("parameters", names.segments(self.name))
 
     def _shown(self, value: ParameterValue) -> State:
-        plain = parameter_json(value)
+        plain = self._plain(value)
         return self.robot.states.get(
             self.url,
             plain,
@@ -198,7 +205,7 @@ class ParameterTree(_Parameters):
             value = {}
         if not isinstance(value, dict):
             raise Problem(404, f"There is no tree of parameters {self.name}.")
-        plain = parameter_json(value)
+        plain = self._plain(value)
         tree = value
         return self.robot.states.get(
             self.url,

@@ -327,28 +327,6 @@ def test_a_killed_node_and_a_killed_master_are_survived(tmp_path: Path, start_se
         system.close()
 
 
-def test_a_publisher_without_a_queue_keeps_its_rate_while_the_server_is_stopped(
-    ros: Any, start_server: Callable[..., Any]
-) -> None:
-    """The whole process is stopped: what the kernel takes is all that is read, and then the socket must be closed or
-
-    the kernel's buffers fill. rosld's promise is about its server loop, so that is what is kept busy here.
-    """
-    steady = ros.node("steady_node.py", "/steady")
-    served = start_server(ros.source)
-    ready(served, "/topics/steady")
-    until(lambda: served.http.get("/topics/steady", headers=JSON).json(), "a first message")
-    with httpx.Client(base_url=served.url, timeout=60) as busy:
-        end = time.monotonic() + 2.0
-        while time.monotonic() < end:  # the server's loop is at its limit all this time
-            busy.get("/topics/steady")
-    longest = [float(line.split()[1]) for line in steady.seen if line.startswith("longest")]
-    assert longest
-    assert max(longest) < 1.0
-    assert served.stop() == 0
-    steady.stop()
-
-
 @pytest.mark.parametrize("source", ["ros1://127.0.0.1:1", "ros1://no-such-host.invalid:11311"])
 def test_an_unreachable_master_is_said_in_one_line(source: str) -> None:
     command = [sys.executable, "-m", "rosld", "serve", source, "--port", "0"]

@@ -84,6 +84,18 @@ def test_parameters_are_in_the_dataset_as_they_are_now(http: httpx.Client) -> No
     assert rows(http.get("/sparql", params=query, headers={"Accept": "text/csv"})) == [["42"]]
 
 
+def test_a_query_subscribes_to_what_it_names_though_it_also_looks_at_anything(serve: object) -> None:
+    assert callable(serve)
+    served = serve("aircraft")
+    data = f"<{TYPES}std_msgs/msg/Float64#data>"
+    query = {
+        "query": f"SELECT ?v WHERE {{ {{ ?m {data} ?v }} UNION {{ ?t ros:words ?v }} UNION {{ ?a ?b ?v }} }} LIMIT 1"
+    }
+    typed = {"query": f"SELECT ?v WHERE {{ ?m {data} ?v }}"}
+    assert served.http.get("/sparql", params=query).status_code == 200
+    assert rows(served.http.get("/sparql", params=typed, headers={"Accept": "text/csv"})) == [["0"]]
+
+
 @pytest.mark.parametrize(
     ("query", "status"),
     [

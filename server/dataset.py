@@ -103,7 +103,7 @@ class Dataset:
         found: set[str] = set()
         for ref in topic.types:
             found.add(ref.name)
-            schema = self._robot.schemas.at_hand(ref)
+            schema = self._robot.schemas.at_hand(ref) or self._robot.schemas.named(ref.name)
             if isinstance(schema, MessageSchema):
                 found.update(schema.types)
         return frozenset(found)

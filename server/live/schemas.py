@@ -15,6 +15,7 @@ class Schemas:
         self._adapter = adapter
         self._patience = patience
         self._known: dict[TypeRef, Schema] = {}
+        self._named: dict[str, Schema] = {}
 
     @property
     def count(self) -> int:
@@ -29,13 +30,17 @@ class Schemas:
         """The schema if it was asked for before, without asking."""
         return self._known.get(ref)
 
+    def named(self, name: str) -> Schema | None:
+        """A schema at hand of this name, whatever its hash."""
+        return self._named.get(name)
+
     async def find(self, ref: TypeRef) -> Schema:
         """The schema of a type; raises UnknownType (and Unreachable, TimedOut of adapters that must ask)."""
         if (known := self._known.get(ref)) is not None:
             return known
         deadline = asyncio.get_running_loop().time() + self._patience
         schema = await self._adapter.schema(ref, deadline=deadline)
-        self._known[schema.ref] = schema
+        self._known[schema.ref] = self._named[schema.ref.name] = schema
         if ref.hash is not None:
             self._known[ref] = schema
         return schema

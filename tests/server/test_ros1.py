@@ -256,7 +256,8 @@ def test_roscpp_s_relay_carries_what_is_put(ros: Any, robot: Any) -> None:
         answer = robot.http.put("/topics/relay_in", content=string, headers={"Content-Type": "text/turtle"})
         assert answer.status_code in (201, 202, 204), answer.text
         read = robot.http.get("/topics/relay_out", headers=JSON)
-        return read.status_code == 200 and read.json() == {"data": "through C++"}
+        heard = any(line.startswith("heard") for line in listener.seen)  # it connects a moment after the relay speaks
+        return heard and read.status_code == 200 and read.json() == {"data": "through C++"}
 
     until(arrives, "the message at the relay's end")
     assert json.loads(listener.line("heard").removeprefix("heard ")) == {"data": "through C++"}

@@ -27,8 +27,8 @@ _KEPT = 512
 class Analysis:
     """A query fit to be asked: `text` is what goes to the store.
 
-    `form` is SELECT, ASK, CONSTRUCT or DESCRIBE, None where only the store can tell. `needs` are those over all graphs;
-    `default_graphs` and `named_graphs` are its FROM and FROM NAMED. `lasting`: the answer is the same for as long as the
+    `form` is SELECT, ASK, CONSTRUCT or DESCRIBE, None where only the store can tell. `needs` are over all graphs, its
+    FROM and FROM NAMED being `default_graphs` and `named_graphs`. `lasting`: the answer is the same for as long as the
     dataset is. `quick`: it follows single values from constants, so that its answer is small and takes less time than
     going to another thread. `prefixes`: those of the server that its names use.
     """

@@ -163,6 +163,9 @@ class Evaluation(io.RawIOBase):
             error = refused(error)
         elif not isinstance(error, Problem):
             error = Problem(500, f"The query failed: {error}.")
+        # What an error remembers of its way holds the store's results, which must end in the thread they began in.
+        error = error.with_traceback(None)
+        error.__cause__ = error.__context__ = None
         if self._sent:
             call_soon(self._loop, self._chunks.put_nowait, error)
         else:

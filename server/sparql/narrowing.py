@@ -46,7 +46,7 @@ class _Search:
         for part in facts.parts:
             self._demand(part, facts)
         for pattern in group.patterns:
-            self._demand_apart(pattern, group, facts)
+            self._demand_apart(pattern, group)
         for child in group.children:
             before = Facts(self._terms, group.graph, group.patterns[: child.after], child.bound, around)
             self.group(child.group, before.variables)
@@ -71,14 +71,14 @@ class _Search:
             types = frozenset() if live.parameters else part.said.types
             self.demands.append(Demand(part.said.graphs, types, live.messages, live.parameters))
 
-    def _demand_apart(self, pattern: Pattern, group: Group, facts: Facts) -> None:
+    def _demand_apart(self, pattern: Pattern, group: Group) -> None:
         """The demands of a path whose matches stand in no one graph, or that may be empty between any nodes."""
         live = NEITHER
         graphs = frozenset({group.graph.value}) if isinstance(group.graph, Iri) else None
-        if _is_free(pattern, group, facts):
+        if _is_free(pattern, group):
             live = BOTH
-            if graphs is None and not isinstance(group.graph, Variable):
-                graphs = _documents(pattern)
+            if group.graph is None:
+                graphs = _found_in(pattern, group, self._terms)
         elif is_loose(pattern, self._terms):
             live = self._terms.live(pattern, UNKNOWN)
         if any(live):
@@ -90,8 +90,8 @@ def is_loose(pattern: Pattern, terms: Terms) -> bool:
     return pattern.repeated and (pattern.predicates is None or not all(map(terms.stays, pattern.predicates)))
 
 
-def _is_free(pattern: Pattern, group: Group, facts: Facts) -> bool:
-    """Whether it may be empty between what nothing else binds: the store matches any term that it finds in a graph.
+def _is_free(pattern: Pattern, group: Group) -> bool:
+    """Whether it may be empty between what no other pattern binds: the store matches any term that it finds in a graph.
 
     (With every node, between two variables; SPARQL 1.1, 18.4, would match a constant that is nowhere, too.)
     """
@@ -105,13 +105,18 @@ def _is_free(pattern: Pattern, group: Group, facts: Facts) -> bool:
         for term in (other.subject, other.object)
         if isinstance(term, Variable)
     }
-    return not ends & (others | facts.outside | group.bound.keys())
+    return not ends & others
 
 
-def _documents(pattern: Pattern) -> frozenset[str] | None:
-    """The documents of the constants of a pattern, of which it must match one; None where it has others or none."""
-    ends = [term for term in (pattern.subject, pattern.object) if not isinstance(term, Variable)]
-    return frozenset(document(one.value) for one in ends if isinstance(one, Iri)) or None
+def _found_in(pattern: Pattern, group: Group, terms: Terms) -> frozenset[str] | None:
+    """The only live documents that an end of the path can be found in; None where it can be any."""
+    for term in (pattern.subject, pattern.object):
+        iris = group.bound.get(term.name) if isinstance(term, Variable) else None
+        if isinstance(term, Iri):
+            iris = frozenset({term.value})
+        if iris is not None and not any(map(terms.is_everywhere, iris)):
+            return frozenset(map(document, iris))
+    return None
 
 
 @dataclass(eq=False)
@@ -142,7 +147,6 @@ class Facts:
         self._leaders: dict[str, str] = {}
         self._subjects: dict[str, Said] = {}
         self._rooted: set[str | None] = set()
-        self.outside = frozenset(around)
         held = [pattern for pattern in patterns if not is_loose(pattern, terms)]
         self._note_nodes(held, bound)
         for pattern in held:

@@ -117,6 +117,10 @@ class Terms:
         """The message type (`geometry_msgs/msg/Twist`) that an IRI is the class, or a property, of."""
         return unquote(document(iri[len(self.types) :])) if iri.startswith(self.types) else None
 
+    def is_everywhere(self, iri: str) -> bool:
+        """Whether live values of any graph can hold this IRI, of those that no description needs to hold."""
+        return iri == rdf.nil.value or iri.startswith(self.types)
+
     def stays(self, predicate: str) -> bool:
         """Whether the object of a live triple with this predicate, if it is a node, stands in the same graph."""
         return predicate in _STAYS or predicate.startswith(self.types)

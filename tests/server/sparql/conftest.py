@@ -1,0 +1,139 @@
+"""A robot of many topics as a source of graphs, and a query service over it. Nothing of it talks to ROS."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from typing import Any, TypeVar
+
+import pytest
+
+from rosld.server.sparql.analysis import Analyser
+from rosld.server.sparql.endpoint import QueryAnswer, QueryService, QuerySettings
+from rosld.server.sparql.functions import functions
+from rosld.server.sparql.needs import Needs
+from rosld.server.sparql.protocol import QueryRequest
+from rosld.server.sparql.sync import GraphEntry, Synchroniser
+from rosld.server.store import MemoryStore
+
+BASE = "http://robot/"
+TYPES = "https://w3id.org/rosld/types/"
+ROS = "https://w3id.org/rosld#"
+TYPE = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
+DOUBLE = "http://www.w3.org/2001/XMLSchema#double"
+SETTINGS = QuerySettings()
+_T = TypeVar("_T")
+
+
+class RobotSource:
+    """`count` topics `t0`, `t1`, ...; topic n has messages of type `p/msg/T{n % 10}` with `fields` doubles."""
+
+    def __init__(self, count: int = 20, fields: int = 3) -> None:
+        self.count = count
+        self.fields = fields
+        self.revision = 0
+        self.values: dict[int, int] = dict.fromkeys(range(count), 0)
+        self.silent: set[int] = set()
+        self.bags: dict[str, str] = {}
+        self.looks: list[Needs] = []
+        self.rendered: list[str] = []
+        self.pause: Callable[[], Coroutine[Any, Any, None]] | None = None
+
+    def url(self, topic: int) -> str:
+        return f"{BASE}topics/t{topic}"
+
+    def tick(self) -> None:
+        """A new message on every topic."""
+        for topic in self.values:
+            self.values[topic] += 1
+
+    def descriptions(self) -> Mapping[str, GraphEntry]:
+        return {self.url(topic): self._entry(topic, False) for topic in range(self.count)}
+
+    async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
+        self.looks.append(needs)
+        if self.pause is not None:
+            await self.pause()
+        found = [
+            self._entry(topic, True)
+            for topic in self._named(needs)
+            if topic not in self.silent and needs.wants_topic(self.url(topic), {f"p/msg/T{topic % 10}"})
+        ]
+        return [*found, *(self._bag(iri) for iri in self.bags if iri in needs.documents)]
+
+    def _named(self, needs: Needs) -> Sequence[int]:
+        if needs.graphs is None:
+            return range(self.count)
+        start = f"{BASE}topics/t"
+        named = [int(iri.removeprefix(start)) for iri in sorted(needs.graphs) if iri.startswith(start)]
+        return [topic for topic in named if topic < self.count]
+
+    def _bag(self, iri: str) -> GraphEntry:
+        return GraphEntry(iri, self.bags[iri], lambda: f'<{iri}> <{ROS}words> "{self.bags[iri]}" .\n')
+
+    def _entry(self, topic: int, live: bool) -> GraphEntry:
+        url, value = self.url(topic), self.values[topic]
+
+        def ntriples() -> str:
+            self.rendered.append(url)
+            return self._described(url) + (self._message(url, topic, value) if live else "")
+
+        return GraphEntry(url, (self.revision, value) if live else self.revision, ntriples)
+
+    def _described(self, url: str) -> str:
+        return (
+            f"<{url}> <{TYPE}> <{ROS}Topic> .\n"
+            f'<{url}> <{ROS}name> "{url.removeprefix(BASE + "topics")}" .\n'
+            f"<{url}> <{ROS}namespace> <{BASE}revisions/{self.revision}> .\n"
+        )
+
+    def _message(self, url: str, topic: int, value: int) -> str:
+        fields = "".join(
+            f'<{url}#message> <{TYPES}p/msg/T{topic % 10}#f{at}> "{value + at}.5"^^<{DOUBLE}> .\n'
+            for at in range(self.fields)
+        )
+        return f"<{url}> <{ROS}latest> <{url}#message> .\n{fields}"
+
+
+class Endpoint:
+    """A query service over a source, for use within one running loop."""
+
+    def __init__(self, source: RobotSource, settings: QuerySettings = SETTINGS, interval: float = 0.2) -> None:
+        self.source = source
+        self.store = MemoryStore()
+        self.synchroniser = Synchroniser(self.store, source, interval=interval)
+        self.service = QueryService(
+            self.store, self.synchroniser, Analyser(BASE, TYPES), functions(lambda url: None), settings
+        )
+
+    async def answer(self, query: str, accept: str | None = "text/csv") -> QueryAnswer:
+        return await self.service.answer(QueryRequest(query), accept)
+
+    async def text(self, query: str, accept: str | None = "text/csv") -> str:
+        """The whole answer."""
+        body = (await self.answer(query, accept)).body
+        return (body if isinstance(body, bytes) else b"".join([chunk async for chunk in body])).decode()
+
+    async def rows(self, query: str) -> list[str]:
+        """The sorted rows of a SELECT."""
+        return sorted((await self.text(query)).split("\r\n")[1:-1])
+
+
+@pytest.fixture
+def make_source() -> type[RobotSource]:
+    return RobotSource
+
+
+@pytest.fixture
+def make_endpoint() -> type[Endpoint]:
+    return Endpoint
+
+
+@pytest.fixture
+def run() -> Callable[[Coroutine[Any, Any, _T]], _T]:
+    """Runs a coroutine on a loop of its own."""
+
+    def running(coroutine: Coroutine[Any, Any, _T]) -> _T:
+        return asyncio.run(asyncio.wait_for(coroutine, 60))
+
+    return running

@@ -14,7 +14,7 @@ from starlette.responses import Response
 
 from rosld.ontology.serialize import Syntax
 from rosld.server.html import Form, Listing, Notice, Page, Site, Step, render_page
-from rosld.server.http.link import Link
+from rosld.server.http.link import Link, uri
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.state import State
@@ -128,6 +128,11 @@ Answer: TypeAlias = Response | Created
 
 def _not_there(resource: Resource, method: str) -> Problem:
     return Problem(405, resource.why_not(method), headers={"Allow": allow(resource)})
+
+
+def moved(url: str) -> Problem:
+    """308: what was asked for is at `url` (RFC 9110 15.4.9)."""
+    return Problem(308, f"It is at {url}", title="Moved", headers={"Location": uri(url)})
 
 
 def allow(resource: Resource) -> str:

@@ -17,7 +17,7 @@ from rosld.server.html import Step
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
+from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
 from rosld.server.ldp.state import State
 from rosld.server.resources.topics import decode, field_response, lifted
 from rosld.server.robot import Robot
@@ -172,7 +172,7 @@ def bag_room(robot: Robot, location: Location) -> Resource:
 
 def _slash(robot: Robot, location: Location) -> Resource:
     url = robot.space.container("bags", location.segments)
-    raise Problem(308, f"It is at {url}", title="Moved", headers={"Location": url})
+    raise moved(url)
 
 
 def _recording(robot: Robot, name: str) -> Recording:

@@ -14,7 +14,7 @@ from rosld.ontology.urls import Space
 from rosld.server.html import Listing
 from rosld.server.html.page import Cell
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
+from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
 from rosld.server.ldp.state import State
 from rosld.server.robot import Robot
 
@@ -48,7 +48,7 @@ def moved_to_namespace(robot: Robot, room: str, name: str) -> Problem | None:
     if path not in namespaces(robot.graph, room):
         return None
     url = robot.space.container(room, path)
-    return Problem(308, f"It is at {url}", title="Moved", headers={"Location": url})
+    return moved(url)
 
 
 def _topic_cells(topic: Topic, space: Space) -> tuple[Cell, ...]:
@@ -105,5 +105,5 @@ class NamespaceContainer(Resource):
         name = names.join(self.namespace)
         if name in of_room(self.robot.graph, self.room):
             leaf = self.robot.space.url(self.room, self.namespace)
-            return Problem(308, f"It is at {leaf}", title="Moved", headers={"Location": leaf})
+            return moved(leaf)
         return Problem(404, f"There is no namespace {name} under /{self.room}/.")

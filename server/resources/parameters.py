@@ -34,6 +34,7 @@ from rosld.server.ldp.resource import (
     Answer,
     Created,
     Resource,
+    moved,
 )
 from rosld.server.ldp.state import State, digest
 from rosld.server.robot import Robot
@@ -104,7 +105,7 @@ class ParameterResource(_Parameters):
         if value is None:
             raise Problem(404, f"There is no parameter {self.name}.")
         if isinstance(value, dict):
-            raise Problem(308, f"It is at {self._tree_url()}", title="Moved", headers={"Location": self._tree_url()})
+            raise moved(self._tree_url())
         return self._shown(value)
 
     def _tree_url(self) -> str:

@@ -21,7 +21,7 @@ from rosld.server.http import negotiation
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import Pages
-from rosld.server.ldp.resource import BASIC_CONTAINER, RESOURCE, Resource
+from rosld.server.ldp.resource import BASIC_CONTAINER, RESOURCE, Resource, moved
 from rosld.server.ldp.resource import RDF_SOURCE as SOURCE_LINK
 from rosld.server.ldp.state import State
 from rosld.server.resources.sparql import HTML, OFFERS, results_of, told, wished
@@ -148,7 +148,7 @@ def query_room(robot: Robot, location: Location, *, queries: Queries, service: Q
         case ():
             url = robot.space.container("queries")
             if not location.is_container:
-                raise Problem(308, f"It is at {url}", title="Moved", headers={"Location": url})
+                raise moved(url)
             return QueryContainer(robot, queries)
         case (name,) if name in queries and not location.is_container:
             return QueryResource(robot, queries[name], service, pages)

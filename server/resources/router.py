@@ -13,7 +13,7 @@ from rosld.ontology.urls import Location, locate
 from rosld.server.html import StoredQuery
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.pages import Pages
-from rosld.server.ldp.resource import Resource
+from rosld.server.ldp.resource import Resource, moved
 from rosld.server.resources.bags import bag_room
 from rosld.server.resources.calls import CallContainer
 from rosld.server.resources.entry import EntryResource
@@ -87,11 +87,6 @@ ROOMS: Mapping[str, Room] = {
     "bags": bag_room,
     "ontology": _single(OntologyResource),
 } | {name: _single(make) for name, make in FILES.items()}
-
-
-def moved(url: str) -> Problem:
-    """308: the same thing is at `url`."""
-    return Problem(308, f"It is at {url}", title="Moved", headers={"Location": url})
 
 
 def _sparql_rooms(robot: Robot, service: QueryService, pages: Pages) -> Mapping[str, Room]:

@@ -10,7 +10,7 @@ from rosld.ontology.describe_types import type_document
 from rosld.ontology.urls import Location
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
+from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
 from rosld.server.ldp.state import State
 from rosld.server.robot import Robot, Same, used_types
 from rosld.shapes.message import shape_document
@@ -114,5 +114,5 @@ def shape_room(robot: Robot, location: Location) -> Resource:
 def _container(robot: Robot, room: str, location: Location) -> Resource:
     if not location.is_container:
         url = robot.space.container(room, location.segments)
-        raise Problem(308, f"It is at {url}", title="Moved", headers={"Location": url})
+        raise moved(url)
     return TypeContainer(robot, room, location.segments)

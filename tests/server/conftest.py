@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import httpx
 import pytest
@@ -41,34 +42,35 @@ def start(*arguments: str) -> Served:
     return Served(process, url)
 
 
-@pytest.fixture
-def serve() -> Iterator[Callable[..., Served]]:
-    """Starts servers that end with the test."""
+@contextmanager
+def servers() -> Iterator[Callable[..., Served]]:
+    """Starts servers, and ends those that still run."""
     running: list[Served] = []
 
     def started(*arguments: str) -> Served:
         running.append(start(*arguments))
         return running[-1]
 
-    yield started
-    for one in running:
-        if one.process.poll() is None:
-            one.stop()
+    try:
+        yield started
+    finally:
+        for one in running:
+            if one.process.poll() is None:
+                one.stop()
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[..., Served]]:
+    """Starts servers that end with the test."""
+    with servers() as started:
+        yield started
 
 
 @pytest.fixture(scope="session")
 def start_server() -> Iterator[Callable[..., Served]]:
-    """As `serve`, for fixtures that outlive a test; whatever still runs at the end is ended."""
-    running: list[Served] = []
-
-    def started(*arguments: str) -> Served:
-        running.append(start(*arguments))
-        return running[-1]
-
-    yield started
-    for one in running:
-        if one.process.poll() is None:
-            one.stop()
+    """As `serve`, for fixtures that outlive a test."""
+    with servers() as started:
+        yield started
 
 
 @pytest.fixture(scope="session")

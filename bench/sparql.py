@@ -1,0 +1,218 @@
+"""SPARQL over live values, as ratios: to the Oxigraph server on the same data, and to the same query without any sync.
+
+Run: python bench/sparql.py [seconds]. Needs `wrk` (Debian: apt-get install wrk) and `pip install oxigraph`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import socket
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import quote
+
+import httpx
+import uvloop
+from web import ROUNDS, measure, serving
+
+from rosld.adapters.model import Encoding, TypeRef
+from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.schema import MessageSchema
+from rosld.ontology.document import Envelope
+from rosld.ontology.lift import TYPES, lifter
+from rosld.ontology.vocab import rdf, ros
+from rosld.server.sparql.analysis import Analyser
+from rosld.server.sparql.endpoint import QueryService, QuerySettings
+from rosld.server.sparql.needs import Needs
+from rosld.server.sparql.protocol import QueryRequest
+from rosld.server.sparql.sync import GraphEntry, Synchroniser
+from rosld.server.store import MemoryStore
+
+BASE = "http://127.0.0.1:8080/"
+TOPICS = 1000
+TURNS = 15
+DATA = f"{TYPES}std_msgs/msg/Float64#data"
+
+
+# Against the Oxigraph server
+
+
+@contextmanager
+def oxigraph() -> Iterator[str]:
+    """The Oxigraph server on a free port, ready to be asked."""
+    command = Path(sys.executable).with_name("oxigraph")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    options = ("serve", "--bind", f"127.0.0.1:{port}", "--union-default-graph")
+    process = subprocess.Popen([str(command), *options], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stderr is not None
+        process.stderr.readline()  # it listens
+        yield f"http://127.0.0.1:{port}/"
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
+def copy(rosld: str, other: str) -> int:
+    """Copy all graphs of one server to the other; how many there are."""
+    with httpx.Client(timeout=30) as http:
+        listed = http.get(f"{rosld}sparql", params={"query": "SELECT DISTINCT ?g { GRAPH ?g { ?s ?p ?o } }"})
+        graphs = [row["g"]["value"] for row in listed.json()["results"]["bindings"]]
+        for graph in graphs:
+            query = f"CONSTRUCT {{ ?s ?p ?o }} WHERE {{ GRAPH <{graph}> {{ ?s ?p ?o }} }}"
+            headers = {"Accept": "application/n-triples"}
+            found = http.get(f"{rosld}sparql", params={"query": query}, headers=headers)
+            put = http.put(
+                f"{other}store",
+                params={"graph": graph},
+                content=found.content,
+                headers={"Content-Type": "application/n-triples"},
+            )
+            put.raise_for_status()
+    return len(graphs)
+
+
+def against_oxigraph(seconds: int) -> None:
+    """Small SELECTs over one live resource, by both servers."""
+    with serving("-m", "rosld", "serve", "aircraft", "--port", "0") as rosld, oxigraph() as other:
+        topic = f"{rosld}topics/aircraft/engine/speed"
+        small = f"SELECT ?x {{ <{topic}> <{ros.latest.value}> ?m . ?m <{DATA}> ?x }}"
+        graph = f"SELECT ?p ?o {{ GRAPH <{topic}> {{ <{topic}#message> ?p ?o }} }}"
+        new = f"SELECT ?x ?r {{ <{topic}> <{ros.latest.value}> ?m . ?m <{DATA}> ?x BIND(RAND() AS ?r) }}"
+        httpx.get(f"{rosld}sparql", params={"query": graph}).raise_for_status()
+        print(f"{copy(rosld, other)} graphs on both\n{'':36}{'rosld/s':>10}{'oxigraph/s':>12}{'ratio':>8}")
+        for label, query in (
+            ("SELECT, one value at 10 Hz", small),
+            ("SELECT, a message's graph at 10 Hz", graph),
+            ("SELECT, never the same (RAND)", new),
+        ):
+            urls = (f"{rosld}sparql?query={quote(query)}", f"{other}query?query={quote(query)}")
+            pairs = [tuple(measure(url, seconds) for url in urls) for _ in range(ROUNDS)]
+            failures = sum(one.failures for pair in pairs for one in pair)
+            ours, theirs = (statistics.median(pair[at].per_second for pair in pairs) for at in (0, 1))
+            ratio = statistics.median(pair[0].per_second / pair[1].per_second for pair in pairs)
+            print(f"{label:36}{ours:10.0f}{theirs:12.0f}{ratio:8.2f}" + (f"  {failures} failed" if failures else ""))
+
+
+# A thousand topics, all changed since the last query
+
+
+class Robot:
+    """A thousand topics of Twists, lifted as they are in the server."""
+
+    revision = 0
+
+    def __init__(self) -> None:
+        library = TypeLibrary(ros_version=1)
+        schema = library.find(TypeRef("geometry_msgs/msg/Twist"))
+        assert isinstance(schema, MessageSchema)
+        self._lifter = lifter(schema)
+        self._types = frozenset(schema.types)
+        vector = schema.codec.build("geometry_msgs/msg/Vector3", {"x": 1.5, "y": -0.25, "z": 3.0})
+        message = schema.codec.build(schema.ref.name, {"linear": vector, "angular": vector})
+        self._message = schema.codec.decode(schema.codec.encode(message, Encoding.ROS1), Encoding.ROS1)
+        self._turn = 0
+        self._urls = [f"{BASE}topics/t{number}" for number in range(TOPICS)]
+        self._descriptions = {url: GraphEntry(url, 0, lambda url=url: self._described(url)) for url in self._urls}  # type: ignore[misc]
+
+    def tick(self) -> None:
+        """A new message on every topic."""
+        self._turn += 1
+
+    def descriptions(self) -> Mapping[str, GraphEntry]:
+        return self._descriptions
+
+    async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
+        named = self._urls if needs.graphs is None else sorted(needs.graphs)
+        return [self._entry(url) for url in named if needs.wants_topic(url, self._types)]
+
+    def _entry(self, url: str) -> GraphEntry:
+        turn = self._turn
+        return GraphEntry(url, turn, lambda: self._described(url) + self._lifted(url, turn))
+
+    def _described(self, url: str) -> str:
+        return (
+            f"<{url}> {rdf.type} {ros.Topic} .\n"
+            f'<{url}> {ros.name} "{url.removeprefix(BASE)}" .\n'
+            f"<{url}> {ros.publisher} <{BASE}nodes/driver> .\n"
+        )
+
+    def _lifted(self, url: str, turn: int) -> str:
+        envelope = Envelope(1_700_000_000_000_000_000 + turn, turn, f"{BASE}nodes/driver")
+        text = self._lifter.ntriples(self._message, url, "#message", envelope=envelope)
+        return f"<{url}> {ros.latest} <{url}#message> .\n{text}"
+
+
+async def milliseconds(service: QueryService, query: str, before: Callable[[], None]) -> float:
+    """The median time of an answer."""
+    times = []
+    for _ in range(TURNS):
+        before()
+        await asyncio.sleep(0.25)  # longer than one look at everything is good for
+        begun = time.perf_counter()
+        body = (await service.answer(QueryRequest(query), "text/csv")).body
+        if not isinstance(body, bytes):
+            async for _chunk in body:
+                pass
+        times.append(time.perf_counter() - begun)
+    return statistics.median(times) * 1e3
+
+
+async def longest_hold(service: QueryService, query: str, before: Callable[[], None]) -> float:
+    """The longest that anything else on the loop waited while the query was answered, in milliseconds."""
+    held: list[float] = []
+    ended = asyncio.Event()
+
+    async def watch() -> None:
+        while not ended.is_set():
+            begun = time.perf_counter()
+            await asyncio.sleep(0.0005)
+            held.append(time.perf_counter() - begun - 0.0005)
+
+    watcher = asyncio.ensure_future(watch())
+    await milliseconds(service, query, before)
+    ended.set()
+    await watcher
+    return max(held) * 1e3
+
+
+async def a_thousand_topics() -> None:
+    """What a sync costs the query that needs it, and everybody else."""
+    robot, store = Robot(), MemoryStore()
+    settings = QuerySettings(kept=0)
+    service = QueryService(store, Synchroniser(store, robot), Analyser(BASE, TYPES), settings=settings)
+    ten = " ".join(f"<{BASE}topics/t{number}>" for number in range(10))
+    over_ten = f"SELECT ?p ?o {{ VALUES ?t {{ {ten} }} ?t ros:latest ?m . ?m ?p ?o }}"
+    wildcard = "SELECT (COUNT(*) AS ?n) { ?s ?p ?o }"
+    await milliseconds(service, wildcard, robot.tick)
+    rows = {
+        f"10 of {TOPICS} topics": over_ten,
+        "wildcard": wildcard,
+    }
+    print(f"{'':36}{'changed':>10}{'unchanged':>12}{'ratio':>8}")
+    for label, query in rows.items():
+        changed = await milliseconds(service, query, robot.tick)
+        unchanged = await milliseconds(service, query, lambda: None)
+        print(f"{label:36}{changed:7.1f} ms{unchanged:9.1f} ms{changed / unchanged:8.2f}")
+    hold = await longest_hold(service, wildcard, robot.tick)
+    print(f"{'longest hold of anything else':36}{hold:7.1f} ms")
+
+
+def main() -> None:
+    """Print the tables."""
+    if shutil.which("wrk") is None:
+        raise SystemExit("bench/sparql.py needs wrk: apt-get install wrk")
+    against_oxigraph(int(sys.argv[1]) if len(sys.argv) > 1 else 4)
+    uvloop.run(a_thousand_topics())
+
+
+if __name__ == "__main__":
+    main()

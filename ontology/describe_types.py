@@ -140,7 +140,7 @@ def written(kind: FieldType) -> str:
 
 
 def value_type(kind: FieldType, space: Space) -> NamedNode:
-    """What the values of a field are in RDF: a class or a datatype (DESIGN section 4)."""
+    """What the values of a field are in RDF: a class or a datatype."""
     if isinstance(kind, Nested):
         return NamedNode(space.class_of(kind.name))
     if isinstance(kind, Primitive):

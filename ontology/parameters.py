@@ -1,4 +1,4 @@
-"""Parameter values to RDF and to plain JSON, and back (DESIGN section 4).
+"""Parameter values to RDF and to plain JSON, and back.
 
 A scalar is its XSD literal. A list (and a dict within a list) is one rdf:JSON literal. A dict is a container whose
 members are parameters. Where JSON has no form for a value (NaN, octets, a date, an integer beyond 2^53) it is an

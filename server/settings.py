@@ -198,7 +198,7 @@ def parse(name: str, text: str) -> int | float | str:
 
 
 def bound(settings: Settings, port: int, *, base_given: bool) -> Settings:
-    """The settings once the port is known: the base follows the address unless it was given; see DESIGN's safety.
+    """The settings once the port is known: the base follows the address unless it was given.
 
     Beyond loopback the server is read-only. Raises ValueError for a wildcard address without a base URL.
     """

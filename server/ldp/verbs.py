@@ -58,9 +58,11 @@ class Verbs:
             return await self._form(exchange, resource)
         if method not in resource.methods():
             raise Problem(405, resource.why_not(method), headers={"Allow": allow(resource)})
-        await self._check_preconditions(exchange, resource)
         try:
             _check_media_type(exchange, resource)
+            if method != "DELETE":
+                await exchange.body()  # before the preconditions: nothing is to come between them and the write
+            await self._check_preconditions(exchange, resource)
             answer = await _VERBS[method](resource, exchange)
         except (BodyError, LoweringError, Problem) as error:
             raise _constrained(resource, error) from error

@@ -19,7 +19,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
 from rosld.server.ldp.state import State
-from rosld.server.resources.topics import decode, field_response, lifted
+from rosld.server.resources.messages import decode, field_response, lifted
 from rosld.server.robot import Robot
 
 PAGE = 100

@@ -1,4 +1,4 @@
-"""Containers of nodes, topics and services: the namespaces of their names (LDP 5, DESIGN section 3)."""
+"""Containers of nodes, topics and services: the namespaces of their names (LDP 5)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Services, and the calls made of them: POST calls, the call is a resource (DESIGN section 3)."""
+"""Services, and the calls made of them: POST calls, the call is a resource."""
 
 from __future__ import annotations
 

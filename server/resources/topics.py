@@ -1,60 +1,33 @@
-"""Topics: read as their latest messages, written by publishing (paper, Table 2; DESIGN section 3)."""
+"""Topics: read as their latest messages, written by publishing (paper, Table 2)."""
 
 from __future__ import annotations
 
-import asyncio
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import cast
 
-from pyoxigraph import NamedNode
 from starlette.responses import Response
 
-from rosld.adapters.model import Graph, Kind, Message, MessageSchema, Operation, Ref, RosError, Sample, Topic, TypeRef
-from rosld.ontology.body import RdfBody, parse_body
+from rosld.adapters.model import Graph, Kind, Operation, Ref, RosError, Topic
 from rosld.ontology.describe_topics import topic_document
-from rosld.ontology.document import Document, Envelope, LiftedMessage
-from rosld.ontology.fields import field_bytes
-from rosld.ontology.lift import LiftSettings, lifter
-from rosld.ontology.lower import find_message, lowerer, parse_json
-from rosld.ontology.vocab import rdf, ros
+from rosld.ontology.document import Document
+from rosld.ontology.lift import lifter
+from rosld.ontology.lower import parse_json
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import require_if_match
-from rosld.server.http.problem import Problem, render
+from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.patch import merge_patch, updated
 from rosld.server.ldp.resource import JSON, MERGE_PATCH, RDF_BODIES, READ, SPARQL_UPDATE, Answer, Resource
 from rosld.server.ldp.state import State, digest
 from rosld.server.live.view import View
+from rosld.server.resources.messages import Decoded, decode, field_response, lifted
 from rosld.server.resources.namespaces import moved_to_namespace
+from rosld.server.resources.publishing import Publishing
 from rosld.server.robot import Robot, Same
 from rosld.server.writable import RESERVED, refusal
 
 _LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
-_WHOLE = 1 << 62
-
-
-@dataclass(frozen=True, slots=True)
-class Publish:
-    """A planned publish: everything that could be refused has been looked at."""
-
-    topic: str
-    type: TypeRef
-    data: bytes
-    latch: bool
-    creates: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Decoded:
-    """A sample with its message, or with the reason why it cannot be read."""
-
-    sample: Sample
-    schema: MessageSchema | None
-    message: Message | None
-    reason: str | None = None
 
 
 class TopicResource(Resource):
@@ -68,6 +41,7 @@ class TopicResource(Resource):
         self.title = name
         self.robot = robot
         self.name = name
+        self._publishing = Publishing(robot, name)
         self._allowed: tuple[Graph, frozenset[str], str | None] | None = None
 
     @property
@@ -189,137 +163,14 @@ class TopicResource(Resource):
         return await field_response(self.robot, view.newest, exchange.query["field"])
 
     async def put(self, exchange: Exchange) -> Answer:
-        return await self._carry_out(await self._plan(exchange), exchange)
+        return await self._publishing.carry_out(await self._publishing.plan(exchange), exchange.accept)
 
     async def patch(self, exchange: Exchange) -> Answer:
         require_if_match(exchange.header("if-match"), "PATCH changes the latest message, which changes often.")
-        return await self._carry_out(await self._plan_patch(exchange), exchange)
+        description = (await self.state()).document.triples
+        plan = await self._publishing.plan_patch(exchange, description)
+        return await self._publishing.carry_out(plan, exchange.accept)
 
     async def delete(self, exchange: Exchange) -> Answer:
         await self.robot.adapter.unadvertise(self.name)
         return Response(status_code=204)
-
-    async def _plan(self, exchange: Exchange) -> Publish:
-        """Parse, find the type, lower and encode: nothing moves."""
-        data = await exchange.body()
-        latch = exchange.flag("latch")
-        if exchange.media_type == JSON:
-            if self.topic is None:
-                raise Problem(
-                    404, f"There is no topic {self.name}; to make it, PUT RDF that states the message's type."
-                )
-            schema = await self._schema()
-            message = lowerer(schema, self.robot.lifting).from_json(
-                parse_json(data), defaults=exchange.flag("defaults")
-            )
-            return self._publish(schema, message, latch)
-        body = parse_body(data, exchange.media_type, self.url)
-        schema = await (self._schema() if self._typed() else self._stated_schema(body))
-        return self._publish(schema, self._lower(schema, body), latch)
-
-    async def _plan_patch(self, exchange: Exchange) -> Publish:
-        view = await self.robot.topics.look(self.name)
-        if view.newest is None:
-            raise Problem(409, f"{self.name} has no message yet that a PATCH could change; PUT one.")
-        data = await exchange.body()
-        base = await decode(self.robot, view.newest)
-        if base.schema is None or base.message is None:
-            raise Problem(409, f"The latest message of {self.name} cannot be read: {base.reason}.")
-        whole = lifter(base.schema, LiftSettings(self.robot.lifting.types, _WHOLE))
-        if exchange.media_type == MERGE_PATCH:
-            patched = merge_patch(parse_json(whole.json(base.message, self.url)), parse_json(data))
-            message = lowerer(base.schema, self.robot.lifting).from_json(patched)
-        else:
-            before = [*(await self.state()).document.triples, *whole.triples(base.message, self.url, "#message")]
-            message = self._lower(base.schema, updated(data, before, self.url))
-        return self._publish(base.schema, message, exchange.flag("latch"))
-
-    def _publish(self, schema: MessageSchema, message: Message, latch: bool) -> Publish:
-        data = schema.codec.encode(message, self.robot.adapter.capabilities.encoding)
-        return Publish(self.name, schema.ref, data, latch, creates=self.topic is None)
-
-    def _lower(self, schema: MessageSchema, body: RdfBody) -> Message:
-        self._check_stable(body)
-        root = find_message(body, self.url, self.robot.space.class_of(schema.ref.name))
-        return lowerer(schema, self.robot.lifting).from_graph(body, root, self.url)
-
-    def _check_stable(self, body: RdfBody) -> None:
-        """What the server says of a topic may be repeated, not changed (409)."""
-        about = NamedNode(self.url)
-        if about not in body.subjects:
-            return
-        said = {ros.name: self.name}
-        topic = self.topic
-        if topic is not None and topic.type is not None:
-            said[ros.messageType] = self.robot.space.class_of(topic.type.name)
-        for predicate, value in said.items():
-            for term in body.objects(about, predicate):
-                if getattr(term, "value", None) != value:
-                    raise Problem(409, f"The {predicate.value} of {self.name} is {value!r} and cannot become {term}.")
-
-    def _typed(self) -> bool:
-        return self.topic is not None and bool(self.topic.types)
-
-    async def _schema(self) -> MessageSchema:
-        topic = self.topic
-        if topic is None or topic.type is None:
-            raise Problem(409, f"The type of {self.name} is not known; PUT RDF that states the message's type.")
-        return await self.robot.schemas.message(topic.type)
-
-    async def _stated_schema(self, body: RdfBody) -> MessageSchema:
-        """The schema of the type that the body states: of `#message`, or the topic's `ros:messageType`."""
-        base = self.robot.space.types
-        stated = [
-            *body.objects(NamedNode(f"{self.url}#message"), rdf.type),
-            *body.objects(NamedNode(self.url), ros.messageType),
-            *(term for subject in body.subjects for term in body.objects(subject, rdf.type)),
-        ]
-        for term in stated:
-            if isinstance(term, NamedNode) and term.value.startswith(base):
-                return await self.robot.schemas.message(TypeRef(term.value[len(base) :]))
-        raise Problem(422, f"{self.name} has no type yet, and the body states none: give the message a type of {base}.")
-
-    async def _carry_out(self, plan: Publish, exchange: Exchange) -> Response:
-        robot = self.robot
-        wait = robot.limiter.wait(plan.topic, asyncio.get_running_loop().time())
-        if wait > 0:
-            sentence = f"More than {robot.limiter.rate:g} messages a second on {plan.topic} (--max-publish-rate)."
-            raise Problem(429, sentence, headers={"Retry-After": str(max(1, round(wait)))})
-        deadline = robot.deadline(robot.settings.publish_wait)
-        published = await robot.adapter.publish(plan.topic, plan.type, plan.data, latch=plan.latch, deadline=deadline)
-        if plan.creates:
-            return Response(status_code=201, headers={"Location": self.url})
-        if published.matched == 0:
-            sentence = f"The message was published, but no subscriber of {plan.topic} was there to get it."
-            return render(Problem(202, sentence, title="Nobody is listening"), exchange.accept).response()
-        return Response(status_code=204)
-
-
-async def decode(robot: Robot, sample: Sample) -> Decoded:
-    """A sample's message, or why it cannot be read."""
-    try:
-        schema = await robot.schemas.message(sample.schema)
-        return Decoded(sample, schema, schema.codec.decode(sample.data, sample.encoding))
-    except (RosError, ValueError) as error:
-        return Decoded(sample, None, None, str(error))
-
-
-def lifted(robot: Robot, one: Decoded) -> LiftedMessage:
-    """A decoded sample as the `#message` of a document."""
-    assert one.schema is not None
-    assert one.message is not None
-    publisher = robot.space.node(one.sample.publisher) if one.sample.publisher else None
-    envelope = Envelope(one.sample.received_ns, one.sample.sequence, publisher)
-    return LiftedMessage("#message", lifter(one.schema, robot.lifting), one.message, envelope)
-
-
-async def field_response(robot: Robot, sample: Sample, path: str) -> Response:
-    """The bytes of one field of a message; a 404 Problem where it has none of that path."""
-    decoded = await decode(robot, sample)
-    if decoded.schema is None or decoded.message is None:
-        raise Problem(406, f"The message cannot be read: {decoded.reason}.")
-    try:
-        data, media_type = field_bytes(decoded.schema, decoded.message, path)
-    except ValueError as error:
-        raise Problem(404, str(error)) from error
-    return Response(data, media_type=media_type, headers={"Cache-Control": "no-cache"})

@@ -1,4 +1,4 @@
-"""What a query needs: which live values must be in the store before it is asked (DESIGN section 6).
+"""What a query needs: which live values must be in the store before it is asked.
 
 The answer may be too much and never too little; `narrowing.py` finds it.
 """

@@ -1,4 +1,4 @@
-"""The adapter contract, rule by rule, on every adapter (`adapters/base.py`, DESIGN section 2)."""
+"""The adapter contract, rule by rule, on every adapter (`adapters/base.py`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A real ROS 1 system over HTTP: rosmaster, rospy nodes, roscpp's relay (issue: what must be shown)."""
+"""A real ROS 1 system over HTTP: rosmaster, rospy nodes, roscpp's relay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Topics over HTTP: read in every syntax, written by publishing (DESIGN sections 3 and 7)."""
+"""Topics over HTTP: read in every syntax, written by publishing."""
 
 from __future__ import annotations
 

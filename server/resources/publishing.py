@@ -1,0 +1,151 @@
+"""Publishing: from a body to a plan, which is where everything is refused, and from the plan to the robot."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pyoxigraph import NamedNode, Triple
+from starlette.responses import Response
+
+from rosld.adapters.model import Message, MessageSchema, Topic, TypeRef, UnknownType
+from rosld.ontology.body import RdfBody, parse_body
+from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.lower import find_message, lowerer, parse_json
+from rosld.ontology.vocab import rdf, ros
+from rosld.server.http.problem import Problem, render
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.patch import merge_patch, updated
+from rosld.server.ldp.resource import JSON, MERGE_PATCH
+from rosld.server.resources.messages import decode
+from rosld.server.robot import Robot
+
+_WHOLE = 1 << 62
+
+
+@dataclass(frozen=True, slots=True)
+class Publish:
+    """A planned publish: everything that could be refused has been looked at."""
+
+    topic: str
+    type: TypeRef
+    data: bytes
+    latch: bool
+    creates: bool
+
+
+class Publishing:
+    """Publishes on one topic. `plan` and `plan_patch` parse, find the type, lower and encode: nothing moves."""
+
+    def __init__(self, robot: Robot, name: str) -> None:
+        self.robot = robot
+        self.name = name
+        self.url = robot.space.topic(name)
+
+    @property
+    def topic(self) -> Topic | None:
+        """The topic in the computation graph, None where there is none of that name."""
+        return self.robot.graph.topics.get(self.name)
+
+    async def plan(self, exchange: Exchange) -> Publish:
+        """What a PUT asks to be published. Raises whatever there is to refuse."""
+        data = await exchange.body()
+        latch = exchange.flag("latch")
+        if exchange.media_type == JSON:
+            if self.topic is None:
+                raise Problem(
+                    404, f"There is no topic {self.name}; to make it, PUT RDF that states the message's type."
+                )
+            schema = await self._schema()
+            message = lowerer(schema, self.robot.lifting).from_json(
+                parse_json(data), defaults=exchange.flag("defaults")
+            )
+            return self._publish(schema, message, latch)
+        body = parse_body(data, exchange.media_type, self.url)
+        schema = await (self._schema() if self._typed() else self._stated_schema(body))
+        return self._publish(schema, self._lower(schema, body), latch)
+
+    async def plan_patch(self, exchange: Exchange, description: Sequence[Triple]) -> Publish:
+        """What a PATCH of the latest message asks to be published; `description` is said of the topic beside it."""
+        view = await self.robot.topics.look(self.name)
+        if view.newest is None:
+            raise Problem(409, f"{self.name} has no message yet that a PATCH could change; PUT one.")
+        data = await exchange.body()
+        base = await decode(self.robot, view.newest)
+        if base.schema is None or base.message is None:
+            raise Problem(409, f"The latest message of {self.name} cannot be read: {base.reason}.")
+        whole = lifter(base.schema, LiftSettings(self.robot.lifting.types, _WHOLE))
+        if exchange.media_type == MERGE_PATCH:
+            patched = merge_patch(parse_json(whole.json(base.message, self.url)), parse_json(data))
+            message = lowerer(base.schema, self.robot.lifting).from_json(patched)
+        else:
+            before = [*description, *whole.triples(base.message, self.url, "#message")]
+            message = self._lower(base.schema, updated(data, before, self.url))
+        return self._publish(base.schema, message, exchange.flag("latch"))
+
+    def _publish(self, schema: MessageSchema, message: Message, latch: bool) -> Publish:
+        data = schema.codec.encode(message, self.robot.adapter.capabilities.encoding)
+        return Publish(self.name, schema.ref, data, latch, creates=self.topic is None)
+
+    def _lower(self, schema: MessageSchema, body: RdfBody) -> Message:
+        self._check_stable(body)
+        root = find_message(body, self.url, self.robot.space.class_of(schema.ref.name))
+        return lowerer(schema, self.robot.lifting).from_graph(body, root, self.url)
+
+    def _check_stable(self, body: RdfBody) -> None:
+        """What the server says of a topic may be repeated, not changed (409)."""
+        about = NamedNode(self.url)
+        if about not in body.subjects:
+            return
+        said = {ros.name: self.name}
+        topic = self.topic
+        if topic is not None and topic.type is not None:
+            said[ros.messageType] = self.robot.space.class_of(topic.type.name)
+        for predicate, value in said.items():
+            for term in body.objects(about, predicate):
+                if getattr(term, "value", None) != value:
+                    raise Problem(409, f"The {predicate.value} of {self.name} is {value!r} and cannot become {term}.")
+
+    def _typed(self) -> bool:
+        return self.topic is not None and bool(self.topic.types)
+
+    async def _schema(self) -> MessageSchema:
+        topic = self.topic
+        if topic is None or topic.type is None:
+            raise Problem(409, f"The type of {self.name} is not known; PUT RDF that states the message's type.")
+        try:
+            return await self.robot.schemas.message(topic.type)
+        except UnknownType as error:
+            raise Problem(409, f"Nothing can be published on {self.name}: {error.sentence}.") from error
+
+    async def _stated_schema(self, body: RdfBody) -> MessageSchema:
+        """The schema of the type that the body states: of `#message`, or the topic's `ros:messageType`."""
+        base = self.robot.space.types
+        stated = [
+            *body.objects(NamedNode(f"{self.url}#message"), rdf.type),
+            *body.objects(NamedNode(self.url), ros.messageType),
+            *(term for subject in body.subjects for term in body.objects(subject, rdf.type)),
+        ]
+        for term in stated:
+            if isinstance(term, NamedNode) and term.value.startswith(base):
+                try:
+                    return await self.robot.schemas.message(TypeRef(term.value[len(base) :]))
+                except UnknownType as error:
+                    raise Problem(422, f"{error.sentence}.") from error
+        raise Problem(422, f"{self.name} has no type yet, and the body states none: give the message a type of {base}.")
+
+    async def carry_out(self, plan: Publish, accept: str | None) -> Response:
+        robot = self.robot
+        wait = robot.limiter.wait(plan.topic, asyncio.get_running_loop().time())
+        if wait > 0:
+            sentence = f"More than {robot.limiter.rate:g} messages a second on {plan.topic} (--max-publish-rate)."
+            raise Problem(429, sentence, headers={"Retry-After": str(max(1, round(wait)))})
+        deadline = robot.deadline(robot.settings.publish_wait)
+        published = await robot.adapter.publish(plan.topic, plan.type, plan.data, latch=plan.latch, deadline=deadline)
+        if plan.creates:
+            return Response(status_code=201, headers={"Location": self.url})
+        if published.matched == 0:
+            sentence = f"The message was published, but no subscriber of {plan.topic} was there to get it."
+            return render(Problem(202, sentence, title="Nobody is listening"), accept).response()
+        return Response(status_code=204)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ class Demand:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Needs:
     """All live values that a query could see: those that any of its `demands` asks for.
 
@@ -47,34 +48,34 @@ class Needs:
     demands: tuple[Demand, ...] = ()
     documents: frozenset[str] = frozenset()
 
-    @property
+    @cached_property
     def nothing(self) -> bool:
         """Whether the query needs no live value and names no document."""
         return not self.demands and not self.documents
 
-    @property
+    @cached_property
     def everything(self) -> bool:
         """Whether it looks at the messages of any topic whatever: all that are subscribed to are to be there."""
         return any(demand.anything and demand.messages for demand in self.demands)
 
-    @property
+    @cached_property
     def messages(self) -> bool:
         """Whether it needs values of topics at all."""
         return any(demand.messages for demand in self.demands)
 
-    @property
+    @cached_property
     def parameters(self) -> bool:
         """Whether it needs values of parameters at all."""
         return any(demand.parameters for demand in self.demands)
 
-    @property
+    @cached_property
     def graphs(self) -> frozenset[str] | None:
         """The only graphs that its demands can concern; None where that is not known from the query alone."""
         if any(demand.graphs is None for demand in self.demands):
             return None
         return frozenset().union(*(demand.graphs or () for demand in self.demands))
 
-    @property
+    @cached_property
     def types(self) -> frozenset[str]:
         """The message types it names, as ROS names (`geometry_msgs/msg/Twist`)."""
         return frozenset().union(*(demand.types for demand in self.demands))

@@ -10,8 +10,8 @@ import asyncio
 import logging
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Hashable, Iterator, Mapping, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager
 from itertools import count
 from typing import NamedTuple, Protocol
 
@@ -22,7 +22,7 @@ _log = logging.getLogger("rosld.sparql")
 
 WILDCARD_INTERVAL = 0.2
 """Seconds for which one look at everything is good enough for the next query that looks at everything."""
-_INLINE = 16 * 1024
+_INLINE = 64 * 1024
 """Characters of N-Triples up to which a change is made on the loop: a thread would cost more than the change."""
 _SLICE = 0.002
 """Seconds of rendering after which the loop gets its turn."""
@@ -83,11 +83,12 @@ class _Change(NamedTuple):
 
 
 class _Look(NamedTuple):
-    """What the source said at one moment; `number` orders looks."""
+    """What the source said at one moment: `number` orders looks, `asked` is whether it was asked for live values."""
 
     number: int
     revision: Hashable
     described: Mapping[str, GraphEntry]
+    asked: bool
     entries: Sequence[GraphEntry]
     needs: Needs
 
@@ -95,6 +96,24 @@ class _Look(NamedTuple):
     def extras(self) -> list[str]:
         """Graphs that are there only because they were named."""
         return [entry.iri for entry in self.entries if entry.iri not in self.described]
+
+
+class _Synced:
+    """One query's use of the store."""
+
+    __slots__ = ("_deadline", "_extras", "_needs", "_synchroniser")
+
+    def __init__(self, synchroniser: Synchroniser, needs: Needs, deadline: float) -> None:
+        self._synchroniser = synchroniser
+        self._needs = needs
+        self._deadline = deadline
+        self._extras: Sequence[str] = ()
+
+    async def __aenter__(self) -> None:
+        self._extras = await self._synchroniser.enter(self._needs, self._deadline)
+
+    async def __aexit__(self, *error: object) -> None:
+        self._synchroniser.leave(self._extras)
 
 
 class Synchroniser:
@@ -114,29 +133,39 @@ class Synchroniser:
         self._everything: tuple[float, Needs] = (float("-inf"), Needs())
         self._changing = asyncio.Lock()
 
-    @asynccontextmanager
-    async def synced(self, needs: Needs, *, deadline: float) -> AsyncIterator[None]:
+    def synced(self, needs: Needs, *, deadline: float) -> AbstractAsyncContextManager[None]:
         """Within it the store holds what the needs ask for: begin the query there. Raises what the source raises."""
+        return _Synced(self, needs, deadline)
+
+    async def enter(self, needs: Needs, deadline: float) -> Sequence[str]:
+        """Bring the store to what the needs ask for. What is returned is kept until it is given to `leave`."""
         look = await self._look(needs, deadline)
         extras = look.extras
-        self._pinned.update(extras)  # no other query's sync drops them before this one has begun
+        self._pinned.update(extras)
         try:
             if self._changes(look):
                 await asyncio.shield(asyncio.ensure_future(self._apply(look)))
-            if needs.everything and look.entries:
+            if needs.everything and look.asked:
                 self._everything = (time.monotonic(), needs)
-            yield
-        finally:
+        except BaseException:
+            self.leave(extras)
+            raise
+        return extras
+
+    def leave(self, extras: Sequence[str]) -> None:
+        """The query has begun: graphs that were there for it alone may go."""
+        if extras:
             self._pinned.subtract(extras)
             self._pinned = +self._pinned
 
     async def _look(self, needs: Needs, deadline: float) -> _Look:
         revision, described = self._descriptions()
         entries: Sequence[GraphEntry] = ()
-        if self._must_ask(needs, described):
+        asked = self._must_ask(needs, described)
+        if asked:
             entries = await self._source.live(needs, deadline=deadline)
             revision, described = self._descriptions()
-        return _Look(next(self._numbers), revision, described, entries, needs)
+        return _Look(next(self._numbers), revision, described, asked, entries, needs)
 
     def _descriptions(self) -> tuple[Hashable, Mapping[str, GraphEntry]]:
         revision = self._source.revision
@@ -188,7 +217,7 @@ class Synchroniser:
         for iri in self._extras - found:
             if iri not in self._pinned and self._held[iri].look < look.number:
                 yield iri, _Change(look.described.get(iri), None, False, 0)
-        if look.needs.everything and look.entries:
+        if look.needs.everything and look.asked:
             for iri in self._live - found - self._extras:
                 entry = look.described.get(iri)
                 if entry is not None and self._held[iri].look < look.number:

@@ -122,9 +122,12 @@ class Application:
 
 def _share(response: Response, headers: Mapping[str, str]) -> None:
     """Add CORS headers to a response, joining Vary. The header list is copied: it may belong to a kept rendering."""
-    raw = [(name, value) for name, value in response.raw_headers if name != b"vary" or "vary" not in headers]
-    if "vary" in headers:
-        known = [value for name, value in response.raw_headers if name == b"vary"]
-        headers = {**headers, "vary": ", ".join([*(value.decode("latin-1") for value in known), headers["vary"]])}
-    raw.extend((name.encode("latin-1"), value.encode("latin-1")) for name, value in headers.items())
-    response.raw_headers = raw
+    names = {name.encode("latin-1") for name in headers}
+    kept = [pair for pair in response.raw_headers if pair[0] not in names]
+    varied = [value.decode("latin-1") for name, value in response.raw_headers if name == b"vary"]
+    vary = dict.fromkeys(part.strip() for value in (*varied, headers.get("vary", "")) for part in value.split(","))
+    joined = {**headers, "vary": ", ".join(part for part in vary if part)} if "vary" in headers else headers
+    response.raw_headers = [
+        *kept,
+        *((name.encode("latin-1"), value.encode("latin-1")) for name, value in joined.items()),
+    ]

@@ -1,0 +1,44 @@
+"""Who may read and write from a page: CORS and Origin over HTTP."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+
+DISPLAY = "/topics/cockpit/display"
+FRIEND = {"Origin": "https://app.example"}
+STRANGER = {"Origin": "https://other.example"}
+
+
+@pytest.fixture(scope="module")
+def shared(start_server: Callable[..., Any]) -> httpx.Client:
+    """An aircraft whose server shares with one origin."""
+    return start_server("aircraft", "--cors-origin", FRIEND["Origin"]).http
+
+
+def test_a_named_origin_reads_and_writes(shared: httpx.Client) -> None:
+    read = shared.get("/topics/", headers=FRIEND)
+    assert read.headers["access-control-allow-origin"] == FRIEND["Origin"]
+    assert read.headers["vary"] == "Accept, Origin"
+    assert shared.put(DISPLAY, json={"data": "friend"}, headers=FRIEND).status_code == 204
+
+
+def test_its_preflight_says_what_it_may_do(shared: httpx.Client) -> None:
+    asked = shared.options(DISPLAY, headers=FRIEND | {"Access-Control-Request-Method": "PUT"})
+    assert "PUT" in asked.headers["access-control-allow-methods"]
+    assert asked.headers["vary"] == "Accept, Origin"
+
+
+def test_a_stranger_is_told_nothing_and_moves_nothing(shared: httpx.Client) -> None:
+    read = shared.get("/topics/", headers=STRANGER)
+    assert "access-control-allow-origin" not in read.headers
+    assert read.headers["vary"] == "Accept, Origin"
+    assert shared.put(DISPLAY, json={"data": "stranger"}, headers=STRANGER).status_code == 403
+    assert shared.get(DISPLAY, headers={"Accept": "application/json"}).json() != {"data": "stranger"}
+
+
+def test_without_the_option_nobody_is_shared_with(http: httpx.Client) -> None:
+    assert "access-control-allow-origin" not in http.get("/topics/", headers=FRIEND).headers

@@ -5,20 +5,26 @@ Run: python bench/sparql.py [seconds]. Needs `wrk` (Debian: apt-get install wrk)
 
 from __future__ import annotations
 
-import asyncio
+import gc
 import shutil
 import socket
 import statistics
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from http.client import HTTPConnection
 from pathlib import Path
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 import httpx
-import uvloop
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
 from web import ROUNDS, measure, serving
 
 from rosld.adapters.model import Encoding, TypeRef
@@ -30,13 +36,16 @@ from rosld.ontology.vocab import rdf, ros
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.endpoint import QueryService, QuerySettings
 from rosld.server.sparql.needs import Needs
-from rosld.server.sparql.protocol import QueryRequest
+from rosld.server.sparql.protocol import query_request
 from rosld.server.sparql.sync import GraphEntry, Synchroniser
 from rosld.server.store import MemoryStore
 
 BASE = "http://127.0.0.1:8080/"
 TOPICS = 1000
 TURNS = 15
+SERVE = "serve"
+PAUSE = 0.25
+"""Seconds between two queries: longer than one look at everything is good for."""
 DATA = f"{TYPES}std_msgs/msg/Float64#data"
 
 
@@ -151,59 +160,93 @@ class Robot:
         return f"<{url}> {ros.latest} <{url}#message> .\n{text}"
 
 
-async def milliseconds(service: QueryService, query: str, before: Callable[[], None]) -> float:
-    """The median time of an answer."""
+def serve() -> None:
+    """The thousand topics behind HTTP: /sparql; /tick, a new message on each; /idle, which asks for nothing."""
+    robot, store = Robot(), MemoryStore()
+    service = QueryService(store, Synchroniser(store, robot), Analyser(BASE, TYPES), settings=QuerySettings(kept=0))
+
+    async def sparql(request: Request) -> Response:
+        answer = await service.answer(query_request("GET", request.scope["query_string"]), "text/csv")
+        assert isinstance(answer.body, bytes)
+        return Response(answer.body)
+
+    async def tick(request: Request) -> Response:
+        robot.tick()
+        return Response()
+
+    async def idle(request: Request) -> Response:
+        return Response()
+
+    app = Starlette(routes=[Route("/sparql", sparql), Route("/tick", tick), Route("/idle", idle)])
+    listening = socket.socket()
+    listening.bind(("127.0.0.1", 0))
+    listening.listen()
+    print(f"http://127.0.0.1:{listening.getsockname()[1]}/", flush=True)
+    gc.collect()
+    gc.freeze()  # what is loaded stays: the collector need not look through it again and again
+    config = uvicorn.Config(app, loop="uvloop", http="httptools", access_log=False, log_level="error")
+    uvicorn.Server(config).run(sockets=[listening])
+
+
+class Client:
+    """One connection."""
+
+    def __init__(self, url: str) -> None:
+        parts = urlsplit(url)
+        self._connection = HTTPConnection(parts.hostname or "", parts.port)
+
+    def seconds(self, path: str) -> float:
+        """How long a GET takes."""
+        begun = time.perf_counter()
+        self._connection.request("GET", path)
+        response = self._connection.getresponse()
+        response.read()
+        assert response.status == 200, path
+        return time.perf_counter() - begun
+
+
+def milliseconds(client: Client, query: str, pause: float, *, changed: bool) -> float:
+    """The median time of an answer, `pause` seconds after all topics changed, or with nothing changed."""
     times = []
     for _ in range(TURNS):
-        before()
-        await asyncio.sleep(0.25)  # longer than one look at everything is good for
-        begun = time.perf_counter()
-        body = (await service.answer(QueryRequest(query), "text/csv")).body
-        if not isinstance(body, bytes):
-            async for _chunk in body:
-                pass
-        times.append(time.perf_counter() - begun)
+        client.seconds("/tick" if changed else "/idle")
+        time.sleep(pause)
+        times.append(client.seconds(f"/sparql?query={quote(query)}"))
     return statistics.median(times) * 1e3
 
 
-async def longest_hold(service: QueryService, query: str, before: Callable[[], None]) -> float:
-    """The longest that anything else on the loop waited while the query was answered, in milliseconds."""
+def longest_hold(url: str, query: str) -> tuple[float, float]:
+    """The median and the longest time of requests for nothing while wildcard queries are answered, in milliseconds."""
     held: list[float] = []
-    ended = asyncio.Event()
+    ended = threading.Event()
 
-    async def watch() -> None:
+    def watch() -> None:
+        client = Client(url)
         while not ended.is_set():
-            begun = time.perf_counter()
-            await asyncio.sleep(0.0005)
-            held.append(time.perf_counter() - begun - 0.0005)
+            held.append(client.seconds("/idle") * 1e3)
 
-    watcher = asyncio.ensure_future(watch())
-    await milliseconds(service, query, before)
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    milliseconds(Client(url), query, PAUSE, changed=True)
     ended.set()
-    await watcher
-    return max(held) * 1e3
+    watcher.join()
+    return statistics.median(held), max(held)
 
 
-async def a_thousand_topics() -> None:
+def a_thousand_topics() -> None:
     """What a sync costs the query that needs it, and everybody else."""
-    robot, store = Robot(), MemoryStore()
-    settings = QuerySettings(kept=0)
-    service = QueryService(store, Synchroniser(store, robot), Analyser(BASE, TYPES), settings=settings)
     ten = " ".join(f"<{BASE}topics/t{number}>" for number in range(10))
     over_ten = f"SELECT ?p ?o {{ VALUES ?t {{ {ten} }} ?t ros:latest ?m . ?m ?p ?o }}"
     wildcard = "SELECT (COUNT(*) AS ?n) { ?s ?p ?o }"
-    await milliseconds(service, wildcard, robot.tick)
-    rows = {
-        f"10 of {TOPICS} topics": over_ten,
-        "wildcard": wildcard,
-    }
-    print(f"{'':36}{'changed':>10}{'unchanged':>12}{'ratio':>8}")
-    for label, query in rows.items():
-        changed = await milliseconds(service, query, robot.tick)
-        unchanged = await milliseconds(service, query, lambda: None)
-        print(f"{label:36}{changed:7.1f} ms{unchanged:9.1f} ms{changed / unchanged:8.2f}")
-    hold = await longest_hold(service, wildcard, robot.tick)
-    print(f"{'longest hold of anything else':36}{hold:7.1f} ms")
+    with serving(__file__, SERVE) as url:
+        client = Client(url)
+        milliseconds(client, wildcard, PAUSE, changed=True)
+        print(f"{'':36}{'changed':>10}{'unchanged':>12}{'ratio':>8}")
+        for label, query, pause in ((f"10 of {TOPICS} topics", over_ten, 0.0), ("wildcard", wildcard, PAUSE)):
+            changed, unchanged = (milliseconds(client, query, pause, changed=each) for each in (True, False))
+            print(f"{label:36}{changed:7.2f} ms{unchanged:9.2f} ms{changed / unchanged:8.2f}")
+        usual, longest = longest_hold(url, wildcard)
+        print(f"another request meanwhile: {usual:.2f} ms as a rule, {longest:.1f} ms at most")
 
 
 def main() -> None:
@@ -211,8 +254,11 @@ def main() -> None:
     if shutil.which("wrk") is None:
         raise SystemExit("bench/sparql.py needs wrk: apt-get install wrk")
     against_oxigraph(int(sys.argv[1]) if len(sys.argv) > 1 else 4)
-    uvloop.run(a_thousand_topics())
+    a_thousand_topics()
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:] == [SERVE]:
+        serve()
+    else:
+        main()

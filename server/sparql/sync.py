@@ -143,7 +143,10 @@ class Synchroniser:
         extras = look.extras
         self._pinned.update(extras)
         try:
-            if self._changes(look):
+            changes = self._changes(look)
+            if _is_small(changes) and not self._changing.locked():
+                self._carried_out(look, changes, _replace(self._store, changes))
+            else:  # it goes on even where the query is given up
                 await asyncio.shield(asyncio.ensure_future(self._apply(look)))
             if needs.everything and look.asked:
                 self._everything = (time.monotonic(), needs)
@@ -229,13 +232,12 @@ class Synchroniser:
         """One change at a time; what another query has brought meanwhile is not brought again."""
         async with self._changing:
             changes = self._changes(look)
-            if sum(change.size for change in changes.values()) <= _INLINE:
-                sizes = _replace(self._store, changes)
-            else:
-                sizes = await asyncio.to_thread(_replace, self._store, changes)
-            for iri, change in changes.items():
-                self._note(iri, change, look, sizes.get(iri, 0))
-            self._applied = look.revision
+            self._carried_out(look, changes, await asyncio.to_thread(_replace, self._store, changes))
+
+    def _carried_out(self, look: _Look, changes: Mapping[str, _Change], sizes: Mapping[str, int]) -> None:
+        for iri, change in changes.items():
+            self._note(iri, change, look, sizes[iri])
+        self._applied = look.revision
 
     def _note(self, iri: str, change: _Change, look: _Look, size: int) -> None:
         self._live.discard(iri)
@@ -250,6 +252,10 @@ class Synchroniser:
                 self._extras.add(iri)
 
 
+def _is_small(changes: Mapping[str, _Change]) -> bool:
+    return not changes or sum(change.size for change in changes.values()) <= _INLINE
+
+
 def _size(held: _Held | None) -> int:
     """How large its graph was; one that is not known yet counts as large."""
     return _INLINE + 1 if held is None else held.size
@@ -257,6 +263,8 @@ def _size(held: _Held | None) -> int:
 
 def _replace(store: Store, changes: Mapping[str, _Change]) -> dict[str, int]:
     """Render what changed and replace it; the number of characters of each. Runs in any thread."""
+    if not changes:
+        return {}
     texts = _rendered(changes)
     try:
         store.replace(texts)

@@ -51,7 +51,7 @@ def query_service(robot: Robot) -> QueryService:
     store.replace(dict.fromkeys(store.graphs()))  # what an earlier run knew of the robot is not so any more
     analyser = Analyser(robot.space.base, robot.space.types, bounds=Bounds(size=settings.query_size_limit))
     synchroniser = Synchroniser(store, Dataset(robot))
-    limits = QuerySettings(time_limit=settings.query_time_limit)
+    limits = QuerySettings(settings.query_time_limit, settings.query_memory_limit)
     return QueryService(store, synchroniser, analyser, functions(robot.received_ns), limits)
 
 

@@ -12,6 +12,8 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
 
+from pyoxigraph import NamedNode
+
 from rosld.adapters.model import MessageSchema, RosError, Schema, ServiceSchema, Topic, names
 from rosld.ontology.describe_bags import bag_document
 from rosld.ontology.describe_containers import container_document, namespace_document, type_container_document
@@ -21,6 +23,8 @@ from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.triples import RDF_SOURCE, about, text
+from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.resource import Resource
 from rosld.server.resources.bags import BagMessage
@@ -35,6 +39,8 @@ from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.sync import GraphEntry
 from rosld.shapes.message import shape_document
 
+_KEPT = 256
+"""Needs whose resources are remembered."""
 _AT_ONCE = 64
 """Topics looked at concurrently for one query."""
 
@@ -45,6 +51,7 @@ class Dataset:
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
         self._described: tuple[Hashable, Mapping[str, GraphEntry]] = (None, {})
+        self._found: dict[Needs, tuple[Hashable, Sequence[Resource]]] = {}
 
     @property
     def revision(self) -> Hashable:
@@ -65,11 +72,23 @@ class Dataset:
         What a query names is subscribed to and waited for, at most until `deadline` (loop time); where it names
         nothing, what is subscribed to already is all there is.
         """
-        resources = list(self._wanted(needs))
+        resources = self._resources(needs)
         for batch in (resources[at : at + _AT_ONCE] for at in range(0, len(resources), _AT_ONCE)):
             await self._look(batch, deadline)
         entries = [await self._entry(resource) for resource in resources]
         return [entry for entry in entries if entry is not None]
+
+    def _resources(self, needs: Needs) -> Sequence[Resource]:
+        """The resources of `_wanted`, kept for as long as they are the same: where needs name what they are about."""
+        if any(demand.anything for demand in needs.demands):
+            return list(self._wanted(needs))
+        version = (self._robot.graph.revision, self._robot.schemas.count)
+        known = self._found.get(needs)
+        if known is None or known[0] != version:
+            if len(self._found) >= _KEPT:
+                self._found.clear()
+            known = self._found[needs] = (version, list(self._wanted(needs)))
+        return known[1]
 
     def _wanted(self, needs: Needs) -> Iterator[Resource]:
         robot = self._robot
@@ -120,7 +139,9 @@ class Dataset:
 
     async def _look(self, resources: Sequence[Resource], deadline: float) -> None:
         """Have the topics among these looked at together, so that their first values are waited for once."""
-        looks = [self._robot.topics.look(each.name) for each in resources if isinstance(each, TopicResource)]
+        topics = self._robot.topics
+        names = [each.name for each in resources if isinstance(each, TopicResource)]
+        looks = [topics.look(name) for name in names if topics.peek(name) is None]
         if looks:
             seconds = max(0.0, deadline - asyncio.get_running_loop().time())
             with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
@@ -144,6 +165,9 @@ class Dataset:
             yield _described(space.topic(topic.name), topic, partial(topic_document, topic, space, graph))
         for service in graph.services.values():
             yield _described(space.service(service.name), service, partial(service_document, service, space, graph))
+        for name in graph.parameters:
+            url = space.parameter(name)
+            yield _described(url, name, partial(described_parameter, url, name))
         yield from self._containers()
         yield from self._types()
         yield from self._records()
@@ -189,6 +213,11 @@ class Dataset:
         for call in self._robot.calls.all():
             resource = CallResource(self._robot, call.id)
             yield _described(resource.url, (call.id, call.state), partial(resource.document, call))
+
+
+def described_parameter(url: str, name: str) -> Document:
+    """A parameter without its value, which is read when a query needs it."""
+    return Document(url, tuple(about(NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(name)))))
 
 
 def _described(iri: str, token: Hashable, describe: Callable[[], Document]) -> GraphEntry:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import secrets
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
@@ -77,6 +78,8 @@ class Robot:
         await self.adapter.open(self, deadline=self.deadline(OPEN_SECONDS))
         self.topics.start()
         self._changed.set()
+        gc.collect()
+        gc.freeze()  # what is loaded now stays: looking through it again and again would hold everybody up
         self._follower = self._loop.create_task(self._follow())
 
     async def stop(self) -> None:

@@ -110,6 +110,12 @@ class Settings:
         least=0,
     )
     query_time_limit: float = setting(10.0, "The longest a SPARQL query may take.", unit="s", least=0.001)
+    query_memory_limit: int = setting(
+        1024 * 1024 * 1024,
+        "The most memory a SPARQL query may take beyond the dataset; held on Linux, with the dataset in memory.",
+        unit="bytes",
+        least=16 * 1024 * 1024,
+    )
     query_size_limit: int = setting(256 * 1024, "The longest text of a SPARQL query.", unit="bytes", least=1024)
     types_namespace: str = setting(
         "https://w3id.org/rosld/types/", "The namespace of the classes and properties of message types."

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
+from types import MappingProxyType
 from urllib.parse import parse_qsl
 
 from starlette.requests import Request
@@ -27,11 +28,7 @@ class Exchange:
     def query(self) -> Mapping[str, str]:
         """The query's parameters; of a name that occurs twice the first counts. Raises a 400 Problem."""
         raw = self.request.scope["query_string"]
-        try:
-            pairs = parse_qsl(raw.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=200)
-        except (UnicodeDecodeError, ValueError) as error:
-            raise Problem(400, f"The query string cannot be read: {error}.") from error
-        return dict(reversed(pairs))
+        return _remembered(raw) if len(raw) <= 4096 else _query(raw)
 
     @cached_property
     def _headers(self) -> Mapping[str, str]:
@@ -95,3 +92,14 @@ class Exchange:
         if value not in ("true", "false", ""):
             raise Problem(400, f"?{name}={value} is neither true nor false.")
         return value != "false"
+
+
+def _query(raw: bytes) -> Mapping[str, str]:
+    try:
+        pairs = parse_qsl(raw.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=200)
+    except (UnicodeDecodeError, ValueError) as error:
+        raise Problem(400, f"The query string cannot be read: {error}.") from error
+    return MappingProxyType(dict(reversed(pairs)))
+
+
+_remembered = lru_cache(maxsize=256)(_query)

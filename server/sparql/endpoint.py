@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import io
+import pickle
 from collections import OrderedDict
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import BinaryIO, NamedTuple, TypeAlias
 
 from rosld.server.http.problem import Problem
-from rosld.server.sparql import results
+from rosld.server.sparql import child, results
 from rosld.server.sparql.analysis import Analyser, Analysis
 from rosld.server.sparql.evaluation import Evaluation, refused
 from rosld.server.sparql.needs import Needs
@@ -34,12 +37,14 @@ class QueryAnswer(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class QuerySettings:
-    """`time_limit` in seconds for a whole answer; `workers` threads, and how many queries may wait for one.
+    """`time_limit` in seconds for a whole answer, `memory_limit` in bytes for what a query takes beyond the dataset.
 
-    Up to `kept` bytes of answers are kept for as long as the dataset does not change.
+    `workers` queries are answered at a time, `waiting` more may wait. Up to `kept` bytes of answers are kept for as
+    long as the dataset does not change.
     """
 
     time_limit: float = 10.0
+    memory_limit: int = 1024 * 1024 * 1024
     workers: int = 4
     waiting: int = 256
     kept: int = 16 * 1024 * 1024
@@ -60,7 +65,7 @@ class QueryService:
         self._synchroniser = synchroniser
         self._analyser = analyser
         self._functions = functions
-        self._limit = settings.time_limit
+        self._limits = child.Limits(settings.time_limit, settings.memory_limit)
         self._workers = Workers(settings.workers, settings.waiting)
         self._kept = _Kept(settings.kept)
 
@@ -87,11 +92,16 @@ class QueryService:
         analysis = self._analyser.analyse(request.text)
         found: list[Table] = []
 
+        def work(output: BinaryIO, check: Check) -> None:
+            pickle.dump(results.table(self._query(analysis, request), limit, check), output)
+
         def job(output: BinaryIO, check: Check) -> None:
-            found.append(results.table(self._query(analysis, request), limit, check))
+            pickled = io.BytesIO()
+            self._carry_out(work, pickled, check)
+            found.append(pickle.loads(pickled.getvalue()))  # our own
 
         async with self._synchroniser.synced(_needs(analysis, request), deadline=self._deadline()):
-            await Evaluation(job, self._limit).run(self._workers)
+            await Evaluation(job, self._limits.seconds).run(self._workers)
         return found[0]
 
     def check(self, text: str) -> Analysis:
@@ -99,7 +109,7 @@ class QueryService:
         return self._analyser.analyse(text)
 
     def _deadline(self) -> float:
-        return asyncio.get_running_loop().time() + self._limit
+        return asyncio.get_running_loop().time() + self._limits.seconds
 
     async def _evaluate(
         self, analysis: Analysis, request: QueryRequest, media_type: str
@@ -109,13 +119,21 @@ class QueryService:
             if written is not None:
                 return written
 
-        def job(output: BinaryIO, check: Check) -> None:
+        def work(output: BinaryIO, check: Check) -> None:
             found = self._query(analysis, request)
             if analysis.form is None:
                 raise Problem(400, "The query is of no form that is known here.")
             results.write(found, media_type, output, check, self._analyser.base)
 
-        return await Evaluation(job, self._limit).run(self._workers)
+        job = partial(self._carry_out, work)
+        return await Evaluation(job, self._limits.seconds).run(self._workers)
+
+    def _carry_out(self, work: Callable[[BinaryIO, Check], None], output: BinaryIO, check: Check) -> None:
+        """Do the work in a process of its own where there can be one, else here, in the worker's thread."""
+        if child.AVAILABLE and self._store.in_memory:
+            child.answer(lambda pipe: work(pipe, _unchecked), output, check, self._limits, self._store.still())
+        else:
+            work(output, check)
 
     def _at_once(self, analysis: Analysis, request: QueryRequest) -> Results:
         try:
@@ -133,6 +151,10 @@ class QueryService:
             default_graphs=default,
             named_graphs=named,
         )
+
+
+def _unchecked() -> None:
+    """A child need not look at the clock: it is killed in time."""
 
 
 def _needs(analysis: Analysis, request: QueryRequest) -> Needs:

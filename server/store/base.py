@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Protocol, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, QueryBoolean, QuerySolutions, QueryTriples, Triple
@@ -26,6 +27,15 @@ class Store(Protocol):
     @property
     def version(self) -> int:
         """A number that another one follows whenever the dataset has changed."""
+        ...
+
+    @property
+    def in_memory(self) -> bool:
+        """Whether the whole dataset is in this process, so that a fork of it holds the dataset too."""
+        ...
+
+    def still(self) -> AbstractContextManager[None]:
+        """Within it nothing is replaced."""
         ...
 
     def graphs(self) -> Collection[str]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 
@@ -19,6 +21,8 @@ class MemoryStore:
 
     def __init__(self, path: Path | None = None) -> None:
         self._store = pyoxigraph.Store(None if path is None else str(path))
+        self._in_memory = path is None
+        self._changing = threading.Lock()
         self._versions = count(1)
         self._version = 0
         self._functions: tuple[Mapping[str, Function], dict[pyoxigraph.NamedNode, Function]] = ({}, {})
@@ -26,6 +30,15 @@ class MemoryStore:
     @property
     def version(self) -> int:
         return self._version
+
+    @property
+    def in_memory(self) -> bool:
+        return self._in_memory
+
+    @contextmanager
+    def still(self) -> Iterator[None]:
+        with self._changing:
+            yield
 
     def graphs(self) -> Collection[str]:
         return [graph.value for graph in self._store.named_graphs() if isinstance(graph, pyoxigraph.NamedNode)]
@@ -46,7 +59,9 @@ class MemoryStore:
 
     def _update(self, operations: Iterator[str]) -> None:
         """Carry them out in one transaction, which only the text of one update is."""
-        self._store.update("\n".join(operations))
+        text = "\n".join(operations)
+        with self._changing:
+            self._store.update(text)
 
     def query(
         self,

@@ -144,6 +144,17 @@ def test_a_query_that_takes_too_long_is_503_and_the_server_goes_on(serve: object
     assert served.http.get("/topics/aircraft/engine/speed").status_code == 200
 
 
+def test_a_query_that_takes_too_much_memory_is_503_and_the_server_goes_on(serve: object) -> None:
+    assert callable(serve)
+    served = serve("aircraft", "--setting", "query_memory_limit", str(128 * 1024 * 1024))
+    greedy = "SELECT * WHERE { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i } ORDER BY ?a ?d ?g"
+    answer = served.http.get("/sparql", params={"query": greedy})
+    assert answer.status_code == 503
+    assert "128 MiB of memory" in answer.json()["detail"]
+    assert served.http.get("/topics/aircraft/engine/speed").status_code == 200
+    assert served.stop() == 0
+
+
 def test_without_a_query_it_describes_itself_and_shows_people_a_page(http: httpx.Client) -> None:
     described = http.get("/sparql", headers={"Accept": "application/n-triples"})
     assert "sparql-service-description#UnionDefaultGraph" in described.text

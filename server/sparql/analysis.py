@@ -12,6 +12,7 @@ from rosld.server.sparql.cursor import Unrecognised
 from rosld.server.sparql.functions import AGE
 from rosld.server.sparql.grammar import read
 from rosld.server.sparql.lexer import BOUNDS, Bounds, Checked, Kind, Token, check, place, update_keyword
+from rosld.server.sparql.modest import is_modest
 from rosld.server.sparql.narrowing import needs
 from rosld.server.sparql.needs import EVERYTHING, Needs
 from rosld.server.sparql.quick import is_quick
@@ -30,7 +31,8 @@ class Analysis:
     `form` is SELECT, ASK, CONSTRUCT or DESCRIBE, None where only the store can tell. `needs` are over all graphs, its
     FROM and FROM NAMED being `default_graphs` and `named_graphs`. `lasting`: the answer is the same for as long as the
     dataset is. `quick`: it follows single values from constants, so that its answer is small and takes less time than
-    going to another thread. `prefixes`: those of the server that its names use.
+    going to another thread. `modest`: it cannot grow out of hand, so that it needs no process of its own. `prefixes`:
+    those of the server that its names use.
     """
 
     text: str
@@ -38,6 +40,7 @@ class Analysis:
     needs: Needs
     lasting: bool
     quick: bool
+    modest: bool
     prefixes: Mapping[str, str]
     default_graphs: tuple[str, ...] = ()
     named_graphs: tuple[str, ...] = ()
@@ -70,12 +73,14 @@ class Analyser:
         lasting = not reading.functions & _CHANGING
         terms = Terms(self._types)
         quick = reading.form == "SELECT" and reading.plain and is_quick(reading.where, terms)
+        words = [token.text.upper() for token in checked.tokens if token.kind is Kind.WORD]
         return Analysis(
             checked.text,
             reading.form,
             needs(reading, terms),
             lasting,
             quick,
+            is_modest(reading.where, words, terms),
             self._used_prefixes(checked),
             reading.default,
             reading.named,
@@ -93,7 +98,7 @@ class Analyser:
         if len(terms) > _MOST_UNREAD:
             raise Problem(400, "The query is no SPARQL 1.1, or begins to be none, somewhere: cut it to find the place.")
         form = next((token.text.upper() for token in checked.tokens if token.is_word(*_FORMS)), None)
-        return Analysis(checked.text, form, EVERYTHING, False, False, self.prefixes)
+        return Analysis(checked.text, form, EVERYTHING, False, False, False, self.prefixes)
 
 
 def _check_comparisons(checked: Checked) -> None:

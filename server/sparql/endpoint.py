@@ -97,7 +97,7 @@ class QueryService:
 
         def job(output: BinaryIO, check: Check) -> None:
             pickled = io.BytesIO()
-            self._carry_out(work, pickled, check)
+            self._carry_out(work, analysis, pickled, check)
             found.append(pickle.loads(pickled.getvalue()))  # our own
 
         async with self._synchroniser.synced(_needs(analysis, request), deadline=self._deadline()):
@@ -125,12 +125,14 @@ class QueryService:
                 raise Problem(400, "The query is of no form that is known here.")
             results.write(found, media_type, output, check, self._analyser.base)
 
-        job = partial(self._carry_out, work)
+        job = partial(self._carry_out, work, analysis)
         return await Evaluation(job, self._limits.seconds).run(self._workers)
 
-    def _carry_out(self, work: Callable[[BinaryIO, Check], None], output: BinaryIO, check: Check) -> None:
-        """Do the work in a process of its own where there can be one, else here, in the worker's thread."""
-        if child.AVAILABLE and self._store.in_memory:
+    def _carry_out(
+        self, work: Callable[[BinaryIO, Check], None], analysis: Analysis, output: BinaryIO, check: Check
+    ) -> None:
+        """Do the work here, in the worker's thread, or in a process of its own where it may grow out of hand."""
+        if not analysis.modest and child.AVAILABLE and self._store.in_memory:
             child.answer(lambda pipe: work(pipe, _unchecked), output, check, self._limits, self._store.still())
         else:
             work(output, check)

@@ -35,10 +35,11 @@ def _follows(pattern: Pattern, reached: set[str], terms: Terms) -> bool:
     )
     if isinstance(pattern.object, Variable):
         reached.add(pattern.object.name)
-    return known and not pattern.repeated and _is_single(pattern.predicates, terms)
+    return known and not pattern.repeated and is_single(pattern.predicates, terms)
 
 
-def _is_single(predicates: frozenset[str] | None, terms: Terms) -> bool:
+def is_single(predicates: frozenset[str] | None, terms: Terms) -> bool:
+    """Whether a subject has one value at most for these predicates."""
     if predicates is None or len(predicates) != 1:
         return False
     [predicate] = predicates

@@ -17,6 +17,7 @@ from rosld.server.http.conditional import ETag, guard
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import FORM, FormRefused, Pages
+from rosld.server.ldp.prepared import Prepared
 from rosld.server.ldp.resource import JSON, LDP, RDF_BODIES, Answer, Created, Resource, allow
 from rosld.server.ldp.state import Rendering, State, digest
 
@@ -26,16 +27,6 @@ FORMATS: Mapping[str, str] = {extension: media_type for media_type, extension in
 OFFERS = (*RDF_BODIES, JSON, HTML)
 """What every resource can be read as, the default first. `application/json` is JSON-LD where there is no ROS value."""
 _JSON_IS_JSONLD = {JSON: Syntax.JSON_LD.media_type}
-
-
-class Prepared(Response):
-    """A response whose header list is ready."""
-
-    def __init__(self, status: int, body: bytes, headers: list[tuple[bytes, bytes]]) -> None:
-        self.status_code = status
-        self.body = body
-        self.background = None
-        self.raw_headers = headers
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,7 +100,7 @@ class QueryResource(Resource):
         is_graph = self._service.check(sample).form in _GRAPH_FORMS
         if chosen in _DESCRIPTIONS and not is_graph and not given:
             return None
-        return told(await self._service.answer(self._request(given), accept), {})
+        return told(await self._service.answer(self._request(given), accept))
 
     def _samples(self, given: Mapping[str, str]) -> Mapping[str, str]:
         """What is given, and for what must be given and is not, anything: to see which form the query has."""

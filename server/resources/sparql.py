@@ -16,6 +16,7 @@ from rosld.server.http import negotiation
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import Pages
+from rosld.server.ldp.prepared import Prepared
 from rosld.server.ldp.resource import READ, Answer, Resource
 from rosld.server.ldp.state import State
 from rosld.server.robot import Robot
@@ -62,13 +63,18 @@ def prefers_page(accept: str | None) -> bool:
     return negotiation.choose(accept, OFFERS) == HTML
 
 
-def told(answer: QueryAnswer, headers: Mapping[str, str]) -> Response:
+def told(answer: QueryAnswer) -> Response:
     """The response with the results of a query; streamed ones break off where they cannot be finished."""
-    headers = {"Vary": "Accept", "Cache-Control": "no-cache", **headers}
     if isinstance(answer.body, bytes):
-        return Response(answer.body, headers={**headers, "Content-Type": answer.content_type})
+        length = (b"content-length", b"%d" % len(answer.body))
+        kind = (b"content-type", answer.content_type.encode("ascii"))
+        return Prepared(200, answer.body, [kind, length, *_STANDING])
     stream: AsyncIterator[bytes] = answer.body
+    headers = {name.decode(): value.decode() for name, value in _STANDING}
     return StreamingResponse(stream, headers={**headers, "Content-Type": answer.content_type})
+
+
+_STANDING = ((b"vary", b"Accept"), (b"cache-control", b"no-cache"))
 
 
 async def results_of(service: QueryService, request: QueryRequest) -> Results:
@@ -136,7 +142,7 @@ class SparqlResource(Resource):
 
     async def _answer(self, request: QueryRequest, accept: str | None) -> Response:
         if not prefers_page(accept):
-            return told(await self._service.answer(request, accept), {})
+            return told(await self._service.answer(request, accept))
         try:
             return self._page(request.text, await results_of(self._service, request))
         except Problem as problem:

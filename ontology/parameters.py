@@ -19,6 +19,7 @@ from typing import TypeAlias
 import orjson
 from pyoxigraph import Literal, NamedNode, Triple
 
+from rosld.adapters.model import ParameterValue
 from rosld.ontology.body import BodyError, RdfBody, Term, parse_json
 from rosld.ontology.document import Document
 from rosld.ontology.fitting import Misfit
@@ -29,10 +30,6 @@ from rosld.ontology.urls import Space, decode_segment, encode_segment
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import dcterms, ldp, rdf, ros, xsd
 
-ParameterValue: TypeAlias = (
-    "bool | int | float | str | bytes | datetime | list[ParameterValue] | dict[str, ParameterValue]"
-)
-"""As in the adapter contract: what a parameter can hold."""
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
 
 SAFE = 2**53

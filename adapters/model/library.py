@@ -81,11 +81,6 @@ class TypeLibrary:
         with self._lock:
             return [schema.ref for schemas in self._learnt.values() for schema in schemas.values()]
 
-    def conflicts(self, name: str) -> Sequence[TypeRef]:
-        """The definitions known for `name`: more than one is a conflict."""
-        with self._lock:
-            return [schema.ref for schema in self._learnt.get(name, {}).values()]
-
     def _keep(self, schema: Schema) -> None:
         self._learnt.setdefault(schema.ref.name, {})[schema.ref.hash or ""] = schema
 

@@ -22,12 +22,6 @@ def join(parts: tuple[str, ...]) -> str:
     return "/" + "/".join(parts)
 
 
-def namespace(name: str) -> str:
-    """The namespace a name lies in: that of `/a/b` is `/a`, that of `/a` is `/`."""
-    head, _, _ = name.rpartition("/")
-    return head or "/"
-
-
 def global_name(name: str) -> str:
     """The name with a leading slash, as the master stores it."""
     return name if name.startswith("/") else "/" + name

@@ -54,13 +54,6 @@ class IoThread:
             raise Unreachable("the adapter is closed")
         return await answer
 
-    def spawn(self, coroutine: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        """Begin a task that lives until it ends or the thread stops; called on the thread itself."""
-        task = self.loop.create_task(coroutine)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return task
-
     def post(self, action: Callable[[], None]) -> None:
         """Have the thread do this soon, in the order posted; many posts cost one wake-up."""
         self._posted.append(action)

@@ -7,7 +7,7 @@ than the text; what is written is refused (ValueError) when it could end the fie
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 TOKEN = r"[!#$%&'*+\-.^_`|~0-9A-Za-z]+"
 QUOTED = r'"(?:[^"\\]|\\.)*"'
@@ -86,9 +86,3 @@ def parameter(text: str) -> tuple[str, str]:
     if equals and not (is_token(value) or re.fullmatch(QUOTED, value, re.DOTALL)):
         raise ValueError(f"{value!r} is neither a token nor a quoted string")
     return name, unquote(value)
-
-
-def combined(lines: Iterable[str]) -> str | None:
-    """The lines of one list field as one value (RFC 9110 5.3); None where there is no line."""
-    found = list(lines)
-    return ", ".join(found) if found else None

@@ -169,7 +169,7 @@ class LiveTopics:
             return
         newest = {sample.publisher: sample for sample in ordered}
         rate = look.rates.observe(list(newest.values()))
-        look.view = View((whole,) if whole is not None else (), rate, folded=True)
+        look.view = View((whole,) if whole is not None else (), rate)
 
     def _schema_at_hand(self, sample: Sample) -> MessageSchema:
         schema = self._schemas.at_hand(sample.schema)

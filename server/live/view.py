@@ -13,13 +13,12 @@ from rosld.adapters.model import Sample
 class View:
     """The samples of a topic as of one look: the newest of each publisher, and how often they come.
 
-    `samples` is in order of receipt, the newest last; `folded` says that they belong together (`/tf`), so that one
-    message is made of all. `rate` is in messages a second over all publishers, 0.0 until known.
+    `samples` is in order of receipt, the newest last; of a folded topic (`/tf`) it is one, made of all that came.
+    `rate` is in messages a second over all publishers, 0.0 until known.
     """
 
     samples: tuple[Sample, ...] = ()
     rate: float = 0.0
-    folded: bool = False
 
     @property
     def newest(self) -> Sample | None:

@@ -47,7 +47,7 @@ class TopicResource(Resource):
     @property
     def topic(self) -> Topic | None:
         """The topic in the computation graph, None where there is none of that name."""
-        return self.robot.graph.topics.get(self.name)
+        return self._publishing.topic
 
     def methods(self) -> frozenset[str]:
         return self._allowance()[1]

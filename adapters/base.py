@@ -35,6 +35,7 @@ class Capabilities:
     `system` names it ("ROS 1", "recording", ...); `encoding` is what `publish` and `call` take and `call` returns;
     `parameter_trees`: parameters form one tree of namespaces (ROS 1), so that a namespace can be read and deleted
     whole; `writes`: anything can be written at all; `creates_topics`: a topic that is not there may be published.
+    `mapping` and `limits` are documents that this kind of robot comes with (RDF, opaque to adapters), None for most.
     """
 
     system: str
@@ -42,6 +43,8 @@ class Capabilities:
     writes: bool
     creates_topics: bool
     parameter_trees: bool
+    mapping: Path | None = None
+    limits: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)

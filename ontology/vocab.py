@@ -42,6 +42,11 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     Action: NamedNode
     Parameter: NamedNode
     Endpoint: NamedNode
+    Property: NamedNode
+    ComplexResource: NamedNode
+    readsFrom: NamedNode
+    writesTo: NamedNode
+    invokes: NamedNode
     name: NamedNode
     master: NamedNode
     uri: NamedNode
@@ -169,6 +174,7 @@ class rdf(Namespace, iri="http://www.w3.org/1999/02/22-rdf-syntax-ns#"):
     first: NamedNode
     rest: NamedNode
     nil: NamedNode
+    value: NamedNode
     langString: NamedNode
     JSON: NamedNode
 
@@ -238,6 +244,8 @@ class dcterms(Namespace, iri="http://purl.org/dc/terms/"):
 
     title: NamedNode
     description: NamedNode
+    isPartOf: NamedNode
+    hasPart: NamedNode
 
 
 class foaf(Namespace, iri="http://xmlns.com/foaf/0.1/"):
@@ -255,8 +263,11 @@ class sh(Namespace, iri="http://www.w3.org/ns/shacl#"):
     ValidationResult: NamedNode
     ConstraintComponent: NamedNode
     Violation: NamedNode
+    Warning: NamedNode
+    Info: NamedNode
     BlankNodeOrIRI: NamedNode
     targetClass: NamedNode
+    targetNode: NamedNode
     property: NamedNode
     path: NamedNode
     name: NamedNode
@@ -270,6 +281,14 @@ class sh(Namespace, iri="http://www.w3.org/ns/shacl#"):
     maxCount: NamedNode
     minInclusive: NamedNode
     maxInclusive: NamedNode
+    minExclusive: NamedNode
+    maxExclusive: NamedNode
+    hasValue: NamedNode
+    in_: NamedNode
+    flags: NamedNode
+    message: NamedNode
+    severity: NamedNode
+    deactivated: NamedNode
     minLength: NamedNode
     maxLength: NamedNode
     pattern: NamedNode
@@ -288,9 +307,92 @@ class sh(Namespace, iri="http://www.w3.org/ns/shacl#"):
     sourceShape: NamedNode
 
 
+class td(Namespace, iri="https://www.w3.org/2019/wot/td#"):
+    """WoT Thing Description 1.1, as an ontology."""
+
+    Thing: NamedNode
+    PropertyAffordance: NamedNode
+    ActionAffordance: NamedNode
+    EventAffordance: NamedNode
+    hasPropertyAffordance: NamedNode
+    hasActionAffordance: NamedNode
+    hasEventAffordance: NamedNode
+    hasForm: NamedNode
+    name: NamedNode
+    isObservable: NamedNode
+    readProperty: NamedNode
+    writeProperty: NamedNode
+    observeProperty: NamedNode
+    invokeAction: NamedNode
+    subscribeEvent: NamedNode
+
+
+class hctl(Namespace, iri="https://www.w3.org/2019/wot/hypermedia#"):
+    """Hypermedia controls (WoT)."""
+
+    Form: NamedNode
+    Link: NamedNode
+    hasTarget: NamedNode
+    hasOperationType: NamedNode
+    hasRelationType: NamedNode
+    forContentType: NamedNode
+    forSubProtocol: NamedNode
+
+
+class htv(Namespace, iri="http://www.w3.org/2011/http#"):
+    """HTTP in RDF."""
+
+    methodName: NamedNode
+
+
+class qudt(Namespace, iri="http://qudt.org/schema/qudt/"):
+    """QUDT: units and kinds of quantity."""
+
+    hasUnit: NamedNode
+    hasQuantityKind: NamedNode
+
+
+class mapping(Namespace, iri="https://w3id.org/rosld/mapping#"):
+    """The vocabulary of mapping documents."""
+
+    ComplexResource: NamedNode
+    path: NamedNode
+    property: NamedNode
+    predicate: NamedNode
+    member: NamedNode
+    field: NamedNode
+    unit: NamedNode
+    quantityKind: NamedNode
+    action: NamedNode
+    relation: NamedNode
+    name: NamedNode
+    service: NamedNode
+    link: NamedNode
+    target: NamedNode
+    about: NamedNode
+    writableWhen: NamedNode
+    availableWhen: NamedNode
+    existsWhen: NamedNode
+
+
+class av(Namespace, iri="https://w3id.org/rosld/aircraft#"):
+    """The relations of the paper's aircraft (Listing 3)."""
+
+    power: NamedNode
+    start: NamedNode
+    stop: NamedNode
+    engine: NamedNode
+    aircraft: NamedNode
+    speed: NamedNode
+    direction: NamedNode
+
+
 PREFIXES: Mapping[str, str] = {
-    space.__name__: space.iri for space in (ros, rdf, rdfs, xsd, ldp, xhv, dcterms, foaf, sh)
+    space.__name__: space.iri for space in (ros, rdf, rdfs, xsd, ldp, xhv, dcterms, foaf, sh, td, hctl, htv, qudt, av)
 } | {
+    "map": mapping.iri,
+    "unit": "http://qudt.org/vocab/unit/",
+    "quantitykind": "http://qudt.org/vocab/quantitykind/",
     "owl": "http://www.w3.org/2002/07/owl#",
     "prov": "http://www.w3.org/ns/prov#",
     "sosa": "http://www.w3.org/ns/sosa/",

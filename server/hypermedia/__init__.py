@@ -1,0 +1,1 @@
+"""The paper's levels two and three: resources by convention, arranged by mappings, offered by their state."""

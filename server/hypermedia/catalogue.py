@@ -1,0 +1,112 @@
+"""The catalogue: which resources a robot's names come to by convention (paper, section 4.2; Listing 1 to Listing 2).
+
+A `Property` is what has a value: `NS/get_X`, `NS/set_X`, the topic `NS/X` and the parameter `NS/X` are one. An `Action`
+is a service that is neither a getter nor a setter. `conventions.py` finds both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+from rosld.adapters.model import Field, MessageSchema, Primitive, ServiceSchema
+from rosld.ontology.namespaces import Members
+
+
+@dataclass(frozen=True, slots=True)
+class TopicSource:
+    """A topic: read as its latest message, written by publishing. `schema` is None while its type is not known."""
+
+    name: str
+    schema: MessageSchema | None
+
+
+@dataclass(frozen=True, slots=True)
+class Getter:
+    """A service that is asked with nothing and answers with the value: in `fields` of its response."""
+
+    name: str
+    schema: ServiceSchema
+    fields: tuple[Field, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Setter:
+    """A service whose request is the value."""
+
+    name: str
+    schema: ServiceSchema
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSource:
+    """A parameter."""
+
+    name: str
+
+
+Reader: TypeAlias = TopicSource | Getter | ParameterSource
+Writer: TypeAlias = Setter | ParameterSource | TopicSource
+
+
+@dataclass(frozen=True, slots=True)
+class ScalarKind:
+    """The value is one scalar."""
+
+    primitive: Primitive
+
+
+@dataclass(frozen=True, slots=True)
+class MessageKind:
+    """The value is the `fields` of a message of `schema`: that of the first reader, else of the first writer."""
+
+    schema: MessageSchema
+    fields: tuple[Field, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class OpenKind:
+    """The value may be anything: a parameter's, or that of a topic whose type is not known."""
+
+
+ValueKind: TypeAlias = ScalarKind | MessageKind | OpenKind
+
+
+@dataclass(frozen=True, slots=True)
+class Property:
+    """A resource with a value, by its full name (`/aircraft/engine/speed`).
+
+    `readers` and `writers` are in the order in which they are tried: topic, getter, parameter; setter, parameter,
+    topic. A writer is what could write by its kind; whether it may now is asked when it comes to that.
+    """
+
+    name: str
+    kind: ValueKind
+    readers: tuple[Reader, ...] = ()
+    writers: tuple[Writer, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """A resource that does something, by its full name; `schema` is None where the service's type is not known."""
+
+    name: str
+    service: str
+    schema: ServiceSchema | None
+
+
+@dataclass(frozen=True, slots=True)
+class Catalogue:
+    """Everything found by convention, by full name; a name may be both a property and an action.
+
+    `namespaces` are those of both. The `by_` mappings lead from the name of a topic, service or parameter to the full
+    name of the property that it reads or writes.
+    """
+
+    properties: Mapping[str, Property] = field(default_factory=dict)
+    actions: Mapping[str, Action] = field(default_factory=dict)
+    namespaces: Mapping[tuple[str, ...], Members] = field(default_factory=dict)
+    by_topic: Mapping[str, str] = field(default_factory=dict)
+    by_service: Mapping[str, str] = field(default_factory=dict)
+    by_parameter: Mapping[str, str] = field(default_factory=dict)

@@ -1,0 +1,93 @@
+"""Mappings as values: how documents of `map:` arrange resources, name relations and give conditions. Pure.
+
+`documents.py` reads them from RDF. Paths and names are those of resources without `/resources`: a path (`/aircraft/`)
+ends in a slash and is a complex resource, a name (`/aircraft/power`) does not and is a property or an action.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from pyoxigraph import NamedNode
+
+from rosld.shapes.constraints import NodeShape
+from rosld.shapes.value import NO_MEASURE, Measure
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """A SHACL node shape about the state of one resource: of the complex resource, or of the property, `about`.
+
+    The focus node is that resource's URL. Of a complex resource the state is its properties by their predicates, of a
+    property it is its rdf:value. `iri` names the condition in reports.
+    """
+
+    iri: str
+    about: str
+    shape: NodeShape
+
+
+@dataclass(frozen=True, slots=True)
+class MappedProperty:
+    """A member's value (or, with `field`, one scalar of it: `pose.position.x`) as a property of a complex resource.
+
+    `name` is its key in plain JSON and in Thing Descriptions. It may be written only while all of `writable_when` hold.
+    """
+
+    predicate: NamedNode
+    member: str
+    name: str
+    field: str | None = None
+    measure: Measure = NO_MEASURE
+    writable_when: tuple[Condition, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class MappedAction:
+    """A service offered as `name` under a complex resource, led to by `relation`, while all conditions hold."""
+
+    relation: NamedNode
+    name: str
+    service: str
+    available_when: tuple[Condition, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class MappedLink:
+    """A link from a complex resource to another one (`target` is its path), while all conditions hold."""
+
+    relation: NamedNode
+    target: str
+    available_when: tuple[Condition, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ComplexResource:
+    """A complex resource as a mapping has it: what it lists is what there is at `path`."""
+
+    iri: str
+    path: str
+    properties: tuple[MappedProperty, ...] = ()
+    actions: tuple[MappedAction, ...] = ()
+    links: tuple[MappedLink, ...] = ()
+    exists_when: tuple[Condition, ...] = ()
+    title: str | None = None
+
+    def conditions(self) -> Iterator[Condition]:
+        """Every condition of it, of its properties, actions and links."""
+        yield from self.exists_when
+        for one in self.properties:
+            yield from one.writable_when
+        for action in self.actions:
+            yield from action.available_when
+        for link in self.links:
+            yield from link.available_when
+
+
+@dataclass(frozen=True, slots=True)
+class Arrangement:
+    """All mappings in force together, by path. `revision` differs whenever anything in it does."""
+
+    revision: int = 0
+    resources: Mapping[str, ComplexResource] = field(default_factory=dict)

@@ -1,0 +1,102 @@
+"""Views: what the resources of `/resources/` look like at one moment, as values. `offers.py` makes them, `describe.py`
+
+writes them as RDF, `thing.py` as Thing Descriptions, the pages as HTML. URLs are absolute.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pyoxigraph import NamedNode
+
+from rosld.adapters.model import MessageSchema
+from rosld.server.hypermedia.value import Reading
+from rosld.shapes.value import ValueShape
+
+
+@dataclass(frozen=True, slots=True)
+class PropertyAffordance:
+    """A property as it can be used: `shape` is what its value is and what may be sent.
+
+    `name` is its key in plain JSON, `predicate` its relation in a complex resource (None where no mapping names one).
+    `write` and `read` are what may be done now (in a Thing Description: ever). `observe`: its changes can be streamed.
+    """
+
+    name: str
+    url: str
+    shape: ValueShape
+    predicate: NamedNode | None = None
+    read: bool = True
+    write: bool = False
+    observe: bool = False
+    title: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ActionAffordance:
+    """An action: POST to `url`, with a message of `request` (None: its type is not known, so it cannot be called)."""
+
+    name: str
+    url: str
+    request: MessageSchema | None
+    relation: NamedNode | None = None
+    title: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LinkAffordance:
+    """A link to follow: `target` is the URL of another resource."""
+
+    relation: NamedNode
+    target: str
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """A property within a complex resource with its value as read; `field` picks one scalar of it."""
+
+    affordance: PropertyAffordance
+    reading: Reading
+    field: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PropertyView:
+    """A property by itself (`/resources/aircraft/power`). `reads_from` and `writes_to`: the URLs of the ROS topics,
+
+    services and parameters behind it; `part_of`: the URL of its complex resource.
+    """
+
+    affordance: PropertyAffordance
+    reading: Reading
+    reads_from: tuple[str, ...]
+    writes_to: tuple[str, ...]
+    part_of: str
+
+
+@dataclass(frozen=True, slots=True)
+class ActionView:
+    """An action by itself (`/resources/aircraft/start`); `invokes` is the URL of the service behind it."""
+
+    affordance: ActionAffordance
+    invokes: str
+    part_of: str
+
+
+@dataclass(frozen=True, slots=True)
+class ComplexView:
+    """A complex resource (`/resources/aircraft/`): everything in it that is on offer now, and nothing else.
+
+    `children`: the URLs of the complex resources directly below, `parent`: that of the one above; `mapping`: the IRI of
+    what arranges it, None where it is derived from names alone.
+    """
+
+    url: str
+    path: str
+    members: tuple[Member, ...] = ()
+    actions: tuple[ActionAffordance, ...] = ()
+    links: tuple[LinkAffordance, ...] = ()
+    children: tuple[str, ...] = ()
+    parent: str | None = None
+    title: str | None = None
+    mapping: str | None = None

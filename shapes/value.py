@@ -1,0 +1,81 @@
+"""What a value must be: the one description from which a SHACL shape, a form and a data schema are drawn.
+
+Beside the ROS type stand the bounds that limits (`--shapes`) give it, and what a mapping says of its unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+from pyoxigraph import Literal, NamedNode
+
+from rosld.adapters.model import MessageSchema, Primitive
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What is demanded of one scalar beyond its type (SHACL 4.3 to 4.8); None and () where nothing is.
+
+    `least` and `greatest` are inclusive, `above` and `below` are not. `choices`: it is one of these.
+    """
+
+    least: Literal | None = None
+    greatest: Literal | None = None
+    above: Literal | None = None
+    below: Literal | None = None
+    choices: tuple[Literal, ...] = ()
+    pattern: str | None = None
+    min_length: int | None = None
+    max_length: int | None = None
+
+    def __bool__(self) -> bool:
+        """Whether anything is demanded."""
+        return self != UNBOUNDED
+
+
+UNBOUNDED = Bounds()
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """What a number measures: its unit and its kind of quantity, as QUDT's terms."""
+
+    unit: NamedNode | None = None
+    quantity_kind: NamedNode | None = None
+
+
+NO_MEASURE = Measure()
+
+
+@dataclass(frozen=True, slots=True)
+class ScalarShape:
+    """A value that is one scalar of a ROS primitive."""
+
+    kind: Primitive
+    bounds: Bounds = UNBOUNDED
+    measure: Measure = NO_MEASURE
+
+
+@dataclass(frozen=True, slots=True)
+class MessageShape:
+    """A value that is a message; `fields` are the names of those that belong to the value (all of the type's, as a
+
+    rule), `bounds` those of single scalars by their dotted path (`linear.x`).
+    """
+
+    schema: MessageSchema
+    fields: tuple[str, ...]
+    bounds: Mapping[str, Bounds] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class OpenShape:
+    """A value of any kind: a parameter's, for which ROS declares no type."""
+
+    bounds: Bounds = UNBOUNDED
+    measure: Measure = NO_MEASURE
+
+
+ValueShape: TypeAlias = ScalarShape | MessageShape | OpenShape

@@ -1,0 +1,139 @@
+"""Shapes of what to send: a `ValueShape` as SHACL, for affordances that tell clients what a write must hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+
+from rosld.adapters.model import Array, Field, MessageSchema, Nested, Primitive
+from rosld.ontology.fitting import RANGES
+from rosld.ontology.literals import DATATYPES
+from rosld.ontology.triples import Statement, Value, about, each, integer, text
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import qudt, rdf, sh, xsd
+from rosld.shapes.value import NO_MEASURE, UNBOUNDED, Bounds, Measure, MessageShape, ScalarShape, ValueShape
+
+
+def value_shape_triples(shape: ValueShape, node: NamedNode, path: NamedNode, space: Space) -> list[Triple]:
+    """The node shape `node` of what has one such value by the predicate `path` (SHACL 2.1).
+
+    Nodes within it are fragments beside `node` (`#shape.value`); a message's own shape is referred to by its URL.
+    """
+    value = within(node, "value")
+    triples = about(node, (rdf.type, sh.NodeShape), (sh.property, value))
+    triples += about(
+        value, (rdf.type, sh.PropertyShape), (sh.path, path), (sh.minCount, integer(1)), (sh.maxCount, integer(1))
+    )
+    if isinstance(shape, MessageShape):
+        return triples + _message(shape, value, space)
+    kind = shape.kind if isinstance(shape, ScalarShape) else None
+    return triples + _scalar(value, kind, shape.bounds, shape.measure)
+
+
+def within(node: NamedNode, name: str) -> NamedNode:
+    """A fragment of the document of `node`, named after it."""
+    return NamedNode(f"{node.value}{'.' if '#' in node.value else '#'}{name}")
+
+
+def _scalar(node: NamedNode, kind: Primitive | None, bounds: Bounds, measure: Measure = NO_MEASURE) -> list[Triple]:
+    """What one literal must be: of the datatype of its primitive, within its range and the bounds."""
+    datatype = None if kind is None else NamedNode(xsd.iri + DATATYPES[kind.name])
+    least, greatest = RANGES.get(kind.name, (None, None)) if kind is not None else (None, None)
+    triples = about(
+        node,
+        (sh.datatype, datatype),
+        (sh.minInclusive, bounds.least or integer(least)),
+        (sh.maxInclusive, bounds.greatest or integer(greatest)),
+        (sh.minExclusive, bounds.above),
+        (sh.maxExclusive, bounds.below),
+        (sh.pattern, text(bounds.pattern)),
+        (sh.minLength, integer(bounds.min_length)),
+        (sh.maxLength, integer(_least(bounds.max_length, kind.bound if kind is not None else None))),
+        (qudt.hasUnit, measure.unit),
+        (qudt.hasQuantityKind, measure.quantity_kind),
+    )
+    if bounds.choices:
+        head, cells = _listed(within(node, "in"), bounds.choices)
+        triples += [*about(node, (sh.in_, head)), *cells]
+    return triples
+
+
+def _least(*values: int | None) -> int | None:
+    return min((value for value in values if value is not None), default=None)
+
+
+def _message(shape: MessageShape, node: NamedNode, space: Space) -> list[Triple]:
+    """What a message must be: all that its type's shape says or, of a part of its fields, what that says of each."""
+    kind = shape.schema.type
+    type_shape = space.shape(kind.name)
+    whole = {field.name for field in kind.fields} <= set(shape.fields)
+    statements: list[Statement] = (
+        [(sh.class_, NamedNode(space.class_of(kind.name))), (sh.node, NamedNode(type_shape))]
+        if whole
+        else [
+            (sh.nodeKind, sh.BlankNodeOrIRI),
+            *each(sh.property, (each_ for field in kind.fields if field.name in shape.fields
+                                for each_ in _field_shapes(field, type_shape, space))),
+        ]
+    )  # fmt: skip
+    return about(node, *statements) + _bounded(node, kind.name, shape.schema, _tree(shape.bounds), space)
+
+
+def _field_shapes(field: Field, type_shape: str, space: Space) -> Iterable[NamedNode]:
+    """The property shapes of a field in the shape of its type (`message.py`)."""
+    property = space.fragment(type_shape, field.name)
+    yield NamedNode(property)
+    if isinstance(field.type, Array) and isinstance(field.type.element, Nested):
+        yield NamedNode(property + ".elements")
+
+
+class _Bounded(dict[str, "_Bounded"]):
+    """Fields by name, each with the bounds of its own value."""
+
+    bounds: Bounds = UNBOUNDED
+
+
+def _tree(bounds: Mapping[str, Bounds]) -> _Bounded:
+    root = _Bounded()
+    for path, each_ in bounds.items():
+        place = root
+        for step in path.split("."):
+            place = place.setdefault(step, _Bounded())
+        place.bounds = each_
+    return root
+
+
+def _bounded(node: NamedNode, kind: str, schema: MessageSchema, tree: _Bounded, space: Space) -> list[Triple]:
+    """Property shapes within `node` that lead to the bounds; those of an array of messages hold for each element."""
+    triples: list[Triple] = []
+    for field in schema.types[kind].fields:
+        if field.name not in tree:
+            continue
+        inner, property = within(node, field.name), NamedNode(space.property_of(kind, field.name))
+        triples += about(node, (sh.property, inner)) + about(inner, (rdf.type, sh.PropertyShape))
+        element = field.type
+        if isinstance(element, Array) and isinstance(element.element, Nested):
+            element = element.element
+            rest = within(inner, "rest")
+            head, cells = _listed(within(inner, "path"), (property, rest, rdf.first))
+            triples += [*about(inner, (sh.path, head)), *about(rest, (sh.zeroOrMorePath, rdf.rest)), *cells]
+        else:
+            triples += about(inner, (sh.path, property))
+        if isinstance(element, Nested):
+            triples += _bounded(inner, element.name, schema, tree[field.name], space)
+        else:
+            triples += _scalar(inner, element if isinstance(element, Primitive) else None, tree[field.name].bounds)
+    return triples
+
+
+def _listed(name: NamedNode, elements: Iterable[NamedNode | BlankNode | Literal]) -> tuple[Value, list[Triple]]:
+    """An rdf:List, whose cells are blank: its head and its triples."""
+    label = "".join(letter if letter.isalnum() else "-" for letter in name.value)
+    cells: list[Triple] = []
+    rest: Value = rdf.nil
+    for number, element in reversed(list(enumerate(elements))):
+        cell = BlankNode(f"{label}-{number}")
+        cells += about(cell, (rdf.first, element), (rdf.rest, rest))
+        rest = cell
+    return rest, cells

@@ -35,12 +35,13 @@ $(READY): pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
-# What the tests use beside Python: a real ROS 1 and a browser, from Debian. Without them their tests are skipped by
-# name, and fail where CI=true.
+# What the tests use beside Python, from Debian: a real ROS 1, a browser and Node. Without them their tests are skipped
+# by name, and fail where CI=true.
 debian:
 	@test -x /usr/bin/rosmaster || .ci/debian tests/debian-ros.txt
 	@command -v chromium >/dev/null || .ci/debian tests/debian-browser.txt
+	@command -v npm >/dev/null || .ci/debian tests/debian-node.txt
 
 clean:
-	rm -rf .venv build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis tests/agents/node_modules
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -16,6 +16,7 @@ from rosld.server.settings import Declaration, Settings
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _DEFAULT_BASE = "http://127.0.0.1:8080/"
+_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 _FOLDER = click.Path(file_okay=False, path_type=Path)
 _KINDS: Mapping[str, click.ParamType[Any]] = {
     "int": click.INT,
@@ -62,7 +63,7 @@ def _option(one: Declaration) -> Callable[[_F], _F]:
     return click.option(
         one.option,
         one.name,
-        type=_KINDS.get(one.type, click.STRING),
+        type=_FILE if one.metavar == "FILE" else _KINDS.get(one.type, click.STRING),
         multiple=one.type.startswith("tuple"),
         callback=_pairs if one.name == "host_map" else None,
         default=None if one.name == "base_url" else one.default,

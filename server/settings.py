@@ -65,6 +65,43 @@ class Settings:
         option=True,
         metavar="GLOB",
     )
+    resources_only: tuple[str, ...] = setting(
+        (),
+        "ROS names that are written under /resources/ only, where mappings guard them: /topics, /services and "
+        "/parameters refuse them. Repeatable.",
+        option=True,
+        metavar="GLOB",
+    )
+    mapping: tuple[Path, ...] = setting(
+        (),
+        "A mapping document (RDF): it arranges resources, names relations, gives conditions. Repeatable.",
+        option=True,
+        metavar="FILE",
+    )
+    shapes: tuple[Path, ...] = setting(
+        (),
+        "Limits (SHACL, Turtle) on what may be written, by type or by resource. Repeatable.",
+        option=True,
+        metavar="FILE",
+    )
+    getter: tuple[str, ...] = setting(
+        (),
+        "A name of services that read {name}, beside 'get_{name}' and the like. Repeatable.",
+        option=True,
+        metavar="TEMPLATE",
+    )
+    setter: tuple[str, ...] = setting(
+        (),
+        "A name of services that write {name}, beside 'set_{name}' and the like. Repeatable.",
+        option=True,
+        metavar="TEMPLATE",
+    )
+    exclude_service: tuple[str, ...] = setting(
+        (),
+        "Services that are in no resource, beside ROS's own such as '*/get_loggers'. Repeatable.",
+        option=True,
+        metavar="GLOB",
+    )
     max_publish_rate: float = setting(
         100.0, "The most publishes a second to one topic.", option=True, unit="Hz", least=0.001, metavar="N"
     )
@@ -100,6 +137,12 @@ class Settings:
         0.5, "How long a publish waits for a subscriber to connect before it answers 202.", unit="s", least=0
     )
     call_deadline: float = setting(10.0, "How long to wait for a service before answering 504.", unit="s", least=0.001)
+    freshness: float = setting(
+        1.0, "How long the value of a getter or a parameter is shown before it is read again.", unit="s", least=0
+    )
+    read_deadline: float = setting(
+        5.0, "How long a resource waits for the values of all its members together.", unit="s", least=0.001
+    )
     calls_kept: int = setting(1000, "The most calls kept under /calls/; the oldest goes first.", least=1)
     calls_age: float = setting(3600.0, "How long a call is kept under /calls/.", unit="s", least=1)
     body_limit: int = setting(10 * 1024 * 1024, "The largest request body.", unit="bytes", least=1024)

@@ -46,6 +46,9 @@ class Resource:
     def __init__(self, url: str) -> None:
         self.url = url
 
+    async def ready(self) -> None:
+        """Learn what must be known before anything else can be told. Called first on each request."""
+
     def methods(self) -> frozenset[str]:
         """The verbs it answers now; what `Allow` says."""
         return READ
@@ -122,8 +125,17 @@ class Created:
     state: State
 
 
-Answer: TypeAlias = Response | Created
-"""What a write answers: a finished response, or a new resource still to be represented as the request prefers."""
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A resource that shows what became of a write: answered as 200 with its state and its Content-Location."""
+
+    resource: Resource
+    state: State
+    links: tuple[Link, ...] = ()
+
+
+Answer: TypeAlias = Response | Created | Shown
+"""What a write answers: a finished response, or a resource still to be represented as the request prefers."""
 
 
 def _not_there(resource: Resource, method: str) -> Problem:

@@ -26,6 +26,7 @@ class State:
 
     `token` is the state part of its ETag; without one it is a digest of the RDF. `plain` returns ROS's own JSON or
     raises the Problem that says why there is none (406). `received_ns` is when its newest sample was received, for Age.
+    `max_age`: seconds for which it may be shown without asking again (RFC 9111 5.2.2.1); 0: ask each time.
     A state is kept as long as nothing changes, and its renderings with it.
     """
 
@@ -33,6 +34,7 @@ class State:
     plain: Callable[[], bytes] | None = None
     token: str | None = None
     received_ns: int | None = None
+    max_age: int = 0
     renderings: dict[str, Rendering] = field(default_factory=dict)
 
     @cached_property

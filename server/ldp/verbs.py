@@ -18,7 +18,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import FORM, FormRefused, Pages
 from rosld.server.ldp.prepared import Prepared
-from rosld.server.ldp.resource import JSON, LDP, RDF_BODIES, Answer, Created, Resource, allow
+from rosld.server.ldp.resource import JSON, LDP, RDF_BODIES, Answer, Created, Resource, Shown, allow
 from rosld.server.ldp.state import Rendering, State, digest
 
 HTML = "text/html"
@@ -41,6 +41,7 @@ class Verbs:
         method = exchange.method
         if exchange.request.scope["query_string"]:
             resource = await resource.narrowed(exchange)
+        await resource.ready()
         if method in ("GET", "HEAD"):
             return await self.read(exchange, resource)
         if method == "OPTIONS":
@@ -59,6 +60,8 @@ class Verbs:
             raise _constrained(resource, error) from error
         if isinstance(answer, Created):
             return await self._created(exchange, answer)
+        if isinstance(answer, Shown):
+            return await self._shown(exchange, answer)
         return await self._as_preferred(exchange, resource, answer)
 
     async def read(self, exchange: Exchange, resource: Resource) -> Response:
@@ -99,7 +102,7 @@ class Verbs:
             "content-length": str(len(body)),
             "etag": etag,
             "vary": "Accept",
-            "cache-control": "no-cache",
+            "cache-control": f"max-age={state.max_age}" if state.max_age else "no-cache",
             **standing_headers(resource),
         }
         if media_type == HTML:
@@ -134,7 +137,7 @@ class Verbs:
             return await self.pages.refused(resource, refusal)
         if isinstance(answer, Response) and answer.status_code == 202:
             return await self.pages.told(resource, "It was published, but no subscriber was there to get it.")
-        back = answer.location if isinstance(answer, Created) else answer.headers.get("location", resource.url)
+        back = _back(resource, answer)
         if form.method == "DELETE":
             back = resource.url.rstrip("/").rpartition("/")[0] + "/"
         return Response(status_code=303, headers={"Location": link.uri(back)})
@@ -146,6 +149,15 @@ class Verbs:
             return Prepared(201, b"", [location, (b"content-length", b"0")])
         rendering = await self.rendering(exchange, created.resource, created.state)
         return Prepared(201, rendering.body, [*rendering.headers, location, (b"content-location", location[1])])
+
+    async def _shown(self, exchange: Exchange, shown: Shown) -> Response:
+        """200 with the representation of the resource that shows it (RFC 9110 8.7), or 204 where less is preferred."""
+        location = (b"content-location", link.uri(shown.resource.url).encode("ascii"))
+        added = [(b"link", link.render(shown.links).encode("latin-1"))] if shown.links else []
+        if exchange.prefer.minimal:
+            return Prepared(204, b"", [location, *added, (b"preference-applied", b"return=minimal")])
+        rendering = await self.rendering(exchange, shown.resource, shown.state)
+        return Prepared(200, rendering.body, [*rendering.headers, location, *added])
 
     async def _as_preferred(self, exchange: Exchange, resource: Resource, response: Response) -> Response:
         """The representation after a write instead of an empty 204, where the request prefers it (RFC 7240 4.2)."""
@@ -166,6 +178,17 @@ _VERBS: Mapping[str, Callable[[Resource, Exchange], Awaitable[Answer]]] = {
     "PATCH": lambda resource, exchange: resource.patch(exchange),
     "DELETE": lambda resource, exchange: resource.delete(exchange),
 }
+
+
+def _back(resource: Resource, answer: Answer) -> str:
+    """Where a browser goes after a form."""
+    match answer:
+        case Created():
+            return answer.location
+        case Shown():
+            return answer.resource.url
+        case _:
+            return answer.headers.get("location", resource.url)
 
 
 def _constrained(resource: Resource, error: BodyError | LoweringError | Problem) -> Problem:

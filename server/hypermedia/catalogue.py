@@ -1,7 +1,7 @@
 """The catalogue: which resources a robot's names come to by convention (paper, section 4.2; Listing 1 to Listing 2).
 
 A `Property` is what has a value: `NS/get_X`, `NS/set_X`, the topic `NS/X` and the parameter `NS/X` are one. An `Action`
-is a service that is neither a getter nor a setter. `conventions.py` finds both.
+is a service that is neither a getter nor a setter. `conventions.py` finds both, `signatures.py` judges their types.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class TopicSource:
 
 @dataclass(frozen=True, slots=True)
 class Getter:
-    """A service that is asked with nothing and answers with the value: in `fields` of its response."""
+    """A service that is asked with nothing and answers with the value: in `fields` of its response, beside a status."""
 
     name: str
     schema: ServiceSchema
@@ -89,7 +89,10 @@ class Property:
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """A resource that does something, by its full name; `schema` is None where the service's type is not known."""
+    """A resource that does something, by its full name, which is that of the service.
+
+    `schema` is None where the service's type is not known, so that it cannot be called.
+    """
 
     name: str
     service: str
@@ -101,7 +104,7 @@ class Catalogue:
     """Everything found by convention, by full name; a name may be both a property and an action.
 
     `namespaces` are those of both. The `by_` mappings lead from the name of a topic, service or parameter to the full
-    name of the property that it reads or writes.
+    name of the property that it reads or writes. A service that is in none of them is an action or in no resource.
     """
 
     properties: Mapping[str, Property] = field(default_factory=dict)

@@ -1,0 +1,277 @@
+"""Conventions: from the names of a robot to its resources (paper, section 4.2). Pure.
+
+    /aircraft/get_power, /aircraft/set_power              one property   /aircraft/power
+    /aircraft/engine/speed (a topic), .../set_speed       one property   /aircraft/engine/speed
+    /aircraft/start                                       an action      /aircraft/start
+
+A template such as `get_{name}` only proposes; the types decide (`signatures.py`). Whatever is not found to be a getter
+or a setter stays what it is: an action under its own name.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from fnmatch import translate
+from functools import lru_cache
+from types import MappingProxyType
+from typing import TypeAlias, TypeVar
+
+from rosld.adapters.model import Graph, MessageSchema, Schema, ServiceSchema, TypeRef
+from rosld.ontology.namespaces import members_of
+from rosld.server.hypermedia.catalogue import (
+    Action,
+    Catalogue,
+    Getter,
+    OpenKind,
+    ParameterSource,
+    Property,
+    Reader,
+    Setter,
+    TopicSource,
+    ValueKind,
+    Writer,
+)
+from rosld.server.hypermedia.signatures import answered_fields, kind_of, lowers
+
+SchemaOf: TypeAlias = Callable[[TypeRef], "Schema | None"]
+
+_S = TypeVar("_S", Getter, Setter)
+
+_PLACE = re.compile(r"\{([nN]ame)\}")
+
+
+@dataclass(frozen=True, slots=True)
+class Conventions:
+    """Which services read and write a property of which name, and which are in no resource at all.
+
+    A template fits the last segments of a service's name: `{name}/get` makes `/arm/joint/get` read `/arm/joint`.
+    `{Name}` is the name with a capital, as JavaBeans have it: `getPower` reads `power`, `getURL` reads `URL`.
+    `excluded` are globs of whole names, in which `*` is also a slash. The first template that fits is the one.
+    Raises ValueError with a sentence for the user.
+    """
+
+    getters: tuple[str, ...]
+    setters: tuple[str, ...]
+    excluded: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for template in (*self.getters, *self.setters):
+            _check_template(template)
+        for glob in self.excluded:
+            _check_glob(glob)
+
+    def extended(
+        self, getters: Iterable[str] = (), setters: Iterable[str] = (), excluded: Iterable[str] = ()
+    ) -> Conventions:
+        """These and more; the templates given here come first. Raises ValueError with a sentence for the user."""
+        return Conventions(
+            tuple(dict.fromkeys((*getters, *self.getters))),
+            tuple(dict.fromkeys((*setters, *self.setters))),
+            tuple(dict.fromkeys((*self.excluded, *excluded))),
+        )
+
+    def excludes(self, service: str) -> bool:
+        """Whether a service is in no resource."""
+        return _any_of(self.excluded).match(service) is not None
+
+
+def _check_template(template: str) -> None:
+    if len(_PLACE.findall(template)) != 1:
+        raise ValueError(
+            f"The template {template!r} must hold {{name}} or {{Name}} exactly once, as 'get_{{name}}' does."
+        )
+    if _PLACE.fullmatch(template):
+        raise ValueError(
+            f"The template {template!r} fits every service: write something beside it, as in 'get_{{name}}'."
+        )
+    if "{" in (rest := _PLACE.sub("", template)) or "}" in rest:
+        raise ValueError(f"The template {template!r} may hold no braces but those of {{name}} or {{Name}}.")
+    if "" in template.split("/"):
+        raise ValueError(
+            f"The template {template!r} stands for the last segments of a name: it may neither begin nor end in a "
+            "slash, nor hold two in a row."
+        )
+
+
+def _check_glob(glob: str) -> None:
+    if not glob.startswith(("/", "*", "?", "[")):
+        raise ValueError(f"The glob {glob!r} fits no service, as all names begin with a slash: try '*/{glob}'.")
+
+
+CONVENTIONS = Conventions(
+    getters=("get_{name}", "get{Name}", "{name}/get"),
+    setters=("set_{name}", "set{Name}", "{name}/set"),
+    excluded=(
+        "*/get_loggers",
+        "*/set_logger_level",
+        "*/describe_parameters",
+        "*/get_parameter_types",
+        "*/get_parameters",
+        "*/list_parameters",
+        "*/set_parameters",  # of ROS 2, and of dynamic_reconfigure in ROS 1
+        "*/set_parameters_atomically",
+        "*/get_type_description",
+        "*/_*",
+    ),
+)
+"""What is shipped: how getters and setters are called in the wild, and the services that ROS gives every node."""
+
+
+@lru_cache(maxsize=16)
+def _any_of(globs: tuple[str, ...]) -> re.Pattern[str]:
+    return re.compile("|".join(map(translate, globs)) or r"(?!)")
+
+
+@lru_cache(maxsize=16)
+def _patterns(templates: tuple[str, ...]) -> tuple[tuple[re.Pattern[str], bool], ...]:
+    """What each template fits: the namespace and the name; and whether that has a capital."""
+    found = []
+    for template in templates:
+        before, place, after = _PLACE.split(template)
+        pattern = re.compile(f"(.*/){re.escape(before)}([^/]+){re.escape(after)}", re.DOTALL)
+        found.append((pattern, place == "Name"))
+    return tuple(found)
+
+
+def _proposed(templates: tuple[str, ...], service: str) -> tuple[str, int] | None:
+    """The property that the first template to fit proposes for a service, and which template that is."""
+    for rank, (pattern, capital) in enumerate(_patterns(templates)):
+        fit = pattern.fullmatch(service)
+        if fit is None:
+            continue
+        namespace, name = fit.groups()
+        if not capital:
+            return namespace + name, rank
+        if name[0].isupper():
+            return namespace + _decapitalized(name), rank
+    return None
+
+
+def _decapitalized(name: str) -> str:
+    """JavaBeans 8.8: the first letter small, unless the second is a capital too."""
+    return name if name[1:2].isupper() else name[0].lower() + name[1:]
+
+
+def needed_types(graph: Graph, conventions: Conventions = CONVENTIONS) -> tuple[TypeRef, ...]:
+    """The types whose schemas `catalogue` would know of this graph, each once."""
+    topics = (ref for topic in graph.topics.values() for ref in topic.types)
+    services = (service.type for service in graph.services.values() if not conventions.excludes(service.name))
+    return tuple(dict.fromkeys((*topics, *(ref for ref in services if ref is not None))))
+
+
+def catalogue(graph: Graph, schema_of: SchemaOf, conventions: Conventions = CONVENTIONS) -> Catalogue:
+    """The properties and actions of a graph. `schema_of` gives the schema of a type, None while it is not known.
+
+    Of several services that would read one property the first that can is its getter, in the order of the templates;
+    all others are actions; and so with setters.
+    """
+    services = _services(graph, schema_of, conventions)
+    topics = {
+        topic.name: TopicSource(topic.name, _message_schema(topic.type, schema_of)) for topic in graph.topics.values()
+    }
+    parameters = {
+        parameter.name: ParameterSource(parameter.name)
+        for parameter in graph.parameters.values()
+        if parameter.node is None
+    }
+    getters = _by_property(services, conventions.getters, _getter)
+    setters = _by_property(services, conventions.setters, _setter)
+    properties = {
+        name: _property(name, topics.get(name), getters.get(name, ()), setters.get(name, ()), parameters.get(name))
+        for name in sorted({*topics, *getters, *setters, *parameters})
+    }
+    by_service = {
+        source.name: name
+        for name in {**getters, **setters}
+        for source in (*properties[name].readers, *properties[name].writers)
+        if isinstance(source, Getter | Setter)
+    }
+    actions = {name: Action(name, name, schema) for name, schema in sorted(services.items()) if name not in by_service}
+    return Catalogue(
+        MappingProxyType(properties),
+        MappingProxyType(actions),
+        MappingProxyType(members_of({**properties, **actions})),
+        MappingProxyType({name: name for name in topics}),
+        MappingProxyType(by_service),
+        MappingProxyType({name: name for name in parameters}),
+    )
+
+
+def _services(graph: Graph, schema_of: SchemaOf, conventions: Conventions) -> Mapping[str, ServiceSchema | None]:
+    """The services that are in resources, with their schemas."""
+    found: dict[str, ServiceSchema | None] = {}
+    for service in graph.services.values():
+        if not conventions.excludes(service.name):
+            schema = schema_of(service.type) if service.type is not None else None
+            found[service.name] = schema if isinstance(schema, ServiceSchema) else None
+    return found
+
+
+def _message_schema(ref: TypeRef | None, schema_of: SchemaOf) -> MessageSchema | None:
+    schema = schema_of(ref) if ref is not None else None
+    return schema if isinstance(schema, MessageSchema) else None
+
+
+def _by_property(
+    services: Mapping[str, ServiceSchema | None],
+    templates: tuple[str, ...],
+    made: Callable[[str, ServiceSchema], _S | None],
+) -> Mapping[str, tuple[_S, ...]]:
+    """What could read (or write) each property, the first choice first. A service of unknown type is not judged."""
+    found: dict[str, list[tuple[int, str, _S]]] = {}
+    for service, schema in services.items():
+        proposed = _proposed(templates, service)
+        if proposed is None or schema is None:
+            continue
+        name, rank = proposed
+        if (source := made(service, schema)) is not None:
+            found.setdefault(name, []).append((rank, service, source))
+    return {name: tuple(one[2] for one in sorted(each, key=lambda one: one[:2])) for name, each in found.items()}
+
+
+def _getter(service: str, schema: ServiceSchema) -> Getter | None:
+    fields = answered_fields(schema)
+    return Getter(service, schema, fields) if fields else None
+
+
+def _setter(service: str, schema: ServiceSchema) -> Setter | None:
+    return Setter(service, schema) if schema.request.type.fields else None
+
+
+def _property(
+    name: str,
+    topic: TopicSource | None,
+    getters: Iterable[Getter],
+    setters: Iterable[Setter],
+    parameter: ParameterSource | None,
+) -> Property:
+    """What reads and writes one property. Each must agree with what comes before it on what the value is.
+
+    A topic and a getter that differ are two things of one name (`/map`, an image, and `/get_map`, its file name): who
+    reads the property must know which of them the value is, so the topic keeps it. A parameter has no type to differ.
+    """
+    kind: ValueKind = OpenKind()
+    if topic is not None and topic.schema is not None:
+        kind = kind_of(topic.schema, topic.schema.type.fields)
+    getter = next((one for one in getters if lowers(kind_of(one.schema.response, one.fields), kind)), None)
+    if getter is not None and isinstance(kind, OpenKind):
+        kind = kind_of(getter.schema.response, getter.fields)
+    setter = next((one for one in setters if lowers(kind, _asked(one))), None)
+    if setter is not None and isinstance(kind, OpenKind):
+        kind = _asked(setter)
+    writable = topic if topic is not None and topic.schema is not None else None
+    readers: tuple[Reader | None, ...] = (topic, getter, parameter)
+    writers: tuple[Writer | None, ...] = (setter, parameter, writable)
+    return Property(
+        name,
+        kind,
+        tuple(one for one in readers if one is not None),
+        tuple(one for one in writers if one is not None),
+    )
+
+
+def _asked(setter: Setter) -> ValueKind:
+    request = setter.schema.request
+    return kind_of(request, request.type.fields)

@@ -1,0 +1,114 @@
+"""Signatures: what a service's or a topic's type says that it can be. Pure.
+
+A name only proposes a getter or a setter; these functions decide. A GET must be safe (RFC 9110 9.2.1), so nothing is a
+getter that could be a command: what answers with no more than a status has been told to do something.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import inf
+
+from rosld.adapters.model import Array, Field, MessageSchema, Nested, Primitive, ServiceSchema
+from rosld.ontology.literals import STRINGS
+from rosld.server.hypermedia.catalogue import MessageKind, OpenKind, ScalarKind, ValueKind
+
+MOST_ELEMENTS = 64
+"""The most elements that an array of a light response may have, those of arrays within it multiplied."""
+
+_WORDS = frozenset({"message", "status_message"})
+
+
+def answered_fields(schema: ServiceSchema) -> tuple[Field, ...]:
+    """The fields of the response that are a value; none where this type is no getter's.
+
+    A getter's request is empty and its response is light and more than a status. The status is `bool success` and,
+    beside anything else, the string `message` or `status_message`.
+    """
+    if schema.request.type.fields or not is_light(schema.response):
+        return ()
+    fields = schema.response.type.fields
+    answered = tuple(field for field in fields if not _is_success(field))
+    value = tuple(field for field in answered if not _is_words(field))
+    return value if value or len(answered) < len(fields) else answered
+
+
+def _is_success(field: Field) -> bool:
+    return field.name == "success" and field.type == Primitive("bool")
+
+
+def _is_words(field: Field) -> bool:
+    return field.name in _WORDS and isinstance(field.type, Primitive) and field.type.name in STRINGS
+
+
+def is_light(schema: MessageSchema) -> bool:
+    """Whether messages of this type are always small: every array in it is short, and none may grow as it likes."""
+    return _widest(schema, schema.ref.name, {}) <= MOST_ELEMENTS
+
+
+def _widest(schema: MessageSchema, name: str, known: dict[str, float]) -> float:
+    """The most that one field of a type can be repeated; each type is looked at once."""
+    if name not in known:
+        known[name] = inf  # what a type that contains itself comes to
+        known[name] = max((_repeated(schema, field, known) for field in schema.types[name].fields), default=1)
+    return known[name]
+
+
+def _repeated(schema: MessageSchema, field: Field, known: dict[str, float]) -> float:
+    kind, times = field.type, 1.0
+    if isinstance(kind, Array):
+        length = kind.bound if kind.length is None else kind.length
+        kind, times = kind.element, inf if length is None else max(length, 1)
+    return times * _widest(schema, kind.name, known) if isinstance(kind, Nested) else times
+
+
+def kind_of(schema: MessageSchema, fields: tuple[Field, ...]) -> ScalarKind | MessageKind:
+    """The kind of value that these fields of a message are: one primitive is a scalar, all else a message."""
+    if len(fields) == 1 and isinstance(fields[0].type, Primitive):
+        return ScalarKind(fields[0].type)
+    return MessageKind(schema, fields)
+
+
+def lowers(value: ValueKind, into: ValueKind) -> bool:
+    """Whether a value of one kind can be sent as another: the same fields, or one scalar each of one family.
+
+    An integer may be sent as a float, but a float not as an integer. Only a single value can tell whether it is too
+    large or too long. Nothing is known against an open kind.
+    """
+    if isinstance(value, OpenKind) or isinstance(into, OpenKind):
+        return True
+    if isinstance(value, ScalarKind) and isinstance(into, ScalarKind):
+        families = _family(value.primitive), _family(into.primitive)
+        return families[0] == families[1] or families == ("integer", "float")
+    if isinstance(value, MessageKind) and isinstance(into, MessageKind):
+        return _layout(value.fields) == _layout(into.fields) and all(
+            _layout(value.schema.types[name].fields) == _layout(into.schema.types[name].fields)
+            for name in _nested(value)
+        )
+    return False
+
+
+def _family(primitive: Primitive) -> str:
+    if primitive.name in STRINGS:
+        return "string"
+    if primitive.name == "bool":
+        return "bool"
+    return "float" if primitive.name.startswith("float") else "integer"
+
+
+def _layout(fields: tuple[Field, ...]) -> dict[str, object]:
+    """Fields by their names: their order means nothing to who names them."""
+    return {field.name: field.type for field in fields}
+
+
+def _nested(kind: MessageKind) -> Iterator[str]:
+    """The types that a value holds, outermost first, each once."""
+    seen: set[str] = set()
+    waiting = list(kind.fields)
+    while waiting:
+        found = waiting.pop().type
+        element = found.element if isinstance(found, Array) else found
+        if isinstance(element, Nested) and element.name not in seen:
+            seen.add(element.name)
+            yield element.name
+            waiting.extend(kind.schema.types[element.name].fields)

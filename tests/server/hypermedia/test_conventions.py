@@ -1,0 +1,762 @@
+"""Conventions: which names of a robot become which resources, by what their types say."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from random import Random
+from typing import TypeVar
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rosld.adapters.aircraft import Aircraft
+from rosld.adapters.base import AdapterOptions
+from rosld.adapters.model import (
+    Array,
+    Field,
+    FieldType,
+    Graph,
+    MessageSchema,
+    MessageType,
+    Nested,
+    Parameter,
+    Primitive,
+    Schema,
+    Service,
+    ServiceSchema,
+    Topic,
+    TypeRef,
+    UnknownType,
+    frozen,
+)
+from rosld.adapters.model.library import TypeLibrary
+from rosld.ontology.lift import lifter
+from rosld.ontology.lower import lowerer
+from rosld.ontology.namespaces import Members
+from rosld.server.hypermedia.catalogue import (
+    Catalogue,
+    Getter,
+    MessageKind,
+    OpenKind,
+    ParameterSource,
+    Property,
+    ScalarKind,
+    Setter,
+    TopicSource,
+    ValueKind,
+)
+from rosld.server.hypermedia.conventions import CONVENTIONS, Conventions, catalogue, needed_types
+from rosld.server.hypermedia.signatures import answered_fields, is_light, kind_of, lowers
+
+_V = TypeVar("_V")
+
+LIBRARY = TypeLibrary(ros_version=1)
+
+SERVICES = {
+    # name: request, response
+    "GetBool": ("", "bool data"),
+    "GetInt": ("", "int32 data"),
+    "GetFloat": ("", "float64 value"),
+    "GetText": ("", "string text"),
+    "GetTold": ("", "bool success\nstring status_message\nfloat64 value"),
+    "GetBusy": ("", "float64 value\nstring message"),
+    "GetWords": ("", "string message"),
+    "GetVerdict": ("", "bool success"),
+    "GetCount": ("", "int32 success\nstring message"),
+    "GetPose": ("", "float32 y\nfloat32 x\nfloat32 theta\nfloat32 linear_velocity\nfloat32 angular_velocity"),
+    "GetPoint": ("", "bool success\nstring message\ngeometry_msgs/Point point\nint32 layer"),
+    "GetPair": ("", "float64[2] pair"),
+    "GetMany": ("", "float64[65] many"),
+    "GetAll": ("", "float64[] all"),
+    "GetMatrix": ("", "geometry_msgs/Twist[60] rows"),
+    "GetCovariances": ("", "geometry_msgs/PoseWithCovariance[2] each"),
+    "GetAt": ("float64 when", "float64 value"),
+    "SetBool": ("bool on", ""),
+    "SetByte": ("uint8 data", ""),
+    "SetInt": ("int64 data", "bool success\nstring message"),
+    "SetFloat": ("float32 data", "bool success\nstring message"),
+    "SetText": ("string text", "bool success\nstring message"),
+    "SetPose": ("float32 x\nfloat32 y\nfloat32 theta\nfloat32 linear_velocity\nfloat32 angular_velocity", ""),
+    "SetXY": ("float64 x\nfloat64 y", ""),
+    "SetPoint": ("geometry_msgs/Point point\nint32 layer", ""),
+    "SetPair": ("float64[2] pair", ""),
+}
+for _name, (_request, _response) in SERVICES.items():
+    LIBRARY.learn_service(f"demo/srv/{_name}", f"{_request}\n---\n{_response}\n")
+
+
+def known(ref: TypeRef) -> Schema | None:
+    try:
+        return LIBRARY.find(ref)
+    except UnknownType:
+        return None
+
+
+def message(name: str) -> MessageSchema:
+    schema = LIBRARY.find(TypeRef(name))
+    assert isinstance(schema, MessageSchema)
+    return schema
+
+
+def service(name: str) -> ServiceSchema:
+    schema = LIBRARY.find(TypeRef(name if "/" in name else f"demo/srv/{name}"))
+    assert isinstance(schema, ServiceSchema)
+    return schema
+
+
+def graph(
+    topics: Mapping[str, Iterable[str] | str] | None = None,
+    services: Mapping[str, str | None] | None = None,
+    parameters: Iterable[str | Parameter] = (),
+) -> Graph:
+    """A graph: types by name, those of `SERVICES` by their last word; None and () where the type is not known."""
+    own = [each if isinstance(each, Parameter) else Parameter(each) for each in parameters]
+    return Graph(
+        1,
+        topics=frozen({name: Topic(name, _refs(types)) for name, types in (topics or {}).items()}),
+        services=frozen({name: Service(name, _service(kind)) for name, kind in (services or {}).items()}),
+        parameters=frozen({each.name: each for each in own}),
+    )
+
+
+def _refs(types: Iterable[str] | str) -> tuple[TypeRef, ...]:
+    return tuple(TypeRef(name) for name in ([types] if isinstance(types, str) else types))
+
+
+def _service(kind: str | None) -> TypeRef | None:
+    return None if kind is None else TypeRef(kind if "/" in kind else f"demo/srv/{kind}")
+
+
+def found(
+    topics: Mapping[str, Iterable[str] | str] | None = None,
+    services: Mapping[str, str | None] | None = None,
+    parameters: Iterable[str | Parameter] = (),
+    conventions: Conventions = CONVENTIONS,
+) -> Catalogue:
+    return catalogue(graph(topics, services, parameters), known, conventions)
+
+
+def sources(one: Property) -> tuple[list[str], list[str]]:
+    """What reads and what writes a property, by kind and name."""
+    return [_told(each) for each in one.readers], [_told(each) for each in one.writers]
+
+
+def _told(source: object) -> str:
+    assert isinstance(source, TopicSource | Getter | Setter | ParameterSource)
+    return f"{type(source).__name__.removesuffix('Source').lower()} {source.name}"
+
+
+FLOAT = "std_msgs/msg/Float64"
+
+
+class TestListings:
+    """Listing 1 becomes Listing 2 with no configuration at all."""
+
+    def test_the_aircraft_of_listing_1_is_that_of_listing_2(self) -> None:
+        topics = {"/aircraft/engine/speed": FLOAT}
+        services = {
+            "/aircraft/start": "std_srvs/srv/Trigger",
+            "/aircraft/stop": "std_srvs/srv/Trigger",
+            "/aircraft/set_power": "rosld_aircraft/srv/SetText",
+            "/aircraft/get_power": "rosld_aircraft/srv/GetText",
+            "/aircraft/engine/set_speed": "rosld_aircraft/srv/SetNumber",
+            "/aircraft/engine/set_direction": "rosld_aircraft/srv/SetNumber",
+            "/aircraft/engine/get_direction": "rosld_aircraft/srv/GetNumber",
+        }
+        listing = found(topics, services)
+        assert {name: sources(one) for name, one in listing.properties.items()} == {
+            "/aircraft/power": (["getter /aircraft/get_power"], ["setter /aircraft/set_power"]),
+            "/aircraft/engine/speed": (
+                ["topic /aircraft/engine/speed"],
+                ["setter /aircraft/engine/set_speed", "topic /aircraft/engine/speed"],
+            ),
+            "/aircraft/engine/direction": (
+                ["getter /aircraft/engine/get_direction"],
+                ["setter /aircraft/engine/set_direction"],
+            ),
+        }
+        assert {name: one.kind for name, one in listing.properties.items()} == {
+            "/aircraft/power": ScalarKind(Primitive("string")),
+            "/aircraft/engine/speed": ScalarKind(Primitive("float64")),
+            "/aircraft/engine/direction": ScalarKind(Primitive("float64")),
+        }
+        assert list(listing.actions) == ["/aircraft/start", "/aircraft/stop"]
+        assert listing.namespaces == {
+            (): Members((), ("aircraft",)),
+            ("aircraft",): Members(("power", "start", "stop"), ("engine",)),
+            ("aircraft", "engine"): Members(("direction", "speed"), ()),
+        }
+
+    def test_the_embedded_aircraft_has_these_and_its_lone_topics_and_parameters(self) -> None:
+        whole = Aircraft(AdapterOptions()).graph
+        listing = catalogue(whole, known)
+        named = {"/aircraft/power", "/aircraft/engine/speed", "/aircraft/engine/direction"}
+        assert listing.properties.keys() == named | whole.topics.keys() | whole.parameters.keys()
+        assert list(listing.actions) == ["/aircraft/start", "/aircraft/stop"]
+        assert listing.by_service == {
+            "/aircraft/get_power": "/aircraft/power",
+            "/aircraft/set_power": "/aircraft/power",
+            "/aircraft/engine/set_speed": "/aircraft/engine/speed",
+            "/aircraft/engine/get_direction": "/aircraft/engine/direction",
+            "/aircraft/engine/set_direction": "/aircraft/engine/direction",
+        }
+
+
+class TestNames:
+    @pytest.mark.parametrize(
+        ("name", "read"),
+        [
+            ("/get_power", "/power"),
+            ("/a/b/get_power", "/a/b/power"),
+            ("/a/getPower", "/a/power"),
+            ("/a/getX", "/a/x"),
+            ("/a/getURL", "/a/URL"),
+            ("/a/getXPos", "/a/XPos"),
+            ("/a/getÉtat", "/a/état"),
+            ("/a/power/get", "/a/power"),
+            ("/power/get", "/power"),
+            ("/a//get_x\n y", "/a//x\n y"),
+            ("/a/get_get_x", "/a/get_x"),
+            ("/get/get", "/get"),
+        ],
+    )
+    def test_a_getter_reads_the_property_that_its_name_holds(self, name: str, read: str) -> None:
+        listing = found(services={name: "GetFloat"})
+        assert list(listing.properties) == [read]
+        assert not listing.actions
+
+    @pytest.mark.parametrize(
+        "name", ["/get", "/a/get_", "/a/getter", "/get/x", "/a/forget_x", "/get_x/y", "/a/get2d", "/a/Get_x", "//get"]
+    )
+    def test_other_names_are_actions(self, name: str) -> None:
+        listing = found(services={name: "GetFloat"})
+        assert list(listing.actions) == [name]
+        assert not listing.properties
+
+    def test_setters_are_named_alike(self) -> None:
+        listing = found(services={"/a/set_x": "SetFloat", "/a/setSpeed": "SetFloat", "/a/z/set": "SetFloat"})
+        assert list(listing.properties) == ["/a/speed", "/a/x", "/a/z"]
+        assert listing.by_service == {"/a/set_x": "/a/x", "/a/setSpeed": "/a/speed", "/a/z/set": "/a/z"}
+
+    def test_a_name_may_be_a_property_and_a_namespace(self) -> None:
+        listing = found({"/arm/joint/state": FLOAT}, {"/arm/joint/get": "GetFloat", "/arm/joint/set": "SetFloat"})
+        assert list(listing.properties) == ["/arm/joint", "/arm/joint/state"]
+        assert listing.namespaces[("arm",)] == Members(("joint",), ("joint",))
+        assert listing.namespaces[("arm", "joint")] == Members(("state",), ())
+
+    def test_a_name_may_be_a_property_and_an_action(self) -> None:
+        listing = found({"/arm/home": FLOAT}, {"/arm/home": "std_srvs/srv/Empty"})
+        assert list(listing.properties) == list(listing.actions) == ["/arm/home"]
+        assert listing.namespaces[("arm",)] == Members(("home",), ())
+
+
+class TestGetters:
+    @pytest.mark.parametrize(
+        ("kind", "fields"),
+        [
+            ("GetFloat", ["value"]),
+            ("GetTold", ["value"]),
+            ("GetBusy", ["value"]),
+            ("GetWords", ["message"]),
+            ("GetCount", ["success"]),
+            ("GetPoint", ["point", "layer"]),
+            ("GetPair", ["pair"]),
+            ("rosld_aircraft/srv/GetText", ["data"]),
+            ("tf2_msgs/srv/FrameGraph", ["frame_yaml"]),
+        ],
+    )
+    def test_the_value_is_what_a_light_response_holds_beside_its_status(self, kind: str, fields: list[str]) -> None:
+        assert [field.name for field in answered_fields(service(kind))] == fields
+        assert list(found(services={"/a/get_x": kind}).properties) == ["/a/x"]
+
+    @pytest.mark.parametrize(
+        "kind",
+        [
+            "std_srvs/srv/Trigger",
+            "std_srvs/srv/Empty",
+            "GetVerdict",
+            "GetAt",
+            "GetMany",
+            "GetAll",
+            "GetCovariances",
+            "nav_msgs/srv/GetMap",
+            "roscpp_tutorials/srv/TwoInts",
+        ],
+    )
+    def test_what_may_act_or_weigh_is_an_action_however_it_is_called(self, kind: str) -> None:
+        listing = found(services={"/a/get_coffee": kind})
+        assert not listing.properties
+        assert [(one.name, one.service, one.schema) for one in listing.actions.values()] == [
+            ("/a/get_coffee", "/a/get_coffee", service(kind))
+        ]
+
+    def test_a_scalar_is_a_scalar_and_all_else_a_message(self) -> None:
+        listing = found(services={"/get_a": "GetTold", "/get_b": "GetPoint", "/get_c": "GetPair"})
+        assert listing.properties["/a"].kind == ScalarKind(Primitive("float64"))
+        for name, kind in (("/b", "GetPoint"), ("/c", "GetPair")):
+            answered = service(kind)
+            assert listing.properties[name].kind == MessageKind(answered.response, answered_fields(answered))
+
+    def test_arrays_within_arrays_count_together(self) -> None:
+        assert is_light(service("GetMatrix").response)
+        assert not is_light(service("GetCovariances").response)
+
+    def test_a_type_that_contains_itself_is_not_light(self) -> None:
+        assert not is_light(made({"A": [("b", Nested("B"))], "B": [("a", Nested("A"))]}))
+
+    def test_a_type_is_judged_at_once_however_many_ways_lead_into_it(self) -> None:
+        layers: dict[str, list[tuple[str, FieldType]]] = {
+            f"T{n}": [(side, Nested(f"T{n + 1}")) for side in "abcd"] for n in range(100)
+        }
+        assert is_light(made({**layers, "T100": [("x", Primitive("bool"))]}, "T0"))
+        assert not is_light(made({**layers, "T100": [("x", Array(Primitive("bool")))]}, "T0"))
+
+    def test_a_bounded_array_is_as_light_as_its_bound(self) -> None:
+        assert is_light(made({"A": [("x", Array(Primitive("bool"), bound=64))]}))
+        assert not is_light(made({"A": [("x", Array(Primitive("bool"), bound=65))]}))
+
+    def test_a_getter_of_unknown_type_is_an_action_that_cannot_be_called(self) -> None:
+        listing = found(services={"/a/get_x": "nowhere/srv/Get", "/a/set_y": None})
+        assert not listing.properties
+        assert [(one.name, one.schema) for one in listing.actions.values()] == [("/a/get_x", None), ("/a/set_y", None)]
+
+    def test_the_first_convention_wins_and_the_other_getter_is_an_action(self) -> None:
+        listing = found(services={"/a/x/get": "GetInt", "/a/getX": "GetInt", "/a/get_x": "GetInt"})
+        assert sources(listing.properties["/a/x"]) == (["getter /a/get_x"], [])
+        assert list(listing.actions) == ["/a/getX", "/a/x/get"]
+
+    def test_what_only_looks_like_a_getter_leaves_the_place_to_the_next(self) -> None:
+        listing = found(services={"/a/getX": "GetInt", "/a/get_x": "std_srvs/srv/Trigger"})
+        assert sources(listing.properties["/a/x"]) == (["getter /a/getX"], [])
+        assert list(listing.actions) == ["/a/get_x"]
+
+
+def made(types: Mapping[str, Iterable[tuple[str, FieldType]]], root: str = "A") -> MessageSchema:
+    """A schema of types that no definition could give."""
+    codec = message(FLOAT).codec
+    layouts = {
+        name: MessageType(name, tuple(Field(field, kind, field) for field, kind in fields))
+        for name, fields in types.items()
+    }
+    return MessageSchema(TypeRef(root, "0"), layouts, "", codec)
+
+
+class TestSetters:
+    @pytest.mark.parametrize(
+        ("topic", "setter"),
+        [
+            (FLOAT, "SetFloat"),
+            ("std_msgs/msg/Int8", "SetFloat"),
+            ("std_msgs/msg/UInt64", "SetByte"),
+            ("std_msgs/msg/Bool", "std_srvs/srv/SetBool"),
+            ("std_msgs/msg/Bool", "SetBool"),
+            ("std_msgs/msg/String", "SetText"),
+            ("turtlesim/msg/Pose", "SetPose"),
+        ],
+    )
+    def test_a_setter_takes_the_same_fields_or_one_scalar_each(self, topic: str, setter: str) -> None:
+        listing = found({"/a/x": topic}, {"/a/set_x": setter})
+        assert sources(listing.properties["/a/x"]) == (["topic /a/x"], ["setter /a/set_x", "topic /a/x"])
+        assert not listing.actions
+
+    @pytest.mark.parametrize(
+        ("topic", "setter"),
+        [
+            (FLOAT, "SetInt"),
+            (FLOAT, "SetText"),
+            ("std_msgs/msg/String", "SetBool"),
+            ("std_msgs/msg/Bool", "SetByte"),
+            ("std_msgs/msg/Int32", "SetBool"),
+            ("geometry_msgs/msg/Point", "SetXY"),
+            ("turtlesim/msg/Pose", "SetFloat"),
+            (FLOAT, "SetXY"),
+            ("std_msgs/msg/Empty", "SetFloat"),
+            (FLOAT, "std_srvs/srv/Trigger"),
+            ("sensor_msgs/msg/CameraInfo", "sensor_msgs/srv/SetCameraInfo"),
+        ],
+    )
+    def test_one_that_takes_something_else_is_an_action(self, topic: str, setter: str) -> None:
+        listing = found({"/a/x": topic}, {"/a/set_x": setter})
+        assert sources(listing.properties["/a/x"]) == (["topic /a/x"], ["topic /a/x"])
+        assert list(listing.actions) == ["/a/set_x"]
+
+    def test_a_status_is_no_part_of_what_a_setter_must_take(self) -> None:
+        listing = found(services={"/get_x": "GetPoint", "/set_x": "SetPoint"})
+        assert sources(listing.properties["/x"]) == (["getter /get_x"], ["setter /set_x"])
+
+    def test_a_setter_alone_makes_a_property_that_can_only_be_written(self) -> None:
+        alone = found(services={"/turtle1/set_pen": "turtlesim/srv/SetPen"}).properties["/turtle1/pen"]
+        request = service("turtlesim/srv/SetPen").request
+        assert sources(alone) == ([], ["setter /turtle1/set_pen"])
+        assert alone.kind == MessageKind(request, request.type.fields)
+        assert [field.name for field in request.type.fields] == ["r", "g", "b", "width", "off"]
+
+    def test_where_the_getter_is_none_the_setter_alone_makes_the_property(self) -> None:
+        listing = found(services={"/get_x": "GetAll", "/set_x": "SetInt"})
+        assert sources(listing.properties["/x"]) == ([], ["setter /set_x"])
+        assert list(listing.actions) == ["/get_x"]
+
+    def test_one_that_is_asked_for_nothing_is_no_setter(self) -> None:
+        listing = found(services={"/arm/set_home": "std_srvs/srv/Trigger"})
+        assert not listing.properties
+        assert list(listing.actions) == ["/arm/set_home"]
+
+    def test_the_first_that_takes_the_value_is_the_setter(self) -> None:
+        listing = found(services={"/get_x": "GetFloat", "/set_x": "SetText", "/setX": "SetFloat", "/x/set": "SetFloat"})
+        assert sources(listing.properties["/x"]) == (["getter /get_x"], ["setter /setX"])
+        assert list(listing.actions) == ["/set_x", "/x/set"]
+
+    def test_nested_types_of_one_name_must_be_one_layout(self) -> None:
+        one = made({"A": [("b", Nested("B"))], "B": [("x", Primitive("int8"))]})
+        other = made({"A": [("b", Nested("B"))], "B": [("x", Primitive("int16"))]})
+        kinds = [MessageKind(schema, schema.type.fields) for schema in (one, other)]
+        assert lowers(kinds[0], kinds[0])
+        assert not lowers(kinds[0], kinds[1])
+
+
+class TestTopics:
+    def test_a_topic_is_read_and_written(self) -> None:
+        one = found({"/cmd_vel": "geometry_msgs/msg/Twist"}).properties["/cmd_vel"]
+        twist = message("geometry_msgs/msg/Twist")
+        assert one == Property(
+            "/cmd_vel",
+            MessageKind(twist, twist.type.fields),
+            (TopicSource("/cmd_vel", twist),),
+            (TopicSource("/cmd_vel", twist),),
+        )
+
+    @pytest.mark.parametrize("types", [(), ("nowhere/msg/X",), (FLOAT, "std_msgs/msg/String"), ("std_srvs/srv/Empty",)])
+    def test_one_of_no_known_type_is_only_read(self, types: tuple[str, ...]) -> None:
+        one = found({"/x": types}).properties["/x"]
+        assert one == Property("/x", OpenKind(), (TopicSource("/x", None),), ())
+
+    def test_a_getter_that_answers_alike_joins(self) -> None:
+        listing = found(
+            {"/t": "turtlesim/msg/Pose", "/x": FLOAT}, {"/get_t": "GetPose", "/get_x": "GetInt", "/set_x": "SetFloat"}
+        )
+        assert sources(listing.properties["/t"])[0] == ["topic /t", "getter /get_t"]
+        assert sources(listing.properties["/x"]) == (["topic /x", "getter /get_x"], ["setter /set_x", "topic /x"])
+        assert listing.properties["/x"].kind == ScalarKind(Primitive("float64"))
+
+    @pytest.mark.parametrize(
+        ("topic", "getter"),
+        [
+            ("turtlesim/msg/Pose", "GetFloat"),
+            (FLOAT, "GetText"),
+            ("std_msgs/msg/Int32", "GetFloat"),
+            ("geometry_msgs/msg/Point", "GetPoint"),
+        ],
+    )
+    def test_a_getter_that_answers_otherwise_stays_an_action(self, topic: str, getter: str) -> None:
+        listing = found({"/x": topic}, {"/get_x": getter})
+        assert sources(listing.properties["/x"])[0] == ["topic /x"]
+        assert list(listing.actions) == ["/get_x"]
+
+    def test_the_getter_says_what_a_topic_of_unknown_type_cannot(self) -> None:
+        listing = found({"/x": ()}, {"/get_x": "GetFloat", "/set_x": "SetText"})
+        assert listing.properties["/x"].kind == ScalarKind(Primitive("float64"))
+        assert sources(listing.properties["/x"]) == (["topic /x", "getter /get_x"], [])
+        assert list(listing.actions) == ["/set_x"]
+
+    def test_so_does_the_setter(self) -> None:
+        one = found({"/x": ()}, {"/set_x": "SetText"}).properties["/x"]
+        assert one.kind == ScalarKind(Primitive("string"))
+        assert sources(one) == (["topic /x"], ["setter /set_x"])
+
+
+class TestParameters:
+    def test_a_lone_parameter_is_a_property_of_any_kind(self) -> None:
+        listing = found(parameters=["/a/gain"])
+        assert listing.properties == {
+            "/a/gain": Property("/a/gain", OpenKind(), (ParameterSource("/a/gain"),), (ParameterSource("/a/gain"),))
+        }
+        assert listing.by_parameter == {"/a/gain": "/a/gain"}
+
+    def test_it_joins_whatever_has_its_name(self) -> None:
+        listing = found({"/x": FLOAT}, {"/get_x": "GetFloat", "/set_x": "SetFloat"}, ["/x"])
+        assert sources(listing.properties["/x"]) == (
+            ["topic /x", "getter /get_x", "parameter /x"],
+            ["setter /set_x", "parameter /x", "topic /x"],
+        )
+        assert listing.properties["/x"].kind == ScalarKind(Primitive("float64"))
+
+    def test_beside_it_the_setter_says_what_the_value_is(self) -> None:
+        one = found(services={"/set_x": "SetInt"}, parameters=["/x"]).properties["/x"]
+        assert one.kind == ScalarKind(Primitive("int64"))
+        assert sources(one) == (["parameter /x"], ["setter /set_x", "parameter /x"])
+
+    def test_those_that_belong_to_nodes_are_left_out(self) -> None:
+        listing = found(parameters=[Parameter("/talker/rate", node="/talker")])
+        assert listing == found()
+
+
+class TestExcluded:
+    @pytest.mark.parametrize(
+        "name",
+        [
+            "/talker/get_loggers",
+            "/talker/set_logger_level",
+            "/camera/driver/set_parameters",
+            "/talker/describe_parameters",
+            "/talker/get_parameters",
+            "/talker/get_parameter_types",
+            "/talker/list_parameters",
+            "/talker/set_parameters_atomically",
+            "/talker/get_type_description",
+            "/fibonacci/_action/send_goal",
+            "/_ros2cli_daemon/get_x",
+            "/get_loggers",
+        ],
+    )
+    def test_services_that_every_node_has_are_in_no_resource(self, name: str) -> None:
+        assert found(services={name: "GetFloat"}) == found(services={name: None}) == found()
+        assert needed_types(graph(services={name: "GetFloat"})) == ()
+
+    @pytest.mark.parametrize("name", ["/talker/loggers", "/a/get_loggers_x", "/get_loggers/x", "/a_b/c_"])
+    def test_names_that_are_nearly_the_same_are_not_excluded(self, name: str) -> None:
+        assert list(found(services={name: "std_srvs/srv/Empty"}).actions) == [name]
+
+    def test_hidden_topics_are_properties_as_all_topics_are(self) -> None:
+        assert list(found({"/a/_action/feedback": FLOAT}).properties) == ["/a/_action/feedback"]
+
+
+class TestExtended:
+    def test_more_getters_and_setters_can_be_named(self) -> None:
+        conventions = CONVENTIONS.extended(getters=["read{Name}", "query/{name}/now"], setters=["{name}_cmd"])
+        listing = found(
+            services={"/a/readSpeed": "GetInt", "/a/query/x/now": "GetInt", "/a/x_cmd": "SetInt", "/a/get_y": "GetInt"},
+            conventions=conventions,
+        )
+        assert {name: sources(one) for name, one in listing.properties.items()} == {
+            "/a/speed": (["getter /a/readSpeed"], []),
+            "/a/x": (["getter /a/query/x/now"], ["setter /a/x_cmd"]),
+            "/a/y": (["getter /a/get_y"], []),
+        }
+
+    def test_what_is_added_comes_first(self) -> None:
+        conventions = CONVENTIONS.extended(getters=["get_{name}_value"])
+        listing = found(services={"/a/get_x_value": "GetInt", "/a/get_x": "GetInt"}, conventions=conventions)
+        assert sources(listing.properties["/a/x"]) == (["getter /a/get_x_value"], [])
+        assert list(listing.actions) == ["/a/get_x"]
+
+    def test_more_services_can_be_excluded(self) -> None:
+        conventions = CONVENTIONS.extended(excluded=["/secret/*", "*/self_test"])
+        services = {"/secret/get_x": "GetInt", "/a/self_test": None, "/a/get_x": "GetInt", "/a/get_loggers": None}
+        listing = found(services=services, conventions=conventions)
+        assert list(listing.properties) == ["/a/x"]
+        assert not listing.actions
+
+    def test_nothing_more_is_the_same(self) -> None:
+        assert CONVENTIONS.extended() == CONVENTIONS.extended(["get_{name}"], ["set_{name}"], ["*/_*"]) == CONVENTIONS
+
+    def test_there_need_be_no_conventions_at_all(self) -> None:
+        services = {"/get_x": "GetInt", "/set_x": "SetInt", "/n/get_loggers": None}
+        listing = found(services=services, conventions=Conventions((), (), ()))
+        assert not listing.properties
+        assert list(listing.actions) == sorted(services)
+
+    @pytest.mark.parametrize(
+        ("template", "words"),
+        [
+            ("get", "exactly once"),
+            ("", "exactly once"),
+            ("{name}_{name}", "exactly once"),
+            ("{name}/{Name}", "exactly once"),
+            ("{NAME}", "exactly once"),
+            ("{name}", "fits every service"),
+            ("{Name}", "fits every service"),
+            ("get_{name}{x}", "braces"),
+            ("get_{{name}", "braces"),
+            ("/get_{name}", "slash"),
+            ("{name}/", "slash"),
+            ("a//{name}", "slash"),
+        ],
+    )
+    def test_a_template_that_makes_no_sense_is_refused_with_the_reason(self, template: str, words: str) -> None:
+        for part in ("getters", "setters"):
+            with pytest.raises(ValueError, match=words) as caught:
+                CONVENTIONS.extended(**{part: [template]})
+            assert repr(template) in str(caught.value)
+
+    @pytest.mark.parametrize("glob", ["", "get_loggers", "robot/*"])
+    def test_a_glob_that_fits_nothing_is_refused_with_one_that_might(self, glob: str) -> None:
+        with pytest.raises(ValueError, match=r"begin with a slash: try '\*/"):
+            CONVENTIONS.extended(excluded=[glob])
+
+    @pytest.mark.parametrize("template", ["(.*){name}", "{name}[a-z]+", ".{name}|x", "\\{name}$"])
+    def test_a_template_is_no_regular_expression(self, template: str) -> None:
+        conventions = CONVENTIONS.extended(getters=[template])
+        listing = found(
+            services={f"/a/{template.replace('{name}', 'x')}": "GetInt", "/a/yz": "GetInt"}, conventions=conventions
+        )
+        assert list(listing.properties) == ["/a/x"]
+        assert list(listing.actions) == ["/a/yz"]
+
+
+REAL = [
+    ("/reset", "std_srvs/srv/Empty", None),
+    ("/kill", "turtlesim/srv/Kill", None),
+    ("/spawn", "turtlesim/srv/Spawn", None),
+    ("/turtle1/set_pen", "turtlesim/srv/SetPen", "/turtle1/pen"),
+    ("/turtle1/teleport_absolute", "turtlesim/srv/TeleportAbsolute", None),
+    ("/turtle1/teleport_relative", "turtlesim/srv/TeleportRelative", None),
+    ("/static_map", "nav_msgs/srv/GetMap", None),
+    ("/dynamic_map", "nav_msgs/srv/GetMap", None),
+    ("/get_map", "nav_msgs/srv/GetMap", None),
+    ("/set_map", "nav_msgs/srv/SetMap", None),
+    ("/move_base/make_plan", "nav_msgs/srv/GetPlan", None),
+    ("/move_base/get_plan", "nav_msgs/srv/GetPlan", None),
+    ("/tf2_frames", "tf2_msgs/srv/FrameGraph", None),
+    ("/add_two_ints", "roscpp_tutorials/srv/TwoInts", None),
+    ("/controller_manager/list_controllers", None, None),
+    ("/mux/list", "topic_tools/srv/MuxList", None),
+    ("/nodelet_manager/list", "nodelet/srv/NodeletList", None),
+    ("/diagnostics_agg/add_diagnostics", "diagnostic_msgs/srv/AddDiagnostics", None),
+    ("/gripper/set_led", "std_srvs/srv/SetBool", "/gripper/led"),
+]
+
+
+@pytest.mark.parametrize(("name", "kind", "read"), REAL, ids=[name for name, _, _ in REAL])
+def test_services_of_real_robots_fall_where_people_expect_them(name: str, kind: str | None, read: str | None) -> None:
+    topics = {"/turtle1/pose": "turtlesim/msg/Pose", "/map": "nav_msgs/msg/OccupancyGrid"}
+    listing = found(topics, {name: kind})
+    assert listing.by_service == ({} if read is None else {name: read})
+    assert list(listing.actions) == ([name] if read is None else [])
+    assert listing.properties.keys() == topics.keys() | ({read} if read else set())
+
+
+def test_the_types_needed_are_those_of_all_topics_and_of_services_in_resources_each_once() -> None:
+    whole = graph(
+        {"/a": FLOAT, "/b": (FLOAT, "std_msgs/msg/String"), "/c": ()},
+        {"/n/get_loggers": "roscpp/srv/GetLoggers", "/get_a": "GetFloat", "/get_b": "GetFloat", "/x": None},
+    )
+    assert needed_types(whole) == (TypeRef(FLOAT), TypeRef("std_msgs/msg/String"), TypeRef("demo/srv/GetFloat"))
+
+
+def test_what_is_found_cannot_be_changed() -> None:
+    listing = found({"/x": FLOAT})
+    for mapping in (listing.properties, listing.actions, listing.by_topic, listing.by_service, listing.by_parameter):
+        assert not hasattr(mapping, "__setitem__")
+    assert not hasattr(listing.namespaces, "__setitem__")
+
+
+# Any robot at all
+
+SEGMENTS = (
+    "a", "b", "x", "X", "é", "get", "set", "get_x", "set_x", "getX", "setX", "get_a", "set_a", "getURL", "setURL",
+    "URL", "get_", "_x", "get_loggers", "", "get_get_x", "get__x",
+)  # fmt: skip
+NAMES = st.lists(st.sampled_from(SEGMENTS), min_size=1, max_size=3).map(lambda parts: "/" + "/".join(parts))
+TOPIC_TYPES = st.one_of(
+    st.sampled_from(
+        [
+            FLOAT, "std_msgs/msg/String", "std_msgs/msg/Bool", "std_msgs/msg/Int32", "std_msgs/msg/Empty",
+            "turtlesim/msg/Pose", "geometry_msgs/msg/Point", "nowhere/msg/X",
+        ]
+    ),
+    st.sampled_from([(), (FLOAT, "std_msgs/msg/Bool")]),
+)  # fmt: skip
+SERVICE_TYPES = st.sampled_from(
+    [*SERVICES, "std_srvs/srv/Trigger", "std_srvs/srv/Empty", "nav_msgs/srv/GetMap", "nowhere/srv/X", None]
+)
+GRAPHS = st.builds(
+    graph,
+    st.dictionaries(NAMES, TOPIC_TYPES, max_size=6),
+    st.dictionaries(NAMES, SERVICE_TYPES, max_size=12),
+    st.lists(st.one_of(NAMES, NAMES.map(lambda name: Parameter(name, "/node"))), max_size=6),
+)
+
+
+@given(GRAPHS)
+@settings(deadline=None)
+def test_every_topic_parameter_and_service_is_in_exactly_one_resource(whole: Graph) -> None:
+    listing = catalogue(whole, known)
+    read = Counter(source for one in listing.properties.values() for source in set(map(_told, one.readers)))
+    written = Counter(source for one in listing.properties.values() for source in set(map(_told, one.writers)))
+    assert all(count == 1 for count in (*read.values(), *written.values()))
+    parameters = {one.name for one in whole.parameters.values() if one.node is None}
+    assert read.keys() >= {f"topic {name}" for name in whole.topics} | {f"parameter {name}" for name in parameters}
+    for name in whole.services:
+        used = (f"getter {name}" in read) + (f"setter {name}" in written) + (name in listing.actions)
+        assert used == (0 if CONVENTIONS.excludes(name) else 1)
+        assert (name in listing.by_service) == (used == 1 and name not in listing.actions)
+    assert listing.by_topic == {name: name for name in whole.topics}
+    assert listing.by_parameter == {name: name for name in parameters}
+    assert listing.by_service == {
+        source.name: one.name
+        for one in listing.properties.values()
+        for source in (*one.readers, *one.writers)
+        if isinstance(source, Getter | Setter)
+    }
+
+
+@given(GRAPHS)
+@settings(deadline=None)
+def test_every_resource_comes_from_something_and_lies_in_its_namespace(whole: Graph) -> None:
+    listing = catalogue(whole, known)
+    for name, one in listing.properties.items():
+        assert one.name == name
+        assert one.readers or one.writers
+        readers, writers = list(map(type, one.readers)), list(map(type, one.writers))
+        assert readers == [kind for kind in (TopicSource, Getter, ParameterSource) if kind in readers]
+        assert writers == [kind for kind in (Setter, ParameterSource, TopicSource) if kind in writers]
+    for name in (*listing.properties, *listing.actions):
+        *namespace, leaf = name[1:].split("/")
+        assert leaf in listing.namespaces[tuple(namespace)].leaves
+    leaves = sum(len(members.leaves) for members in listing.namespaces.values())
+    assert leaves == len({*listing.properties, *listing.actions})
+
+
+@given(GRAPHS, st.randoms())
+@settings(deadline=None)
+def test_the_order_in_which_a_graph_was_made_means_nothing(whole: Graph, random: Random) -> None:
+    shuffled = Graph(
+        2,
+        topics=_shuffled(whole.topics, random),
+        services=_shuffled(whole.services, random),
+        parameters=_shuffled(whole.parameters, random),
+    )
+    one, other = catalogue(whole, known), catalogue(shuffled, known)
+    assert one == other
+    assert list(one.properties) == list(other.properties)
+    assert list(one.actions) == list(other.actions)
+
+
+def _shuffled(mapping: Mapping[str, _V], random: Random) -> Mapping[str, _V]:
+    items = list(mapping.items())
+    random.shuffle(items)
+    return frozen(dict(items))
+
+
+@given(GRAPHS)
+@settings(deadline=None)
+def test_whatever_a_property_is_read_as_can_be_written_to_all_that_write_it(whole: Graph) -> None:
+    for one in catalogue(whole, known).properties.values():
+        for reader in one.readers:
+            if isinstance(reader, Getter):
+                assert lowers(kind_of(reader.schema.response, reader.fields), one.kind)
+        for writer in one.writers:
+            if isinstance(writer, ParameterSource):
+                continue
+            target = writer.schema.request if isinstance(writer, Setter) else writer.schema
+            assert target is not None
+            lowerer(target).from_json(_sample(one.kind, target))
+
+
+SAMPLES = {
+    "bool": True, "string": "on", "int32": 3, "int64": 3, "uint8": 3, "float32": 0.5, "float64": 0.5,
+}  # fmt: skip
+
+
+def _sample(kind: ValueKind, target: MessageSchema) -> object:
+    """A value of a kind as the JSON of a message that is to take it."""
+    if isinstance(kind, ScalarKind):
+        (field,) = target.type.fields
+        return {field.name: SAMPLES[kind.primitive.name]}
+    assert isinstance(kind, MessageKind)
+    default = lowerer(kind.schema).from_json({}, defaults=True)
+    whole = json.loads(lifter(kind.schema).json(default, "http://127.0.0.1/"))
+    return {field.name: whole[field.name] for field in kind.fields}

@@ -67,7 +67,7 @@ class MessageShape:
 
     schema: MessageSchema
     fields: tuple[str, ...]
-    bounds: Mapping[str, Bounds] = field(default_factory=dict)
+    bounds: Mapping[str, Bounds] = field(default_factory=dict, hash=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,227 @@
+"""Data schemas (WoT Thing Description 1.1, 5.3.2): what plain JSON a value is, in JSON Schema's words. Pure.
+
+They describe JSON as rosld writes it: integers that a double might not hold are strings of digits; NaN, INF and -INF
+are strings; octets are base64; an array that may be too large to be written is an object with the URL of its bytes
+then. Of a string that is too large, or not UTF-8, and of a value that is not there (null) they say nothing, so that
+plain values keep plain schemas.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from typing import TypeAlias
+
+from pyoxigraph import Literal
+
+from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
+from rosld.ontology.fitting import RANGES, Misfit
+from rosld.ontology.lexical import NUMBERS, boolean
+from rosld.ontology.lift import LiftSettings
+from rosld.ontology.literals import OCTETS, SAFE_INTEGER, STRINGS, special, wide
+from rosld.ontology.vocab import xsd
+from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, ScalarShape, ValueShape
+
+Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
+DataSchema: TypeAlias = dict[str, Json]
+
+_MOST = 2000
+_DEEPEST = 32
+_SPECIALS: DataSchema = {"type": "string", "enum": ["NaN", "INF", "-INF"]}
+_DIGITS: DataSchema = {"type": "string", "pattern": "^-?[0-9]{16,20}$"}
+_ELIDED: DataSchema = {
+    "type": "object",
+    "properties": {
+        "elided": {"type": "boolean", "const": True},
+        "length": {"type": "integer", "minimum": 0},
+        "href": {"type": "string"},
+    },
+    "required": ["elided", "length", "href"],
+    "readOnly": True,
+}
+_SETTINGS = LiftSettings()
+
+
+def value_schema(shape: ValueShape, lifting: LiftSettings = _SETTINGS) -> DataSchema:
+    """The data schema of a property's value."""
+    if isinstance(shape, MessageShape):
+        fields = [field for field in shape.schema.type.fields if field.name in shape.fields]
+        return _Schemas(shape.schema, shape.bounds, lifting).fields(fields)
+    return _scalar(shape.kind if isinstance(shape, ScalarShape) else None, shape.bounds) | _unit(shape.measure)
+
+
+def message_schema(schema: MessageSchema, lifting: LiftSettings = _SETTINGS) -> DataSchema:
+    """The data schema of a message: the object of its fields."""
+    return _Schemas(schema, {}, lifting).fields(schema.type.fields)
+
+
+class _Schemas:
+    """The schemas of one message type. Types come from robots, so there is an end to how much of one is written."""
+
+    def __init__(self, schema: MessageSchema, bounds: Mapping[str, Bounds], lifting: LiftSettings) -> None:
+        self._types = schema.types
+        self._bounds = bounds
+        self._limit = lifting.inline_limit
+        self._left = _MOST
+
+    def fields(self, fields: Iterable[Field], path: tuple[str, ...] = ()) -> DataSchema:
+        """An object of fields."""
+        properties: dict[str, Json] = {field.name: self._field(field.type, (*path, field.name)) for field in fields}
+        return {"type": "object", "properties": properties, "required": list(properties)}
+
+    def _field(self, kind: FieldType, path: tuple[str, ...]) -> DataSchema:
+        self._left -= 1
+        if isinstance(kind, Array):
+            return self._array(kind, path)
+        if isinstance(kind, Primitive):
+            return _scalar(kind, self._bounds.get(".".join(path), UNBOUNDED))
+        if self._left < 0 or len(path) >= _DEEPEST:
+            return {"type": "object"}
+        return self.fields(self._types[kind.name].fields, path)
+
+    def _array(self, kind: Array, path: tuple[str, ...]) -> DataSchema:
+        element = kind.element
+        if isinstance(element, Primitive) and element.name in OCTETS:
+            found = _octets(kind)
+        else:
+            found = {"type": "array", "items": self._element(element, path)}
+            found |= _given(minItems=kind.length, maxItems=kind.length if kind.length is not None else kind.bound)
+        return {"oneOf": [found, _ELIDED]} if self._may_be_elided(kind) else found
+
+    def _element(self, kind: Primitive | Nested, path: tuple[str, ...]) -> DataSchema:
+        if isinstance(kind, Nested):
+            return self._field(kind, path)
+        if kind.name.startswith("float"):
+            return {"oneOf": [{"type": "number"}, {"type": "string", "enum": ["NaN", "INF", "-INF", "-0.0"]}]}
+        return _scalar(kind, UNBOUNDED)
+
+    def _may_be_elided(self, kind: Array) -> bool:
+        """Whether it may take more bytes than are written; eight an element is the most of a number."""
+        most = kind.length if kind.length is not None else kind.bound
+        return (
+            most is None or isinstance(kind.element, Nested) or kind.element.name in STRINGS or most * 8 > self._limit
+        )
+
+
+def _octets(kind: Array) -> DataSchema:
+    """Octets as base64, four characters for each three octets begun."""
+    most = kind.length if kind.length is not None else kind.bound
+    return {
+        "type": "string",
+        "contentEncoding": "base64",
+        **_given(
+            minLength=None if kind.length is None else (kind.length + 2) // 3 * 4,
+            maxLength=None if most is None else (most + 2) // 3 * 4,
+        ),
+    }
+
+
+# Scalars
+
+
+def _scalar(kind: Primitive | None, bounds: Bounds) -> DataSchema:
+    """One scalar: of a primitive or, without one, of any type, within bounds."""
+    if bounds.choices:
+        choices = _choices(bounds.choices)
+        return {**_type(kind), "enum": choices} if choices else _type(kind)
+    if kind is not None and kind.name in STRINGS:
+        longest = [most for most in (bounds.max_length, kind.bound) if most is not None]
+        return {
+            "type": "string",
+            **_given(
+                minLength=bounds.min_length,
+                maxLength=min(longest, default=None),
+                pattern=None if bounds.pattern is None else _ecma(bounds.pattern),
+            ),
+        }
+    limits = _limits(bounds)
+    if kind is None:
+        return {"type": "number", **limits} if limits else {}
+    if kind.name == "bool":
+        return {"type": "boolean"}
+    if kind.name in RANGES:
+        return _integer(kind, limits)
+    return {"type": "number", **limits} if limits else {"oneOf": [{"type": "number"}, _SPECIALS]}
+
+
+def _type(kind: Primitive | None) -> DataSchema:
+    """The type of what is one of several values; floats and wide integers may be strings too."""
+    if kind is None or kind.name.startswith("float") or kind.name.endswith("64"):
+        return {}
+    return {"type": "string" if kind.name in STRINGS else "boolean" if kind.name == "bool" else "integer"}
+
+
+def _integer(kind: Primitive, limits: DataSchema) -> DataSchema:
+    """An integer of a primitive's range; beyond what a double holds it is its digits."""
+    least, greatest = RANGES[kind.name]
+    if not limits.keys() & {"minimum", "exclusiveMinimum"}:
+        limits = {**limits, "minimum": max(least, -SAFE_INTEGER)}
+    if not limits.keys() & {"maximum", "exclusiveMaximum"}:
+        limits = {**limits, "maximum": min(greatest, SAFE_INTEGER)}
+    number: DataSchema = {"type": "integer", **limits}
+    beyond = [limits.get("minimum") == -SAFE_INTEGER, limits.get("maximum") == SAFE_INTEGER]
+    return {"oneOf": [number, _DIGITS]} if any(beyond) else number
+
+
+def _limits(bounds: Bounds) -> DataSchema:
+    """The ends of a range of numbers."""
+    return _given(
+        minimum=_number(bounds.least),
+        maximum=_number(bounds.greatest),
+        exclusiveMinimum=_number(bounds.above),
+        exclusiveMaximum=_number(bounds.below),
+    )
+
+
+def _number(literal: Literal | None) -> int | float | None:
+    """A bound as JSON's number; None for what is no number, or none that JSON has."""
+    if literal is None or literal.datatype not in NUMBERS:
+        return None
+    try:
+        value = NUMBERS[literal.datatype](literal.value)
+    except Misfit:
+        return None
+    if isinstance(value, int):
+        return value if abs(value) <= SAFE_INTEGER else None
+    return float(value) if math.isfinite(value) else None
+
+
+def _choices(choices: Iterable[Literal]) -> list[Json]:
+    """The values of an enumeration, as plain JSON has them, each once."""
+    found = {(type(value), value): value for value in map(_choice, choices)}
+    return list(found.values())
+
+
+def _choice(literal: Literal) -> bool | int | float | str:
+    try:
+        if literal.datatype == xsd.boolean:
+            return boolean(literal.value)
+        if literal.datatype in NUMBERS:
+            value = NUMBERS[literal.datatype](literal.value)
+            if isinstance(value, int):
+                return wide(value)
+            return float(value) if math.isfinite(value) else special(float(value))
+    except Misfit:
+        pass
+    return literal.value
+
+
+def _unit(measure: Measure) -> DataSchema:
+    return {} if measure.unit is None else {"unit": measure.unit.value}
+
+
+def _given(**keywords: int | float | str | None) -> DataSchema:
+    """The keywords that have a value."""
+    return {name: value for name, value in keywords.items() if value is not None}
+
+
+_OF_ECMA = re.compile(r"(?:[^\\\-({]|-(?!\[)|\((?!\?[^:])|\{(?!,)|\\[dDwWsSnrt.\\()\[\]{}+*?^$|])*", re.DOTALL)
+
+
+def _ecma(pattern: str) -> str | None:
+    """The pattern (XPath's) if it means the same in ECMAScript (ECMA-262 22.2), else None.
+
+    Subtraction, flags, and the escapes of names, blocks and common letters are not ECMAScript's.
+    """
+    return pattern if _OF_ECMA.fullmatch(pattern) else None

@@ -1,0 +1,145 @@
+"""Thing Descriptions (WoT TD 1.1): what a complex resource, or the whole robot, can ever do, for WoT clients. Pure.
+
+Clients keep them, so they list all affordances, also those that are not on offer now. What is offered now, the RDF of
+the resources says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TypeAlias
+
+import orjson
+from pyoxigraph import NamedNode
+
+from rosld.ontology.lift import LiftSettings
+from rosld.ontology.vocab import mapping, qudt, ros
+from rosld.server.hypermedia.schema import DataSchema, message_schema, value_schema
+from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
+from rosld.shapes.value import NO_MEASURE, OpenShape, ScalarShape
+
+MEDIA_TYPE = "application/td+json"
+
+Members: TypeAlias = "dict[str, object]"
+
+_JSON = "application/json"
+_OBSERVE = ("observeproperty", "unobserveproperty")
+_CONTEXT = (
+    "https://www.w3.org/2022/wot/td/v1.1",
+    {"ros": ros.iri, "map": mapping.iri, "qudt": qudt.iri},
+)
+_SECURITY: Members = {"nosec_sc": {"scheme": "nosec"}}
+"""The security schemes by name; each of them must be met (WoT TD 1.1, 5.3.3)."""
+
+_SETTINGS = LiftSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class ThingLink:
+    """A link of a thing: `relation` is a registered one (`item`, `collection`, `type`) or an IRI."""
+
+    relation: str
+    target: str
+    media_type: str | None = MEDIA_TYPE
+
+
+def thing_description(
+    title: str,
+    url: str,
+    properties: Iterable[PropertyAffordance],
+    actions: Iterable[ActionAffordance],
+    *,
+    links: Sequence[ThingLink] = (),
+    description: str | None = None,
+    whole: bool = False,
+    lifting: LiftSettings = _SETTINGS,
+) -> bytes:
+    """The Thing Description of what is at `url`, in JSON-LD; its affordances go by their names.
+
+    `whole`: GET of `url` reads all these properties at once. An affordance that has no form, because nothing can ever
+    be done with it, is left out.
+    """
+    thing: Members = {
+        "@context": _CONTEXT,
+        "id": url,
+        "title": title,
+        **_given(description=description),
+        "securityDefinitions": _SECURITY,
+        "security": list(_SECURITY),
+        "properties": {one.name: _property(one, lifting) for one in properties if one.read or one.write},
+        "actions": {one.name: _action(one, lifting) for one in actions if one.request is not None},
+        "links": [_link(link) for link in links],
+    }
+    if whole:
+        thing["forms"] = [_form(url, "readallproperties", "GET")]
+    return orjson.dumps(thing)
+
+
+@lru_cache(maxsize=4096)
+def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment:
+    """A property (5.3.1.3): the data schema of its value, and a form for each operation."""
+    observable = one.read and one.observe
+    forms = [
+        *([_form(one.url, "readproperty", "GET")] if one.read else ()),
+        *([_form(one.url, "writeproperty", "PUT")] if one.write else ()),
+        # The content type is that of what each event carries.
+        *([_form(one.url, _OBSERVE, "GET", subprotocol="sse")] if observable else ()),
+    ]
+    measure = one.shape.measure if isinstance(one.shape, ScalarShape | OpenShape) else NO_MEASURE
+    return _fragment(
+        {
+            **_given(title=one.title),
+            **value_schema(one.shape, lifting),
+            "readOnly": not one.write,
+            "writeOnly": not one.read,
+            "observable": observable,
+            **_led_to("map:predicate", one.predicate),
+            **_led_to("qudt:hasUnit", measure.unit),
+            **_led_to("qudt:hasQuantityKind", measure.quantity_kind),
+            "forms": forms,
+        }
+    )
+
+
+@lru_cache(maxsize=4096)
+def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
+    """An action (5.3.1.4): what to send, unless that is nothing; its answer is the state of its complex resource."""
+    assert one.request is not None
+    schema: DataSchema | None = message_schema(one.request, lifting) if one.request.type.fields else None
+    return _fragment(
+        {
+            **_given(title=one.title, input=schema),
+            "output": {"type": "object"},
+            "safe": False,
+            "idempotent": False,
+            "synchronous": True,
+            **_led_to("map:relation", one.relation),
+            "forms": [_form(one.url, "invokeaction", "POST")],
+        }
+    )
+
+
+def _form(url: str, operation: str | Sequence[str], method: str, **more: str) -> Members:
+    """A form (5.3.4.2)."""
+    return {"href": url, "op": operation, "htv:methodName": method, "contentType": _JSON, **more}
+
+
+def _link(link: ThingLink) -> Members:
+    """A link (5.3.4.1)."""
+    return {"rel": link.relation, "href": link.target, **_given(type=link.media_type)}
+
+
+def _led_to(term: str, value: NamedNode | None) -> Members:
+    """A term of a vocabulary of the context, with an IRI; nothing where that is None."""
+    return {} if value is None else {term: {"@id": value.value}}
+
+
+def _given(**members: object) -> Members:
+    """The members that have a value."""
+    return {name: value for name, value in members.items() if value is not None}
+
+
+def _fragment(members: Members) -> orjson.Fragment:
+    return orjson.Fragment(orjson.dumps(members))

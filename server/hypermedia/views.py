@@ -6,6 +6,7 @@ writes them as RDF, `thing.py` as Thing Descriptions, the pages as HTML. URLs ar
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from pyoxigraph import NamedNode
 
@@ -100,3 +101,6 @@ class ComplexView:
     parent: str | None = None
     title: str | None = None
     mapping: str | None = None
+
+
+View: TypeAlias = PropertyView | ActionView | ComplexView

@@ -216,7 +216,8 @@ def _given(**keywords: int | float | str | None) -> DataSchema:
     return {name: value for name, value in keywords.items() if value is not None}
 
 
-_OF_ECMA = re.compile(r"(?:[^\\\-({]|-(?!\[)|\((?!\?[^:])|\{(?!,)|\\[dDwWsSnrt.\\()\[\]{}+*?^$|])*", re.DOTALL)
+_ESCAPE = r"\\[dDwWsSnrt.\\()\[\]{}+*?^$|]"
+_OF_ECMA = re.compile(rf"(?:[^\\(\[\]{{]|{_ESCAPE}|\((?!\?[^:])|\{{(?!,)|\[(?:[^\\\[\]]|\\-|{_ESCAPE})*\])*", re.DOTALL)
 
 
 def _ecma(pattern: str) -> str | None:

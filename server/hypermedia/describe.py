@@ -1,0 +1,286 @@
+"""Views described: properties, actions and complex resources with what may be done with them now, as RDF and as JSON.
+
+What may be done is said in the words of WoT's Thing Description ontology and its hypermedia controls: an affordance a
+property and action, a form an operation (method, target, media types), and the SHACL shape of what to send. Of this
+nothing changes with the values, so it is made once. In a complex resource the fragments of affordances hold a slash
+(`#properties/power`) and those of values never do (`#power`, `#power.x`), so that no two are ever the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import NamedTuple
+from urllib.parse import quote
+
+import orjson
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.ontology.document import Document, LiftedMessage
+from rosld.ontology.lift import LiftSettings
+from rosld.ontology.triples import CONTAINER, RDF_SOURCE, Statement, about, boolean, each, text
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import dcterms, hctl, htv, ldp, mapping, qudt, rdf, rdfs, ros, td
+from rosld.server.hypermedia.value import MessageValue, Reading, lifted, literal, picked_json, plain_json
+from rosld.server.hypermedia.views import (
+    ActionAffordance,
+    ActionView,
+    ComplexView,
+    PropertyAffordance,
+    PropertyView,
+)
+from rosld.shapes.affordance import value_shape_triples
+from rosld.shapes.value import NO_MEASURE, OpenShape, ScalarShape
+
+VALUE = "#value"
+"""The node of a property's value, where that is a message."""
+
+_TYPES = tuple(map(Literal, ("application/json", "text/turtle", "application/ld+json")))
+_STREAM, _SSE = (Literal("text/event-stream"),), Literal("sse")
+
+
+# Properties
+
+
+def property_document(
+    view: PropertyView, space: Space, lifting: LiftSettings, *, simulated_time: bool = False
+) -> Document:
+    """A property: its value as rdf:value, what it is read from and written to, and what may be done with it now."""
+    subject = NamedNode(view.affordance.url)
+    said = _said(view.reading, None, subject.value, VALUE, lifting)
+    triples = (
+        *_property(view.affordance, view.reading.name, view.reads_from, view.writes_to, view.part_of),
+        *about(subject, (rdf.value, said.term), (ros.unreadable, said.failure)),
+        *_property_affordance(view.affordance, subject, "#property", space),
+    )
+    return Document(subject.value, triples, said.messages, simulated_time)
+
+
+def property_json(view: PropertyView, lifting: LiftSettings) -> bytes:
+    """The value of a property as plain JSON; null where there is none."""
+    return _json(view.reading, None, lifting)
+
+
+@lru_cache(maxsize=4096)
+def _property(
+    affordance: PropertyAffordance, name: str, reads_from: tuple[str, ...], writes_to: tuple[str, ...], part_of: str
+) -> tuple[Triple, ...]:
+    """What does not change with the value."""
+    return tuple(
+        about(
+            NamedNode(affordance.url),
+            (rdf.type, ros.Property),
+            *RDF_SOURCE,
+            (ros.name, text(name)),
+            (dcterms.title, text(affordance.title)),
+            *each(ros.readsFrom, map(NamedNode, reads_from)),
+            *each(ros.writesTo, map(NamedNode, writes_to)),
+            (dcterms.isPartOf, NamedNode(part_of)),
+        )
+    )
+
+
+# Actions
+
+
+def action_document(view: ActionView, space: Space, lifting: LiftSettings) -> Document:
+    """An action: the service behind it, and how to invoke it."""
+    subject = NamedNode(view.affordance.url)
+    triples = about(
+        subject,
+        *RDF_SOURCE,
+        (ros.name, text(_name(subject.value, space))),
+        (dcterms.title, text(view.affordance.title)),
+        (ros.invokes, NamedNode(view.invokes)),
+        (dcterms.isPartOf, NamedNode(view.part_of)),
+    )
+    return Document(subject.value, (*triples, *_action_affordance(view.affordance, subject, "#action", space)))
+
+
+def _name(url: str, space: Space) -> str | None:
+    """The full name of what is at a URL below `resources/`."""
+    location = space.location(url)
+    return None if location is None else location.name
+
+
+# Complex resources
+
+
+def complex_document(
+    view: ComplexView, space: Space, lifting: LiftSettings, *, simulated_time: bool = False
+) -> Document:
+    """A complex resource: the values of its members, the links and actions on offer now, and how to use them.
+
+    A member with a relation of its own is a property of the complex resource, any other speaks for itself: rdf:value.
+    """
+    subject = NamedNode(view.url)
+    triples = [*_complex(view.url, view.path, view.title, view.mapping, view.parent)]
+    values: list[Triple] = []
+    messages: list[LiftedMessage] = []
+    affordances: list[Triple] = []
+    for member in view.members:
+        one = member.affordance
+        said = _said(member.reading, member.field, view.url, fragment(one.name), lifting)
+        own = NamedNode(one.url)
+        values += about(subject, (one.predicate, said.term)) if one.predicate else about(own, (rdf.value, said.term))
+        values += about(own, (ros.unreadable, said.failure))
+        messages += said.messages
+        affordances += _property_affordance(one, subject, fragment("properties", one.name), space)
+    for action in view.actions:
+        values += about(subject, (action.relation, NamedNode(action.url))) if action.relation else ()
+        affordances += _action_affordance(action, subject, fragment("actions", action.name), space)
+    values += [Triple(subject, link.relation, NamedNode(link.target)) for link in view.links]
+    values += about(subject, *each(ldp.contains, map(NamedNode, _contained(view))))
+    values += about(subject, *each(dcterms.hasPart, map(NamedNode, view.children)))
+    return Document(view.url, (*triples, *values, *affordances), tuple(messages), simulated_time)
+
+
+def complex_json(view: ComplexView, lifting: LiftSettings) -> bytes:
+    """The values of the members as a JSON object by name; null for what cannot be read."""
+    pairs = [
+        orjson.dumps(member.affordance.name) + b":" + _json(member.reading, member.field, lifting)
+        for member in view.members
+    ]
+    return b"{" + b",".join(pairs) + b"}"
+
+
+@lru_cache(maxsize=1024)
+def _complex(url: str, path: str, title: str | None, arranged_by: str | None, parent: str | None) -> tuple[Triple, ...]:
+    """What a complex resource is, whatever its state."""
+    name = path.rstrip("/") or "/"
+    return tuple(
+        about(
+            NamedNode(url),
+            (rdf.type, ros.ComplexResource),
+            *CONTAINER,
+            (ros.name, text(name)),
+            (dcterms.title, text(title or (f"Resources in {name}" if name != "/" else "Resources"))),
+            (rdfs.isDefinedBy, None if arranged_by is None else NamedNode(arranged_by)),
+            (dcterms.isPartOf, None if parent is None else NamedNode(parent)),
+        )
+    )
+
+
+def _contained(view: ComplexView) -> Iterable[str]:
+    """The members, actions and children that lie in it; a member that a mapping takes from elsewhere does not."""
+    used = (*(member.affordance.url for member in view.members), *(action.url for action in view.actions))
+    own = (url for url in used if url.startswith(view.url) and "/" not in url[len(view.url) :])
+    return dict.fromkeys((*own, *view.children))
+
+
+# Values
+
+
+class _Said(NamedTuple):
+    """What is said of a value: its literal or the node of its message, with that message; or why it cannot be read."""
+
+    term: Literal | NamedNode | None = None
+    messages: tuple[LiftedMessage, ...] = ()
+    failure: Literal | None = None
+
+
+def _said(reading: Reading, field: str | None, document: str, node: str, lifting: LiftSettings) -> _Said:
+    """What is said of a reading, or of one `field` of it; a whole message is the fragment `node` of the document."""
+    value = reading.value
+    if value is None:
+        return _Said(failure=text(reading.failure))
+    try:
+        term = literal(value, field)
+    except ValueError as error:
+        return _Said(failure=text(str(error)))
+    if term is not None or not isinstance(value, MessageValue):
+        return _Said(term)
+    return _Said(NamedNode(document + node), (lifted(value, node, lifting),))
+
+
+def _json(reading: Reading, field: str | None, lifting: LiftSettings) -> bytes:
+    """A reading, or one `field` of it, as plain JSON; null where it cannot be read."""
+    value = reading.value
+    if value is None:
+        return b"null"
+    try:
+        return plain_json(value, lifting) if field is None else picked_json(value, field)
+    except ValueError:
+        return b"null"
+
+
+def fragment(*parts: str) -> str:
+    """A fragment: its parts encoded and joined by slashes. Dots are escaped, for a dot leads to a nested message."""
+    return "#" + "/".join(quote(part, safe="").replace(".", "%2E") for part in parts)
+
+
+# Affordances
+
+
+@lru_cache(maxsize=4096)
+def _property_affordance(one: PropertyAffordance, document: NamedNode, node: str, space: Space) -> tuple[Triple, ...]:
+    """A property affordance of the thing that `document` describes, with a form for each thing that may be done now."""
+    subject, shape = NamedNode(document.value + node), NamedNode(f"{document.value}{node}/shape")
+    measure = one.shape.measure if isinstance(one.shape, ScalarShape | OpenShape) else NO_MEASURE
+    observable = one.read and one.observe
+    triples = about(
+        subject,
+        (rdf.type, td.PropertyAffordance),
+        (td.name, text(one.name)),
+        (dcterms.title, text(one.title)),
+        (mapping.predicate, one.predicate),
+        (td.isObservable, boolean(observable)),
+        (qudt.hasUnit, measure.unit),
+        (qudt.hasQuantityKind, measure.quantity_kind),
+        (ros.shape, shape),
+    )
+    if one.read:
+        triples += _form(subject, "read", one.url, "GET", td.readProperty)
+    if one.write:
+        triples += _form(subject, "write", one.url, "PUT", td.writeProperty)
+    if observable:
+        triples += _form(subject, "observe", one.url, "GET", td.observeProperty, _STREAM, (hctl.forSubProtocol, _SSE))
+    triples += value_shape_triples(one.shape, shape, rdf.value, space)
+    return (Triple(document, td.hasPropertyAffordance, subject), *triples)
+
+
+@lru_cache(maxsize=4096)
+def _action_affordance(one: ActionAffordance, document: NamedNode, node: str, space: Space) -> tuple[Triple, ...]:
+    """An action affordance of the thing that `document` describes; without a shape, nothing has to be sent.
+
+    An action whose request is not known cannot be called, and so affords nothing.
+    """
+    if one.request is None:
+        return ()
+    subject = NamedNode(document.value + node)
+    request = NamedNode(space.shape(one.request.ref.name)) if one.request.type.fields else None
+    triples = about(
+        subject,
+        (rdf.type, td.ActionAffordance),
+        (td.name, text(one.name)),
+        (dcterms.title, text(one.title)),
+        (mapping.relation, one.relation),
+        (ros.requestShape, request),
+    )
+    triples += _form(subject, "invoke", one.url, "POST", td.invokeAction)
+    return (Triple(document, td.hasActionAffordance, subject), *triples)
+
+
+def _form(
+    affordance: NamedNode,
+    name: str,
+    target: str,
+    method: str,
+    operation: NamedNode,
+    types: Iterable[Literal] = _TYPES,
+    *more: Statement,
+) -> list[Triple]:
+    """A form of an affordance: how an operation is carried out."""
+    form = NamedNode(f"{affordance.value}/{name}")
+    return [
+        Triple(affordance, td.hasForm, form),
+        *about(
+            form,
+            (rdf.type, hctl.Form),
+            (hctl.hasOperationType, operation),
+            (htv.methodName, Literal(method)),
+            (hctl.hasTarget, NamedNode(target)),
+            *each(hctl.forContentType, types),
+            *more,
+        ),
+    ]

@@ -1,0 +1,408 @@
+"""Thing Descriptions: valid by the W3C's own schema, and data schemas that are true of every value."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+from pyoxigraph import Literal, NamedNode
+
+from rosld.adapters.model import (
+    Field,
+    FieldType,
+    Message,
+    MessageSchema,
+    MessageType,
+    Nested,
+    Primitive,
+    ServiceSchema,
+    TypeRef,
+)
+from rosld.adapters.model.library import TypeLibrary
+from rosld.ontology.fitting import RANGES
+from rosld.ontology.lift import LiftSettings
+from rosld.ontology.literals import DTYPES, STRINGS
+from rosld.ontology.vocab import av, xsd
+from rosld.server.hypermedia.schema import DataSchema, message_schema, value_schema
+from rosld.server.hypermedia.thing import MEDIA_TYPE, ThingLink, thing_description
+from rosld.server.hypermedia.value import MessageValue, plain_json
+from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
+from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
+
+Judge: TypeAlias = Callable[[Sequence[tuple[object, object]]], list[list[str]]]
+
+URL = "http://127.0.0.1:8080/resources/aircraft/"
+LIBRARY = TypeLibrary(ros_version=1)
+KMH = NamedNode("http://qudt.org/vocab/unit/KiloM-PER-HR")
+SPEED = NamedNode("http://qudt.org/vocab/quantitykind/Speed")
+POWER = ScalarShape(Primitive("string"), Bounds(choices=(Literal("on"), Literal("off"))))
+
+
+def schema_of(name: str) -> MessageSchema:
+    schema = LIBRARY.find(TypeRef(name))
+    assert isinstance(schema, MessageSchema)
+    return schema
+
+
+def request_of(name: str) -> MessageSchema:
+    schema = LIBRARY.find(TypeRef(name))
+    assert isinstance(schema, ServiceSchema)
+    return schema.request
+
+
+TRIGGER, SET_BOOL = request_of("std_srvs/srv/Trigger"), request_of("std_srvs/srv/SetBool")
+POSE, IMAGE = schema_of("geometry_msgs/msg/PoseStamped"), schema_of("sensor_msgs/msg/Image")
+
+
+def number(value: str) -> Literal:
+    return Literal(value, datatype=xsd.decimal if "." in value else xsd.integer)
+
+
+def scalar(kind: str, measure: Measure | None = None, **bounds: Literal) -> ScalarShape:
+    return ScalarShape(Primitive(kind), Bounds(**bounds), measure or Measure())  # type: ignore[arg-type]
+
+
+def whole(schema: MessageSchema) -> MessageShape:
+    return MessageShape(schema, tuple(field.name for field in schema.type.fields))
+
+
+THOUSAND = scalar("float64", Measure(KMH, SPEED), least=number("0"), greatest=number("1000"))
+PROPERTIES = (
+    PropertyAffordance("power", URL + "power", POWER, av.power, write=True, title="Power"),
+    PropertyAffordance("engine/speed", URL + "engine/speed", THOUSAND, av.speed, write=True, observe=True),
+    PropertyAffordance("pose", URL + "pose", whole(POSE), observe=True),
+    PropertyAffordance("image", URL + "image", whole(IMAGE)),
+    PropertyAffordance("seats", URL + "seats", OpenShape(), write=True),
+    PropertyAffordance("goal", URL + "goal", whole(POSE), read=False, write=True),
+    PropertyAffordance("dead", URL + "dead", OpenShape(), read=False),
+)
+ACTIONS = (
+    ActionAffordance("start", URL + "start", TRIGGER, av.start, "Start"),
+    ActionAffordance("lights", URL + "lights", SET_BOOL),
+    ActionAffordance("unknown", URL + "unknown", None),
+)
+LINKS = (
+    ThingLink("collection", "http://127.0.0.1:8080/resources/"),
+    ThingLink(av.engine.value, URL + "engine/"),
+    ThingLink("type", "https://w3id.org/rosld", None),
+)
+
+
+def thing(*, whole: bool = False) -> Any:
+    return json.loads(
+        thing_description("Aircraft", URL, PROPERTIES, ACTIONS, links=LINKS, description="It flies.", whole=whole)
+    )
+
+
+# The W3C's schema
+
+
+def test_thing_descriptions_are_valid_by_the_schema_of_the_w3c(judged: Judge) -> None:
+    empty = json.loads(thing_description("Nothing", URL, (), ()))
+    assert judged([("td", thing()), ("td", thing(whole=True)), ("td", empty)]) == [[], [], []]
+
+
+def test_the_judge_finds_what_is_wrong(judged: Judge) -> None:
+    broken = thing() | {"security": 1}
+    errors, wrong, right = judged([("td", broken), ({"type": "integer"}, "x"), ({"type": "integer"}, 1)])
+    assert errors
+    assert wrong
+    assert right == []
+
+
+NAMES = st.text(st.characters(exclude_categories=["Cs"]), max_size=8) | st.sampled_from(
+    ['"', "a/b", "</script>", "ü💡", "__proto__", "constructor", "@type", "", "x\ny"]
+)
+
+
+def test_no_name_makes_a_thing_description_invalid(judged: Judge) -> None:
+    things: list[tuple[object, object]] = []
+
+    @settings(max_examples=40, deadline=None, phases=[Phase.generate])
+    @given(NAMES)
+    def collect(name: str) -> None:
+        shape = ScalarShape(Primitive("string"), Bounds(choices=(Literal(name),)))
+        described = json.loads(
+            thing_description(
+                name,
+                URL,
+                [PropertyAffordance(name, URL + "x", shape, title=name)],
+                [ActionAffordance(name, URL + "y", SET_BOOL, title=name)],
+                description=name,
+            )
+        )
+        assert list(described["properties"]) == list(described["actions"]) == [name]
+        things.append(("td", described))
+
+    collect()
+    assert not any(judged(things))
+
+
+# What it says
+
+
+def test_a_property_has_its_data_schema_and_a_form_for_each_operation() -> None:
+    speed = thing()["properties"]["engine/speed"]
+    forms = speed.pop("forms")
+    assert speed == {
+        "type": "number",
+        "minimum": 0,
+        "maximum": 1000,
+        "unit": KMH.value,
+        "readOnly": False,
+        "writeOnly": False,
+        "observable": True,
+        "map:predicate": {"@id": av.speed.value},
+        "qudt:hasUnit": {"@id": KMH.value},
+        "qudt:hasQuantityKind": {"@id": SPEED.value},
+    }
+    target = {"href": URL + "engine/speed", "contentType": "application/json"}
+    assert forms == [
+        {**target, "op": "readproperty", "htv:methodName": "GET"},
+        {**target, "op": "writeproperty", "htv:methodName": "PUT"},
+        {**target, "op": ["observeproperty", "unobserveproperty"], "htv:methodName": "GET", "subprotocol": "sse"},
+    ]
+
+
+def test_what_can_only_be_read_or_only_be_written_says_so() -> None:
+    properties = thing()["properties"]
+    for name, only, operation in (("pose", "readOnly", "readproperty"), ("goal", "writeOnly", "writeproperty")):
+        assert properties[name][only] is True
+        assert properties[name]["forms"][0]["op"] == operation
+    assert properties["goal"]["observable"] is False
+
+
+def test_what_nothing_can_be_done_with_is_left_out() -> None:
+    assert "dead" not in thing()["properties"]
+    assert list(thing()["actions"]) == ["start", "lights"]
+
+
+def test_an_action_says_what_to_send_unless_that_is_nothing() -> None:
+    start, lights = thing()["actions"]["start"], thing()["actions"]["lights"]
+    assert start == {
+        "title": "Start",
+        "output": {"type": "object"},
+        "safe": False,
+        "idempotent": False,
+        "synchronous": True,
+        "map:relation": {"@id": av.start.value},
+        "forms": [
+            {
+                "href": URL + "start",
+                "op": "invokeaction",
+                "htv:methodName": "POST",
+                "contentType": "application/json",
+            }
+        ],
+    }
+    assert lights["input"] == {
+        "type": "object",
+        "properties": {"data": {"type": "boolean"}},
+        "required": ["data"],
+    }
+
+
+def test_a_thing_says_who_it_is_where_it_leads_and_that_it_is_open() -> None:
+    found = thing(whole=True)
+    assert found["@context"][0] == "https://www.w3.org/2022/wot/td/v1.1"
+    assert found["id"] == URL
+    assert (found["title"], found["description"]) == ("Aircraft", "It flies.")
+    assert found["securityDefinitions"] == {"nosec_sc": {"scheme": "nosec"}}
+    assert found["security"] == ["nosec_sc"]
+    assert found["links"] == [
+        {"rel": "collection", "href": "http://127.0.0.1:8080/resources/", "type": MEDIA_TYPE},
+        {"rel": av.engine.value, "href": URL + "engine/", "type": MEDIA_TYPE},
+        {"rel": "type", "href": "https://w3id.org/rosld"},
+    ]
+    assert found["forms"] == [
+        {"href": URL, "op": "readallproperties", "htv:methodName": "GET", "contentType": "application/json"}
+    ]
+    assert "forms" not in thing()
+
+
+# Data schemas
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        (scalar("bool"), {"type": "boolean"}),
+        (scalar("uint8"), {"type": "integer", "minimum": 0, "maximum": 255}),
+        (scalar("int16"), {"type": "integer", "minimum": -32768, "maximum": 32767}),
+        (scalar("int32", least=number("0")), {"type": "integer", "minimum": 0, "maximum": 2147483647}),
+        (scalar("int64", least=number("-5"), below=number("7")),
+         {"type": "integer", "minimum": -5, "exclusiveMaximum": 7}),
+        (scalar("float32", above=number("0.5")), {"type": "number", "exclusiveMinimum": 0.5}),
+        (scalar("string"), {"type": "string"}),
+        (ScalarShape(Primitive("string", 8)), {"type": "string", "maxLength": 8}),
+        (ScalarShape(Primitive("string", 8), Bounds(min_length=1, max_length=20, pattern="^[a-z]+$")),
+         {"type": "string", "minLength": 1, "maxLength": 8, "pattern": "^[a-z]+$"}),
+        (POWER, {"type": "string", "enum": ["on", "off"]}),
+        (ScalarShape(Primitive("int8"), Bounds(choices=(number("1"), number("2"), number("01")))),
+         {"type": "integer", "enum": [1, 2]}),
+        (ScalarShape(Primitive("float64"), Bounds(choices=(number("1.5"), Literal("NaN", datatype=xsd.double)))),
+         {"enum": [1.5, "NaN"]}),
+        (ScalarShape(Primitive("uint64"), Bounds(choices=(number("18446744073709551615"),))),
+         {"enum": ["18446744073709551615"]}),
+        (OpenShape(), {}),
+        (OpenShape(Bounds(least=number("1"))), {"type": "number", "minimum": 1}),
+        (OpenShape(Bounds(choices=(Literal("true", datatype=xsd.boolean), Literal("a"), number("1")))),
+         {"enum": [True, "a", 1]}),
+        (OpenShape(Bounds(least=Literal("2026-01-01T00:00:00Z", datatype=xsd.dateTime))), {}),
+        (OpenShape(Bounds(least=Literal("INF", datatype=xsd.double))), {}),
+        (OpenShape(measure=Measure(KMH)), {"unit": KMH.value}),
+    ],
+)  # fmt: skip
+def test_scalars_have_plain_schemas(shape: ValueShape, expected: DataSchema) -> None:
+    assert value_schema(shape) == expected
+
+
+@pytest.mark.parametrize(
+    ("pattern", "kept"),
+    [
+        (r"^\d{3}-[A-Z]\.$", True),
+        (r"^(?:on|off)$", True),
+        (r"[^\-(a-z]{1,2}\]", True),
+        (r"\i\c*", False),
+        (r"\p{IsGreek}", False),
+        (r"[a-z-[aeiou]]", False),
+        (r"(?i)on", False),
+        (r"a\-b", False),
+        (r"a{,3}", False),
+        (r"a]", False),
+    ],
+)
+def test_only_patterns_that_mean_the_same_in_ecmascript_are_kept(pattern: str, kept: bool) -> None:
+    assert ("pattern" in value_schema(ScalarShape(Primitive("string"), Bounds(pattern=pattern)))) is kept
+
+
+def test_a_part_of_a_message_is_the_object_of_that_part_with_its_limits() -> None:
+    shape = MessageShape(POSE, ("pose",), {"pose.position.x": Bounds(least=number("0"), greatest=number("9"))})
+    found = json.dumps(value_schema(shape))
+    assert json.loads(found)["required"] == ["pose"]
+    assert '"x": {"type": "number", "minimum": 0, "maximum": 9}' in found
+    assert "header" not in found
+
+
+def test_octets_are_base64_and_large_arrays_may_be_elided() -> None:
+    image: Any = message_schema(IMAGE)
+    plain, elided = image["properties"]["data"]["oneOf"]
+    assert plain == {"type": "string", "contentEncoding": "base64"}
+    assert elided["required"] == ["elided", "length", "href"]
+
+
+def recursive(breadth: int) -> MessageSchema:
+    kinds = {
+        f"evil/msg/T{depth}": MessageType(
+            f"evil/msg/T{depth}",
+            tuple(Field(f"f{index}", Nested(f"evil/msg/T{(depth + 1) % 40}"), f"f{index}") for index in range(breadth)),
+        )
+        for depth in range(40)
+    }
+    return MessageSchema(TypeRef("evil/msg/T0", "0"), kinds, "", POSE.codec)
+
+
+@pytest.mark.parametrize("breadth", [1, 10])
+def test_a_type_that_contains_itself_or_grows_without_end_has_a_small_schema(breadth: int, judged: Judge) -> None:
+    schema = recursive(breadth)
+    properties = [PropertyAffordance("evil", URL + "evil", whole(schema))]
+    data = thing_description("Evil", URL, properties, [])
+    assert len(data) < 1_000_000
+    assert judged([("td", json.loads(data))]) == [[]]
+
+
+# Every value fits
+
+
+TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
+
+
+def drawn(kind: FieldType, schema: MessageSchema) -> st.SearchStrategy[object]:
+    """Values of a field."""
+    if isinstance(kind, Nested):
+        return messages(schema, kind.name)
+    if isinstance(kind, Primitive):
+        if kind.name in STRINGS:
+            return TEXTS
+        if kind.name == "bool":
+            return st.booleans()
+        if kind.name in RANGES:
+            return st.integers(*RANGES[kind.name]) | st.sampled_from(RANGES[kind.name])
+        return st.floats(width=32 if kind.name == "float32" else 64)
+    least, most = (kind.length, kind.length) if kind.length is not None else (0, min(3, kind.bound or 3))
+    elements = st.lists(drawn(kind.element, schema), min_size=least, max_size=most)
+    if isinstance(kind.element, Nested) or kind.element.name in STRINGS:
+        return elements
+    dtype = DTYPES[kind.element.name]
+    return elements.map(lambda values: np.array(values, dtype))
+
+
+def messages(schema: MessageSchema, name: str) -> st.SearchStrategy[Message]:
+    fields = {field.attribute: drawn(field.type, schema) for field in schema.types[name].fields}
+    return st.fixed_dictionaries(fields).map(lambda values: schema.codec.build(name, values))
+
+
+EVERYTHING = LIBRARY.learn_message(
+    "test_msgs/msg/Everything",
+    "\n".join(
+        [f"{kind} a_{kind}\n{kind}[] some_{kind}\n{kind}[3] three_{kind}" for kind in (*RANGES, "bool", "string")]
+        + [f"{kind} a_{kind}\n{kind}[] some_{kind}\n{kind}[2] two_{kind}" for kind in ("float32", "float64")]
+        + ["time stamp", "duration lasting", "geometry_msgs/Pose[] poses", "geometry_msgs/Pose[2] two_poses"]
+    ),
+)
+TYPES = [
+    EVERYTHING,
+    *map(schema_of, ("sensor_msgs/msg/Imu", "sensor_msgs/msg/JointState", "nav_msgs/msg/Path", "std_msgs/msg/Int64")),
+]
+
+
+def test_the_plain_json_of_every_message_fits_its_data_schema(judged: Judge) -> None:
+    pairs: list[tuple[object, object]] = []
+
+    @settings(
+        max_examples=150, deadline=None, phases=[Phase.generate], suppress_health_check=list(HealthCheck), database=None
+    )
+    @given(st.sampled_from(TYPES).flatmap(lambda s: st.tuples(st.just(s), messages(s, s.ref.name))))
+    def collect(drawing: tuple[MessageSchema, Message]) -> None:
+        schema, message = drawing
+        fields = schema.type.fields
+        value = MessageValue(schema, message, fields, URL)
+        for lifting in (LiftSettings(), LiftSettings(inline_limit=64)):
+            single = fields[0].type if len(fields) == 1 else None
+            shape = ScalarShape(single) if isinstance(single, Primitive) else whole(schema)
+            pairs.append((value_schema(shape, lifting), json.loads(plain_json(value, lifting))))
+
+    collect()
+    assert [errors for errors in judged(pairs) if errors] == []
+
+
+def test_what_is_no_such_message_does_not_fit(judged: Judge) -> None:
+    schema = message_schema(EVERYTHING)
+    right = {"a_uint8": 255, "stamp": {"sec": 0, "nanosec": 0}}
+    required = {**schema, "required": list(right)}
+    wrong = [
+        right | {"a_uint8": 256},
+        right | {"a_uint8": "255"},
+        right | {"stamp": {"sec": 0}},
+        right | {"a_float64": "infinite"},
+        right | {"two_float32": [1.0]},
+        right | {"a_int64": "12"},
+        right | {"two_poses": []},
+    ]
+    verdicts = judged([(required, value) for value in (right, *wrong)])
+    assert verdicts[0] == []
+    assert all(verdicts[1:])
+
+
+def test_every_prefix_is_in_the_context() -> None:
+    # `htv` is in the context of WoT itself.
+    _, context = thing()["@context"]
+    affordances = [*thing()["properties"].values(), *thing()["actions"].values()]
+    used = {key.partition(":")[0] for one in affordances for key in one if ":" in key}
+    assert used == {"map", "qudt"}
+    assert used <= set(context)

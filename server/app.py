@@ -8,7 +8,7 @@ from urllib.parse import quote
 
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Receive, Scope, Send
 
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import RosError
@@ -16,6 +16,7 @@ from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.server.dataset import Dataset
 from rosld.server.errors import problem_of, problem_of_body
+from rosld.server.events.feed import Feeds
 from rosld.server.http.origin import Site, check_host, check_origin, sharing, site
 from rosld.server.http.problem import Problem, render
 from rosld.server.ldp.exchange import Exchange
@@ -35,13 +36,14 @@ from rosld.server.store import MemoryStore
 _log = logging.getLogger("rosld")
 
 
-def create_app(adapter: Adapter, settings: Settings) -> ASGIApp:
+def create_app(adapter: Adapter, settings: Settings) -> Application:
     """The ASGI app that serves this adapter; its lifespan opens and closes the adapter, raising what `open` raises."""
     robot = Robot(adapter, settings)
     pages = Pages(robot)
     service = query_service(robot)
     names = site(settings.base_url, settings.host, settings.port, settings.cors_origins)
-    return Application(robot, Router(robot, service, pages), Verbs(robot.boot, pages), pages, names)
+    feeds = Feeds(robot.changes)
+    return Application(robot, Router(robot, service, pages), Verbs(robot.boot, pages, feeds), pages, names)
 
 
 def query_service(robot: Robot) -> QueryService:
@@ -72,6 +74,10 @@ class Application:
             await self._lifespan(receive, send)
         else:
             await send({"type": "websocket.close", "code": 1008, "reason": "no WebSocket is offered here"})
+
+    def end_streams(self) -> None:
+        """End what would go on for ever: to be called when the server is told to end, before it waits for requests."""
+        self._verbs.feeds.end()
 
     async def _lifespan(self, receive: Receive, send: Send) -> None:
         await receive()

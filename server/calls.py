@@ -13,6 +13,7 @@ from enum import Enum
 
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import Message, Refused, RosError, Sent, ServiceSchema, TimedOut
+from rosld.server.events.watches import Signal
 
 
 class CallState(Enum):
@@ -78,6 +79,7 @@ class Calls:
         self._running: set[asyncio.Task[RosError | None]] = set()
         self._keyed: OrderedDict[tuple[str, str], tuple[bytes, asyncio.Task[Outcome]]] = OrderedDict()
         self.revision = 0
+        self.changes = Signal()
 
     def all(self) -> Sequence[Call]:
         """The calls kept, oldest first."""
@@ -158,18 +160,22 @@ class Calls:
             self._calls[call.id] = replace(
                 call, state=state, response=response, answered_ns=time.time_ns(), words=words
             )
-            self.revision += 1
+            self._revise()
 
     def _keep(self, call: Call) -> None:
         self._calls[call.id] = call
-        self.revision += 1
+        self._revise()
         while len(self._calls) > self._most:
             self._drop(next(iter(self._calls)))
+
+    def _revise(self) -> None:
+        self.revision += 1
+        self.changes.give()
 
     def _drop(self, id: str) -> None:
         self._calls.pop(id, None)
         self._gone[id] = None
-        self.revision += 1
+        self._revise()
         while len(self._gone) > _REMEMBERED_IDS:
             self._gone.popitem(last=False)
 

@@ -14,6 +14,7 @@ from rosld.adapters.model import Graph, RosError, TypeRef
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.urls import Space
 from rosld.server.calls import Calls
+from rosld.server.events.watches import Signal
 from rosld.server.http.csrf import FormKey
 from rosld.server.ldp.state import State
 from rosld.server.limiter import PublishLimiter
@@ -41,6 +42,8 @@ class Robot:
         self.limiter = PublishLimiter(settings.max_publish_rate)
         self.forms = FormKey()
         self.states = States()
+        self.changes = Signal()
+        self.parameter_changes = Signal()
         self.boot = secrets.token_hex(4)
         self._changed = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -96,10 +99,17 @@ class Robot:
         """`Sink`: look at what the graph now holds."""
         if self._loop is not None and not self._loop.is_closed():
             with contextlib.suppress(RuntimeError):
-                self._loop.call_soon_threadsafe(self._changed.set)
+                self._loop.call_soon_threadsafe(self._moved)
 
     def parameter_changed(self, name: str) -> None:
-        """`Sink`: parameters are read anew whenever somebody asks, so there is nothing to do."""
+        """`Sink`: tell those who watch it. Whoever asks reads it anew in any case."""
+        if self._loop is not None and not self._loop.is_closed():
+            with contextlib.suppress(RuntimeError):
+                self._loop.call_soon_threadsafe(self.parameter_changes.give, name)
+
+    def _moved(self) -> None:
+        self._changed.set()
+        self.changes.give()
 
     async def _follow(self) -> None:
         """After each change: subscribe to what is to be eager, and learn the types in use, so that they are listed."""

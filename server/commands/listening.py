@@ -16,8 +16,8 @@ from rosld.server.http.connection import Connection
 
 KEEP_ALIVE_SECONDS = 30
 GRACE_SECONDS = 2
-CONNECTIONS = 1000
-"""Connections at a time; one more is answered 503."""
+CONNECTIONS = 3000
+"""Connections at a time; one more is answered 503. There are more than `feed.MOST_READERS`, so that all can be had."""
 
 
 def bind(host: str, port: int) -> socket.socket:

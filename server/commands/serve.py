@@ -10,10 +10,9 @@ import socket
 import sys
 import threading
 from collections.abc import Coroutine
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
-from starlette.types import ASGIApp
 
 from rosld.adapters.base import Adapter
 from rosld.adapters.registry import adapter_for
@@ -22,6 +21,9 @@ from rosld.server.commands import data_folder, listening
 from rosld.server.commands.failure import told
 from rosld.server.commands.lifespan import lifespan
 from rosld.server.settings import Settings
+
+if TYPE_CHECKING:
+    from rosld.server.app import Application
 
 LAST_SECONDS = 4.5
 """Seconds after which a server that was told to end is ended, whatever still holds it: five are promised."""
@@ -48,7 +50,7 @@ def serve(source: str, settings: Settings, *, base_given: bool) -> None:
 class Serving:
     """A server's life: open the source, listen, serve, leave."""
 
-    def __init__(self, app: ASGIApp, adapter: Adapter, sock: socket.socket, url: str) -> None:
+    def __init__(self, app: Application, adapter: Adapter, sock: socket.socket, url: str) -> None:
         self._app = app
         self._adapter = adapter
         self._sock = sock
@@ -81,6 +83,7 @@ class Serving:
         end_at_the_latest(LAST_SECONDS)
         if not self._server.started and self._work is not None:
             self._work.cancel()
+        self._app.end_streams()
         self._server.force_exit = self._server.should_exit
         self._server.should_exit = True
 

@@ -6,12 +6,13 @@ A resource is made for a request and holds no state of its own: `state()` tells 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
 from starlette.responses import Response
 
+from rosld.adapters.base import Watch
 from rosld.ontology.serialize import Syntax
 from rosld.server.html import Form, Listing, Notice, Page, Site, Step, render_page
 from rosld.server.http.link import Link, uri
@@ -60,6 +61,14 @@ class Resource:
     async def state(self) -> State:
         """What it is like now. Raises a 404 (or 410) Problem where there is nothing."""
         raise NotImplementedError
+
+    async def watch(self, wake: Callable[[], None]) -> Watch | None:
+        """Call `wake` on the loop whenever its state may have changed, until the watch is closed.
+
+        It may wake for nothing: whoever is woken reads the state again. None where nothing in particular tells of it:
+        then it is looked at whenever anything in general has changed, and every few seconds.
+        """
+        return None
 
     async def forms(self) -> Sequence[Form]:
         """What its page offers to send."""

@@ -12,6 +12,10 @@ from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.serialize import CannotCarry, Syntax, serialize
 from rosld.server.errors import problem_of_body
+from rosld.server.events import asked
+from rosld.server.events.feed import Feeds
+from rosld.server.events.stream import HEADERS, EventStream, Telling
+from rosld.server.events.waiting import changed_since
 from rosld.server.http import link, negotiation
 from rosld.server.http.conditional import ETag, guard
 from rosld.server.http.problem import Problem
@@ -35,6 +39,7 @@ class Verbs:
 
     boot: str
     pages: Pages
+    feeds: Feeds
 
     async def answer(self, exchange: Exchange, resource: Resource) -> Response:
         """The response to a request on a resource; raises Problems."""
@@ -69,19 +74,28 @@ class Verbs:
         special = await resource.special(exchange)
         if special is not None:
             return special
+        if asked.stream_is_preferred(exchange.accept, OFFERS):
+            return await self._stream(exchange, resource)
         state = await resource.state()
+        unchanged = False
+        if b"after=" in exchange.request.scope["query_string"] and "after" in exchange.query:
+            unchanged = not await self._is_other(exchange, resource, state)
+            state = await resource.state()
         rendering = await self.rendering(exchange, resource, state)
         headers = rendering.headers
         if state.received_ns is not None:
             age = max(0, time.time_ns() - state.received_ns) // 1_000_000_000
             headers = [*headers, (b"age", b"%d" % age)]
-        if _not_modified(exchange, rendering):
+        if unchanged or _not_modified(exchange, rendering):
             return Prepared(304, b"", [pair for pair in headers if pair[0] not in _CONTENT])
         return Prepared(200, rendering.body, headers)
 
     async def rendering(self, exchange: Exchange, resource: Resource, state: State) -> Rendering:
         """The representation that the request prefers, kept with the state or made now. Raises a 406 Problem."""
-        media_type = chosen(exchange)
+        return await self.represented(resource, state, chosen(exchange))
+
+    async def represented(self, resource: Resource, state: State, media_type: str) -> Rendering:
+        """The representation in a media type, kept with the state or made now. Raises a 406 Problem."""
         variant = VARIANTS[media_type]
         found = state.renderings.get(variant)
         if found is None:
@@ -95,8 +109,8 @@ class Verbs:
             body = state.plain()
         else:
             body = _serialized(state, _JSON_IS_JSONLD.get(media_type, media_type))
-        tag = digest(body) if media_type == HTML else state.tag  # a page shows more than its resource says
-        etag = str(ETag(f"{self.boot}-{tag}", VARIANTS[media_type]))
+        name = f"{self.boot}-{digest(body)}" if media_type == HTML else self._name(state)  # a page shows more
+        etag = str(ETag(name, VARIANTS[media_type]))
         headers = {
             "content-type": f"{media_type}; charset=utf-8" if media_type.startswith("text/") else media_type,
             "content-length": str(len(body)),
@@ -107,9 +121,34 @@ class Verbs:
         }
         if media_type == HTML:
             headers |= self.pages.headers
-        return Rendering(
-            body, [(name.encode("latin-1"), value.encode("latin-1")) for name, value in headers.items()], etag
-        )
+        return Rendering(body, _encoded(headers), etag)
+
+    def _name(self, state: State) -> str:
+        """The state part of the ETags of a state's representations."""
+        return f"{self.boot}-{state.tag}"
+
+    async def _stream(self, exchange: Exchange, resource: Resource) -> Response:
+        """The changes of a resource as an event stream. What can be refused is refused before it begins."""
+        media_type = _told_as(exchange)
+        rate = asked.rate(exchange.query)
+
+        async def render(state: State) -> bytes:
+            return (await self.represented(resource, state, media_type)).body
+
+        await render(await resource.state())
+        self.feeds.require_room()
+        headers = _encoded(standing_headers(resource))
+        if exchange.method == "HEAD":
+            return Prepared(200, b"", [*HEADERS, *headers])
+        telling = Telling(VARIANTS[media_type], render, self._name)
+        return EventStream(self.feeds, resource, telling, rate, exchange.header("last-event-id"), headers)
+
+    async def _is_other(self, exchange: Exchange, resource: Resource, state: State) -> bool:
+        """Whether the state is another than `?after=`, now or within `?timeout=`."""
+        after, seconds = exchange.query["after"], asked.timeout(exchange.query)
+        if not asked.is_state(after, self._name(state)):
+            return True
+        return await changed_since(self.feeds, resource, after, self._name, exchange.request.receive, seconds)
 
     async def _check_preconditions(self, exchange: Exchange, resource: Resource) -> None:
         """If-Match and If-None-Match of a write (RFC 9110 13.1), judged against the resource as it is now."""
@@ -122,7 +161,7 @@ class Verbs:
             if problem.status not in (404, 410):
                 raise
             state = None
-        current = None if state is None else ETag(f"{self.boot}-{state.tag}", "any")
+        current = None if state is None else ETag(self._name(state), "any")
         guard(exchange.method, current, if_match=if_match, if_none_match=if_none_match)
 
     async def _form(self, exchange: Exchange, resource: Resource) -> Response:
@@ -209,6 +248,19 @@ def chosen(exchange: Exchange) -> str:
     if found is None:
         raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(OFFERS)}.")
     return found
+
+
+def _told_as(exchange: Exchange) -> str:
+    """The media type of an event's data: plain JSON, or what `?format=` says. Raises a 406 Problem."""
+    wanted = exchange.query.get("format", "json")
+    if wanted not in FORMATS or FORMATS[wanted] == HTML:
+        offered = ", ".join(one for one, media_type in FORMATS.items() if media_type != HTML)
+        raise Problem(406, f"?format={wanted} cannot be streamed; there are {offered}.")
+    return FORMATS[wanted]
+
+
+def _encoded(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
+    return [(name.encode("latin-1"), value.encode("latin-1")) for name, value in headers.items()]
 
 
 def _not_modified(exchange: Exchange, rendering: Rendering) -> bool:

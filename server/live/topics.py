@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
-from rosld.adapters.base import Adapter, Subscription
+from rosld.adapters.base import Adapter, Subscription, Watch
 from rosld.adapters.model import Graph, Message, MessageSchema, RosError, Sample
 from rosld.server.live.fold import DEPTH, FOLDS, Folded, decoder
 from rosld.server.live.schemas import Schemas
@@ -38,10 +38,33 @@ class _Look:
     subscription: Subscription
     looked_at: float
     eager: bool = False
+    watches: int = 0
     folded: Folded | None = None
     rates: Rates = field(default_factory=Rates)
     latest: Sequence[Sample] | None = None
     view: View = field(default_factory=View)
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether it stays although nobody looks."""
+        return self.eager or self.watches > 0
+
+
+class _TopicWatch:
+    """A watch that keeps its subscription."""
+
+    def __init__(self, look: _Look, watch: Watch) -> None:
+        self._look: _Look | None = look
+        self._watch = watch
+        look.watches += 1
+
+    def close(self) -> None:
+        """Stop waking; the subscription is kept as after a look. Idempotent."""
+        look, self._look = self._look, None
+        if look is not None:
+            look.watches -= 1
+            look.looked_at = asyncio.get_running_loop().time()
+            self._watch.close()
 
 
 class LiveTopics:
@@ -100,6 +123,11 @@ class LiveTopics:
             view = self._refresh(look)
         return view
 
+    async def watch(self, topic: str, wake: Callable[[], None]) -> Watch:
+        """Call `wake` after something new came; the topic stays subscribed to until the watch is closed."""
+        look = await self._open(topic)
+        return _TopicWatch(look, look.subscription.watch(wake))
+
     async def eager(self, graph: Graph) -> None:
         """Subscribe to what the eager globs match in this graph."""
         for topic in graph.topics:
@@ -114,8 +142,9 @@ class LiveTopics:
         async with self._opening.setdefault(topic, asyncio.Lock()):
             look = self._looks.get(topic)
             if look is None:
-                look = self._looks[topic] = await self._subscribe(topic)
+                look = await self._subscribe(topic)
                 self._keep_within_budget()
+                self._looks[topic] = look
         self._opening.pop(topic, None)
         return look
 
@@ -181,9 +210,10 @@ class LiveTopics:
         return decoder(self._schema_at_hand(sample))(sample)
 
     def _keep_within_budget(self) -> None:
-        over = len(self._looks) - self._settings.budget
+        """Make room for one more."""
+        over = len(self._looks) + 1 - self._settings.budget
         if over > 0:
-            idlest = sorted((look.looked_at, topic) for topic, look in self._looks.items() if not look.eager)
+            idlest = sorted((look.looked_at, topic) for topic, look in self._looks.items() if not look.is_kept)
             for _, topic in idlest[:over]:
                 self._close(topic)
 
@@ -197,7 +227,7 @@ class LiveTopics:
             await asyncio.sleep(_SWEEP)
             horizon = asyncio.get_running_loop().time() - self._settings.idle
             for topic, look in list(self._looks.items()):
-                if not look.eager and look.looked_at < horizon:
+                if not look.is_kept and look.looked_at < horizon:
                     self._close(topic)
                 elif look.folded is not None:
                     await self._know_types(look)

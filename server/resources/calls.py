@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+from rosld.adapters.base import Watch
 from rosld.ontology.describe_containers import container_document
 from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.ldp.state import State
@@ -25,3 +28,6 @@ class CallContainer(Resource):
             self.robot.calls.revision,
             lambda: State(lambda: container_document(self.url, members, "Calls")),
         )
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return self.robot.calls.changes.watch(wake)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from starlette.responses import Response
 
+from rosld.adapters.base import Watch
 from rosld.adapters.model import Kind, Operation, ParameterValue, Ref, names
 from rosld.ontology.body import parse_body
 from rosld.ontology.lower import parse_json
@@ -18,6 +19,7 @@ from rosld.ontology.parameters import (
     parameter_json,
     plain,
 )
+from rosld.server.events.watches import every, together
 from rosld.server.html import DeleteForm, Form, ParameterForm
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
@@ -40,6 +42,8 @@ from rosld.server.ldp.state import State, digest
 from rosld.server.robot import Robot
 
 _MOST_SLUG = 100
+_LOOK_AGAIN_SECONDS = 1.0
+"""How often a parameter that is watched is read again: not every kind of robot tells of all changes."""
 
 
 class _Parameters(Resource):
@@ -70,6 +74,10 @@ class _Parameters(Resource):
             return parameter_json(value)
         except ValueError as error:
             raise Problem(406, f"{self.name} cannot be shown: {error}.") from error
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        told = self.robot.parameter_changes.watch(wake, lambda name: _related(name, self.name))
+        return together(told, every(_LOOK_AGAIN_SECONDS, wake))
 
     async def _set(self, values: Mapping[str, ParameterValue]) -> None:
         deadline = self.robot.deadline(self.robot.settings.call_deadline)
@@ -248,6 +256,12 @@ class ParameterTree(_Parameters):
             deadline = self.robot.deadline(self.robot.settings.call_deadline)
             await self.robot.adapter.delete_parameters([f"{prefix}/{name}" for name in gone], deadline=deadline)
         return Response(status_code=204)
+
+
+def _related(one: str, other: str) -> bool:
+    """Whether two names are the same, or one is a tree that holds the other."""
+    ones, others = one.rstrip("/") + "/", other.rstrip("/") + "/"
+    return ones.startswith(others) or others.startswith(ones)
 
 
 def _same(one: ParameterValue | None, other: ParameterValue) -> bool:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import cast
 
 from starlette.responses import Response
 
+from rosld.adapters.base import Watch
 from rosld.adapters.model import Graph, Kind, Operation, Ref, RosError, Topic
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import parse_json
+from rosld.server.events.watches import together
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import require_if_match
@@ -103,6 +105,9 @@ class TopicResource(Resource):
             decoded = [await decode(robot, sample) for sample in view.samples]
             known = robot.states.keep(self.url, version, self._state(topic, view, decoded))
         return known
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return together(await self.robot.topics.watch(self.name, wake), self.robot.changes.watch(wake))
 
     def _state(self, topic: Topic, view: View, decoded: Sequence[Decoded]) -> State:
         newest = decoded[-1] if decoded else None

@@ -1,0 +1,58 @@
+"""What a request for changes asks for: how often, since when, how long. Pure."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from rosld.server.http import negotiation
+from rosld.server.http.problem import Problem
+
+EVENT_STREAM = "text/event-stream"
+DEFAULT_RATE, LEAST_RATE, MOST_RATE = 10.0, 0.001, 100.0
+DEFAULT_TIMEOUT, MOST_TIMEOUT = 25.0, 60.0
+_NUMBER = re.compile(r"[0-9]{1,20}(\.[0-9]{1,20})?")
+
+
+def stream_is_preferred(accept: str | None, offers: tuple[str, ...]) -> bool:
+    """Whether an event stream is asked for by name and liked better than all other offers."""
+    if accept is None or "event-stream" not in accept.lower():
+        return False
+    return negotiation.choose(accept, (*offers, EVENT_STREAM)) == EVENT_STREAM
+
+
+def rate(query: Mapping[str, str]) -> float:
+    """`?rate=`: at most so many events a second. More than can be had gives what can be had. A 400 Problem else."""
+    wanted = _number(query, "rate", DEFAULT_RATE)
+    if wanted is None or wanted < LEAST_RATE:
+        raise Problem(
+            400,
+            f"?rate={query['rate'][:100]} is no number of events a second: send one from {LEAST_RATE:g} to "
+            f"{MOST_RATE:g}.",
+        )
+    return min(wanted, MOST_RATE)
+
+
+def timeout(query: Mapping[str, str]) -> float:
+    """`?timeout=`: at most so many seconds to wait. A 400 Problem for what is no number."""
+    wanted = _number(query, "timeout", DEFAULT_TIMEOUT)
+    if wanted is None:
+        raise Problem(
+            400, f"?timeout={query['timeout'][:100]} is no number of seconds: send one from 0 to {MOST_TIMEOUT:g}."
+        )
+    return min(wanted, MOST_TIMEOUT)
+
+
+def is_state(text: str | None, state: str) -> bool:
+    """Whether this is the name of a state: an event's id, or an entity tag of any variant, with or without quotes."""
+    if text is None:
+        return False
+    given = text.strip().removeprefix("W/").strip('"')
+    return given == state or given.rpartition(".")[0] == state
+
+
+def _number(query: Mapping[str, str], name: str, default: float) -> float | None:
+    given = query.get(name)
+    if given is None:
+        return default
+    return float(given) if _NUMBER.fullmatch(given) else None

@@ -1,0 +1,204 @@
+"""Feeds: one resource followed for all who read its changes. Its state is read once a change, whoever looks."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import AsyncIterator, Coroutine
+from dataclasses import dataclass, field
+
+from starlette.types import Receive
+
+from rosld.adapters.base import Watch
+from rosld.adapters.model import RosError
+from rosld.server.errors import problem_of
+from rosld.server.events.watches import Signal, every, together
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.resource import Resource
+from rosld.server.ldp.state import State
+
+MOST_READERS = 2000
+"""Streams and waiting requests at a time; one more is answered 503."""
+RETRY_SECONDS = 2
+_LOOK_AGAIN_SECONDS = 5.0
+"""How often a resource with no watch of its own is looked at, beside each time that anything in general changed."""
+
+_log = logging.getLogger("rosld")
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What a resource was like when it was looked at: its state, or why there is none.
+
+    `name` differs whenever what it was like does. `chunks` are the events that tell of it, by variant: each is made
+    once, however many read it.
+    """
+
+    name: str
+    state: State | Problem
+    chunks: dict[str, bytes] = field(default_factory=dict)
+
+
+class Sleeper:
+    """A task that sleeps until somebody wakes it."""
+
+    __slots__ = ("_loop", "_woken")
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._woken: asyncio.Future[None] | None = None
+
+    def wake(self) -> None:
+        """Wake it, if it sleeps."""
+        if self._woken is not None and not self._woken.done():
+            self._woken.set_result(None)
+
+    async def sleep(self) -> None:
+        """Sleep."""
+        self._woken = self._loop.create_future()
+        try:
+            await self._woken
+        finally:
+            self._woken = None
+
+
+class Feed:
+    """One resource as it changes.
+
+    A reader takes note of `version`, looks, and sleeps in `wait` until there may be more. What changes while nobody
+    looks costs nothing but a number.
+    """
+
+    def __init__(self, resource: Resource, general: Signal) -> None:
+        self.version = 1
+        self.readers = 0
+        self._resource = resource
+        self._general = general
+        self._watch: Watch | None = None
+        self._sleepers: dict[Sleeper, None] = {}
+        self._turn = asyncio.Lock()
+        self._moment: Moment | None = None
+        self._seen = 0
+
+    async def begin(self) -> None:
+        """Watch the resource, unless it is watched. Raises what `Resource.watch` raises."""
+        async with self._turn:
+            if self._watch is None:
+                self._watch = await self._resource.watch(self._stir) or together(
+                    self._general.watch(self._stir), every(_LOOK_AGAIN_SECONDS, self._stir)
+                )
+
+    def end(self) -> None:
+        """Watch no more."""
+        if self._watch is not None:
+            self._watch.close()
+            self._watch = None
+
+    async def wait(self, sleeper: Sleeper, version: int) -> None:
+        """Until there may be something newer than `version`, or somebody else wakes the sleeper."""
+        if self.version != version:
+            return
+        self._sleepers[sleeper] = None
+        try:
+            await sleeper.sleep()
+        finally:
+            self._sleepers.pop(sleeper, None)
+
+    async def look(self) -> Moment:
+        """What the resource is like now: the very same object while that does not change."""
+        if self._moment is not None and self._seen == self.version:
+            return self._moment
+        async with self._turn:
+            if self._moment is None or self._seen != self.version:
+                version = self.version
+                found = await self._read()
+                if self._moment is None or self._moment.name != found.name:
+                    self._moment = found
+                self._seen = version
+        return self._moment
+
+    async def _read(self) -> Moment:
+        try:
+            await self._resource.ready()
+            state = await self._resource.state()
+            return Moment(state.tag, state)
+        except RosError as error:
+            problem = problem_of(error)
+        except Problem as error:
+            problem = error
+        except Exception as error:
+            _log.exception("%s cannot be read for its changes", self._resource.url, exc_info=error)
+            problem = Problem(500, "The server failed to read this resource; its log says more.")
+        return Moment(f"{problem.status} {problem.detail}", problem)
+
+    def _stir(self) -> None:
+        self.version += 1
+        if self._sleepers:
+            sleepers, self._sleepers = self._sleepers, {}
+            for sleeper in sleepers:
+                sleeper.wake()
+
+
+class Feeds:
+    """The feeds of one server and all that read them; `general` is given whenever anything changed."""
+
+    def __init__(self, general: Signal) -> None:
+        self._general = general
+        self._feeds: dict[Resource, Feed] = {}
+        self._held: set[asyncio.Task[None]] = set()
+        self._is_over = False
+
+    def require_room(self) -> None:
+        """Raises a 503 Problem where there are as many readers as there may be, or the server is about to end."""
+        if self._is_over or len(self._held) >= MOST_READERS:
+            why = "The server is ending." if self._is_over else f"{MOST_READERS} readers of changes are here already."
+            raise Problem(503, f"{why} Come back later, or read without a stream.", headers={"Retry-After": "10"})
+
+    @contextlib.asynccontextmanager
+    async def following(self, resource: Resource) -> AsyncIterator[Feed]:
+        """The feed of a resource, which is watched as long as somebody follows it."""
+        feed = self._feeds.get(resource)
+        if feed is None:
+            feed = self._feeds[resource] = Feed(resource, self._general)
+        feed.readers += 1
+        try:
+            await feed.begin()
+            yield feed
+        finally:
+            feed.readers -= 1
+            if not feed.readers:
+                feed.end()
+                del self._feeds[resource]
+
+    async def hold(self, work: Coroutine[None, None, None], receive: Receive, seconds: float | None = None) -> bool:
+        """Do work for a client until it is done, the client has gone, the time is over or the server ends.
+
+        True where it was done. What was not is cancelled, and has ended when this returns.
+        """
+        working = asyncio.ensure_future(work)
+        listening = asyncio.ensure_future(_gone(receive))
+        self._held.add(working)
+        try:
+            await asyncio.wait({working, listening}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._held.discard(working)
+            done = working.done() and not working.cancelled()
+            for task in (working, listening):
+                task.cancel()
+            await asyncio.wait({working, listening})
+        if done:
+            working.result()
+        return done
+
+    def end(self) -> None:
+        """End all streams and waits, and let no more begin."""
+        self._is_over = True
+        for task in tuple(self._held):
+            task.cancel()
+
+
+async def _gone(receive: Receive) -> None:
+    """Returns when the client has gone (ASGI http.disconnect)."""
+    while (await receive())["type"] != "http.disconnect":
+        pass

@@ -1,0 +1,39 @@
+"""Waiting for a change without a stream: the answer comes when there is something new, or when the time is over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from starlette.types import Receive
+
+from rosld.server.events import asked
+from rosld.server.events.feed import Feed, Feeds, Sleeper
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.resource import Resource
+from rosld.server.ldp.state import State
+
+
+async def changed_since(
+    feeds: Feeds, resource: Resource, after: str, name: Callable[[State], str], receive: Receive, seconds: float
+) -> bool:
+    """Whether the resource is, within so many seconds, in another state than `after` (or not there any more).
+
+    False at once where the client has gone or the server ends. Raises a 503 Problem where too many wait already.
+    """
+    feeds.require_room()
+
+    async def changes() -> None:
+        async with feeds.following(resource) as feed:
+            await _until_other(feed, after, name)
+
+    return await feeds.hold(changes(), receive, seconds)
+
+
+async def _until_other(feed: Feed, after: str, name: Callable[[State], str]) -> None:
+    sleeper = Sleeper()
+    while True:
+        version = feed.version
+        state = (await feed.look()).state
+        if isinstance(state, Problem) or not asked.is_state(after, name(state)):
+            return
+        await feed.wait(sleeper, version)

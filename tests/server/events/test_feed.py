@@ -1,0 +1,235 @@
+"""Many readers of one resource: what they share, and what one of them costs the others."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import Counter
+from typing import Any
+
+import pytest
+
+from rosld.adapters.model import TypeRef
+from rosld.server.events import feed, frame, stream
+
+SPEED = "/topics/aircraft/engine/speed"
+DISPLAY = "/topics/cockpit/display"
+
+
+async def show(app: Any, text: str) -> None:
+    """Publish on the cockpit's display."""
+    schema = await app.robot.schemas.message(TypeRef("std_msgs/msg/String"))
+    encoding = app.robot.adapter.capabilities.encoding
+    data = schema.codec.encode(schema.codec.build(schema.ref.name, {"data": text}), encoding)
+    deadline = asyncio.get_running_loop().time() + 5
+    await app.robot.adapter.publish("/cockpit/display", schema.ref, data, deadline=deadline)
+
+
+def test_three_hundred_readers_cost_one_rendering_a_value(opened: Any, reader: Any) -> None:
+    async def main() -> None:
+        async with opened() as app:
+            readers = [reader(app, SPEED) for _ in range(300)]
+            for one in readers:
+                await one.until(lambda one: len(one.events) >= 5)
+            made = Counter(id(chunk) for one in readers for chunk in one.events)
+            values = {chunk for one in readers for chunk in one.events}
+            assert len(values) <= 15
+            assert len(made) == len(values), "an event was made more than once"
+            for one in readers:
+                await one.leave()
+
+    asyncio.run(main())
+
+
+def test_readers_of_different_formats_share_what_is_the_same(opened: Any, reader: Any) -> None:
+    async def main() -> None:
+        async with opened() as app:
+            readers = [reader(app, f"{SPEED}?format={name}") for name in ("json", "ttl", "nt", "jsonld") * 5]
+            for one in readers:
+                await one.until(lambda one: len(one.events) >= 3)
+            values = {chunk for one in readers for chunk in one.events}
+            assert len({id(chunk) for one in readers for chunk in one.events}) == len(values)
+            for one in readers:
+                await one.leave()
+
+    asyncio.run(main())
+
+
+def test_a_slow_reader_loses_what_lies_between_and_holds_up_nobody(opened: Any, reader: Any) -> None:
+    async def main() -> None:
+        async with opened() as app:
+            slow, quick = reader(app, f"{DISPLAY}?rate=100"), reader(app, f"{DISPLAY}?rate=100")
+            for one in (slow, quick):
+                await one.until(lambda one: len(one.events) == 1)
+            slow.takes.clear()
+            for number in range(50):
+                await show(app, f"number {number}")
+                await quick.until(lambda one, number=number: f'number {number}"'.encode() in one.events[-1])
+            assert len(quick.events) == 51
+            slow.takes.set()
+            await slow.until(lambda one: b"number 49" in one.events[-1])
+            assert len(slow.events) <= 3, "more than one rendering waited for it"
+            for one in (slow, quick):
+                await one.leave()
+
+    asyncio.run(main())
+
+
+def test_who_hangs_up_leaves_nothing_behind(opened: Any, reader: Any) -> None:
+    async def main() -> None:
+        async with opened() as app:
+            before = len(asyncio.all_tasks())
+            feeds = app._verbs.feeds
+            slow, stuck, waiting = (
+                reader(app, SPEED),
+                reader(app, DISPLAY),
+                reader(app, f"/parameters/cockpit/night?after={await tag(app, reader)}", "application/json"),
+            )
+            await slow.until(lambda one: bool(one.events))
+            await stuck.until(lambda one: bool(one.events))
+            stuck.takes.clear()
+            await show(app, "for one that takes nothing")
+            assert len(feeds._feeds) == 3
+            await slow.leave()
+            await waiting.leave()
+            stuck._left.set()
+            stuck.takes.set()
+            await stuck.leave()
+            assert not feeds._feeds
+            assert not feeds._held
+            assert all(look.watches == 0 for look in app.robot.topics._looks.values())
+            assert len(asyncio.all_tasks()) == before
+
+    asyncio.run(main())
+
+
+async def tag(app: Any, reader: Any) -> str:
+    """The entity tag of a parameter as it is."""
+    read = reader(app, "/parameters/cockpit/night", "application/json")
+    await read.task
+    return str(read.headers["etag"]).strip('"')
+
+
+def test_a_topic_that_is_watched_stays_subscribed_and_no_longer(opened: Any, reader: Any) -> None:
+    async def main() -> None:
+        async with opened() as app:
+            app.robot.topics._settings = type(app.robot.topics._settings)(idle=0.0, budget=1)
+            watched = reader(app, SPEED)
+            await watched.until(lambda one: bool(one.events))
+            other = reader(app, DISPLAY, "application/json")
+            await other.task
+            count = len(watched.events)
+            await watched.until(lambda one: len(one.events) >= count + 8)
+            assert "/aircraft/engine/speed" in app.robot.topics.subscribed()
+            await watched.leave()
+            deadline = time.monotonic() + 5
+            while app.robot.topics.subscribed():
+                assert time.monotonic() < deadline
+                await asyncio.sleep(0.05)
+
+    asyncio.run(main())
+
+
+def test_one_reader_too_many_is_told_to_come_back(opened: Any, reader: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feed, "MOST_READERS", 2)
+
+    async def main() -> None:
+        async with opened() as app:
+            readers = [reader(app, SPEED) for _ in range(2)]
+            for one in readers:
+                await one.until(lambda one: bool(one.events))
+            third = reader(app, SPEED)
+            await third.task
+            assert third.status == 503
+            assert third.headers["retry-after"] == "10"
+            plain = reader(app, SPEED, "application/json")
+            await plain.task
+            assert plain.status == 200
+            await readers.pop().leave()
+            readers.append(reader(app, SPEED))
+            await readers[-1].until(lambda one: bool(one.events))
+            for one in readers:
+                await one.leave()
+
+    asyncio.run(main())
+
+
+def test_a_stream_in_which_nothing_happens_is_kept_alive(
+    opened: Any, reader: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stream, "KEEP_ALIVE_SECONDS", 0.05)
+
+    async def main() -> None:
+        async with opened() as app:
+            quiet = reader(app, "/ontology")
+            await quiet.until(lambda one: one.chunks.count(frame.KEEP_ALIVE) >= 3)
+            assert len(quiet.events) == 1
+            await quiet.leave()
+
+    asyncio.run(main())
+
+
+def test_ending_ends_streams_and_waits_and_lets_none_begin(opened: Any, reader: Any) -> None:
+    async def main() -> None:
+        async with opened() as app:
+            path = f"/parameters/cockpit/night?after={await tag(app, reader)}"
+            readers = [reader(app, SPEED), reader(app, "/topics/"), reader(app, path, "application/json")]
+            for one in readers[:2]:
+                await one.until(lambda one: bool(one.events))
+            began = time.monotonic()
+            app.end_streams()
+            await asyncio.wait_for(asyncio.gather(*(one.task for one in readers)), 5)
+            assert time.monotonic() - began < 1
+            assert [one.status for one in readers] == [200, 200, 304]
+            late = reader(app, SPEED)
+            await late.task
+            assert late.status == 503
+
+    asyncio.run(main())
+
+
+def test_what_changes_unseen_is_not_read(opened: Any, reader: Any) -> None:
+    """A reader at 1 Hz of a topic at 10 Hz costs one rendering a second."""
+    reads: list[float] = []
+
+    async def main() -> None:
+        async with opened() as app:
+            slow = reader(app, f"{SPEED}?rate=1")
+            await slow.until(lambda one: bool(one.events))
+            (followed,) = app._verbs.feeds._feeds.values()
+            read = followed._read
+
+            async def counted() -> Any:
+                reads.append(time.monotonic())
+                return await read()
+
+            followed._read = counted
+            await slow.until(lambda one: len(one.events) >= 3)
+            assert len(reads) <= 4
+            await slow.leave()
+
+    asyncio.run(main())
+
+
+def test_a_failure_nobody_foresaw_is_told_and_logged(
+    opened: Any, reader: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def main() -> None:
+        async with opened() as app:
+            one = reader(app, DISPLAY)
+            await one.until(lambda one: bool(one.events))
+
+            def broken(topic: str) -> None:
+                raise RuntimeError("the inside")
+
+            with monkeypatch.context() as patched:
+                patched.setattr(app.robot.topics, "peek", broken)
+                await show(app, "unseen")
+                await one.until(lambda one: b"event: problem" in one.events[-1])
+            assert b"the inside" not in one.events[-1]
+            await show(app, "seen")
+            await one.until(lambda one: b'"seen"' in one.events[-1])
+            await one.leave()
+
+    asyncio.run(main())
+    assert "the inside" in caplog.text

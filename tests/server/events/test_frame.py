@@ -1,0 +1,50 @@
+"""Events as bytes."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rosld.server.events import frame
+
+
+def read(stream: bytes) -> list[dict[str, str]]:
+    """The fields of each event, as a browser puts them together (WHATWG HTML 9.2.6)."""
+    events: list[dict[str, str]] = []
+    fields: dict[str, list[str]] = {}
+    for line in stream.decode().replace("\r\n", "\n").replace("\r", "\n").split("\n"):
+        if not line:
+            if fields:
+                events.append({name: "\n".join(values) for name, values in fields.items()})
+            fields = {}
+        elif not line.startswith(":"):
+            name, _, value = line.partition(":")
+            fields.setdefault(name, []).append(value.removeprefix(" "))
+    return events
+
+
+def test_an_event_has_its_name_its_id_and_its_data() -> None:
+    assert frame.event(b'{"x":1}', "boot-1", "gone") == b'event: gone\nid: boot-1\ndata: {"x":1}\n\n'
+
+
+def test_a_keep_alive_is_no_event() -> None:
+    assert read(frame.KEEP_ALIVE) == []
+
+
+def test_the_opening_says_when_to_come_back() -> None:
+    assert frame.opening(2) == b"retry: 2000\n\n"
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"])))
+def test_data_arrives_line_by_line_whatever_ends_its_lines(text: str) -> None:
+    normal = text.replace("\r\n", "\n").replace("\r", "\n")
+    assert read(frame.event(text.encode(), "1")) == [{"id": "1", "data": normal.removesuffix("\n")}]
+
+
+@pytest.mark.parametrize("bad", ["a\nb", "a\rdata: x", "a\0"])
+def test_a_name_or_id_that_would_end_its_line_is_refused(bad: str) -> None:
+    with pytest.raises(ValueError, match="id"):
+        frame.event(b"", bad)
+    with pytest.raises(ValueError, match="event"):
+        frame.event(b"", name=bad)

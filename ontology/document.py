@@ -26,37 +26,44 @@ class Envelope(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LiftedMessage:
-    """A message within a document: `node` is its fragment (`#message`); the link to it is among the triples."""
+    """A message within a document: `node` is its fragment (`#message`); the link to it is among the triples.
+
+    `source` is the URL that has its bytes (`?field=`), where that is not the document itself.
+    """
 
     node: str
     lifter: Lifter
     message: Message
     envelope: Envelope | None = None
+    source: str | None = None
 
     def turtle(self, document: Document) -> str:
         """Turtle statements, as they stand in `document`."""
         return self.lifter.turtle(
-            self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time
-        )
+            self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time,
+            source=self.source,
+        )  # fmt: skip
 
     def jsonld(self, document: Document) -> str:
         """One JSON-LD node object (text), as it stands in `document`."""
         return self.lifter.jsonld(
-            self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time
-        )
+            self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time,
+            source=self.source,
+        )  # fmt: skip
 
     def ntriples(self, document: Document, end: str = " .\n") -> str:
         """N-Triples lines; with a graph in `end`, N-Quads."""
         return self.lifter.ntriples(
             self.message, document.url, self.node, end=end, envelope=self.envelope,
-            simulated_time=document.simulated_time,
+            simulated_time=document.simulated_time, source=self.source,
         )  # fmt: skip
 
     def triples(self, document: Document) -> list[Triple]:
         """The same as terms."""
         return self.lifter.triples(
-            self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time
-        )
+            self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time,
+            source=self.source,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

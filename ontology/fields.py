@@ -22,6 +22,11 @@ def field_bytes(schema: MessageSchema, message: Message, path: str) -> tuple[byt
     Octets and strings are as they are on the wire, anything else is JSON, whole however large. Raises ValueError
     naming the path where there is no such field.
     """
+    return _written(schema, *field_at(schema, message, path))
+
+
+def field_at(schema: MessageSchema, message: Message, path: str) -> tuple[FieldType, object]:
+    """The type and the value of the field at `path`. Raises ValueError naming the path where there is no such field."""
     kind: FieldType = Nested(schema.ref.name)
     value: object = message
     walked: list[str] = []
@@ -31,7 +36,7 @@ def field_bytes(schema: MessageSchema, message: Message, path: str) -> tuple[byt
             kind, value = _step(schema, kind, value, step)
         except (LookupError, ValueError) as error:
             raise ValueError(f"{schema.ref.name} has no field {'.'.join(walked)!r} here") from error
-    return _written(schema, kind, value)
+    return kind, value
 
 
 def _step(schema: MessageSchema, kind: FieldType, value: object, step: str) -> tuple[FieldType, object]:

@@ -48,7 +48,10 @@ class LiftSettings:
 
 
 class Lifter(Protocol):
-    """Writes messages of one schema. `document` is the absolute URL, `node` the fragment (`#message`)."""
+    """Writes messages of one schema. `document` is the absolute URL, `node` the fragment (`#message`).
+
+    `source` is the URL where the bytes of elided fields are asked for, where that is not the document's.
+    """
 
     schema: MessageSchema
     prefixes: Mapping[str, str]
@@ -63,6 +66,7 @@ class Lifter(Protocol):
         end: str = " .\n",
         envelope: Envelope | None = None,
         simulated_time: bool = False,
+        source: str | None = None,
     ) -> str:
         """N-Triples lines; with `end=" <graph> .\\n"` N-Quads."""
         ...
@@ -75,6 +79,7 @@ class Lifter(Protocol):
         *,
         envelope: Envelope | None = None,
         simulated_time: bool = False,
+        source: str | None = None,
     ) -> str:
         """Turtle statements for a document whose `@base` is its URL and whose prefixes include `prefixes`."""
         ...
@@ -87,6 +92,7 @@ class Lifter(Protocol):
         *,
         envelope: Envelope | None = None,
         simulated_time: bool = False,
+        source: str | None = None,
     ) -> str:
         """One JSON-LD node object (text) for a document whose context includes `context` and whose base is its URL."""
         ...
@@ -103,6 +109,7 @@ class Lifter(Protocol):
         *,
         envelope: Envelope | None = None,
         simulated_time: bool = False,
+        source: str | None = None,
     ) -> list[Triple]:
         """The same as terms."""
         ...
@@ -120,35 +127,35 @@ class CompiledLifter:
 
     def ntriples(
         self, message: Message, document: str, node: str, *, end: str = " .\n",
-        envelope: Envelope | None = None, simulated_time: bool = False,
+        envelope: Envelope | None = None, simulated_time: bool = False, source: str | None = None,
     ) -> str:  # fmt: skip
         subject = document + node
         extra = "" if envelope is None else _ntriples_envelope(subject, envelope, end)
-        return self._ntriples(message, subject, end, Site(document, len(subject) + 1, simulated_time), extra)
+        return self._ntriples(message, subject, end, Site(source or document, len(subject) + 1, simulated_time), extra)
 
     def turtle(
         self, message: Message, document: str, node: str, *,
-        envelope: Envelope | None = None, simulated_time: bool = False,
+        envelope: Envelope | None = None, simulated_time: bool = False, source: str | None = None,
     ) -> str:  # fmt: skip
         extra = "" if envelope is None else _turtle_envelope(envelope)
-        return self._turtle(message, node, "", Site(document, len(node) + 1, simulated_time), extra)
+        return self._turtle(message, node, "", Site(source or document, len(node) + 1, simulated_time), extra)
 
     def jsonld(
         self, message: Message, document: str, node: str, *,
-        envelope: Envelope | None = None, simulated_time: bool = False,
+        envelope: Envelope | None = None, simulated_time: bool = False, source: str | None = None,
     ) -> str:  # fmt: skip
         extra = "" if envelope is None else _jsonld_envelope(envelope)
-        return self._jsonld(message, node, "", Site(document, len(node) + 1, simulated_time), extra)
+        return self._jsonld(message, node, "", Site(source or document, len(node) + 1, simulated_time), extra)
 
     def json(self, message: Message, document: str) -> bytes:
         return self._json(message, "", "", Site(document, 1, False), "").encode()
 
     def triples(
         self, message: Message, document: str, node: str, *,
-        envelope: Envelope | None = None, simulated_time: bool = False,
+        envelope: Envelope | None = None, simulated_time: bool = False, source: str | None = None,
     ) -> list[Triple]:  # fmt: skip
         # Parsing N-Triples costs less than making the terms one by one from Python.
-        text = self.ntriples(message, document, node, envelope=envelope, simulated_time=simulated_time)
+        text = self.ntriples(message, document, node, envelope=envelope, simulated_time=simulated_time, source=source)
         return [quad.triple for quad in parse(text, RdfFormat.N_TRIPLES)]
 
     @cached_property

@@ -25,15 +25,18 @@ def const(text: str) -> str:
 
 
 class Site(NamedTuple):
-    """Where a message is lifted to: `start` is where, in a node, the path of the field begins."""
+    """Where a message is lifted to: `source` is the URL at which its bytes are, `start` where, in a node, the path of
 
-    document: str
+    the field begins.
+    """
+
+    source: str
     start: int
     simulated_time: bool
 
     def href(self, node: str) -> str:
         """The URL of the bytes of an elided field."""
-        return f"{self.document}{'&' if '?' in self.document else '?'}field={node[self.start :]}"
+        return f"{self.source}{'&' if '?' in self.source else '?'}field={node[self.start :]}"
 
 
 Elide = Callable[[str, int, str, Site], "tuple[str, str]"]

@@ -183,7 +183,7 @@ def _lowered(body: RdfBody, subject: NamedNode, path: str, depth: int) -> Parame
     if values and members:
         raise _error(path, "a parameter has a value or members, not both", None)
     if values:
-        return _value(values[0], path)
+        return lower_term(values[0], path)
     if members or ldp.BasicContainer in kinds or ldp.Container in kinds:
         if depth > DEEPEST:
             raise _error(path, f"nested deeper than {DEEPEST} levels", None)
@@ -210,7 +210,8 @@ def _member(body: RdfBody, member: Term, container: NamedNode, path: str, depth:
     return _lowered(body, member, f"{path}/{key}" if path else key, depth + 1)
 
 
-def _value(term: Term, path: str) -> ParameterValue:
+def lower_term(term: Term, path: str = "") -> ParameterValue:
+    """The value that a term of RDF stands for. Raises LoweringError with the `path` where it stands for none."""
     if not isinstance(term, Literal):
         raise _error(path, "expected a literal as ros:value", str(term))
     if term.language is not None:

@@ -2,15 +2,57 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TypeAlias
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from types import MappingProxyType
+from typing import TypeAlias, cast
 
-from rosld.adapters.model import Field, Message, MessageSchema, ParameterValue
+import numpy as np
+from pyoxigraph import Literal, NamedNode
+
+from rosld.adapters.model import (
+    Codec,
+    Encoding,
+    Field,
+    Message,
+    MessageSchema,
+    MessageType,
+    ParameterValue,
+    Primitive,
+)
+from rosld.ontology import parameters
+from rosld.ontology.document import LiftedMessage
+from rosld.ontology.fields import field_at
+from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.literals import (
+    BASE64,
+    DATATYPES,
+    DTYPES,
+    STRINGS,
+    base64_text,
+    json_scalars,
+    json_string,
+    octets,
+    scalars,
+    wide,
+)
+from rosld.ontology.lower import lowerer
+from rosld.ontology.vocab import xsd
+from rosld.server.ldp.state import digest
+
+WHOLE = LiftSettings(inline_limit=1 << 62)
+"""Settings under which nothing is elided."""
+
+_WORDS = frozenset({"message", "status_message"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MessageValue:
-    """The `fields` of a message, read from the ROS thing at the URL `origin` (where elided bytes are)."""
+    """The `fields` of a message; `origin` is the URL that has the bytes of those that are elided (`?field=`).
+
+    That is the topic's URL; of what a getter answered it is the property's own.
+    """
 
     schema: MessageSchema
     message: Message
@@ -32,10 +74,11 @@ Value: TypeAlias = MessageValue | StoredValue
 class Reading:
     """A property as it was read: its value, or why there is none.
 
-    `failure` is a sentence (a getter that hangs, refuses or has vanished; bytes that cannot be read), None with a
-    value and where there is simply none yet. `read_ns` (wall clock) is when the value was received or answered.
-    `fresh_until` is the loop time until which it may be shown without asking again; None for a topic's, which is good
-    until another message comes. Readings are compared by identity: the same object means that nothing changed.
+    `failure` says what happened without a full stop (a getter that hangs, refuses or has vanished; bytes that cannot be
+    read), None with a value and where there is simply none yet. `read_ns` (wall clock) is when the value was received
+    or answered. `fresh_until` is the loop time until which it may be shown without asking again; None for a topic's,
+    which is good until another message comes. Readings are compared by identity: the same object means that nothing
+    changed.
     """
 
     name: str
@@ -43,3 +86,169 @@ class Reading:
     failure: str | None = None
     read_ns: int | None = None
     fresh_until: float | None = None
+
+
+# Parts of messages
+
+
+def scalar_field(fields: tuple[Field, ...]) -> Field | None:
+    """The one field that is a scalar value; None where the value is a message."""
+    return fields[0] if len(fields) == 1 and isinstance(fields[0].type, Primitive) else None
+
+
+def part_of(schema: MessageSchema, fields: tuple[Field, ...]) -> MessageSchema:
+    """The schema with only these of its fields; messages built by it have ROS's defaults in the others."""
+    return schema if fields == schema.type.fields else _part_of(schema, fields)
+
+
+@lru_cache(maxsize=1024)
+def _part_of(schema: MessageSchema, fields: tuple[Field, ...]) -> MessageSchema:
+    name = schema.ref.name
+    types = MappingProxyType({**schema.types, name: MessageType(name, fields, schema.type.constants)})
+    return replace(schema, types=types, codec=_PartCodec(schema))
+
+
+class _PartCodec:
+    """The codec of a schema that builds whole messages from the values of some fields."""
+
+    def __init__(self, schema: MessageSchema) -> None:
+        self._schema = schema
+        self._codec: Codec = schema.codec
+
+    def decode(self, data: bytes, encoding: Encoding) -> Message:
+        return self._codec.decode(data, encoding)
+
+    def encode(self, message: Message, encoding: Encoding) -> bytes:
+        return self._codec.encode(message, encoding)
+
+    def build(self, type_name: str, values: Mapping[str, object]) -> Message:
+        whole = type_name == self._schema.ref.name
+        return self._codec.build(type_name, {**self._defaults, **values} if whole else values)
+
+    @cached_property
+    def _defaults(self) -> Mapping[str, object]:
+        message = lowerer(self._schema).from_json({}, defaults=True)
+        return {field.attribute: getattr(message, field.attribute) for field in self._schema.type.fields}
+
+
+def declined(schema: MessageSchema, response: Message, value: tuple[Field, ...] = ()) -> str | None:
+    """The words of a response that says `bool success` false, "" where it has none; None where it says no such thing.
+
+    The fields of its `value` are no status.
+    """
+    status = [field for field in schema.type.fields if field not in value]
+    if not any(
+        field.name == "success" and field.type == Primitive("bool") and not getattr(response, field.attribute)
+        for field in status
+    ):
+        return None
+    words = (getattr(response, one.attribute) for one in status if one.name in _WORDS and scalar_field((one,)))
+    return next((str(one) for one in words if one), "")
+
+
+# Plain JSON
+
+
+def plain_json(value: Value, lifting: LiftSettings) -> bytes:
+    """The value as plain JSON: a scalar as it is and never elided, a message as the object of its fields.
+
+    Raises ValueError for a parameter's value that is nested too deep.
+    """
+    if isinstance(value, StoredValue):
+        return parameters.parameter_json(value.value)
+    field = scalar_field(value.fields)
+    if field is not None:
+        return _json(cast(Primitive, field.type), getattr(value.message, field.attribute))
+    return lifter(part_of(value.schema, value.fields), lifting).json(value.message, value.origin)
+
+
+def picked_json(value: Value, field: str) -> bytes:
+    """One scalar of the value, by its path (`pose.position.x`), as plain JSON.
+
+    Raises ValueError, with a sentence, where there is no such scalar.
+    """
+    if isinstance(value, StoredValue):
+        return parameters.parameter_json(_stored_at(value.value, field))
+    return _json(*_scalar_at(value, field))
+
+
+def _json(kind: Primitive, value: object) -> bytes:
+    if kind.name in STRINGS:
+        return json_string(cast(str, value)).encode()
+    if kind.name == "float32":
+        return json_scalars(np.array([value], np.float32))[0].encode()
+    number = cast("int | float", value)
+    return json_scalars((wide(cast(int, number)) if kind.name.endswith("int64") else number,))[0].encode()
+
+
+# RDF
+
+
+def literal(value: Value, field: str | None = None) -> Literal | None:
+    """The literal of a scalar, or of the one at the path `field`; None for a whole message or tree of parameters.
+
+    Raises ValueError, with a sentence, where there is no scalar at `field`.
+    """
+    if isinstance(value, StoredValue):
+        stored = value.value if field is None else _stored_at(value.value, field)
+        return None if isinstance(stored, dict) else parameters.literal(stored)
+    if field is not None:
+        return _literal(*_scalar_at(value, field))
+    scalar = scalar_field(value.fields)
+    return None if scalar is None else _literal(cast(Primitive, scalar.type), getattr(value.message, scalar.attribute))
+
+
+def _literal(kind: Primitive, value: object) -> Literal:
+    if kind.name not in STRINGS:
+        form = scalars(np.array([value], DTYPES[kind.name]))[0]
+        return Literal(form, datatype=NamedNode(xsd.iri + DATATYPES[kind.name]))
+    text = cast(str, value)
+    try:
+        return Literal(text)
+    except ValueError:  # bytes that are no UTF-8
+        return Literal(base64_text(octets(text)), datatype=NamedNode(BASE64))
+
+
+def lifted(value: MessageValue, node: str, lifting: LiftSettings) -> LiftedMessage:
+    """The message as the node at the fragment `node` (`#value`) of a document, with those fields that are its value."""
+    lift = lifter(part_of(value.schema, value.fields), lifting)
+    return LiftedMessage(node, lift, value.message, source=value.origin)
+
+
+# Fields
+
+
+def _scalar_at(value: MessageValue, path: str) -> tuple[Primitive, object]:
+    kind, found = field_at(part_of(value.schema, value.fields), value.message, path)
+    if not isinstance(kind, Primitive):
+        raise ValueError(f"the field {path!r} of {value.schema.ref.name} is no scalar")
+    return kind, found
+
+
+def _stored_at(value: ParameterValue, path: str) -> ParameterValue:
+    found = value
+    for step in path.split("."):
+        if isinstance(found, dict) and step in found:
+            found = found[step]
+        elif isinstance(found, list) and step.isdecimal() and len(step) < 12 and int(step) < len(found):
+            found = found[int(step)]
+        else:
+            raise ValueError(f"the parameter has no field {path!r}")
+    if isinstance(found, dict | list):
+        raise ValueError(f"the field {path!r} of the parameter is no scalar")
+    return found
+
+
+# Identity
+
+
+def token(reading: Reading) -> str:
+    """A short text that differs whenever the value or the failure does; when it was read does not matter."""
+    value = reading.value
+    if isinstance(value, MessageValue):
+        ref = value.schema.ref
+        kind = f"message\0{ref.name}\0{ref.hash}\0{value.origin}\0"
+        return digest(kind.encode("utf-8", "surrogatepass") + plain_json(value, WHOLE))
+    if isinstance(value, StoredValue):
+        return digest(b"stored\0" + parameters.parameter_json(value.value))
+    return digest(f"none\0{reading.failure or ''}".encode("utf-8", "surrogatepass"))

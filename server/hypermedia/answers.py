@@ -1,0 +1,127 @@
+"""Answers: each is kept a while, and each question is asked once however many wait for its answer."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass
+from typing import Generic, TypeAlias, TypeVar
+
+K = TypeVar("K", bound=Hashable)
+V = TypeVar("V")
+
+Ask: TypeAlias = Callable[[Sequence[K]], Awaitable[Mapping[K, V]]]
+"""Answers all of the keys together; it never raises."""
+
+Room: TypeAlias = "AbstractAsyncContextManager[None]"
+"""Where a question waits for its turn, such as a semaphore."""
+
+_MOST = 65536
+
+
+@dataclass(frozen=True, slots=True)
+class Answer(Generic[V]):
+    """What was answered to a question begun at the turn `begun`; kept until the loop time `until`."""
+
+    value: V
+    begun: int
+    until: float
+
+
+class Question(Generic[K, V]):
+    """A question under way. It goes on whoever stops waiting; `begun` is its turn, 0 while it waits for room."""
+
+    def __init__(self, keys: Sequence[K]) -> None:
+        self.keys = keys
+        self.begun = 0
+        self.task: asyncio.Task[Mapping[K, V]]
+
+    async def wait(self, deadline: float) -> Mapping[K, V] | None:
+        """The answers, None where there are none by `deadline` (loop time)."""
+        if not self.task.done():
+            left = deadline - asyncio.get_running_loop().time()
+            await asyncio.wait({self.task}, timeout=max(0.0, left))
+        return self.task.result() if self.task.done() and not self.task.cancelled() else None
+
+
+class Answers(Generic[K, V]):
+    """The answers to questions by their keys, each fresh for `freshness` seconds after it came.
+
+    Whenever a question begins it takes a number from `turns`, which tell before from after.
+    """
+
+    def __init__(self, freshness: float, turns: Iterator[int]) -> None:
+        self._freshness = freshness
+        self._turns = turns
+        self._kept: dict[K, Answer[V]] = {}
+        self._under_way: dict[K, Question[K, V]] = {}
+        self._tasks: set[asyncio.Task[Mapping[K, V]]] = set()
+
+    def kept(self, key: K, since: int = 0) -> Answer[V] | None:
+        """The answer if it is fresh and its question began after the turn `since`."""
+        answer = self._kept.get(key)
+        if answer is None or answer.begun <= since or answer.until <= asyncio.get_running_loop().time():
+            return None
+        return answer
+
+    def ask(self, keys: Iterable[K], ask: Ask[K, V], room: Room, since: int = 0) -> Sequence[Question[K, V]]:
+        """The questions that will answer all keys: those under way that begin after `since`, and one for the others.
+
+        It begins once there is `room`.
+        """
+        shared: dict[Question[K, V], None] = {}
+        others = []
+        for key in keys:
+            question = self._under_way.get(key)
+            if question is not None and (question.begun == 0 or question.begun > since):
+                shared[question] = None
+            else:
+                others.append(key)
+        if others:
+            shared[self._begin(others, ask, room)] = None
+        return tuple(shared)
+
+    def end(self, key: K) -> None:
+        """The freshness of an answer ends, and that of a question that has begun: who asks from now on asks anew."""
+        self._kept.pop(key, None)
+        question = self._under_way.get(key)
+        if question is not None and question.begun:
+            del self._under_way[key]
+
+    async def stop(self) -> None:
+        """Cancel all questions."""
+        tasks = list(self._tasks)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    def _begin(self, keys: Sequence[K], ask: Ask[K, V], room: Room) -> Question[K, V]:
+        question: Question[K, V] = Question(keys)
+        question.task = asyncio.get_running_loop().create_task(self._run(question, ask, room))
+        self._tasks.add(question.task)
+        question.task.add_done_callback(self._tasks.discard)
+        self._under_way.update(dict.fromkeys(keys, question))
+        return question
+
+    async def _run(self, question: Question[K, V], ask: Ask[K, V], room: Room) -> Mapping[K, V]:
+        answers: Mapping[K, V] = {}
+        try:
+            async with room:
+                question.begun = next(self._turns)
+                answers = await ask(question.keys)
+            return answers
+        finally:
+            self._settle(question, answers)
+
+    def _settle(self, question: Question[K, V], answers: Mapping[K, V]) -> None:
+        """Keep the answers, but for those whose freshness was ended meanwhile."""
+        until = asyncio.get_running_loop().time() + self._freshness
+        for key in question.keys:
+            if self._under_way.get(key) is question:
+                del self._under_way[key]
+                if key in answers and self._freshness > 0:
+                    self._kept.pop(key, None)
+                    self._kept[key] = Answer(answers[key], question.begun, until)
+        while len(self._kept) > _MOST:
+            del self._kept[next(iter(self._kept))]

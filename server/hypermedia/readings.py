@@ -1,0 +1,244 @@
+"""Readings: the values of properties, read from topics, getters and parameters, and kept while they are good."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from itertools import count
+from math import inf
+from typing import NamedTuple
+from weakref import WeakValueDictionary
+
+from rosld.adapters.base import Adapter
+from rosld.adapters.model import MessageSchema, names
+from rosld.ontology.urls import Space
+from rosld.server.hypermedia.answers import Answers, Ask, Room
+from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource
+from rosld.server.hypermedia.sources import NOTHING, Found, Seen, Sources, decoded, late
+from rosld.server.hypermedia.value import Reading
+from rosld.server.live.schemas import Schemas
+from rosld.server.live.topics import LiveTopics
+from rosld.server.live.view import View
+
+_CALLS = 2
+"""The most calls of one getter at a time: the second is for who needs an answer newer than the first's."""
+_PARAMETER_CALLS = 4
+_MOST = 65536
+
+
+class _Attempt(NamedTuple):
+    """One reading of some properties: by when, how long that is, and newer than what (a turn; 0: anything fresh)."""
+
+    deadline: float
+    seconds: float
+    since: int
+
+
+class _Result(NamedTuple):
+    """What came of one source, and until when (loop time) that is good; 0.0 where it is not to be kept."""
+
+    found: Found
+    until: float
+
+
+@dataclass(slots=True)
+class _Kept:
+    """A reading and what it is good for: this view of the property's topic (if it has one), until that loop time."""
+
+    property: Property
+    topic: str | None
+    view: View | None
+    until: float
+    reading: Reading
+
+
+class Readings:
+    """The readings of one robot's properties.
+
+    A topic's value is good until another message comes; that of a getter or a parameter, or its failure, for
+    `freshness` seconds. A call is given `patience` seconds, whoever stops waiting for it, and shared by all who wait.
+    """
+
+    def __init__(
+        self, adapter: Adapter, topics: LiveTopics, schemas: Schemas, space: Space, *, freshness: float, patience: float
+    ) -> None:
+        self._topics = topics
+        self._schemas = schemas
+        self._space = space
+        self._freshness = freshness
+        self._sources = Sources(adapter, topics, schemas, patience)
+        self._kept: dict[str, _Kept] = {}
+        self._silent: set[str] = set()
+        self._turns = count(1)
+        self._looks: Answers[str, Seen] = Answers(0.0, self._turns)
+        self._getters: Answers[str, Found] = Answers(freshness, self._turns)
+        self._parameters: Answers[str, Found] = Answers(freshness, self._turns)
+        self._rooms: WeakValueDictionary[str, asyncio.Semaphore] = WeakValueDictionary()
+        self._parameter_room = asyncio.Semaphore(_PARAMETER_CALLS)
+
+    def known(self, property: Property) -> Reading | None:
+        """The reading that is still good, the very same object as before: at once, asking nobody."""
+        kept = self._kept.get(property.name)
+        if kept is None or (kept.property is not property and kept.property != property):
+            return None
+        if kept.topic is not None and self._topics.peek(kept.topic) is not kept.view:
+            return None
+        if kept.until != inf and kept.until <= asyncio.get_running_loop().time():
+            return None
+        return kept.reading
+
+    async def read(self, properties: Sequence[Property], *, deadline: float, anew: bool = False) -> dict[str, Reading]:
+        """The readings of these properties by name, read side by side. Never raises; returns by `deadline` (loop time).
+
+        `anew`: getters and parameters are asked after this call began, whatever is known of them.
+        """
+        seconds = deadline - asyncio.get_running_loop().time()
+        attempt = _Attempt(deadline, seconds, next(self._turns) if anew else 0)
+        readings: dict[str, Reading] = {}
+        stored, others = [], []
+        for one in properties:
+            reading = self._standing(one, attempt.since)
+            if reading is not None:
+                readings[one.name] = reading
+            elif one.readers and isinstance(one.readers[0], ParameterSource):
+                stored.append(one)
+            else:
+                others.append(one)
+        if stored or others:
+            one_by_one = asyncio.gather(*(self._one(one, attempt) for one in others))
+            together, single = await asyncio.gather(self._stored(stored, attempt), one_by_one)
+            readings |= together | {one.name: one for one in single}
+        return readings
+
+    def end(self, names: Iterable[str]) -> None:
+        """The freshness of these properties ends now: who reads them from now on gets what is asked from now on."""
+        for name in names:
+            self._kept.pop(name, None)
+            self._getters.end(name)
+            self._parameters.end(name)
+
+    async def stop(self) -> None:
+        """Cancel what runs."""
+        for answers in (self._looks, self._getters, self._parameters):
+            await answers.stop()
+
+    def _standing(self, property: Property, since: int) -> Reading | None:
+        """What is known, as far as it does for who wants nothing older than `since`: what comes by itself is new."""
+        reading = self.known(property)
+        return reading if reading is None or reading.fresh_until is None or not since else None
+
+    async def _one(self, property: Property, attempt: _Attempt) -> Reading:
+        """A property read from its sources in turn, until one has a value."""
+        view: View | None = None
+        results: list[_Result] = []
+        for reader in property.readers:
+            if isinstance(reader, TopicSource):
+                view, result = await self._look(reader.name, attempt)
+            elif isinstance(reader, Getter):
+                result = await self._call(property.name, reader, attempt)
+            else:
+                result = (await self._get({property.name: reader.name}, attempt))[property.name]
+            if (standing := self._standing(property, attempt.since)) is not None:
+                return standing  # somebody else was waiting for the same
+            results.append(result)
+            if result.found.value is not None:
+                break
+        return self._keep(property, view, results)
+
+    async def _stored(self, properties: Sequence[Property], attempt: _Attempt) -> dict[str, Reading]:
+        """Properties that are nothing but parameters, fetched together."""
+        results = await self._get({one.name: one.readers[0].name for one in properties}, attempt)
+        return {
+            one.name: self._standing(one, attempt.since) or self._keep(one, None, [results[one.name]])
+            for one in properties
+        }
+
+    def _keep(self, property: Property, view: View | None, results: Sequence[_Result]) -> Reading:
+        """The reading that sources come to: the value of the last, or the failures of all."""
+        found = results[-1].found if results else NOTHING
+        until = min((one.until for one in results), default=inf) if found.value is None else results[-1].until
+        failures = [one.found.failure for one in results if one.found.failure is not None]
+        failure = "; ".join(failures) if failures and found.value is None else None
+        reading = Reading(property.name, found.value, failure, found.read_ns, None if until == inf else until)
+        if until > asyncio.get_running_loop().time():
+            first = property.readers[0] if property.readers else None
+            topic = first.name if isinstance(first, TopicSource) else None
+            self._kept.pop(property.name, None)
+            self._kept[property.name] = _Kept(property, topic, view, until, reading)
+            if len(self._kept) > _MOST:
+                del self._kept[next(iter(self._kept))]
+        return reading
+
+    # The sources
+
+    async def _look(self, topic: str, attempt: _Attempt) -> tuple[View | None, _Result]:
+        """The latest message of a topic, and the view that it is in (None where there is no message)."""
+        view = self._topics.peek(topic)
+        if view is None and topic in self._silent and self._topics.last_seen(topic) is not None:
+            return None, self._for_now(NOTHING)  # it was waited for once
+        schema = self._schemas.at_hand(view.newest.schema) if view is not None and view.newest is not None else None
+        failure = None
+        if not isinstance(schema, MessageSchema):
+            (question,) = self._looks.ask((topic,), self._seen, nullcontext())
+            answers = await question.wait(attempt.deadline)
+            if answers is None:
+                return None, _Result(Found(None, late(topic, attempt.seconds), None), 0.0)
+            view, schema, failure = answers[topic]
+        newest = view.newest if view is not None else None
+        if newest is None:
+            self._silent.add(topic)
+            return None, self._for_now(Found(None, failure, None))
+        self._silent.discard(topic)
+        if not isinstance(schema, MessageSchema):
+            return view, self._for_now(Found(None, failure, newest.received_ns))
+        found = decoded(topic, newest, schema, self._space.topic(topic))
+        return view, _Result(found, inf) if found.value is not None else self._for_now(found)
+
+    def _for_now(self, found: Found) -> _Result:
+        return _Result(found, asyncio.get_running_loop().time() + self._freshness)
+
+    async def _seen(self, topics: Sequence[str]) -> Mapping[str, Seen]:
+        return {topic: await self._sources.look(topic) for topic in topics}
+
+    async def _call(self, name: str, getter: Getter, attempt: _Attempt) -> _Result:
+        """What the getter of a property answers."""
+
+        async def ask(keys: Sequence[str]) -> Mapping[str, Found]:
+            return {name: await self._sources.call(getter, self._space.url("resources", names.segments(name)))}
+
+        room = self._rooms.setdefault(getter.name, asyncio.Semaphore(_CALLS))
+        return (await self._asked(self._getters, {name: getter.name}, ask, room, attempt))[name]
+
+    async def _get(self, sources: Mapping[str, str], attempt: _Attempt) -> Mapping[str, _Result]:
+        """The values of parameters (the names of properties lead to theirs)."""
+
+        async def ask(keys: Sequence[str]) -> Mapping[str, Found]:
+            found = await self._sources.parameters([sources[key] for key in keys])
+            return {key: found[sources[key]] for key in keys}
+
+        return await self._asked(self._parameters, sources, ask, self._parameter_room, attempt)
+
+    async def _asked(
+        self,
+        answers: Answers[str, Found],
+        sources: Mapping[str, str],
+        ask: Ask[str, Found],
+        room: Room,
+        attempt: _Attempt,
+    ) -> Mapping[str, _Result]:
+        """The answers of sources (properties' names lead to their names), as far as they come in time."""
+        found: dict[str, Found] = {}
+        unknown = [key for key in sources if answers.kept(key, attempt.since) is None]
+        for question in answers.ask(unknown, ask, room, attempt.since):
+            found |= await question.wait(attempt.deadline) or {}
+        results = {}
+        for key, name in sources.items():
+            kept = answers.kept(key, attempt.since)
+            if kept is not None:
+                results[key] = _Result(kept.value, kept.until)
+            else:
+                late_ = Found(None, late(name, attempt.seconds), None)
+                results[key] = _Result(found.get(key, late_), 0.0)
+        return results

@@ -1,0 +1,128 @@
+"""Sources: one question to a topic, a getter or the parameters, and whatever comes of it as a value."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from rosld.adapters.base import Adapter
+from rosld.adapters.model import Message, MessageSchema, ParameterValue, Refused, RosError, Sample, TimedOut
+from rosld.ontology.parameters import parameter_json
+from rosld.server.hypermedia.catalogue import Getter
+from rosld.server.hypermedia.value import MessageValue, StoredValue, Value, declined
+from rosld.server.live.schemas import Schemas
+from rosld.server.live.topics import LiveTopics
+from rosld.server.live.view import View
+
+_log = logging.getLogger("rosld.hypermedia")
+
+
+class Found(NamedTuple):
+    """What came of a question: a value, or why there is none; both None where there is simply none yet."""
+
+    value: Value | None
+    failure: str | None
+    read_ns: int | None
+
+
+NOTHING = Found(None, None, None)
+
+
+class Seen(NamedTuple):
+    """What came of a look at a topic: its view, and the schema of the newest message or why that is not known."""
+
+    view: View
+    schema: MessageSchema | None = None
+    failure: str | None = None
+
+
+def late(name: str, seconds: float) -> str:
+    """The failure of what has not answered in time."""
+    return f"{name} has not answered within {round(seconds, 1):g} s"
+
+
+def decoded(topic: str, sample: Sample, schema: MessageSchema, origin: str) -> Found:
+    """The value in a sample of a topic."""
+    try:
+        message = schema.codec.decode(sample.data, sample.encoding)
+    except ValueError as error:
+        return Found(None, f"the latest message of {topic} cannot be read: {error}", sample.received_ns)
+    return Found(MessageValue(schema, message, schema.type.fields, origin), None, sample.received_ns)
+
+
+class Sources:
+    """The sources of one robot. Nothing here raises: what goes wrong is a failure that names the ROS thing."""
+
+    def __init__(self, adapter: Adapter, topics: LiveTopics, schemas: Schemas, patience: float) -> None:
+        self._adapter = adapter
+        self._topics = topics
+        self._schemas = schemas
+        self._patience = patience
+
+    async def look(self, topic: str) -> Seen:
+        """A look at a topic: waits a moment for its first message."""
+        view = View()
+        try:
+            view = await self._topics.look(topic)
+            newest = view.newest
+            return Seen(view) if newest is None else Seen(view, await self._schemas.message(newest.schema))
+        except Exception as error:
+            return Seen(view, None, self._failure(topic, error))
+
+    async def call(self, getter: Getter, origin: str) -> Found:
+        """The answer of a getter, within the patience."""
+        response = getter.schema.response
+        try:
+            message = await self._answer(getter)
+        except Exception as error:
+            return Found(None, self._failure(getter.name, error), time.time_ns())
+        words = declined(response, message, getter.fields)
+        if words is not None:
+            return Found(None, f"{getter.name} refused" + (f": {words}" if words else ""), time.time_ns())
+        return Found(MessageValue(response, message, getter.fields, origin), None, time.time_ns())
+
+    async def _answer(self, getter: Getter) -> Message:
+        """What a getter answers. Raises RosError, TimeoutError, and ValueError for bytes that are no response."""
+        encoding, schema = self._adapter.capabilities.encoding, getter.schema
+        request = schema.request.codec.encode(schema.request.codec.build(schema.request.ref.name, {}), encoding)
+        deadline = asyncio.get_running_loop().time() + self._patience
+        asked = self._adapter.call(getter.name, schema.ref, request, deadline=deadline)
+        return schema.response.codec.decode(await asyncio.wait_for(asked, self._patience), encoding)
+
+    async def parameters(self, names: Sequence[str]) -> Mapping[str, Found]:
+        """The values of parameters, within the patience, fetched together."""
+        deadline = asyncio.get_running_loop().time() + self._patience
+        try:
+            asked = self._adapter.get_parameters(names, deadline=deadline)
+            values = await asyncio.wait_for(asked, self._patience)
+        except Exception as error:
+            return {name: Found(None, self._failure(name, error), time.time_ns()) for name in names}
+        return {name: _stored(name, values[name]) if name in values else _gone(name) for name in names}
+
+    def _failure(self, name: str, error: Exception) -> str:
+        match error:
+            case TimedOut() | asyncio.TimeoutError() | TimeoutError():
+                return late(name, self._patience)
+            case Refused():
+                return f"{name} refused: {error.words or error.sentence}"
+            case RosError():
+                return f"{name} cannot be read: {error.sentence}"
+            case ValueError():
+                return f"the answer of {name} cannot be read: {error}"
+        _log.exception("%s cannot be read", name, exc_info=error)
+        return f"{name} cannot be read"
+
+
+def _stored(name: str, value: ParameterValue) -> Found:
+    try:
+        parameter_json(value)
+    except (ValueError, TypeError) as error:  # nested too deep, or a string that is no Unicode
+        return Found(None, f"{name} cannot be shown: {error}", time.time_ns())
+    return Found(StoredValue(value), None, time.time_ns())
+
+
+def _gone(name: str) -> Found:
+    return Found(None, f"there is no parameter {name} any more", time.time_ns())

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from pyoxigraph import BlankNode, Literal, NamedNode
+
 from rosld.ontology.fitting import Misfit
 
 Path: TypeAlias = "tuple[Path, str] | None"
@@ -18,12 +20,19 @@ _LONGEST = 120
 class Violation:
     """One thing that does not fit: `path` of the field (`linear.x`, "" for the message), what was expected, what was
 
-    found (shortened, None where there was nothing).
+    found (shortened, None where there was nothing). Where a SHACL shape found it, the rest says what its validation
+    result does (SHACL 1.0 section 3.6.2): `term` is the value itself, `predicate` the result's path.
     """
 
     path: str
     message: str
     value: str | None = None
+    component: NamedNode | None = None
+    shape: NamedNode | None = None
+    focus: NamedNode | BlankNode | None = None
+    predicate: NamedNode | None = None
+    term: NamedNode | BlankNode | Literal | None = None
+    severity: NamedNode | None = None
 
 
 class LoweringError(ValueError):

@@ -7,15 +7,16 @@ from collections.abc import Sequence
 from pyoxigraph import NamedNode
 
 from rosld.ontology.document import Document
-from rosld.ontology.triples import about, boolean, each, text
+from rosld.ontology.triples import Statement, about, boolean, each, text
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf, ros, sh
 
 
 def validation_report(url: str, violations: Sequence[Violation], *, node: str = "#message") -> Document:
-    """The report on a body sent to `url`: one result a violation, all about the node of the message.
+    """The report on a body sent to `url`: one result a violation.
 
-    The path of a field is given as text (`linear.x`), because it may lead through several nodes.
+    What a shape found tells that shape, its constraint, focus node, path and value; all else is about the node of the
+    message. The path of a field is also given as text (`linear.x`), because it may lead through several nodes.
     """
     report = NamedNode(f"{url}#report")
     results = [NamedNode(f"{url}#result.{number}") for number in range(len(violations))]
@@ -26,11 +27,20 @@ def validation_report(url: str, violations: Sequence[Violation], *, node: str = 
         triples += about(
             result,
             (rdf.type, sh.ValidationResult),
-            (sh.resultSeverity, sh.Violation),
-            (sh.focusNode, NamedNode(url + node)),
+            (sh.resultSeverity, violation.severity or sh.Violation),
+            (sh.focusNode, violation.focus or NamedNode(url + node)),
             (ros.fieldPath, text(violation.path) if violation.path else None),
             (sh.resultMessage, text(violation.message)),
-            (sh.value, text(violation.value)),
-            (sh.sourceConstraintComponent, ros.FieldConstraintComponent),
+            *_source(violation),
         )
     return Document(url, tuple(triples))
+
+
+def _source(violation: Violation) -> tuple[Statement, ...]:
+    """What broke, and what broke it."""
+    return (
+        (sh.resultPath, violation.predicate),
+        (sh.value, violation.term if violation.term is not None else text(violation.value)),
+        (sh.sourceConstraintComponent, violation.component or ros.FieldConstraintComponent),
+        (sh.sourceShape, violation.shape),
+    )

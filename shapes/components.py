@@ -1,0 +1,272 @@
+"""Constraint components of SHACL Core (section 4) as tests on value nodes, each with a sentence for people."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterable, Sequence
+from math import isnan
+
+from pyoxigraph import Literal, NamedNode
+
+from rosld.ontology.body import Term
+from rosld.ontology.literals import quoted
+from rosld.ontology.vocab import rdf, rdfs, sh, xsd
+from rosld.shapes.pattern import Pattern
+from rosld.shapes.shape import OfSet, OfValue, SetTest, Shape, ValueTest
+from rosld.shapes.terms import Number, compared, is_numeric, is_plain, normal, number
+from rosld.shapes.view import View
+
+_DATATYPE = NamedNode(rdfs.iri + "Datatype")
+_ANY_LITERAL = NamedNode(rdfs.iri + "Literal")
+
+_KINDS = {
+    sh.IRI: (True, False, False),
+    sh.BlankNode: (False, True, False),
+    sh.Literal: (False, False, True),
+    sh.BlankNodeOrIRI: (True, True, False),
+    sh.BlankNodeOrLiteral: (False, True, True),
+    sh.IRIOrLiteral: (True, False, True),
+}
+_KIND_WORDS = {
+    sh.IRI: "must be an IRI",
+    sh.BlankNode: "must be a blank node",
+    sh.Literal: "must be a literal",
+    sh.BlankNodeOrIRI: "must be no literal",
+    sh.BlankNodeOrLiteral: "must be no IRI",
+    sh.IRIOrLiteral: "must be no blank node",
+}
+_Compare = Callable[[Number, Number], bool]
+_ORDERS: dict[NamedNode, tuple[_Compare, Callable[[int], bool], str]] = {
+    sh.minInclusive: (operator.ge, lambda order: order >= 0, "must be at least {}"),
+    sh.maxInclusive: (operator.le, lambda order: order <= 0, "must be at most {}"),
+    sh.minExclusive: (operator.gt, lambda order: order > 0, "must be more than {}"),
+    sh.maxExclusive: (operator.lt, lambda order: order < 0, "must be less than {}"),
+}
+RANGES = tuple(_ORDERS)
+NODE_KINDS = tuple(_KINDS)
+
+
+def component(parameter: NamedNode) -> NamedNode:
+    """The constraint component of a parameter: `sh:minInclusive` is of `sh:MinInclusiveConstraintComponent`."""
+    name = parameter.value[len(sh.iri) :]
+    return NamedNode(f"{sh.iri}{name[0].upper()}{name[1:]}ConstraintComponent")
+
+
+def phrase(term: Term) -> str:
+    """A term within a sentence."""
+    if isinstance(term, NamedNode):
+        return f"<{term.value}>"
+    if not isinstance(term, Literal):
+        return "a blank node"
+    return quoted(term.value) if is_plain(term) else term.value
+
+
+def listed(terms: Iterable[Term], most: int = 12) -> str:
+    """Several terms within a sentence."""
+    phrases = [phrase(term) for term in terms]
+    more = [f"{len(phrases) - most} more"] if len(phrases) > most else []
+    return ", ".join([*phrases[:most], *more])
+
+
+# Value type (4.1)
+
+
+def of_class(iri: NamedNode) -> OfValue:
+    """sh:class: an instance of the class, or of one that the data says is below it."""
+
+    def test(value: Term, view: View) -> bool:
+        if isinstance(value, Literal):
+            return False
+        waiting = list(view.objects(value, rdf.type))
+        seen = set(waiting)
+        while waiting:
+            kind = waiting.pop()
+            if kind == iri:
+                return True
+            more = [each for each in view.objects(kind, rdfs.subClassOf) if each not in seen]
+            seen.update(more)
+            waiting += more
+        return False
+
+    return OfValue(component(sh.class_), test, f"must be a <{iri.value}>")
+
+
+def of_datatype(iri: NamedNode) -> OfValue:
+    """sh:datatype: a literal of exactly this datatype that is no ill-typed one."""
+    test: ValueTest
+    if iri == _ANY_LITERAL:
+        test = lambda value, _: isinstance(value, Literal)  # noqa: E731
+    elif iri == _DATATYPE:
+        test = lambda value, _: not is_plain(value)  # noqa: E731
+    elif iri in (xsd.string, rdf.langString):
+        test = lambda value, _: isinstance(value, Literal) and value.datatype == iri  # noqa: E731
+    elif is_numeric(iri):
+        test = lambda value, _: (  # noqa: E731
+            isinstance(value, Literal) and value.datatype == iri and number(value) is not None
+        )
+    else:
+        test = lambda value, _: (  # noqa: E731
+            isinstance(value, Literal) and value.datatype == iri and not getattr(normal(value), "ill_typed", False)
+        )
+    name = f"xsd:{iri.value[len(xsd.iri) :]}" if iri.value.startswith(xsd.iri) else f"literal of <{iri.value}>"
+    article = "an" if name[0] in "x" else "a"
+    return OfValue(component(sh.datatype), test, f"must be {article} {name}")
+
+
+def of_kind(kind: NamedNode) -> OfValue:
+    """sh:nodeKind."""
+    iri, blank, literal = _KINDS[kind]
+
+    def test(value: Term, view: View) -> bool:
+        return literal if isinstance(value, Literal) else iri if isinstance(value, NamedNode) else blank
+
+    return OfValue(component(sh.nodeKind), test, _KIND_WORDS[kind])
+
+
+# Cardinality (4.2)
+
+
+def at_least_so_many(least: int) -> OfSet:
+    """sh:minCount."""
+    words = "is missing" if least == 1 else f"must be there at least {least} times"
+    return OfSet(component(sh.minCount), lambda values: len(values) >= least, words)
+
+
+def at_most_so_many(most: int) -> OfSet:
+    """sh:maxCount."""
+    words = (
+        "must not be there" if most == 0 else "must be there once only" if most == 1 else f"is there over {most} times"
+    )
+    return OfSet(component(sh.maxCount), lambda values: len(values) <= most, words)
+
+
+# Value range (4.3)
+
+
+def within_range(parameter: NamedNode, bound: Literal) -> OfValue:
+    """sh:minInclusive and its three siblings: numbers by their values, whatever their datatypes."""
+    limit = number(bound)
+    if limit is not None and isnan(limit):
+        raise ValueError(f"sh:{parameter.value[len(sh.iri) :]} is NaN, with which nothing compares")
+    compare, accepts, words = _ORDERS[parameter]
+
+    def test(value: Term, view: View) -> bool:
+        if not isinstance(value, Literal):
+            return False
+        if limit is not None:
+            found = number(value)
+            if found is not None:
+                return compare(found, limit)
+        order = compared(value, bound)
+        return order is not None and accepts(order)
+
+    return OfValue(component(parameter), test, words.format(phrase(bound)))
+
+
+# Strings (4.4)
+
+
+def text_of(value: Term) -> str | None:
+    """What STR() of SPARQL says of a value; nothing of a blank node."""
+    if isinstance(value, NamedNode) or (isinstance(value, Literal) and is_plain(value)):
+        return value.value
+    return str(normal(value)) if isinstance(value, Literal) else None
+
+
+def so_long(parameter: NamedNode, length: int) -> OfValue:
+    """sh:minLength and sh:maxLength, in characters."""
+    unit = "character" if length == 1 else "characters"
+    if parameter == sh.minLength:
+
+        def test(value: Term, view: View) -> bool:
+            text = text_of(value)
+            return length == 0 or (text is not None and len(text) >= length)
+
+        return OfValue(component(parameter), test, f"must be at least {length} {unit} long")
+
+    def test_most(value: Term, view: View) -> bool:
+        text = text_of(value)
+        return text is not None and len(text) <= length
+
+    return OfValue(component(parameter), test_most, f"must be at most {length} {unit} long")
+
+
+def matching(pattern: Pattern) -> OfValue:
+    """sh:pattern."""
+
+    def test(value: Term, view: View) -> bool:
+        text = text_of(value)
+        return text is not None and pattern.found_in(text)
+
+    return OfValue(component(sh.pattern), test, f"must match the pattern {pattern.text}")
+
+
+# Logic and shapes (4.6 and 4.7)
+
+
+def no_shape(shape: Shape) -> OfValue:
+    """sh:not."""
+    return OfValue(component(sh.not_), lambda value, view: not shape.conforms(value, view), "must not be like this")
+
+
+def all_shapes(shapes: Sequence[Shape]) -> OfValue:
+    """sh:and."""
+    return OfValue(
+        component(sh.and_),
+        lambda value, view: all(shape.conforms(value, view) for shape in shapes),
+        f"must conform to all of {len(shapes)} shapes",
+    )
+
+
+def any_shape(shapes: Sequence[Shape]) -> OfValue:
+    """sh:or."""
+    return OfValue(
+        component(sh.or_),
+        lambda value, view: any(shape.conforms(value, view) for shape in shapes),
+        f"must conform to one of {len(shapes)} shapes at least",
+    )
+
+
+def one_shape(shapes: Sequence[Shape]) -> OfValue:
+    """sh:xone."""
+    return OfValue(
+        component(sh.xone),
+        lambda value, view: sum(shape.conforms(value, view) for shape in shapes) == 1,
+        f"must conform to exactly one of {len(shapes)} shapes",
+    )
+
+
+def node(shape: Shape) -> OfValue:
+    """sh:node."""
+    named = f" <{shape.node.value}>" if isinstance(shape.node, NamedNode) else ""
+    return OfValue(component(sh.node), shape.conforms, f"must conform to the shape{named}")
+
+
+# Other (4.8)
+
+
+def one_of(terms: Sequence[Term]) -> OfValue:
+    """sh:in: the same term, which of literals means: the same normal form."""
+    contains = _membership(terms)
+    return OfValue(component(sh.in_), lambda value, view: contains(value), f"must be one of {listed(terms)}")
+
+
+def with_value(term: Term) -> OfSet:
+    """sh:hasValue."""
+    contains = _membership((term,))
+    test: SetTest = lambda values: any(map(contains, values))  # noqa: E731
+    return OfSet(component(sh.hasValue), test, f"must be {phrase(term)}")
+
+
+def _membership(terms: Iterable[Term]) -> Callable[[Term], bool]:
+    # A blank node of the shapes graph is none of the data graph, whatever its label.
+    exact = frozenset(term for term in terms if isinstance(term, NamedNode | Literal))
+    others = [term for term in exact if isinstance(term, Literal) and not is_plain(term)]
+    forms, datatypes = frozenset(map(normal, others)), frozenset(term.datatype for term in others)
+
+    def contains(value: Term) -> bool:
+        if value in exact:
+            return True
+        return bool(forms) and isinstance(value, Literal) and value.datatype in datatypes and normal(value) in forms
+
+    return contains

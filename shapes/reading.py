@@ -1,0 +1,474 @@
+"""Shapes graphs read: each shape compiled once, and whatever is wrong with it told before it judges anything."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+
+from rosld.ontology.body import Term
+from rosld.ontology.vocab import rdf, sh, xsd
+from rosld.shapes import components
+from rosld.shapes.bounds import merged, narrowed
+from rosld.shapes.pattern import Pattern, pattern
+from rosld.shapes.reference import Reference
+from rosld.shapes.shape import OfSet, OfValue, Shape
+from rosld.shapes.terms import is_numeric, number
+from rosld.shapes.value import UNBOUNDED, Bounds
+
+Node: TypeAlias = NamedNode | BlankNode
+
+DEEPEST = 10
+"""The levels of shapes within shapes."""
+LARGEST = 1000
+"""The shapes that one shape may hold, counted each time they are referred to."""
+
+_LONGEST_PATH = 50
+_XML = frozenset(NamedNode(rdf.iri + name) for name in ("XMLLiteral", "HTML"))
+
+
+def _terms(names: str) -> frozenset[NamedNode]:
+    return frozenset(NamedNode(sh.iri + name) for name in names.split())
+
+
+_COMPILED = _terms(
+    "class datatype nodeKind minCount maxCount minInclusive maxInclusive minExclusive maxExclusive minLength maxLength "
+    "pattern flags and or not xone node property in hasValue"
+)
+_LEFT = _terms(
+    "languageIn uniqueLang equals disjoint lessThan lessThanOrEquals closed ignoredProperties qualifiedValueShape "
+    "qualifiedMinCount qualifiedMaxCount qualifiedValueShapesDisjoint"
+)
+_PAIRS = _terms("equals disjoint lessThan lessThanOrEquals")
+_TARGETS = _terms("targetNode targetClass targetSubjectsOf targetObjectsOf")
+_ABOUT = _terms("path message severity deactivated name description order group defaultValue")
+_SEVERAL = _terms(
+    "class minInclusive maxInclusive minExclusive maxExclusive pattern and or not xone node property hasValue equals "
+    "disjoint lessThan lessThanOrEquals qualifiedValueShape message name description targetNode targetClass "
+    "targetSubjectsOf targetObjectsOf"
+)
+_BEYOND_CORE = _terms("sparql js rule expression target values entailment shapesGraph")
+_CARDINAL = (xsd.integer, xsd.nonNegativeInteger, NamedNode(xsd.iri + "positiveInteger"))
+
+
+def local(predicate: NamedNode) -> str:
+    """A term of SHACL as people write it."""
+    return f"sh:{predicate.value[len(sh.iri) :]}"
+
+
+@dataclass
+class _Draft:
+    """A shape in the making."""
+
+    of_value: list[OfValue] = field(default_factory=list)
+    of_set: list[OfSet] = field(default_factory=list)
+    properties: list[Shape] = field(default_factory=list)
+    parts: list[Shape] = field(default_factory=list)
+    own: Bounds = UNBOUNDED
+    within: list[Mapping[tuple[NamedNode, ...], Bounds]] = field(default_factory=list)
+
+    def demand(self, bounds: Bounds) -> None:
+        """Narrow what the value nodes may be."""
+        self.own = narrowed(self.own, bounds)
+
+    def include(self, shape: Shape) -> None:
+        """Take over what a shape that must hold demands of the same value nodes."""
+        if not shape.is_property:
+            self.demand(shape.own)
+        self.within.append(shape.within)
+
+
+class ShapesGraph:
+    """The triples of a shapes graph, and its shapes. Every method raises ValueError, naming the shape and the fault."""
+
+    def __init__(self, triples: Sequence[Triple]) -> None:
+        self._said: dict[Term, dict[NamedNode, list[Term]]] = {}
+        for triple in triples:
+            objects = self._said.setdefault(triple.subject, {}).setdefault(triple.predicate, [])
+            if triple.object not in objects:
+                objects.append(triple.object)
+        self._shapes: dict[Node, Shape] = {}
+        self._open: list[Node] = []
+        self._longest: dict[Node, int] = {}
+
+    def targeting(self) -> Iterator[tuple[Node, NamedNode, Term]]:
+        """Each target declaration: the shape, the kind of target (`sh:targetNode`), the target (SHACL 2.1.3)."""
+        for node, said in self._said.items():
+            if isinstance(node, NamedNode | BlankNode):
+                for kind in sorted(said.keys() & _TARGETS, key=str):
+                    yield from ((node, kind, target) for target in said[kind])
+
+    def roots(self) -> Iterator[Node]:
+        """The shapes that no other shape refers to."""
+        inner = {
+            each
+            for said in self._said.values()
+            for predicate, objects in said.items()
+            if predicate not in (rdf.type, *_TARGETS)
+            for each in objects
+        }
+        for node, said in self._said.items():
+            typed = {sh.NodeShape, sh.PropertyShape} & set(said.get(rdf.type, ()))
+            if (typed or said.keys() & (_COMPILED | _LEFT | _TARGETS)) and node not in inner:
+                assert isinstance(node, NamedNode | BlankNode)
+                yield node
+
+    def name(self, node: Term) -> str:
+        """A shape as an error calls it."""
+        if isinstance(node, NamedNode):
+            return f"the shape <{node.value}>"
+        within = next((each for each in reversed(self._open) if isinstance(each, NamedNode)), None)
+        return "a shape without a name" + ("" if within is None else f" in <{within.value}>")
+
+    def shape(self, node: Node) -> Shape:
+        """A shape, compiled."""
+        known = self._shapes.get(node)
+        if known is not None:
+            return known
+        if node not in self._said:
+            raise ValueError(f"{self.name(node)} is referred to, but nothing is said of it in this graph")
+        if node in self._open:
+            raise ValueError(f"{self.name(node)} refers to itself, which SHACL leaves undefined (3.4.3)")
+        if len(self._open) >= DEEPEST:
+            raise self._deep()
+        self._open.append(node)
+        try:
+            shape = self._shapes[node] = self._compiled(node, self._said[node])
+        finally:
+            self._open.pop()
+        return shape
+
+    def reference(self, node: Node) -> Reference:
+        """A shape as pyshacl judges it, with all that it refers to and nothing else."""
+        shapes: dict[Term, None] = {}
+        triples = list(self._closure(node, shapes))
+        longest = min((self._longest.get(each, sys.maxsize) for each in shapes if isinstance(each, Node)), default=0)
+        try:
+            return Reference(node, list(shapes), triples, longest)
+        except ValueError as error:
+            raise ValueError(f"{self.name(node)} cannot be read: {error}") from error
+
+    def _deep(self) -> ValueError:
+        return ValueError(f"{self.name(self._open[0])} has shapes nested deeper than {DEEPEST} levels")
+
+    def _closure(self, node: Term, shapes: dict[Term, None]) -> Iterator[Triple]:
+        """The triples of a shape and of those it refers to, without their targets."""
+        if node in shapes:
+            return
+        shapes[node] = None
+        assert isinstance(node, NamedNode | BlankNode)
+        for predicate, objects in self._said[node].items():
+            if not predicate.value.startswith(sh.iri) and predicate != rdf.type:
+                continue
+            for each in objects:
+                if predicate in _TARGETS or (predicate == rdf.type and each not in (sh.NodeShape, sh.PropertyShape)):
+                    continue
+                yield Triple(node, predicate, each)
+                if predicate in (sh.property, sh.node, sh.not_, NamedNode(sh.iri + "qualifiedValueShape")):
+                    yield from self._closure(each, shapes)
+                elif predicate in (sh.and_, sh.or_, sh.xone):
+                    yield from self._inner(each)
+                    for member in self._list(each, predicate):
+                        yield from self._closure(member, shapes)
+                elif isinstance(each, BlankNode):
+                    yield from self._inner(each)
+
+    def _inner(self, node: Term) -> Iterator[Triple]:
+        """The triples of lists and paths."""
+        waiting, seen = [node], {node}
+        while waiting:
+            subject = waiting.pop()
+            if not isinstance(subject, NamedNode | BlankNode):
+                continue
+            for predicate, objects in self._said.get(subject, {}).items():
+                for each in objects:
+                    yield Triple(subject, predicate, each)
+                    # The members of a list of shapes are followed as shapes.
+                    if isinstance(each, BlankNode) and each not in seen and sh.path not in self._said.get(each, {}):
+                        seen.add(each)
+                        waiting.append(each)
+
+    # One shape
+
+    def _compiled(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> Shape:
+        self._check_terms(node, said)
+        path, is_property, simple_path = self._path(node, said)
+        draft = _Draft()
+        for parameter in sorted(said.keys() & (_COMPILED | _LEFT), key=str):
+            for value in said[parameter]:
+                self._parameter(node, draft, parameter, value, is_property)
+        off = self._is_deactivated(node, said)
+        children = draft.parts
+        size, depth = 1 + sum(each.size for each in children), 1 + max((each.depth for each in children), default=0)
+        if depth > DEEPEST:
+            raise self._deep()
+        if size > LARGEST:
+            raise ValueError(f"{self.name(node)} holds more than {LARGEST} shapes, counted as often as referred to")
+        if off:
+            return Shape(node, path, is_property=is_property)
+        inner = merged(*draft.within)
+        if is_property:
+            lead = () if path is None else (path,)
+            own = {lead: draft.own} if draft.own else {}
+            inner = {} if path is None else own | {(*lead, *way): bounds for way, bounds in inner.items()}
+        return Shape(
+            node,
+            path,
+            tuple(draft.of_value),
+            tuple(draft.of_set),
+            tuple(draft.properties),
+            words=self._words(node, said),
+            severity=self._severity(node, said),
+            is_property=is_property,
+            is_simple=simple_path and not said.keys() & _LEFT and all(each.is_simple for each in children),
+            paths=self._paths(said, path, is_property, children),
+            own=draft.own,
+            within=inner,
+            size=size,
+            depth=depth,
+        )
+
+    def _paths(
+        self, said: Mapping[NamedNode, list[Term]], path: NamedNode | None, is_property: bool, children: list[Shape]
+    ) -> frozenset[NamedNode] | None:
+        """The predicates that a shape looks at from the focus node; None where there are more than these."""
+        pairs = frozenset(
+            each for pair in said.keys() & _PAIRS for each in said[pair] if isinstance(each, NamedNode)
+        )  # fmt: skip
+        if is_property:
+            return None if path is None else pairs | {path}
+        found = pairs
+        for child in children:
+            if child.paths is None:
+                return None
+            found |= child.paths
+        return found
+
+    def _check_terms(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> None:
+        """What is not known might have been meant to hold something back: it is refused, not passed over."""
+        for predicate in said:
+            if not predicate.value.startswith(sh.iri) or predicate in _COMPILED | _LEFT | _TARGETS | _ABOUT:
+                if len(said[predicate]) > 1 and predicate.value.startswith(sh.iri) and predicate not in _SEVERAL:
+                    raise self._wrong(node, predicate, "is there more than once")
+                continue
+            if predicate in _BEYOND_CORE:
+                raise ValueError(f"{self.name(node)} uses {local(predicate)}: only SHACL Core is judged here")
+            raise ValueError(f"{self.name(node)} says {local(predicate)}, which is no term of SHACL Core for a shape")
+
+    def _path(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> tuple[NamedNode | None, bool, bool]:
+        """The path where it is a predicate, whether there is one at all, whether it is compiled."""
+        kinds, paths = said.get(rdf.type, ()), said.get(sh.path, [])
+        if sh.NodeShape in kinds and (paths or sh.PropertyShape in kinds):
+            raise ValueError(f"{self.name(node)} is a sh:NodeShape, and so can be no property shape: it has a sh:path")
+        if not paths:
+            if sh.PropertyShape in kinds:
+                raise ValueError(f"{self.name(node)} is a sh:PropertyShape without a sh:path")
+            return None, False, True
+        (path,) = paths
+        if isinstance(path, NamedNode):
+            return path, True, True
+        if not isinstance(path, BlankNode) or path not in self._said:
+            raise self._wrong(node, sh.path, "is neither an IRI nor a property path (SHACL 2.3.1)")
+        if sum(1 for _ in self._inner(path)) > _LONGEST_PATH:
+            raise self._wrong(node, sh.path, "is too long")
+        return None, True, False
+
+    def _parameter(self, node: Node, draft: _Draft, parameter: NamedNode, value: Term, is_property: bool) -> None:
+        """Take one parameter of a constraint into the draft."""
+        try:
+            self._constraint(node, draft, parameter, value, is_property)
+        except _Fault as fault:
+            raise self._wrong(node, parameter, str(fault)) from fault
+
+    def _constraint(self, node: Node, draft: _Draft, parameter: NamedNode, value: Term, is_property: bool) -> None:
+        match parameter:
+            case sh.class_:
+                draft.of_value.append(components.of_class(_iri(value)))
+            case sh.datatype:
+                draft.of_value.append(components.of_datatype(_iri(value)))
+            case sh.nodeKind:
+                if value not in components.NODE_KINDS:
+                    raise _Fault(f"is {value}, which is no kind of node: sh:IRI, sh:Literal, sh:BlankNode, ...")
+                draft.of_value.append(components.of_kind(_iri(value)))
+            case sh.minCount | sh.maxCount:
+                self._count(draft, parameter, value, is_property)
+            case sh.minInclusive | sh.maxInclusive | sh.minExclusive | sh.maxExclusive:
+                self._range(draft, parameter, value)
+            case sh.minLength | sh.maxLength:
+                length = _cardinal(value)
+                draft.of_value.append(components.so_long(parameter, length))
+                is_least = parameter == sh.minLength
+                draft.demand(Bounds(min_length=length) if is_least else Bounds(max_length=length))
+            case sh.pattern:
+                self._pattern(node, draft, value)
+            case sh.flags:
+                _text(value)
+            case sh.in_:
+                members = self._list(value, parameter)
+                draft.of_value.append(components.one_of([_known(each) for each in members]))
+                draft.demand(Bounds(choices=tuple(each for each in members if isinstance(each, Literal))))
+            case sh.hasValue:
+                draft.of_set.append(components.with_value(_known(value)))
+                draft.demand(Bounds(choices=(value,)) if isinstance(value, Literal) else UNBOUNDED)
+            case _:
+                self._shapes_of(draft, parameter, value)
+
+    def _shapes_of(self, draft: _Draft, parameter: NamedNode, value: Term) -> None:
+        """The parameters whose values are shapes."""
+        match parameter:
+            case sh.property:
+                shape = self._part(draft, value)
+                if not shape.is_property:
+                    raise _Fault("leads to a shape without a sh:path")
+                draft.properties.append(shape)
+                draft.include(shape)
+            case sh.node:
+                shape = self._part(draft, value)
+                if shape.is_property:
+                    raise _Fault("leads to a property shape: it must be a node shape")
+                draft.of_value.append(components.node(shape))
+                draft.include(shape)
+            case sh.not_:
+                draft.of_value.append(components.no_shape(self._part(draft, value)))
+            case sh.and_ | sh.or_ | sh.xone:
+                shapes = [self._part(draft, each) for each in self._list(value, parameter)]
+                if not shapes:
+                    raise _Fault("is an empty list")
+                logic = {sh.and_: components.all_shapes, sh.or_: components.any_shape, sh.xone: components.one_shape}
+                draft.of_value.append(logic[parameter](shapes))
+                for shape in shapes if parameter == sh.and_ else ():
+                    draft.include(shape)
+            case _ if parameter == NamedNode(sh.iri + "qualifiedValueShape"):
+                self._part(draft, value)
+            case _ if parameter in _PAIRS:
+                _iri(value)
+
+    def _part(self, draft: _Draft, value: Term) -> Shape:
+        if not isinstance(value, NamedNode | BlankNode):
+            raise _Fault(f"is {value}, which is no shape")
+        shape = self.shape(value)
+        draft.parts.append(shape)
+        return shape
+
+    def _count(self, draft: _Draft, parameter: NamedNode, value: Term, is_property: bool) -> None:
+        if not is_property:
+            raise _Fault("is for property shapes only: this shape has no sh:path")
+        if not isinstance(value, Literal) or value.datatype != xsd.integer:
+            raise _Fault(f"is {value}, where an xsd:integer is needed")
+        count = _cardinal(value)
+        is_least = parameter == sh.minCount
+        draft.of_set.append(components.at_least_so_many(count) if is_least else components.at_most_so_many(count))
+
+    def _range(self, draft: _Draft, parameter: NamedNode, value: Term) -> None:
+        if not isinstance(value, Literal):
+            raise _Fault(f"is {value}, where a literal is needed")
+        if value.language is None and value.datatype != xsd.string:
+            _known(value)
+        try:
+            draft.of_value.append(components.within_range(parameter, value))
+        except ValueError as error:
+            raise _Fault(str(error)) from error
+        match parameter:
+            case sh.minInclusive:
+                draft.demand(Bounds(least=value))
+            case sh.maxInclusive:
+                draft.demand(Bounds(greatest=value))
+            case sh.minExclusive:
+                draft.demand(Bounds(above=value))
+            case _:
+                draft.demand(Bounds(below=value))
+
+    def _pattern(self, node: Node, draft: _Draft, value: Term) -> None:
+        flags = "".join(_text(each) for each in self._said[node].get(sh.flags, ()))
+        found = self._taken(value, flags)
+        self._longest[node] = min(found.longest, self._longest.get(node, sys.maxsize))
+        draft.of_value.append(components.matching(found))
+        if not flags:
+            draft.demand(Bounds(pattern=found.text))
+
+    def _taken(self, value: Term, flags: str) -> Pattern:
+        try:
+            return pattern(_text(value), flags)
+        except _Fault:
+            raise
+        except ValueError as error:
+            raise _Fault(f"cannot be used: {error}") from error
+
+    # What is said about a shape
+
+    def _is_deactivated(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> bool:
+        for value in said.get(sh.deactivated, ()):
+            if not isinstance(value, Literal) or value.datatype != xsd.boolean:
+                raise self._wrong(node, sh.deactivated, f"is {value}, where true or false is needed")
+            return value.value in ("true", "1")
+        return False
+
+    def _severity(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> NamedNode | None:
+        for value in said.get(sh.severity, ()):
+            if not isinstance(value, NamedNode):
+                raise self._wrong(node, sh.severity, f"is {value}, where an IRI is needed")
+            return value
+        return None
+
+    def _words(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> str | None:
+        """The shape's own message: in English or in no language, if it can be."""
+        messages = [value for value in said.get(sh.message, ()) if isinstance(value, Literal)]
+        if len(messages) < len(said.get(sh.message, ())):
+            raise self._wrong(node, sh.message, "is no text")
+        preferred = sorted(messages, key=lambda each: (not (each.language or "en").startswith("en"), each.value))
+        return preferred[0].value if preferred else None
+
+    def _list(self, head: Term, parameter: NamedNode) -> list[Term]:
+        members: list[Term] = []
+        seen: set[Term] = set()
+        while head != rdf.nil:
+            said = self._said.get(head, {})
+            first, rest = said.get(rdf.first, []), said.get(rdf.rest, [])
+            if len(first) != 1 or len(rest) != 1 or head in seen:
+                raise _Fault("is no well-formed list: write its members in round brackets")
+            seen.add(head)
+            members.append(first[0])
+            head = rest[0]
+        return members
+
+    def _wrong(self, node: Term, parameter: NamedNode, words: str) -> ValueError:
+        return ValueError(f"{self.name(node)}: {local(parameter)} {words}")
+
+
+class _Fault(ValueError):
+    """What is wrong with the value of a parameter."""
+
+
+def _iri(value: Term) -> NamedNode:
+    if not isinstance(value, NamedNode):
+        raise _Fault(f"is {value}, where an IRI is needed")
+    return value
+
+
+def _text(value: Term) -> str:
+    if not isinstance(value, Literal) or value.datatype != xsd.string:
+        raise _Fault(f"is {value}, where a string is needed")
+    return value.value
+
+
+def _cardinal(value: Term) -> int:
+    if isinstance(value, Literal) and value.datatype in _CARDINAL:
+        found = number(value)
+        if isinstance(found, int) and found >= 0:
+            return found
+    raise _Fault(f"is {value}, where an integer from 0 is needed")
+
+
+def _known(value: Term) -> Term:
+    """A term that can be compared with. Raises _Fault for triple terms, for markup, and for ill-typed numbers."""
+    if isinstance(value, Triple):
+        raise _Fault("is a triple term, which SHACL does not know")
+    if isinstance(value, Literal):
+        if value.datatype in _XML:
+            raise _Fault("is XML or HTML, which is not compared here")
+        if is_numeric(value.datatype) and number(value) is None:
+            raise _Fault(f"is {value}, which is no number")
+    return value

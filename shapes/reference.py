@@ -1,0 +1,114 @@
+"""Shapes that are not compiled, judged by pyshacl: SHACL Core whole, but nothing that runs code or reaches out."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+
+import rdflib
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+from rdflib.term import BNode, URIRef
+
+from rosld.ontology.body import Term
+from rosld.ontology.violations import Violation
+from rosld.ontology.vocab import sh
+from rosld.shapes.shape import brief, joined
+from rosld.shapes.terms import Node, normal, normal_graph
+from rosld.shapes.view import View
+
+_MOST_KEPT = 64
+_SHAPES, _DATA = "s", "d"
+_TARGET = URIRef(sh.targetNode.value)
+_NOWHERE = URIRef("urn:nowhere")
+
+
+class Reference:
+    """The shape `root`, with everything that it refers to in `triples`. `longest`: the texts its patterns may see.
+
+    Raises ValueError where pyshacl cannot read one of the `shapes`.
+    """
+
+    def __init__(
+        self, root: NamedNode | BlankNode, shapes: Sequence[Term], triples: Sequence[Triple], longest: int = sys.maxsize
+    ) -> None:
+        self._node = root
+        self._root = normal(root, _SHAPES)
+        self._graph = normal_graph(triples, _SHAPES)
+        self._longest = longest
+        self._targeted: dict[Node, rdflib.Graph] = {}
+        trial = self._with_targets([(normal(shape, _SHAPES), _NOWHERE) for shape in shapes])
+        report = _report(rdflib.Graph(), trial)
+        if isinstance(report, str):
+            raise ValueError(report)
+
+    def broken(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
+        """Each violation that pyshacl finds; where it fails, that is one too."""
+        triples = view.triples()
+        for triple in triples:
+            if isinstance(triple.object, Literal) and len(triple.object.value) > self._longest:
+                yield Violation(above, f"holds a text of more than {self._longest} characters, too long for a pattern")
+                return
+        terms = {normal(term, _DATA): term for triple in triples for term in (triple.subject, triple.object)}
+        terms[normal(focus, _DATA)] = focus
+        report = _report(normal_graph(triples, _DATA), self._shapes_for(normal(focus, _DATA)))
+        if isinstance(report, str):
+            yield Violation(above, f"cannot be judged: {report}", shape=_iri(self._node))
+            return
+        results = report.objects(None, _sh("result"))
+        yield from sorted((_violation(report, each, terms, above) for each in results), key=lambda one: one.path)
+
+    def _shapes_for(self, focus: Node) -> rdflib.Graph:
+        if focus not in self._targeted:
+            if len(self._targeted) >= _MOST_KEPT:
+                self._targeted.clear()
+            self._targeted[focus] = self._with_targets([(self._root, focus)])
+        return self._targeted[focus]
+
+    def _with_targets(self, targets: Sequence[tuple[Node, Node]]) -> rdflib.Graph:
+        graph = rdflib.Graph()
+        graph += self._graph
+        for shape, focus in targets:
+            graph.add((shape, _TARGET, focus))
+        return graph
+
+
+def _report(data: rdflib.Graph, shapes: rdflib.Graph) -> rdflib.Graph | str:
+    """The validation report, or why there is none."""
+    import pyshacl
+
+    try:
+        _, report, words = pyshacl.validate(data, shacl_graph=shapes, advanced=False, js=False, do_owl_imports=False)
+    except Exception as error:  # whatever a malformed shape brings about
+        return f"{type(error).__name__}: {error}"
+    return report if isinstance(report, rdflib.Graph) else str(words)
+
+
+def _sh(name: str) -> URIRef:
+    return URIRef(sh.iri + name)
+
+
+def _iri(term: object) -> NamedNode | None:
+    return term if isinstance(term, NamedNode) else NamedNode(str(term)) if isinstance(term, URIRef) else None
+
+
+def _violation(report: rdflib.Graph, result: rdflib.term.Node, terms: dict[Node, Term], above: str) -> Violation:
+    """A result of the report, with the data's terms as they were."""
+
+    def said(name: str) -> Node | None:
+        found = report.value(result, _sh(name))
+        return found if isinstance(found, URIRef | BNode | rdflib.Literal) else None
+
+    value, focus, path = said("value"), said("focusNode"), _iri(said("resultPath"))
+    term = terms.get(value) if value is not None else None
+    node = terms.get(focus) if focus is not None else None
+    return Violation(
+        above if path is None else joined(above, path),
+        str(said("resultMessage") or "does not conform"),
+        brief(term),
+        component=_iri(said("sourceConstraintComponent")),
+        shape=_iri(said("sourceShape")),
+        focus=node if isinstance(node, NamedNode | BlankNode) else None,
+        predicate=path,
+        term=term if isinstance(term, NamedNode | BlankNode | Literal) else None,
+        severity=_iri(said("resultSeverity")),
+    )

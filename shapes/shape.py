@@ -1,0 +1,134 @@
+"""Compiled shapes: the constraints of one shape as tests, applied to a focus node and what is around it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol, TypeAlias
+from urllib.parse import unquote
+
+from pyoxigraph import BlankNode, Literal, NamedNode
+
+from rosld.ontology.body import Term
+from rosld.ontology.violations import Violation, shortened
+from rosld.ontology.vocab import rdf
+from rosld.shapes.value import UNBOUNDED, Bounds
+from rosld.shapes.view import View
+
+ValueTest: TypeAlias = Callable[[Term, View], bool]
+SetTest: TypeAlias = Callable[[Sequence[Term]], bool]
+
+
+class Judge(Protocol):
+    """What can tell how a focus node breaks a shape."""
+
+    def broken(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
+        """Each violation; `above` is the dotted path to the focus node."""
+        ...
+
+
+class OfValue(NamedTuple):
+    """A constraint on each value node: its component, its test and a sentence."""
+
+    component: NamedNode
+    test: ValueTest
+    words: str
+
+
+class OfSet(NamedTuple):
+    """A constraint on the value nodes together."""
+
+    component: NamedNode
+    test: SetTest
+    words: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """A shape, compiled. A node shape has no `path`: its one value node is the focus node (SHACL 2.1.3).
+
+    `is_simple` is False where it, or a shape that it refers to, has parts that are not compiled. `paths` are the
+    predicates that it looks at from the focus node, None where a path is more than a predicate. `own` bounds the value
+    nodes, `within` the values of what leads on from the focus node. `size` counts the shapes in it, `depth` their
+    levels.
+    """
+
+    node: NamedNode | BlankNode
+    path: NamedNode | None = None
+    of_value: tuple[OfValue, ...] = ()
+    of_set: tuple[OfSet, ...] = ()
+    properties: tuple[Shape, ...] = ()
+    words: str | None = None
+    severity: NamedNode | None = None
+    is_property: bool = False
+    is_simple: bool = True
+    paths: frozenset[NamedNode] | None = frozenset()
+    own: Bounds = UNBOUNDED
+    within: Mapping[tuple[NamedNode, ...], Bounds] = field(default_factory=dict)
+    size: int = 1
+    depth: int = 1
+
+    def values(self, focus: Term, view: View) -> Sequence[Term]:
+        """The value nodes of a focus node."""
+        return (focus,) if self.path is None else view.objects(focus, self.path)
+
+    def conforms(self, focus: Term, view: View) -> bool:
+        """Whether nothing is broken."""
+        values = self.values(focus, view)
+        for together in self.of_set:
+            if not together.test(values):
+                return False
+        for value in values:
+            for each in self.of_value:
+                if not each.test(value, view):
+                    return False
+            for inner in self.properties:
+                if not inner.conforms(value, view):
+                    return False
+        return True
+
+    def broken(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
+        """Each violation; `above` is the dotted path to the focus node."""
+        if self.conforms(focus, view):
+            return
+        values = self.values(focus, view)
+        path = above if self.path is None else joined(above, self.path)
+        for together in self.of_set:
+            if not together.test(values):
+                yield self.violation(focus, path, together, None)
+        for value in values:
+            for each in self.of_value:
+                if not each.test(value, view):
+                    yield self.violation(focus, path, each, value)
+            for inner in self.properties:
+                yield from inner.broken(value, view, path)
+
+    def violation(self, focus: Term, path: str, constraint: OfValue | OfSet, value: Term | None) -> Violation:
+        """A violation of one constraint, with the shape's own words where it has any (SHACL 2.1.5)."""
+        return Violation(
+            path,
+            self.words or constraint.words,
+            brief(value),
+            component=constraint.component,
+            shape=self.node if isinstance(self.node, NamedNode) else None,
+            focus=focus if isinstance(focus, NamedNode | BlankNode) else None,
+            predicate=self.path,
+            term=value if isinstance(value, NamedNode | BlankNode | Literal) else None,
+            severity=self.severity,
+        )
+
+
+def joined(above: str, predicate: NamedNode) -> str:
+    """The dotted path with one step more; `rdf:value` is the value itself, so that it is none."""
+    if predicate == rdf.value:
+        return above
+    iri = predicate.value.rstrip("/#")
+    name = unquote(iri[max(iri.rfind("#"), iri.rfind("/")) + 1 :])
+    return f"{above}.{name}" if above else name
+
+
+def brief(term: Term | None) -> str | None:
+    """A value as a person may want to see it."""
+    if isinstance(term, BlankNode):
+        return None
+    return shortened(term.value if isinstance(term, NamedNode | Literal) else term)

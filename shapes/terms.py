@@ -1,0 +1,159 @@
+"""RDF terms as pyshacl sees them: numbers by value, literals by their normal form, as rdflib reads both.
+
+rdflib is asked itself wherever its answer is not plain, so that a compiled shape and pyshacl never disagree. They do
+over NaN alone: rdflib takes it for less than everything, so that it passes every upper bound; here, as in SPARQL
+(17.3), it compares with nothing and passes none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from datetime import datetime, time
+from decimal import Decimal, InvalidOperation
+from math import isnan
+from typing import TypeAlias
+
+import rdflib
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+from rdflib.term import BNode, URIRef
+from rdflib.term import Literal as Normal
+
+from rosld.ontology.body import Term
+from rosld.ontology.fitting import RANGES
+from rosld.ontology.literals import DATATYPES
+from rosld.ontology.vocab import rdf, xsd
+
+Number: TypeAlias = "int | float | Decimal"
+Node: TypeAlias = URIRef | BNode | Normal
+
+_NAN = float("nan")
+
+
+def _integer(least: int | None = None, greatest: int | None = None) -> Callable[[str], Number | None]:
+    def read(text: str) -> int | None:
+        try:
+            value = int(text)
+        except ValueError:
+            return None
+        inside = (least is None or value >= least) and (greatest is None or value <= greatest)
+        return value if inside else None
+
+    return read
+
+
+def _float(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _decimal(text: str) -> Number | None:
+    try:
+        value = Decimal(text)
+    except InvalidOperation:
+        return None
+    return _NAN if value.is_nan() else value
+
+
+_ANY = _integer()
+_READERS: dict[NamedNode, Callable[[str], Number | None]] = {
+    xsd.double: _float,
+    xsd.float: _float,
+    xsd.decimal: _decimal,
+    xsd.integer: _ANY,
+    NamedNode(xsd.iri + "nonNegativeInteger"): _integer(0, None),
+    NamedNode(xsd.iri + "positiveInteger"): _integer(1, None),
+    NamedNode(xsd.iri + "nonPositiveInteger"): _integer(None, 0),
+    NamedNode(xsd.iri + "negativeInteger"): _integer(None, -1),
+    **{NamedNode(xsd.iri + DATATYPES[name]): _integer(*limits) for name, limits in RANGES.items()},
+    # rdflib lets these two be larger than they can be.
+    xsd.long: _ANY,
+    xsd.unsignedLong: _integer(0, None),
+}
+
+
+def number(literal: Literal) -> Number | None:
+    """The value of a number as rdflib reads it; None for anything that is none, or is ill-typed."""
+    read = _READERS.get(literal.datatype)
+    return None if read is None else read(literal.value)
+
+
+def is_numeric(datatype: NamedNode) -> bool:
+    """Whether the literals of a datatype are numbers."""
+    return datatype in _READERS
+
+
+class _NotANumber(float):
+    """A NaN that refuses to be compared."""
+
+    def __eq__(self, other: object) -> bool:
+        raise TypeError("NaN compares with nothing")
+
+    __ne__ = __lt__ = __le__ = __gt__ = __ge__ = __eq__
+    __hash__ = float.__hash__
+
+
+def normal(term: Term, space: str = "") -> Node:
+    """A term as rdflib has it, in its normal form; `space` keeps the blank nodes of several graphs apart.
+
+    A triple term, of which rdflib knows nothing, is a blank node.
+    """
+    if isinstance(term, NamedNode):
+        return URIRef(term.value)
+    if isinstance(term, Literal):
+        return _normal(term)
+    return BNode(space + (term.value if isinstance(term, BlankNode) else f"triple{hash(term)}"))
+
+
+def _normal(literal: Literal) -> Normal:
+    text = literal.value
+    if literal.language is not None:
+        return Normal(text, lang=literal.language)
+    if literal.datatype == xsd.string:
+        return Normal(text)
+    # A decimal with an exponent is none in XSD, and its normal form may have more digits than there is memory.
+    normalize = not (literal.datatype == xsd.decimal and "e" in text.lower())
+    found = Normal(text, datatype=literal.datatype.value, normalize=normalize)
+    value = number(literal)
+    if value is not None and isnan(value):
+        found._value = _NotANumber(_NAN)
+    return found
+
+
+def normal_graph(triples: Iterable[Triple], space: str) -> rdflib.Graph:
+    """A graph as rdflib has it."""
+    graph = rdflib.Graph()
+    for triple in triples:
+        graph.add((normal(triple.subject, space), normal(triple.predicate), normal(triple.object, space)))
+    return graph
+
+
+def is_plain(term: Term) -> bool:
+    """Whether a term is its own normal form: no literal but a string is sure to be."""
+    return not isinstance(term, Literal) or term.datatype in (xsd.string, rdf.langString)
+
+
+def distinct(terms: Sequence[Term]) -> Sequence[Term]:
+    """Each term once; literals of one normal form are one."""
+    if len(terms) < 2:
+        return terms
+    terms = list(dict.fromkeys(terms))
+    if sum(not is_plain(term) for term in terms) < 2:
+        return terms
+    return list({term if is_plain(term) else normal(term): term for term in reversed(terms)}.values())[::-1]
+
+
+def compared(one: Literal, other: Literal) -> int | None:
+    """Whether `one` is less (-1) than `other`, equal (0) or more (1), as pyshacl has it; None where it cannot tell."""
+    left, right = _normal(one), _normal(other)
+    if isinstance(left.value, str) != isinstance(right.value, str):
+        return None
+    try:
+        if left.eq(right):
+            return 0
+        if type(left.value) in (datetime, time):
+            return 1 if left.value > right.value else -1
+        return 1 if left > right else -1
+    except (TypeError, NotImplementedError, ArithmeticError):
+        return None

@@ -265,7 +265,12 @@ class sh(Namespace, iri="http://www.w3.org/ns/shacl#"):
     Violation: NamedNode
     Warning: NamedNode
     Info: NamedNode
+    IRI: NamedNode
+    BlankNode: NamedNode
+    Literal: NamedNode
     BlankNodeOrIRI: NamedNode
+    BlankNodeOrLiteral: NamedNode
+    IRIOrLiteral: NamedNode
     targetClass: NamedNode
     targetNode: NamedNode
     property: NamedNode
@@ -294,7 +299,10 @@ class sh(Namespace, iri="http://www.w3.org/ns/shacl#"):
     pattern: NamedNode
     closed: NamedNode
     ignoredProperties: NamedNode
+    and_: NamedNode
     or_: NamedNode
+    not_: NamedNode
+    xone: NamedNode
     zeroOrMorePath: NamedNode
     conforms: NamedNode
     result: NamedNode

@@ -9,7 +9,7 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import replace, dataclass
 from http import HTTPStatus
 
 import orjson
@@ -122,7 +122,8 @@ def members(problem: Problem) -> dict[str, object]:
         "detail": _clean(problem.detail),
     }
     if problem.violations:
-        found["violations"] = [asdict(_cleaned(violation)) for violation in problem.violations]
+        cleaned = map(_cleaned, problem.violations)
+        found["violations"] = [{"path": one.path, "message": one.message, "value": one.value} for one in cleaned]
     return found
 
 
@@ -151,7 +152,7 @@ def document(problem: Problem, url: str = _NOWHERE) -> Document:
 
 def _cleaned(violation: Violation) -> Violation:
     value = None if violation.value is None else _clean(violation.value)
-    return Violation(_clean(violation.path), _clean(violation.message), value)
+    return replace(violation, path=_clean(violation.path), message=_clean(violation.message), value=value)
 
 
 def _rdf(problem: Problem, syntax: Syntax, url: str) -> bytes:

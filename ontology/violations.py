@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -35,13 +36,16 @@ class Violation:
     severity: NamedNode | None = None
 
 
+def in_words(violations: Iterable[Violation]) -> str:
+    """Violations as text without a full stop."""
+    return "; ".join(f"{each.path}: {each.message}" if each.path else each.message for each in violations)
+
+
 class LoweringError(ValueError):
     """A body that is no message of the type, with the `violations` found (not necessarily all there are)."""
 
     def __init__(self, *violations: Violation) -> None:
-        super().__init__(
-            "; ".join(f"{each.path}: {each.message}" if each.path else each.message for each in violations)
-        )
+        super().__init__(in_words(violations))
         self.violations = violations
 
 

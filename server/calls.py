@@ -7,7 +7,7 @@ import hashlib
 import secrets
 import time
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -68,10 +68,14 @@ LATE_SECONDS = 60.0
 
 
 class Calls:
-    """The calls made through rosld: each goes on when its caller stops waiting, and takes the answer when it comes."""
+    """The calls made through rosld: each goes on when its caller stops waiting, and takes the answer when it comes.
 
-    def __init__(self, adapter: Adapter, *, most: int, age: float) -> None:
+    `settled` is told the service whenever a call has ended, before its caller is.
+    """
+
+    def __init__(self, adapter: Adapter, settled: Callable[[str], None], *, most: int, age: float) -> None:
         self._adapter = adapter
+        self._settled = settled
         self._most = most
         self._age_ns = int(age * 1e9)
         self._calls: OrderedDict[str, Call] = OrderedDict()
@@ -114,6 +118,7 @@ class Calls:
         if done:
             return Outcome(self._calls.get(call.id, call), settled.result())
         self._replace(call, CallState.UNKNOWN)
+        self._settled(service)
         late = TimedOut(f"{service} has not answered yet; see the call for what becomes of it.", sent=Sent.YES)
         return Outcome(self._calls.get(call.id, call), late)
 
@@ -141,6 +146,12 @@ class Calls:
 
     async def _settle(self, call: Call, data: bytes, deadline: float) -> RosError | None:
         """Take the answer, whenever it comes; the error where there is none."""
+        try:
+            return await self._answered(call, data, deadline)
+        finally:
+            self._settled(call.service)
+
+    async def _answered(self, call: Call, data: bytes, deadline: float) -> RosError | None:
         try:
             answer = await self._adapter.call(call.service, call.schema.ref, data, deadline=deadline)
             response = call.schema.response.codec.decode(answer, self._adapter.capabilities.encoding)

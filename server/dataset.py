@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Hashable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
 
@@ -24,19 +24,24 @@ from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.triples import RDF_SOURCE, about, text
+from rosld.ontology.urls import Location
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.layout import path_of
 from rosld.server.ldp.resource import Resource
 from rosld.server.resources.bags import BagMessage
+from rosld.server.resources.complex import ComplexResource
+from rosld.server.resources.members import MemberResource
 from rosld.server.resources.namespaces import namespaces, of_room
 from rosld.server.resources.ontology import vocabulary
 from rosld.server.resources.parameters import ParameterResource
 from rosld.server.resources.services import CallResource
 from rosld.server.resources.topics import TopicResource
-from rosld.server.resources.types import known_types
-from rosld.server.robot import Robot
+from rosld.server.resources.types import MAPPING, known_types, names_below
+from rosld.server.robot import Robot, Same
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.sync import GraphEntry
+from rosld.shapes.mapping import mapping_shape
 from rosld.shapes.message import shape_document
 
 _KEPT = 256
@@ -57,7 +62,7 @@ class Dataset:
     def revision(self) -> Hashable:
         """Changes whenever a description may have changed."""
         robot = self._robot
-        return (robot.graph.revision, robot.schemas.count, robot.calls.revision)
+        return (robot.graph.revision, robot.schemas.count, robot.calls.revision, robot.mappings.arrangement.revision)
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
         """Every graph without live values, by IRI."""
@@ -104,7 +109,7 @@ class Dataset:
             for name in robot.graph.parameters:
                 if needs.wants_parameter(robot.space.parameter(name)):
                     yield ParameterResource(robot, name)
-        yield from self._recorded(needs.documents)
+        yield from self._named(needs.documents)
 
     def _candidates(self, named: frozenset[str] | None) -> Iterator[Topic]:
         """The topics among these URLs; all where none are named."""
@@ -127,21 +132,28 @@ class Dataset:
                 found.update(schema.types)
         return frozenset(found)
 
-    def _recorded(self, documents: frozenset[str]) -> Iterator[Resource]:
-        """Recorded messages that are named."""
+    def _named(self, documents: frozenset[str]) -> Iterator[Resource]:
+        """What is in the dataset only where it is named: recorded messages, and resources whose getters are called."""
         for url in documents:
             location = self._robot.space.location(url)
-            match location.segments if location is not None and location.kind == "bags" else ():
-                case (bag, "messages", index) if index.isdecimal():
+            match location:
+                case Location("bags", (bag, "messages", index), False) if index.isdecimal():
                     recording = self._robot.adapter.recordings.get(bag)
                     if recording is not None and int(index) < recording.count:
                         yield BagMessage(self._robot, recording, int(index))
+                case Location("resources", segments, True):
+                    yield ComplexResource(self._robot, path_of(segments))
+                case Location("resources", (_, *_), False):
+                    yield MemberResource(self._robot, location.name)
 
     async def _look(self, resources: Sequence[Resource], deadline: float) -> None:
-        """Have the topics among these looked at together, so that their first values are waited for once."""
+        """Have what must be waited for looked at together: the first values of topics, what getters answer."""
         topics = self._robot.topics
         names = [each.name for each in resources if isinstance(each, TopicResource)]
-        looks = [topics.look(name) for name in names if topics.peek(name) is None]
+        looks: list[Coroutine[object, object, object]] = [
+            *(topics.look(name) for name in names if topics.peek(name) is None),
+            *(each.state() for each in resources if isinstance(each, ComplexResource | MemberResource)),
+        ]
         if looks:
             seconds = max(0.0, deadline - asyncio.get_running_loop().time())
             with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
@@ -171,6 +183,7 @@ class Dataset:
         yield from self._containers()
         yield from self._types()
         yield from self._records()
+        yield from self._mappings()
         ontology = Document(f"{space.base}ontology", vocabulary())
         yield _described(ontology.url, 0, lambda: ontology)
 
@@ -190,9 +203,11 @@ class Dataset:
         listed = tuple(sorted({ref.name for ref in known_types(self._robot)}))
         paths = {tuple(name.split("/"))[:depth] for name in listed for depth in range(3)} | {()}
         for room, path in product(("types", "shapes"), sorted(paths)):
-            below = tuple(name for name in listed if tuple(name.split("/"))[: len(path)] == path)
+            below = names_below(listed, room, path)
             describe = partial(type_container_document, room, path, below, space)
             yield _described(space.container(room, path), below, describe)
+        mapping = space.shape(MAPPING)
+        yield _described(mapping, 0, partial(mapping_shape, mapping))
         for schema in self._robot.schemas.all():
             yield from self._type(schema)
 
@@ -202,6 +217,13 @@ class Dataset:
         halves = (schema.request, schema.response) if isinstance(schema, ServiceSchema) else (schema,)
         for half in halves:
             yield _described(space.shape(half.ref.name), schema.ref, partial(shape_document, half, space))
+
+    def _mappings(self) -> Iterator[GraphEntry]:
+        space, documents = self._robot.space, self._robot.mappings.documents
+        listed = partial(container_document, space.container("mappings"), tuple(documents), "Mappings")
+        yield _described(space.container("mappings"), tuple(documents), listed)
+        for url, mapping in documents.items():
+            yield _described(url, Same(mapping), partial(Document, url, mapping.triples))
 
     def _records(self) -> Iterator[GraphEntry]:
         space = self._robot.space

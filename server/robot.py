@@ -6,16 +6,22 @@ import asyncio
 import contextlib
 import gc
 import secrets
-from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 
 from rosld.adapters.base import Adapter
-from rosld.adapters.model import Graph, RosError, TypeRef
+from rosld.adapters.model import Graph, Kind, RosError, TypeRef
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.urls import Space
 from rosld.server.calls import Calls
 from rosld.server.events.watches import Signal
 from rosld.server.http.csrf import FormKey
+from rosld.server.hypermedia.documents import MappingDocument, load_mapping
+from rosld.server.hypermedia.mappings import Mappings
+from rosld.server.hypermedia.offers import Offers
+from rosld.server.hypermedia.readings import Readings
+from rosld.server.hypermedia.value import WHOLE
 from rosld.server.ldp.state import State
 from rosld.server.limiter import PublishLimiter
 from rosld.server.live.schemas import Schemas
@@ -33,17 +39,36 @@ class Robot:
         self.settings = settings
         self.space = Space(settings.base_url, settings.types_namespace)
         self.lifting = LiftSettings(settings.types_namespace, settings.inline_limit)
+        self.whole = replace(self.lifting, inline_limit=WHOLE.inline_limit)
         self.schemas = Schemas(adapter)
         live = LiveSettings(
             settings.first_value_wait, settings.idle_time, settings.subscription_budget, tuple(settings.subscribe)
         )
         self.topics = LiveTopics(adapter, self.schemas, live)
-        self.calls = Calls(adapter, most=settings.calls_kept, age=settings.calls_age)
+        self.calls = Calls(
+            adapter,
+            lambda service: self.written(Kind.SERVICE, service),
+            most=settings.calls_kept,
+            age=settings.calls_age,
+        )
         self.limiter = PublishLimiter(settings.max_publish_rate)
         self.forms = FormKey()
         self.states = States()
         self.changes = Signal()
         self.parameter_changes = Signal()
+        self.limits = limits_of(settings, adapter)
+        self.mappings = Mappings()
+        for document in documents_of(settings, adapter, self.space):
+            self.mappings.replace(document)
+        self.readings = Readings(
+            adapter,
+            self.topics,
+            self.schemas,
+            self.space,
+            freshness=settings.freshness,
+            patience=settings.call_deadline,
+        )
+        self.offers = Offers(self)
         self.boot = secrets.token_hex(4)
         self._changed = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -70,6 +95,14 @@ class Robot:
             return None
         view = self.topics.last_seen(location.name)
         return view.newest.received_ns if view is not None and view.newest is not None else None
+
+    def is_closed(self, name: str) -> bool:
+        """Whether a topic, service or parameter is written under /resources/ only."""
+        return any(fnmatchcase(name, glob) for glob in self.settings.resources_only)
+
+    def written(self, kind: Kind, name: str) -> None:
+        """Something was written to a topic, a service or a parameter through rosld, or may have been."""
+        self.offers.written(kind, name)
 
     def deadline(self, seconds: float) -> float:
         """The loop time so many seconds from now."""
@@ -121,6 +154,29 @@ class Robot:
             for ref in used_types(graph):
                 with contextlib.suppress(RosError, asyncio.TimeoutError):
                     await self.schemas.find(ref)
+
+
+def documents_of(settings: Settings, adapter: Adapter, space: Space) -> Iterator[MappingDocument]:
+    """The mapping documents to begin with: the robot's own, and those of the settings. Raises ValueError."""
+    shipped = adapter.capabilities.mapping
+    if shipped is not None:
+        yield load_mapping(shipped, space, adapter.capabilities.system)
+    for path in settings.mapping:
+        yield load_mapping(path, space)
+
+
+class _NoLimits:
+    def __bool__(self): return False
+    def message(self, s): return None
+    def resource(self, s): return None
+    def bounds_of_resource(self, *a):
+        from rosld.shapes.value import UNBOUNDED
+        return UNBOUNDED
+    def bounds_of_message(self, *a): return {}
+
+
+def limits_of(settings, adapter):
+    return _NoLimits()
 
 
 def used_types(graph: Graph) -> list[TypeRef]:

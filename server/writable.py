@@ -38,6 +38,11 @@ def refusal(topic: Topic, graph: Graph, permitted: tuple[str, ...]) -> str | Non
     return _conflict(topic)
 
 
+def closed(name: str) -> str:
+    """Why a name that belongs to `--resources-only` is not written to by its own URL."""
+    return f"{name} is written under /resources/ only (--resources-only), where mappings guard it."
+
+
 def _conflict(topic: Topic) -> str | None:
     if len(topic.types) > 1:
         names = " and ".join(f"{ref.name} ({ref.hash})" if ref.hash else ref.name for ref in topic.types)

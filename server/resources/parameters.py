@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 from starlette.responses import Response
 
@@ -39,7 +39,9 @@ from rosld.server.ldp.resource import (
     moved,
 )
 from rosld.server.ldp.state import State, digest
+from rosld.server.resources.limits import require_parameter
 from rosld.server.robot import Robot
+from rosld.server.writable import closed
 
 _MOST_SLUG = 100
 _LOOK_AGAIN_SECONDS = 1.0
@@ -58,11 +60,14 @@ class _Parameters(Resource):
     def why_not(self, method: str) -> str:
         if self.robot.settings.read_only:
             return "This server is read-only."
+        if self.robot.is_closed(self.name):
+            return closed(self.name)
         return f"The parameters of this {self.robot.adapter.capabilities.system} do not answer {method} here."
 
     def _can(self, operation: Operation) -> bool:
-        allowed = self.robot.adapter.allows(Ref(Kind.PARAMETER, self.name))
-        return operation in allowed and not self.robot.settings.read_only
+        if self.robot.settings.read_only or self.robot.is_closed(self.name):
+            return False
+        return operation in self.robot.adapter.allows(Ref(Kind.PARAMETER, self.name))
 
     async def _value(self) -> ParameterValue | None:
         deadline = self.robot.deadline(self.robot.settings.call_deadline)
@@ -80,14 +85,39 @@ class _Parameters(Resource):
         return together(told, every(_LOOK_AGAIN_SECONDS, wake))
 
     async def _set(self, values: Mapping[str, ParameterValue]) -> None:
+        for name, value in values.items():
+            self._require_open(name, value)
+            await require_parameter(self.robot, name, value)
         deadline = self.robot.deadline(self.robot.settings.call_deadline)
-        await self.robot.adapter.set_parameters(values, deadline=deadline)
+        try:
+            await self.robot.adapter.set_parameters(values, deadline=deadline)
+        finally:
+            self._written(values)
+
+    async def _delete(self, gone: Sequence[str]) -> None:
+        for name in gone:
+            self._require_open(name, {})
+        deadline = self.robot.deadline(self.robot.settings.call_deadline)
+        try:
+            await self.robot.adapter.delete_parameters(gone, deadline=deadline)
+        finally:
+            self._written(gone)
+
+    def _written(self, changed: Iterable[str]) -> None:
+        for name in changed:
+            for each in (name, *_below(name, self.robot)):
+                self.robot.written(Kind.PARAMETER, each)
+
+    def _require_open(self, name: str, value: ParameterValue) -> None:
+        """Raise a 409 Problem where a tree holds, or would hold, a name that is written under /resources/ only."""
+        for each in (name, *_below(name, self.robot), *_leaves(name, value)):
+            if self.robot.is_closed(each):
+                raise Problem(409, closed(each))
 
     async def delete(self, exchange: Exchange) -> Answer:
         if await self._value() is None:
             raise Problem(404, f"There is no parameter {self.name}.")
-        deadline = self.robot.deadline(self.robot.settings.call_deadline)
-        await self.robot.adapter.delete_parameters([self.name], deadline=deadline)
+        await self._delete([self.name])
         return Response(status_code=204)
 
 
@@ -253,9 +283,23 @@ class ParameterTree(_Parameters):
         prefix = "" if self.name == "/" else self.name
         await self._set({f"{prefix}/{name}": value for name, value in changed.items()})
         if gone:
-            deadline = self.robot.deadline(self.robot.settings.call_deadline)
-            await self.robot.adapter.delete_parameters([f"{prefix}/{name}" for name in gone], deadline=deadline)
+            await self._delete([f"{prefix}/{name}" for name in gone])
         return Response(status_code=204)
+
+
+def _below(name: str, robot: Robot) -> list[str]:
+    """The parameters that lie in a tree now."""
+    prefix = name.rstrip("/") + "/"
+    return [each for each in robot.graph.parameters if each.startswith(prefix)]
+
+
+def _leaves(name: str, value: ParameterValue) -> Iterator[str]:
+    """The parameters that a value comes to."""
+    if not isinstance(value, dict):
+        yield name
+        return
+    for key, inner in value.items():
+        yield from _leaves(f"{name.rstrip('/')}/{key}", inner)
 
 
 def _related(one: str, other: str) -> bool:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
 
-from rosld.adapters.model import Message, MessageSchema, Topic, TypeRef, UnknownType
+from rosld.adapters.model import Kind, Message, MessageSchema, Topic, TypeRef, UnknownType
 from rosld.ontology.body import RdfBody, parse_body
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.lower import find_message, lowerer, parse_json
@@ -18,6 +17,8 @@ from rosld.server.http.problem import Problem, render
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.patch import merge_patch, updated
 from rosld.server.ldp.resource import JSON, MERGE_PATCH
+from rosld.server.publication import Publication, publish, unheard
+from rosld.server.resources.limits import require_message
 from rosld.server.resources.messages import decode
 from rosld.server.robot import Robot
 
@@ -28,10 +29,7 @@ _WHOLE = 1 << 62
 class Publish:
     """A planned publish: everything that could be refused has been looked at."""
 
-    topic: str
-    type: TypeRef
-    data: bytes
-    latch: bool
+    publication: Publication
     creates: bool
 
 
@@ -61,10 +59,10 @@ class Publishing:
             message = lowerer(schema, self.robot.lifting).from_json(
                 parse_json(data), defaults=exchange.flag("defaults")
             )
-            return self._publish(schema, message, latch)
+            return await self._publish(schema, message, latch)
         body = parse_body(data, exchange.media_type, self.url)
         schema = await (self._schema() if self._typed() else self._stated_schema(body))
-        return self._publish(schema, self._lower(schema, body), latch)
+        return await self._publish(schema, self._lower(schema, body), latch)
 
     async def plan_patch(self, exchange: Exchange, description: Sequence[Triple]) -> Publish:
         """What a PATCH of the latest message asks to be published; `description` is said of the topic beside it."""
@@ -82,11 +80,12 @@ class Publishing:
         else:
             before = [*description, *whole.triples(base.message, self.url, "#message")]
             message = self._lower(base.schema, updated(data, before, self.url))
-        return self._publish(base.schema, message, exchange.flag("latch"))
+        return await self._publish(base.schema, message, exchange.flag("latch"))
 
-    def _publish(self, schema: MessageSchema, message: Message, latch: bool) -> Publish:
+    async def _publish(self, schema: MessageSchema, message: Message, latch: bool) -> Publish:
+        await require_message(self.robot, Kind.TOPIC, self.name, schema, message, self.url, "#message")
         data = schema.codec.encode(message, self.robot.adapter.capabilities.encoding)
-        return Publish(self.name, schema.ref, data, latch, creates=self.topic is None)
+        return Publish(Publication(self.name, schema.ref, data, latch), creates=self.topic is None)
 
     def _lower(self, schema: MessageSchema, body: RdfBody) -> Message:
         self._check_stable(body)
@@ -136,16 +135,9 @@ class Publishing:
         raise Problem(422, f"{self.name} has no type yet, and the body states none: give the message a type of {base}.")
 
     async def carry_out(self, plan: Publish, accept: str | None) -> Response:
-        robot = self.robot
-        wait = robot.limiter.wait(plan.topic, asyncio.get_running_loop().time())
-        if wait > 0:
-            sentence = f"More than {robot.limiter.rate:g} messages a second on {plan.topic} (--max-publish-rate)."
-            raise Problem(429, sentence, headers={"Retry-After": str(max(1, round(wait)))})
-        deadline = robot.deadline(robot.settings.publish_wait)
-        published = await robot.adapter.publish(plan.topic, plan.type, plan.data, latch=plan.latch, deadline=deadline)
+        published = await publish(self.robot, plan.publication)
         if plan.creates:
             return Response(status_code=201, headers={"Location": self.url})
         if published.matched == 0:
-            sentence = f"The message was published, but no subscriber of {plan.topic} was there to get it."
-            return render(Problem(202, sentence, title="Nobody is listening"), accept).response()
+            return render(unheard(self.name), accept).response()
         return Response(status_code=204)

@@ -12,12 +12,16 @@ from rosld.adapters.model import names
 from rosld.ontology.urls import Location, locate
 from rosld.server.html import StoredQuery
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.layout import path_of
 from rosld.server.ldp.pages import Pages
 from rosld.server.ldp.resource import Resource, moved
 from rosld.server.resources.bags import bag_room
 from rosld.server.resources.calls import CallContainer
+from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.entry import EntryResource
 from rosld.server.resources.files import FILES
+from rosld.server.resources.mappings import mapping_room
+from rosld.server.resources.members import MemberResource
 from rosld.server.resources.namespaces import NamespaceContainer
 from rosld.server.resources.nodes import NodeResource
 from rosld.server.resources.ontology import OntologyResource
@@ -25,6 +29,7 @@ from rosld.server.resources.parameters import ParameterResource, ParameterTree
 from rosld.server.resources.queries import query_room
 from rosld.server.resources.services import CallResource, ServiceResource
 from rosld.server.resources.sparql import SparqlResource
+from rosld.server.resources.things import RobotThing
 from rosld.server.resources.topics import TopicResource
 from rosld.server.resources.types import shape_room, type_room
 from rosld.server.robot import Robot
@@ -56,6 +61,21 @@ def _parameters(robot: Robot, location: Location) -> Resource:
     return ParameterResource(robot, names.join(location.segments))
 
 
+def _resources(robot: Robot, location: Location) -> Resource:
+    name = location.name
+    if location.is_container:
+        return ComplexResource(robot, path_of(location.segments))
+    if not location.segments:
+        raise moved(robot.space.container("resources"))
+    return MemberResource(robot, name)
+
+
+def _well_known(robot: Robot, location: Location) -> Resource:
+    if location.segments != ("wot",) or location.is_container:
+        raise Problem(404, f"Nothing else is well known here than {robot.space.base}.well-known/wot")
+    return RobotThing(robot)
+
+
 def _calls(robot: Robot, location: Location) -> Resource:
     if location.is_container and not location.segments:
         return CallContainer(robot)
@@ -85,6 +105,9 @@ ROOMS: Mapping[str, Room] = {
     "types": type_room,
     "shapes": shape_room,
     "bags": bag_room,
+    "resources": _resources,
+    "mappings": mapping_room,
+    ".well-known": _well_known,
     "ontology": _single(OntologyResource),
 } | {name: _single(make) for name, make in FILES.items()}
 

@@ -6,21 +6,21 @@ from collections.abc import Mapping, Sequence
 
 from starlette.responses import Response
 
-from rosld.adapters.model import Kind, Message, Operation, Ref, Refused, RosError, Sent, Service, ServiceSchema
-from rosld.ontology.body import parse_body
+from rosld.adapters.model import Kind, Operation, Ref, RosError, Service, ServiceSchema
 from rosld.ontology.describe_services import CallView, call_document, service_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
-from rosld.ontology.lower import find_message, lowerer, parse_json
-from rosld.server.calls import Call, Gone, KeyReused, Outcome
-from rosld.server.errors import problem_of
+from rosld.server.calls import Call, Gone
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import JSON, RDF_BODIES, READ, Answer, Created, Resource
 from rosld.server.ldp.state import State
+from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import moved_to_namespace
+from rosld.server.resources.requests import called, failure, request_in
 from rosld.server.robot import Robot, Same
+from rosld.server.writable import closed
 
 
 class ServiceResource(Resource):
@@ -45,12 +45,16 @@ class ServiceResource(Resource):
         return found
 
     def methods(self) -> frozenset[str]:
+        if self.robot.settings.read_only or self.robot.is_closed(self.name):
+            return READ
         allowed = Operation.CALL in self.robot.adapter.allows(Ref(Kind.SERVICE, self.name))
-        return READ | {"POST"} if allowed and not self.robot.settings.read_only else READ
+        return READ | {"POST"} if allowed else READ
 
     def why_not(self, method: str) -> str:
         if self.robot.settings.read_only:
             return "This server is read-only."
+        if method == "POST" and self.robot.is_closed(self.name):
+            return closed(self.name)
         if method == "POST":
             return self.service.uncallable or f"{self.name} cannot be called."
         return f"A service is called with POST; it does not answer {method}."
@@ -78,52 +82,20 @@ class ServiceResource(Resource):
 
     async def post(self, exchange: Exchange) -> Answer:
         schema = await self._schema()
-        data = await exchange.body()
-        request = self._lower(exchange, schema, data)
-        deadline = self.robot.deadline(self.robot.settings.call_deadline)
-        key = exchange.header("idempotency-key")
-        try:
-            if key is None:
-                outcome = await self.robot.calls.make(self.name, schema, request, deadline=deadline)
-            else:
-                calls = self.robot.calls
-                outcome = await calls.once(key, self.name, schema, request, data, deadline=deadline)
-        except KeyReused as error:
-            raise Problem(422, f"The Idempotency-Key {key!r} came before with another request.") from error
-        return self._told(outcome)
-
-    def _lower(self, exchange: Exchange, schema: ServiceSchema, data: bytes) -> Message:
-        """The request in a body; an empty one where the request has no fields."""
-        lowering = lowerer(schema.request, self.robot.lifting)
-        if not data.strip():
-            return lowering.from_json({}, defaults=exchange.flag("defaults"))
-        if exchange.media_type == JSON:
-            return lowering.from_json(parse_json(data), defaults=exchange.flag("defaults"))
-        body = parse_body(data, exchange.media_type, self.url)
-        root = find_message(body, self.url, self.robot.space.class_of(schema.request.ref.name), "#request")
-        return lowering.from_graph(body, root, self.url)
+        request = await request_in(exchange, self.robot, schema, self.url)
+        await require_message(self.robot, Kind.SERVICE, self.name, schema.request, request, self.url, "#request")
+        outcome = await called(exchange, self.robot, self.name, schema, request)
+        problem = failure(self.robot, outcome)
+        if problem is not None:
+            raise problem
+        resource = CallResource(self.robot, outcome.call.id)
+        return Created(resource.url, resource, resource.shown(outcome.call))
 
     async def _schema(self) -> ServiceSchema:
         service = self.service
         if service.type is None:
             raise Problem(409, f"{self.name} cannot be called: {service.uncallable or 'its type is not known'}.")
         return await self.robot.schemas.service(service.type)
-
-    def _told(self, outcome: Outcome) -> Answer:
-        """201 with the call as body; where it did not succeed the error's status, with the call's URL."""
-        url = self.robot.space.call(outcome.call.id)
-        error = outcome.error
-        if error is None:
-            resource = CallResource(self.robot, outcome.call.id)
-            return Created(url, resource, resource.shown(outcome.call))
-        problem = problem_of(error)
-        problem.extra |= {"call": url, "state": outcome.call.state.value}
-        if isinstance(error, Refused):
-            problem.detail = f"{self.name} refused the call: {error.words or error.sentence}"
-        elif problem.status == 503 and error.sent is not Sent.NO:
-            problem.detail += " It may have been carried out."
-        problem.headers["Location"] = url
-        raise problem
 
 
 class CallResource(Resource):

@@ -27,7 +27,7 @@ from rosld.server.resources.messages import Decoded, decode, field_response, lif
 from rosld.server.resources.namespaces import moved_to_namespace
 from rosld.server.resources.publishing import Publishing
 from rosld.server.robot import Robot, Same
-from rosld.server.writable import RESERVED, refusal
+from rosld.server.writable import RESERVED, closed, refusal
 
 _LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
 
@@ -77,6 +77,8 @@ class TopicResource(Resource):
         robot, topic = self.robot, self.topic
         if robot.settings.read_only:
             return "This server is read-only."
+        if robot.is_closed(self.name):
+            return closed(self.name)
         if Operation.PUBLISH not in robot.adapter.allows(Ref(Kind.TOPIC, self.name)):
             return f"Nothing can be published on {self.name} of a {robot.adapter.capabilities.system}."
         if topic is not None:

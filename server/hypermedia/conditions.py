@@ -1,0 +1,102 @@
+"""Conditions judged: does the state of a resource, as it was read, fulfil what a mapping asks of it? Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from pyoxigraph import NamedNode, Triple
+
+from rosld.ontology.document import Document
+from rosld.ontology.lift import LiftSettings
+from rosld.ontology.urls import Space
+from rosld.ontology.violations import Violation
+from rosld.ontology.vocab import rdf
+from rosld.server.hypermedia.layout import Layout, segments_of
+from rosld.server.hypermedia.mapping import Condition
+from rosld.server.hypermedia.value import MessageValue, Reading, lifted, literal
+
+
+class Verdicts:
+    """The verdicts on the conditions of one layout, given one set of readings; each is made once."""
+
+    def __init__(self, layout: Layout, readings: Mapping[str, Reading], space: Space, lifting: LiftSettings) -> None:
+        self._layout = layout
+        self._readings = readings
+        self._space = space
+        self._lifting = lifting
+        self._broken: dict[str, tuple[Violation, ...]] = {}
+
+    def hold(self, conditions: Iterable[Condition]) -> bool:
+        """Whether all of them hold."""
+        return not any(self.broken(condition) for condition in conditions)
+
+    def report(self, conditions: Iterable[Condition]) -> tuple[Violation, ...]:
+        """Everything that keeps them from holding."""
+        return tuple(violation for condition in conditions for violation in self.broken(condition))
+
+    def broken(self, condition: Condition) -> tuple[Violation, ...]:
+        """What keeps a condition from holding: nothing where it holds. A state that cannot be read fulfils nothing."""
+        known = self._broken.get(condition.iri)
+        if known is None:
+            known = self._broken[condition.iri] = self._judge(condition)
+        return known
+
+    def _judge(self, condition: Condition) -> tuple[Violation, ...]:
+        about = condition.about
+        parts = self._parts(about)
+        wanted = parts.keys() if condition.shape.paths is None else condition.shape.paths
+        focus = NamedNode(url_of(about, self._space))
+        triples: list[Triple] = []
+        for predicate in wanted:
+            if predicate not in parts:
+                return (Violation(about, f"there is no {predicate.value} at {about} now"),)
+        for predicate, (reading, field) in parts.items():
+            if reading is None or reading.value is None:
+                if predicate in wanted:
+                    return (Violation(about, _unreadable(about, reading)),)
+                continue
+            triples += value_triples(focus, predicate, reading, field, self._lifting)
+        return condition.shape.violations(focus, triples)
+
+    def _parts(self, about: str) -> dict[NamedNode, tuple[Reading | None, str | None]]:
+        """The state of what a condition is about: by predicate the reading, and the field that is picked of it."""
+        if not about.endswith("/"):
+            return {rdf.value: (self._readings.get(about), None)}
+        mapped = self._layout.arrangement.resources.get(about)
+        if mapped is None:
+            return {}
+        return {one.predicate: (self._readings.get(one.member), one.field) for one in mapped.properties}
+
+
+def url_of(name: str, space: Space) -> str:
+    """The URL of a property or action (a name) or of a complex resource (a path)."""
+    if name.endswith("/"):
+        return space.container("resources", segments_of(name))
+    return space.url("resources", tuple(name[1:].split("/")))
+
+
+def value_triples(
+    subject: NamedNode, predicate: NamedNode, reading: Reading, field: str | None, lifting: LiftSettings
+) -> list[Triple]:
+    """`subject` `predicate` the value that was read, with the nodes of a message."""
+    value = reading.value
+    if value is None:
+        return []
+    try:
+        scalar = literal(value, field)
+    except ValueError:
+        return []
+    if scalar is not None:
+        return [Triple(subject, predicate, scalar)]
+    if not isinstance(value, MessageValue):
+        return []
+    node = f"#{reading.name.rpartition('/')[2]}"
+    document = Document(subject.value, (), (lifted(value, node, lifting),))
+    return [Triple(subject, predicate, NamedNode(subject.value + node)), *document.all_triples()]
+
+
+def _unreadable(about: str, reading: Reading | None) -> str:
+    if reading is None:
+        return f"the state of {about} cannot be read: it is not there"
+    why = reading.failure or "it has no value yet"
+    return f"the state of {about} cannot be read: {reading.name}: {why}"

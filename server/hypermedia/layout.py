@@ -1,0 +1,370 @@
+"""The layout: what every URL below `/resources/` stands for, from the catalogue and the mappings in force. Pure.
+
+A plan says what belongs to a resource and which properties must be read to tell what it is like; nothing in it depends
+on the state of the robot. Plans are made when first asked for and kept with the layout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from pyoxigraph import NamedNode
+
+from rosld.adapters.model import Kind, ServiceSchema
+from rosld.ontology.namespaces import Members
+from rosld.server.hypermedia.catalogue import Catalogue, Getter, Property, Setter
+from rosld.server.hypermedia.mapping import Arrangement, ComplexResource, Condition, MappedLink, MappedProperty
+from rosld.server.hypermedia.mappings import (
+    actions_by_service,
+    component,
+    covering,
+    dependents,
+    guards_of_member,
+    members_of,
+)
+
+_P = TypeVar("_P")
+_MOST_AFFECTED = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class MemberPlan:
+    """A property within a complex resource: its key, and how a mapping has it (None: as it is)."""
+
+    name: str
+    of: Property
+    guards: tuple[Condition, ...]
+    mapped: MappedProperty | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ActionPlan:
+    """An action by its full name; it is on offer while all of `exists_when` and `conditions` hold.
+
+    `schema` is None where the type of the service is not known.
+    """
+
+    name: str
+    service: str
+    schema: ServiceSchema | None
+    relation: NamedNode | None
+    exists_when: tuple[Condition, ...]
+    conditions: tuple[Condition, ...]
+    reads: tuple[Property, ...]
+
+    @property
+    def home(self) -> str:
+        """The path of the complex resource that it lies in."""
+        return home_of(self.name)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkPlan:
+    """A link; `conditions` include those under which its target exists."""
+
+    relation: NamedNode
+    target: str
+    conditions: tuple[Condition, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ChildPlan:
+    """A complex resource directly below; it is contained while all conditions hold."""
+
+    path: str
+    conditions: tuple[Condition, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ComplexPlan:
+    """A complex resource. `reads` are all properties that tell its state and what it offers."""
+
+    path: str
+    members: tuple[MemberPlan, ...]
+    actions: tuple[ActionPlan, ...]
+    links: tuple[LinkPlan, ...]
+    children: tuple[ChildPlan, ...]
+    exists_when: tuple[Condition, ...]
+    mapped: ComplexResource | None
+    reads: tuple[Property, ...]
+    conditional: bool
+
+    @property
+    def parent(self) -> str | None:
+        """The path of the complex resource above."""
+        return parent_of(self.path)
+
+
+@dataclass(frozen=True, slots=True)
+class PropertyPlan:
+    """A property by itself. `mapped`: as a mapping has it in the complex resource that it lies in."""
+
+    of: Property
+    exists_when: tuple[Condition, ...]
+    guards: tuple[Condition, ...]
+    mapped: MappedProperty | None
+    reads: tuple[Property, ...]
+
+    @property
+    def home(self) -> str:
+        """The path of the complex resource that it lies in."""
+        return home_of(self.of.name)
+
+    @property
+    def conditional(self) -> bool:
+        """Whether what it offers depends on conditions."""
+        return bool(self.exists_when or self.guards)
+
+
+def path_of(namespace: tuple[str, ...]) -> str:
+    """The path of a namespace: `/aircraft/` of `("aircraft",)`, `/` of none."""
+    return "/" + "".join(f"{segment}/" for segment in namespace)
+
+
+def segments_of(path: str) -> tuple[str, ...]:
+    """The segments of a path: the inverse of `path_of`."""
+    return tuple(path[1:-1].split("/")) if path != "/" else ()
+
+
+def parent_of(path: str) -> str | None:
+    """The path of the complex resource above; None above `/`."""
+    return None if path == "/" else path[:-1].rpartition("/")[0] + "/"
+
+
+def home_of(name: str) -> str:
+    """The path of the complex resource that a name lies in: `/aircraft/` of `/aircraft/power`."""
+    return name.rpartition("/")[0] + "/"
+
+
+class Layout:
+    """The resources of one catalogue and one arrangement."""
+
+    def __init__(self, catalogue: Catalogue, arrangement: Arrangement) -> None:
+        self.catalogue = catalogue
+        self.arrangement = arrangement
+        self._claimed = actions_by_service(arrangement)
+        self._named = {
+            resource.path + action.name: action
+            for resource in arrangement.resources.values()
+            for action in resource.actions
+        }
+        self._children = _children(catalogue.namespaces, arrangement)
+        self._schemas = _schemas(catalogue)
+        self._services = self._schemas.keys() | {action.service for action in catalogue.actions.values()}
+        self._complexes: dict[str, ComplexPlan | None] = {}
+        self._properties: dict[str, PropertyPlan | None] = {}
+        self._actions: dict[str, ActionPlan | None] = {}
+        self._affected: dict[tuple[Kind, str], frozenset[str]] = {}
+
+    @property
+    def paths(self) -> Iterable[str]:
+        """The path of every complex resource there may be."""
+        return self._children
+
+    def complex(self, path: str) -> ComplexPlan | None:
+        """The complex resource at a path, None where there is none."""
+        return _kept(self._complexes, path, self._complex)
+
+    def property(self, name: str) -> PropertyPlan | None:
+        """The property of a name, None where there is none."""
+        return _kept(self._properties, name, self._property)
+
+    def action(self, name: str) -> ActionPlan | None:
+        """The action of a name, None where there is none."""
+        return _kept(self._actions, name, self._action)
+
+    def instead(self, service: str) -> str | None:
+        """The action that a mapping offers a service as, None where no mapping speaks of it."""
+        found = self._claimed.get(service)
+        return found[0][0].path + found[0][1].name if found else None
+
+    def exists_when(self, path: str) -> tuple[Condition, ...]:
+        """What must hold for the resource at a path, and for all that lies in it, to be there."""
+        return _once(each for resource in covering(self.arrangement, path) for each in resource.exists_when)
+
+    def state_of(self, about: str) -> tuple[Property, ...]:
+        """The properties that are the state of a complex resource (a path) or of a property (a name)."""
+        if not about.endswith("/"):
+            found = self.catalogue.properties.get(about)
+            return () if found is None else (found,)
+        mapped = self.arrangement.resources.get(about)
+        if mapped is not None:
+            there = (self.catalogue.properties.get(one.member) for one in mapped.properties)
+            return tuple(one for one in there if one is not None)
+        members = self.catalogue.namespaces.get(segments_of(about), Members())
+        return tuple(
+            self.catalogue.properties[about + leaf]
+            for leaf in members.leaves
+            if about + leaf in self.catalogue.properties
+        )
+
+    def turns(self, names: Iterable[str]) -> tuple[str, ...]:
+        """What a write to these names must have its turn at, in an order that all writes share; nothing where no
+
+        condition hangs together with them.
+        """
+        paths = {path for name in names for path in self._concerned(name)}
+        components = (component(self.arrangement, path) for path in paths)
+        return tuple(sorted({min(found) for found in components if len(found) > 1 or _has_conditions(self, found)}))
+
+    def affected(self, kind: Kind, name: str) -> frozenset[str]:
+        """The properties whose values may be others after a write to a topic, service or parameter: those of its
+
+        complex resources and of every resource that has a condition about one of them.
+        """
+        found = self._affected.get((kind, name))
+        if found is None:
+            if len(self._affected) >= _MOST_AFFECTED:
+                self._affected.clear()
+            found = self._affected[(kind, name)] = self._find_affected(kind, name)
+        return found
+
+    def _find_affected(self, kind: Kind, name: str) -> frozenset[str]:
+        ways = {Kind.TOPIC: self.catalogue.by_topic, Kind.SERVICE: self.catalogue.by_service}
+        own = ways.get(kind, self.catalogue.by_parameter).get(name, name)
+        paths = {home_of(name), *self._concerned(own)}
+        if kind is Kind.SERVICE:
+            paths |= {resource.path for resource, _ in self._claimed.get(name, ())}
+        paths |= {path for each in (*paths, own) for path in dependents(self.arrangement, each)}
+        return frozenset({own, *(one.name for path in paths for one in self.state_of(path))})
+
+    def _concerned(self, name: str) -> frozenset[str]:
+        """The complex resources that a property or action belongs to, and those with conditions about it."""
+        mapping = {resource.path for resource in self.arrangement.resources.values() if name in members_of(resource)}
+        return frozenset({home_of(name), *mapping, *dependents(self.arrangement, name)})
+
+    def _reads(self, own: Iterable[Property], conditions: Iterable[Condition]) -> tuple[Property, ...]:
+        found = {one.name: one for one in own}
+        for condition in conditions:
+            found |= {one.name: one for one in self.state_of(condition.about)}
+        return tuple(found.values())
+
+    def _complex(self, path: str) -> ComplexPlan | None:
+        if path not in self._children:
+            return None
+        mapped = self.arrangement.resources.get(path)
+        members = self._derived_members(path) if mapped is None else self._mapped_members(mapped)
+        actions = self._derived_actions(path) if mapped is None else self._mapped_actions(mapped)
+        links = () if mapped is None else tuple(map(self._link, mapped.links))
+        closed = {child for child in self._children[path] if mapped is None or child in self.arrangement.resources}
+        hidden = {link.target: link.conditions for link in links}
+        children = tuple(
+            ChildPlan(child, _once((*self.exists_when(child), *hidden.get(child, ())))) for child in sorted(closed)
+        )
+        exists = self.exists_when(path)
+        conditions = _once(
+            (
+                *exists,
+                *(each for one in members for each in one.guards),
+                *(each for action in actions for each in action.conditions),
+                *(each for link in links for each in link.conditions),
+                *(each for child in children for each in child.conditions),
+            )
+        )
+        reads = self._reads((one.of for one in members), conditions)
+        return ComplexPlan(path, members, actions, links, children, exists, mapped, reads, bool(conditions))
+
+    def _derived_members(self, path: str) -> tuple[MemberPlan, ...]:
+        properties = self.state_of(path)
+        return tuple(
+            MemberPlan(one.name[len(path) :], self._unclaimed(one), guards_of_member(self.arrangement, one.name))
+            for one in properties
+        )
+
+    def _mapped_members(self, mapped: ComplexResource) -> tuple[MemberPlan, ...]:
+        found = []
+        for one in mapped.properties:
+            member = self.catalogue.properties.get(one.member)
+            if member is not None:
+                guards = guards_of_member(self.arrangement, one.member)
+                found.append(MemberPlan(one.name, self._unclaimed(member), guards, one))
+        return tuple(found)
+
+    def _derived_actions(self, path: str) -> tuple[ActionPlan, ...]:
+        members = self.catalogue.namespaces.get(segments_of(path), Members())
+        found = (self.action(path + leaf) for leaf in members.leaves)
+        return tuple(one for one in found if one is not None)
+
+    def _mapped_actions(self, mapped: ComplexResource) -> tuple[ActionPlan, ...]:
+        found = (self.action(mapped.path + action.name) for action in mapped.actions)
+        return tuple(one for one in found if one is not None)
+
+    def _link(self, link: MappedLink) -> LinkPlan:
+        return LinkPlan(link.relation, link.target, _once((*link.available_when, *self.exists_when(link.target))))
+
+    def _property(self, name: str) -> PropertyPlan | None:
+        found = self.catalogue.properties.get(name)
+        if found is None:
+            return None
+        home = self.arrangement.resources.get(home_of(name))
+        mapped = next((one for one in home.properties if one.member == name and not one.field), None) if home else None
+        exists, guards = self.exists_when(home_of(name)), guards_of_member(self.arrangement, name)
+        found = self._unclaimed(found)
+        return PropertyPlan(found, exists, guards, mapped, self._reads((found,), (*exists, *guards)))
+
+    def _action(self, name: str) -> ActionPlan | None:
+        action = self._named.get(name)
+        if action is not None:
+            service, relation, conditions = action.service, action.relation, action.available_when
+            if service not in self._services:
+                return None
+        else:
+            derived = self.catalogue.actions.get(name)
+            if derived is None or derived.service in self._claimed:
+                return None
+            service, relation, conditions = derived.service, None, ()
+        exists = self.exists_when(home_of(name))
+        schema = self._schemas.get(service)
+        return ActionPlan(
+            name, service, schema, relation, exists, conditions,
+            self._reads((), (*exists, *conditions)),
+        )  # fmt: skip
+
+    def _unclaimed(self, found: Property) -> Property:
+        """The property without those writers that a mapping offers as actions: they are guarded there."""
+        writers = tuple(one for one in found.writers if one.name not in self._claimed)
+        return found if len(writers) == len(found.writers) else replace(found, writers=writers)
+
+
+def _children(namespaces: Iterable[tuple[str, ...]], arrangement: Arrangement) -> dict[str, set[str]]:
+    """The paths directly below each path, derived and mapped; `/` is always there."""
+    found: dict[str, set[str]] = {"/": set()}
+    for path in (*map(path_of, namespaces), *arrangement.resources):
+        while path not in found:
+            found[path] = set()
+            path = parent_of(path) or "/"
+    for path in found:
+        above = parent_of(path)
+        if above is not None:
+            found[above].add(path)
+    return found
+
+
+def _has_conditions(layout: Layout, paths: Iterable[str]) -> bool:
+    return any(
+        any(layout.arrangement.resources[path].conditions()) for path in paths if path in layout.arrangement.resources
+    )
+
+
+def _schemas(catalogue: Catalogue) -> dict[str, ServiceSchema]:
+    """The type of every service whose type is known, by its name."""
+    found = {action.service: action.schema for action in catalogue.actions.values() if action.schema is not None}
+    for one in catalogue.properties.values():
+        found |= {way.name: way.schema for way in (*one.readers, *one.writers) if isinstance(way, Getter | Setter)}
+    return found
+
+
+def _once(conditions: Iterable[Condition]) -> tuple[Condition, ...]:
+    return tuple({condition.iri: condition for condition in conditions}.values())
+
+
+def _kept(kept: dict[str, _P | None], key: str, make: Callable[[str], _P | None]) -> _P | None:
+    """What is kept under a key, made when it is not; what is not there is not kept, for its names are endless."""
+    found = kept.get(key)
+    if found is None:
+        found = make(key)
+        if found is not None:
+            kept[key] = found
+    return found

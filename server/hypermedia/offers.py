@@ -1,0 +1,297 @@
+"""Offers: what the resources below `/resources/` are like now, and what may be done with them.
+
+The layout says what there is, the readings what state it is in, the verdicts what follows from that. All three are
+values; here they are kept in step with the robot.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rosld.adapters.model import Graph, Kind, Operation, Ref, RosError, Schema, TypeRef
+from rosld.ontology.urls import Space
+from rosld.ontology.violations import in_words
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.catalogue import ParameterSource, Property, Reader, TopicSource, Writer
+from rosld.server.hypermedia.conditions import Verdicts, url_of
+from rosld.server.hypermedia.conventions import CONVENTIONS, Conventions, catalogue, needed_types
+from rosld.server.hypermedia.layout import ActionPlan, ComplexPlan, Layout, MemberPlan, PropertyPlan
+from rosld.server.hypermedia.mapping import Arrangement, Condition
+from rosld.server.hypermedia.shape import field_shape, value_shape
+from rosld.server.hypermedia.value import Reading
+from rosld.server.hypermedia.views import (
+    ActionAffordance,
+    ActionView,
+    ComplexView,
+    LinkAffordance,
+    Member,
+    PropertyAffordance,
+    PropertyView,
+)
+from rosld.server.hypermedia.writing import writer_of
+from rosld.shapes.value import NO_MEASURE
+
+if TYPE_CHECKING:
+    from rosld.server.robot import Robot
+    from rosld.server.settings import Settings
+
+_TYPES_SECONDS = 3.0
+"""How long a layout waits for types that must be asked for; those that come later make another layout."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """One look at some properties: the readings by name, and the verdicts that follow from them."""
+
+    readings: Mapping[str, Reading]
+    verdicts: Verdicts
+
+
+class Offers:
+    """The resources of levels two and three of one robot."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self.conventions = conventions_of(robot.settings)
+        self._kept: tuple[Graph, int, Arrangement, Layout] | None = None
+        self._making: asyncio.Lock = asyncio.Lock()
+        self._turns: dict[str, asyncio.Lock] = {}
+
+    # The layout
+
+    def at_hand(self) -> Layout | None:
+        """The layout if it is of the graph, the types and the mappings of now: at once."""
+        kept, robot = self._kept, self._robot
+        if kept is None or kept[0] is not robot.graph or kept[2] is not robot.mappings.arrangement:
+            return None
+        return kept[3] if kept[1] == robot.schemas.count else None
+
+    async def layout(self) -> Layout:
+        """The layout of now; the types of services that are new are learnt before."""
+        found = self.at_hand()
+        if found is not None:
+            return found
+        async with self._making:
+            return self.at_hand() or await self._made()
+
+    async def _made(self) -> Layout:
+        robot = self._robot
+        graph, arrangement = robot.graph, robot.mappings.arrangement
+        await self._learn(needed_types(graph, self.conventions))
+        known, count = self._kept, robot.schemas.count
+        if known is not None and known[0] is graph and known[1] == count:
+            found = known[3].catalogue
+        else:
+            found = catalogue(graph, self._schema_at_hand, self.conventions)
+        layout = Layout(found, arrangement)
+        self._kept = (graph, count, arrangement, layout)
+        return layout
+
+    async def _learn(self, refs: Iterable[TypeRef]) -> None:
+        schemas = self._robot.schemas
+        unknown = [ref for ref in refs if self._schema_at_hand(ref) is None]
+        if not unknown:
+            return
+
+        async def find(ref: TypeRef) -> Schema | None:
+            with contextlib.suppress(RosError, asyncio.TimeoutError):
+                return await schemas.find(ref)
+            return None
+
+        with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
+            await asyncio.wait_for(asyncio.gather(*map(find, unknown)), _TYPES_SECONDS)
+
+    def _schema_at_hand(self, ref: TypeRef) -> Schema | None:
+        """The schema of a type, if it was learnt before; by its name alone where no hash is known of it."""
+        schemas = self._robot.schemas
+        return schemas.at_hand(ref) or (schemas.named(ref.name) if ref.hash is None else None)
+
+    # Looking
+
+    def known(self, reads: Sequence[Property]) -> tuple[Reading, ...] | None:
+        """The readings of these properties if all are still good: at once."""
+        known = self._robot.readings.known
+        found = []
+        for one in reads:
+            reading = known(one)
+            if reading is None:
+                return None
+            found.append(reading)
+        return tuple(found)
+
+    async def look(self, reads: Sequence[Property], *, anew: bool = False) -> tuple[Reading, ...]:
+        """The readings of these properties, read together under one deadline; `anew`: none from before this call."""
+        robot = self._robot
+        deadline = robot.deadline(robot.settings.read_deadline)
+        found = await robot.readings.read(reads, deadline=deadline, anew=anew)
+        return tuple(found[one.name] for one in reads)
+
+    def sight(self, layout: Layout, readings: Iterable[Reading]) -> Sight:
+        """What follows from readings."""
+        by_name = {reading.name: reading for reading in readings}
+        return Sight(by_name, Verdicts(layout, by_name, self._robot.space, self._robot.lifting))
+
+    def max_age(self, readings: Sequence[Reading]) -> int:
+        """For how many seconds these readings may be shown by others: 0 where one can change at any moment."""
+        if not readings or any(one.fresh_until is None for one in readings):
+            return 0
+        return int(self._robot.settings.freshness)
+
+    # What is seen
+
+    def complex_view(self, plan: ComplexPlan, sight: Sight) -> ComplexView:
+        """A complex resource with all that it offers now. Raises a 404 Problem where it is not there."""
+        verdicts = sight.verdicts
+        self.require(plan.exists_when, verdicts, plan.path)
+        space = self._robot.space
+        mapped = plan.mapped
+        return ComplexView(
+            url_of(plan.path, space),
+            plan.path,
+            tuple(
+                Member(
+                    self.member_affordance(one, verdicts.hold(one.guards)),
+                    sight.readings[one.of.name],
+                    one.mapped.field if one.mapped else None,
+                )
+                for one in plan.members
+            ),
+            tuple(self.action_affordance(action) for action in plan.actions if verdicts.hold(action.conditions)),
+            tuple(
+                LinkAffordance(link.relation, url_of(link.target, space))
+                for link in plan.links
+                if verdicts.hold(link.conditions)
+            ),
+            tuple(url_of(child.path, space) for child in plan.children if verdicts.hold(child.conditions)),
+            None if plan.parent is None else url_of(plan.parent, space),
+            mapped.title if mapped else None,
+            mapped.iri if mapped else None,
+        )  # fmt: skip
+
+    def property_view(self, plan: PropertyPlan, sight: Sight) -> PropertyView:
+        """A property by itself. Raises a 404 Problem where it is not there."""
+        self.require(plan.exists_when, sight.verdicts, plan.of.name)
+        own, space = plan.of, self._robot.space
+        affordance = self.property_affordance(plan, sight.verdicts.hold(plan.guards))
+        reading = sight.readings[own.name]
+        return PropertyView(
+            affordance,
+            reading,
+            tuple(_source_url(way, space) for way in own.readers),
+            tuple(_source_url(way, space) for way in own.writers),
+            url_of(plan.home, space),
+        )
+
+    def action_view(self, plan: ActionPlan, sight: Sight) -> ActionView:
+        """An action by itself. Raises a 404 Problem where it is not on offer."""
+        self.require((*plan.exists_when, *plan.conditions), sight.verdicts, plan.name)
+        space = self._robot.space
+        return ActionView(self.action_affordance(plan), space.service(plan.service), url_of(plan.home, space))
+
+    def require(self, conditions: Iterable[Condition], verdicts: Verdicts, name: str) -> None:
+        """Raise a 404 Problem with the reason where a condition of something's being there does not hold."""
+        broken = verdicts.report(conditions)
+        if broken:
+            raise Problem(
+                404, f"{name} is not on offer now: {in_words(broken)}.", title="Not on offer now", violations=broken
+            )
+
+    # What can be done
+
+    def member_affordance(self, plan: MemberPlan, write: bool) -> PropertyAffordance:
+        """A member of a complex resource as it can be used; `write`: its conditions hold."""
+        own, robot = plan.of, self._robot
+        url = url_of(own.name, robot.space)
+        mapped = plan.mapped
+        shape = value_shape(own.kind, robot.limits, url, mapped.measure if mapped else NO_MEASURE)
+        predicate = mapped.predicate if mapped else None
+        if mapped is not None and mapped.field is not None:  # it is read and patched as a part of its complex resource
+            shape = field_shape(shape, mapped.field, mapped.measure)
+            return PropertyAffordance(plan.name, url, shape, predicate, read=False)
+        return PropertyAffordance(
+            plan.name,
+            url,
+            shape,
+            predicate,
+            read=bool(own.readers),
+            write=write and self.is_writable(own),
+            observe=is_observable(own),
+        )
+
+    def property_affordance(self, plan: PropertyPlan, write: bool) -> PropertyAffordance:
+        """A property by itself as it can be used."""
+        key = plan.of.name.rpartition("/")[2]
+        return self.member_affordance(MemberPlan(key, plan.of, plan.guards, plan.mapped), write)
+
+    def action_affordance(self, plan: ActionPlan) -> ActionAffordance:
+        """An action as it can be used."""
+        request = plan.schema.request if plan.schema is not None else None
+        url = url_of(plan.name, self._robot.space)
+        return ActionAffordance(plan.name.rpartition("/")[2], url, request, plan.relation)
+
+    # Writing
+
+    def is_writable(self, own: Property) -> bool:
+        """Whether ROS and the settings let a property be written now, whatever conditions say."""
+        return writer_of(self._robot, own) is not None
+
+    def is_callable(self, plan: ActionPlan) -> bool:
+        """Whether ROS and the settings let an action be invoked now, whatever conditions say."""
+        robot = self._robot
+        if plan.schema is None or robot.settings.read_only:
+            return False
+        return Operation.CALL in robot.adapter.allows(Ref(Kind.SERVICE, plan.service))
+
+    @asynccontextmanager
+    async def turn(self, layout: Layout, *names: str) -> AsyncIterator[None]:
+        """Within it, what hangs together with these names by conditions is written by nobody else through rosld.
+
+        Raises a 503 Problem where the others take too long.
+        """
+        locks = [self._turns.setdefault(key, asyncio.Lock()) for key in layout.turns(names)]
+        if not locks:
+            yield
+            return
+        async with contextlib.AsyncExitStack() as held:
+            try:
+                await asyncio.wait_for(_take(held, locks), self._robot.settings.call_deadline)
+            except (asyncio.TimeoutError, TimeoutError):
+                sentence = f"Another write to what belongs to {names[0]} is not finished yet; nothing was done."
+                raise Problem(503, sentence, headers={"Retry-After": "1"}) from None
+            yield
+
+    def written(self, kind: Kind, name: str) -> None:
+        """Something was written to a topic, service or parameter: values that may have changed are no longer fresh."""
+        if self._kept is not None:
+            self._robot.readings.end(self._kept[3].affected(kind, name))
+
+
+def conventions_of(settings: Settings) -> Conventions:
+    """The conventions with what the settings add. Raises ValueError for a template or a glob that makes no sense."""
+    return CONVENTIONS.extended(getters=settings.getter, setters=settings.setter, excluded=settings.exclude_service)
+
+
+async def _take(held: contextlib.AsyncExitStack, locks: Iterable[asyncio.Lock]) -> None:
+    for lock in locks:
+        await held.enter_async_context(lock)
+
+
+def is_observable(found: Property) -> bool:
+    """Whether the changes of a property are noticed as they happen: those of a topic are."""
+    return bool(found.readers) and isinstance(found.readers[0], TopicSource)
+
+
+def _source_url(way: Reader | Writer, space: Space) -> str:
+    """The URL of a topic, service or parameter."""
+    match way:
+        case TopicSource():
+            return space.topic(way.name)
+        case ParameterSource():
+            return space.parameter(way.name)
+        case _:
+            return space.service(way.name)

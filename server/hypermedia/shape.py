@@ -1,0 +1,48 @@
+"""The shape of a property's value: its ROS type, what limits demand of it, and what it measures. Pure."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rosld.adapters.model import Array, MessageSchema, Nested, Primitive
+from rosld.server.hypermedia.catalogue import MessageKind, ScalarKind, ValueKind
+from rosld.shapes.value import UNBOUNDED, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
+
+if TYPE_CHECKING:
+    from rosld.shapes.limits import Limits
+
+
+def value_shape(kind: ValueKind, limits: Limits, url: str, measure: Measure) -> ValueShape:
+    """What the value of the property at `url` is, and must be when it is written."""
+    bounds = limits.bounds_of_resource(url)
+    match kind:
+        case ScalarKind():
+            return ScalarShape(kind.primitive, bounds, measure)
+        case MessageKind():
+            names = tuple(field.name for field in kind.fields)
+            return MessageShape(kind.schema, names, limits.bounds_of_message(kind.schema))
+        case _:
+            return OpenShape(bounds, measure)
+
+
+def field_shape(shape: ValueShape, path: str, measure: Measure) -> ValueShape:
+    """What one field of a value is (`pose.position.x`); open where the type has no such scalar."""
+    if not isinstance(shape, MessageShape):
+        return OpenShape(measure=measure)
+    kind = _primitive(shape.schema, path)
+    return OpenShape(measure=measure) if kind is None else ScalarShape(kind, shape.bounds.get(path, UNBOUNDED), measure)
+
+
+def _primitive(schema: MessageSchema, path: str) -> Primitive | None:
+    """The primitive at a dotted path; numbers are places in an array."""
+    kind: object = Nested(schema.ref.name)
+    for step in path.split("."):
+        if isinstance(kind, Array):
+            if not step.isdecimal():
+                return None
+            kind = kind.element
+            continue
+        if not isinstance(kind, Nested):
+            return None
+        kind = next((field.type for field in schema.types[kind.name].fields if field.name == step), None)
+    return kind if isinstance(kind, Primitive) else None

@@ -1,0 +1,190 @@
+"""Changes of several members of a complex resource: planned whole, carried out one after the other, told one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from pyoxigraph import Literal, NamedNode
+from starlette.responses import Response
+
+from rosld.adapters.model import RosError
+from rosld.ontology.body import RdfBody
+from rosld.ontology.lower import parse_json
+from rosld.ontology.parameters import lower_term, parameter_json
+from rosld.ontology.violations import LoweringError, Violation
+from rosld.ontology.vocab import rdf
+from rosld.server.errors import problem_of
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.catalogue import Property
+from rosld.server.hypermedia.content import rdf_content
+from rosld.server.hypermedia.describe import fragment
+from rosld.server.hypermedia.layout import ComplexPlan, MemberPlan
+from rosld.server.hypermedia.offers import Sight
+from rosld.server.hypermedia.value import WHOLE, Reading, literal, picked_json, plain_json
+from rosld.server.hypermedia.views import ComplexView, Member
+from rosld.server.hypermedia.writing import PlannedWrite, Written, carry_out
+from rosld.server.ldp.patch import merge_patch
+from rosld.server.resources.guarding import refuse
+from rosld.server.resources.writes import planned
+from rosld.server.robot import Robot
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A member that is to have another value: `content` is what becomes of it, or of the field that it shows."""
+
+    member: MemberPlan
+    content: object
+
+
+def changes_in_json(patch: object, plan: ComplexPlan, view: ComplexView) -> tuple[Change, ...]:
+    """The changes that a JSON merge patch asks for (RFC 7396). Raises LoweringError for what is no member."""
+    if not isinstance(patch, dict):
+        raise LoweringError(Violation("", "expected an object of members and their values"))
+    members = {one.name: one for one in plan.members}
+    has = ", ".join(members) or "none"
+    wrong = [
+        Violation(
+            name, "a member cannot be removed" if name in members else f"{plan.path} has no such member; it has {has}"
+        )
+        for name, value in patch.items()
+        if name not in members or value is None
+    ]
+    if wrong:
+        raise LoweringError(*wrong)
+    before = {one.affordance.name: _present(one) for one in view.members}
+    return tuple(Change(members[name], merge_patch(before[name], value)) for name, value in patch.items())
+
+
+def changes_in_graph(body: RdfBody, plan: ComplexPlan, view: ComplexView, robot: Robot) -> tuple[Change, ...]:
+    """The changes between what is said of the members now and what `body` says. Raises LoweringError."""
+    seen = {one.affordance.name: one for one in view.members}
+    found = (_changed(body, one, seen[one.name], view.url, robot) for one in plan.members)
+    return tuple(change for change in found if change is not None)
+
+
+def _changed(body: RdfBody, plan: MemberPlan, seen: Member, url: str, robot: Robot) -> Change | None:
+    relation = seen.affordance.predicate
+    subject = NamedNode(url if relation else seen.affordance.url)
+    predicate = relation or rdf.value
+    stated = body.objects(subject, predicate)
+    if not stated:
+        if seen.reading.value is None:
+            return None
+        raise LoweringError(Violation(plan.name, f"a member cannot be removed: {subject} {predicate} is missing"))
+    try:
+        content = rdf_content(body, subject, predicate, plan.of, robot.lifting, node=fragment(plan.name))
+    except LoweringError as error:
+        raise _within(plan.name, error) from error
+    same = content == (_literal(seen) if isinstance(content, Literal) else _present(seen))
+    return None if same else Change(plan, content)
+
+
+def _present(member: Member) -> object:
+    """The value of a member as plain JSON; None where there is none."""
+    value = member.reading.value
+    if value is None:
+        return None
+    return parse_json(plain_json(value, WHOLE) if member.field is None else picked_json(value, member.field))
+
+
+def _literal(member: Member) -> Literal | None:
+    value = member.reading.value
+    return None if value is None else literal(value, member.field)
+
+
+# The plan
+
+
+async def planned_changes(
+    robot: Robot, plan: ComplexPlan, sight: Sight, changes: Sequence[Change]
+) -> tuple[tuple[str, PlannedWrite], ...]:
+    """The writes that bring these changes about, with the names of the members that ask for them.
+
+    Everything that can be refused is: a member that must not be written now (409), that nothing writes (409), a value
+    that does not fit or breaks a limit (LoweringError). Nothing moves.
+    """
+    for change in changes:
+        refuse(change.member.guards, sight, f"{change.member.name} must not be written now")
+    writes = []
+    broken: list[Violation] = []
+    for names, own, content in _by_property(changes, sight.readings):
+        try:
+            writes.append((names, await planned(robot, own, content)))
+        except LoweringError as error:
+            broken += _within(names, error).violations
+        except Problem as problem:
+            raise Problem(409, f"{names} cannot be written: {problem.detail}") from problem
+    if broken:
+        raise LoweringError(*broken)
+    return tuple(writes)
+
+
+def _by_property(changes: Iterable[Change], readings: Mapping[str, Reading]) -> Iterable[tuple[str, Property, object]]:
+    """One content a property: members that show fields of one message change that message together."""
+    whole: dict[str, tuple[list[str], Property, object]] = {}
+    for change in changes:
+        member, own = change.member, change.member.of
+        names, _, content = whole.get(own.name, ([], own, None))
+        field = member.mapped.field if member.mapped is not None else None
+        if field is not None:
+            content = _with_field(content if names else _all_of(readings[own.name], member.name), field, change.content)
+        else:
+            content = change.content
+        whole[own.name] = ([*names, member.name], own, content)
+    return [(", ".join(names), own, content) for names, own, content in whole.values()]
+
+
+def _all_of(reading: Reading, name: str) -> object:
+    if reading.value is None:
+        why = reading.failure or "it has no value yet"
+        raise Problem(409, f"{name} is a field of {reading.name}, which must be known to be changed: {why}.")
+    return parse_json(plain_json(reading.value, WHOLE))
+
+
+def _with_field(content: object, path: str, value: object) -> object:
+    """The content with another value at a dotted path."""
+    step, _, rest = path.partition(".")
+    if isinstance(content, list) and step.isdecimal() and int(step) < len(content):
+        inner = _with_field(content[int(step)], rest, value) if rest else _plain(value)
+        return [*content[: int(step)], inner, *content[int(step) + 1 :]]
+    if isinstance(content, dict) and step in content:
+        return {**content, step: _with_field(content[step], rest, value) if rest else _plain(value)}
+    raise LoweringError(Violation(path, "there is no such field"))
+
+
+def _plain(value: object) -> object:
+    """A literal as JSON, so that it can stand within a message."""
+    return parse_json(parameter_json(lower_term(value))) if isinstance(value, Literal) else value
+
+
+def _within(name: str, error: LoweringError) -> LoweringError:
+    """The same violations, at a member."""
+    return LoweringError(*(replace(one, path=f"{name}.{one.path}" if one.path else name) for one in error.violations))
+
+
+# Carrying it out
+
+
+async def carried_out(robot: Robot, writes: Sequence[tuple[str, PlannedWrite]]) -> Response:
+    """Carry the writes out in their order. The first that fails ends it: the Problem tells what became of each."""
+    done: list[dict[str, object]] = []
+    for place, (name, write) in enumerate(writes):
+        try:
+            written = await carry_out(robot, write)
+        except (RosError, Problem) as error:
+            raise _partly(error, name, done, [name for name, _ in writes[place + 1 :]]) from error
+        done.append({"name": name, "status": 204 if written is Written.DONE else 202})
+    return Response(status_code=204)
+
+
+def _partly(error: RosError | Problem, name: str, done: Sequence[dict[str, object]], left: Iterable[str]) -> Problem:
+    problem = problem_of(error) if isinstance(error, RosError) else error
+    failed = {"name": name, "status": problem.status, "detail": problem.detail}
+    rest = [{"name": each, "status": 424, "detail": "Not attempted."} for each in left]
+    problem.extra |= {"members": [*done, failed, *rest]}
+    if done or rest:
+        said = ", ".join(str(one["name"]) for one in done) or "none"
+        problem.detail = f"{name}: {problem.detail} Written before: {said}."
+    return problem

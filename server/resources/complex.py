@@ -1,0 +1,134 @@
+"""Complex resources: `/resources/NS/`, which join the values of their members and offer what may be done now
+
+(paper, section 4.3; Listing 3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from starlette.responses import Response
+
+from rosld.ontology.lower import parse_json
+from rosld.server.html import Form
+from rosld.server.http.link import Link
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.conditions import url_of
+from rosld.server.hypermedia.describe import complex_document, complex_json
+from rosld.server.hypermedia.layout import ComplexPlan, Layout
+from rosld.server.hypermedia.offers import Sight
+from rosld.server.hypermedia.thing import MEDIA_TYPE
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.patch import updated
+from rosld.server.ldp.resource import (
+    BASIC_CONTAINER,
+    MERGE_PATCH,
+    RDF_SOURCE,
+    READ,
+    RESOURCE,
+    SPARQL_UPDATE,
+    Answer,
+    Resource,
+    moved,
+)
+from rosld.server.ldp.state import State
+from rosld.server.resources.changes import Change, carried_out, changes_in_graph, changes_in_json, planned_changes
+from rosld.server.resources.guarding import seen_anew
+from rosld.server.resources.things import complex_thing, thing_response, wants_thing
+from rosld.server.robot import Robot
+
+
+class ComplexResource(Resource):
+    """A complex resource: a namespace, or what a mapping says of a path."""
+
+    kind = "Complex resource"
+    accepts: Mapping[str, Sequence[str]] = {"PATCH": (MERGE_PATCH, SPARQL_UPDATE)}
+
+    def __init__(self, robot: Robot, path: str) -> None:
+        super().__init__(url_of(path, robot.space))
+        self.title = path
+        self.robot = robot
+        self.path = path
+        self.links = (
+            RESOURCE,
+            RDF_SOURCE,
+            BASIC_CONTAINER,
+            Link(f"{self.url}?format=td", "describedby", type=MEDIA_TYPE),
+        )
+
+    async def ready(self) -> None:
+        await self.robot.offers.layout()
+
+    def methods(self) -> frozenset[str]:
+        layout, robot = self.robot.offers.at_hand(), self.robot
+        plan = layout.complex(self.path) if layout is not None else None
+        if plan is None or robot.settings.read_only:
+            return READ
+        return READ | {"PATCH"} if any(robot.offers.is_writable(one.of) for one in plan.members) else READ
+
+    def why_not(self, method: str) -> str:
+        if self.robot.settings.read_only:
+            return "This server is read-only."
+        if method == "PATCH":
+            return f"No member of {self.path} can be written now."
+        return f"A complex resource is read with GET and written with PATCH; it does not answer {method}."
+
+    async def state(self) -> State:
+        layout, plan = await self._plan()
+        offers, states = self.robot.offers, self.robot.states
+        readings = offers.known(plan.reads) or await offers.look(plan.reads)
+        version = (layout, readings)
+        known = states.known(self.url, version)
+        if known is None:
+            known = states.keep(self.url, version, self._shown(plan, offers.sight(layout, readings)))
+        return known
+
+    def _shown(self, plan: ComplexPlan, sight: Sight) -> State:
+        robot = self.robot
+        view = robot.offers.complex_view(plan, sight)
+        own = tuple(member.reading for member in view.members)
+        times = [one.read_ns for one in own if one.read_ns is not None and one.fresh_until is not None]
+        return State(
+            lambda: complex_document(view, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time),
+            lambda: complex_json(view, robot.lifting),
+            received_ns=min(times, default=None),
+            max_age=0 if plan.conditional else robot.offers.max_age(own),
+        )
+
+    async def _plan(self) -> tuple[Layout, ComplexPlan]:
+        layout = await self.robot.offers.layout()
+        plan = layout.complex(self.path)
+        if plan is not None:
+            return layout, plan
+        name = self.path[:-1]
+        if layout.property(name) is not None or layout.action(name) is not None:
+            raise moved(url_of(name, self.robot.space))
+        raise Problem(404, f"There is no resource {self.path}.")
+
+    async def special(self, exchange: Exchange) -> Response | None:
+        if not wants_thing(exchange):
+            return None
+        _, plan = await self._plan()
+        await self.state()  # 404 where it is not there now
+        return thing_response(exchange, self.robot, complex_thing(self.robot, plan))
+
+    async def forms(self) -> Sequence[Form]:
+        return ()
+
+    async def patch(self, exchange: Exchange) -> Answer:
+        """Several members at once: planned whole, carried out one after the other, reported member by member."""
+        layout, plan = await self._plan()
+        data = await exchange.body()
+        named = tuple(member.of.name for member in plan.members)
+        async with self.robot.offers.turn(layout, self.path, *named):
+            sight = await seen_anew(self.robot, layout, plan.reads)
+            changes = self._changes(exchange.media_type, plan, sight, data)
+            return await carried_out(self.robot, await planned_changes(self.robot, plan, sight, changes))
+
+    def _changes(self, media_type: str, plan: ComplexPlan, sight: Sight, data: bytes) -> Sequence[Change]:
+        robot = self.robot
+        view = robot.offers.complex_view(plan, sight)
+        if media_type == MERGE_PATCH:
+            return changes_in_json(parse_json(data), plan, view)
+        before = complex_document(view, robot.space, robot.whole)
+        return changes_in_graph(updated(data, before.all_triples(), self.url), plan, view, robot)

@@ -1,0 +1,78 @@
+"""Limits on what is written, wherever it is written: by the type of the message, by the URL it is sent to, and by the
+
+property that the topic, service or parameter behind that URL belongs to.
+"""
+
+from __future__ import annotations
+
+from pyoxigraph import NamedNode, Triple
+
+from rosld.adapters.model import Kind, Message, MessageSchema, ParameterValue
+from rosld.ontology.lift import lifter
+from rosld.ontology.violations import LoweringError, Violation
+from rosld.ontology.vocab import rdf, ros
+from rosld.server.hypermedia.conditions import url_of, value_triples
+from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Value
+from rosld.server.robot import Robot
+
+_LINKS = {"#message": ros.latest, "#request": ros.request}
+
+
+async def require_message(
+    robot: Robot, kind: Kind, name: str, schema: MessageSchema, message: Message, url: str, node: str
+) -> None:
+    """Raise LoweringError where a message breaks a limit; it is about to be sent to the topic or service `name`."""
+    limits = robot.limits
+    if not limits:
+        return
+
+    check = limits.message(schema)
+    broken = list(check(message, url, node)) if check is not None else []
+    shape = limits.resource(url)
+    if shape is not None:
+        said = Triple(NamedNode(url), _LINKS[node], NamedNode(url + node))
+        broken += shape.violations(NamedNode(url), [said, *lifter(schema, robot.lifting).triples(message, url, node)])
+    own = MessageValue(schema, message, schema.type.fields, url)
+    broken += await _of_property(robot, kind, name, own)
+    if broken:
+        raise LoweringError(*broken)
+
+
+async def require_parameter(robot: Robot, name: str, value: ParameterValue) -> None:
+    """Raise LoweringError where the value of a parameter, or of one in a tree, breaks a limit."""
+    if not robot.limits:
+        return
+    broken = await _of_parameter(robot, name, value)
+    if broken:
+        raise LoweringError(*broken)
+
+
+async def _of_parameter(robot: Robot, name: str, value: ParameterValue) -> list[Violation]:
+    if isinstance(value, dict):
+        inner = [await _of_parameter(robot, f"{name.rstrip('/')}/{key}", each) for key, each in value.items()]
+        return [violation for found in inner for violation in found]
+    url = robot.space.parameter(name)
+    shape = robot.limits.resource(url)
+    stored = StoredValue(value)
+    broken: list[Violation] = []
+    if shape is not None:
+        broken += shape.violations(NamedNode(url), _triples(robot, url, ros.value, stored))
+    return broken + await _of_property(robot, Kind.PARAMETER, name, stored)
+
+
+async def _of_property(robot: Robot, kind: Kind, name: str, value: Value) -> list[Violation]:
+    """What a value breaks of the limits on the property that is written by a topic, service or parameter."""
+    catalogue = (await robot.offers.layout()).catalogue
+    ways = {Kind.TOPIC: catalogue.by_topic, Kind.SERVICE: catalogue.by_service, Kind.PARAMETER: catalogue.by_parameter}
+    found = ways[kind].get(name)
+    if found is None:
+        return []
+    url = url_of(found, robot.space)
+    shape = robot.limits.resource(url)
+    if shape is None:
+        return []
+    return list(shape.violations(NamedNode(url), _triples(robot, url, rdf.value, value)))
+
+
+def _triples(robot: Robot, url: str, predicate: NamedNode, value: Value) -> list[Triple]:
+    return value_triples(NamedNode(url), predicate, Reading("value", value), None, robot.lifting)

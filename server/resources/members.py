@@ -1,0 +1,235 @@
+"""What lies in a complex resource: properties and actions, `/resources/NS/X` (paper, section 4.2; Listing 2).
+
+A property is read with GET and written with PUT and PATCH, an action is invoked with POST. One name may be both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from pyoxigraph import NamedNode
+
+from rosld.adapters.model import Kind
+from rosld.ontology.body import RdfBody, parse_body
+from rosld.ontology.lower import parse_json
+from rosld.ontology.vocab import rdf, ros
+from rosld.server.calls import Outcome
+from rosld.server.html import Form
+from rosld.server.http.link import Link
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.conditions import url_of
+from rosld.server.hypermedia.content import rdf_content
+from rosld.server.hypermedia.describe import action_document, property_document, property_json
+from rosld.server.hypermedia.layout import ActionPlan, Layout, PropertyPlan, parent_of
+from rosld.server.hypermedia.offers import Sight
+from rosld.server.hypermedia.writing import carry_out
+from rosld.server.hypermedia.writing import why_not as why_not_writable
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.patch import merge_patch, updated
+from rosld.server.ldp.resource import (
+    JSON,
+    MERGE_PATCH,
+    RDF_BODIES,
+    READ,
+    SPARQL_UPDATE,
+    Answer,
+    Resource,
+    Shown,
+    moved,
+)
+from rosld.server.ldp.state import State
+from rosld.server.resources.complex import ComplexResource
+from rosld.server.resources.guarding import require_offered, require_writable, seen_anew
+from rosld.server.resources.limits import require_message
+from rosld.server.resources.requests import called, declined_by, failure, request_in
+from rosld.server.resources.writes import planned, told
+from rosld.server.robot import Robot
+
+
+class MemberResource(Resource):
+    """A property, an action, or a name that is both."""
+
+    kind = "Resource"
+    accepts: Mapping[str, Sequence[str]] = {
+        "PUT": (*RDF_BODIES, JSON),
+        "PATCH": (MERGE_PATCH, SPARQL_UPDATE),
+        "POST": (*RDF_BODIES, JSON),
+    }
+
+    def __init__(self, robot: Robot, name: str) -> None:
+        super().__init__(url_of(name, robot.space))
+        self.title = name
+        self.robot = robot
+        self.name = name
+
+    async def ready(self) -> None:
+        await self.robot.offers.layout()
+
+    @property
+    def _layout(self) -> Layout | None:
+        return self.robot.offers.at_hand()
+
+    def methods(self) -> frozenset[str]:
+        """What can be done by the kind of resource it is, whatever conditions say now: these are told as 409."""
+        layout, robot = self._layout, self.robot
+        if layout is None or robot.settings.read_only:
+            return READ
+        methods = READ
+        plan = layout.property(self.name)
+        if plan is not None and robot.offers.is_writable(plan.of):
+            methods |= {"PUT", "PATCH"}
+        action = layout.action(self.name)
+        if action is not None and robot.offers.is_callable(action):
+            methods |= {"POST"}
+        return methods
+
+    def why_not(self, method: str) -> str:
+        layout = self._layout
+        if self.robot.settings.read_only:
+            return "This server is read-only."
+        plan = layout.property(self.name) if layout is not None else None
+        if plan is not None and method in ("PUT", "PATCH"):
+            return why_not_writable(self.robot, plan.of)
+        return f"{self.name} does not answer {method}."
+
+    @property
+    def constrained_by(self) -> str | None:
+        layout = self._layout
+        action = layout.action(self.name) if layout is not None else None
+        if action is None or action.schema is None:
+            return f"{self.url}#property.shape"
+        return self.robot.space.shape(action.schema.request.ref.name)
+
+    # Reading
+
+    async def state(self) -> State:
+        layout = await self.robot.offers.layout()
+        plan = layout.property(self.name)
+        if plan is not None:
+            return await self._property_state(layout, plan)
+        action = layout.action(self.name)
+        if action is not None:
+            return await self._action_state(layout, action)
+        raise self._missing(layout)
+
+    async def _property_state(self, layout: Layout, plan: PropertyPlan) -> State:
+        offers, states = self.robot.offers, self.robot.states
+        readings = offers.known(plan.reads) or await offers.look(plan.reads)
+        version = (layout, readings)
+        known = states.known(self.url, version)
+        if known is None:
+            known = states.keep(self.url, version, self._shown(plan, offers.sight(layout, readings)))
+        return known
+
+    def _shown(self, plan: PropertyPlan, sight: Sight) -> State:
+        robot = self.robot
+        view = robot.offers.property_view(plan, sight)
+        return State(
+            lambda: property_document(view, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time),
+            lambda: property_json(view, robot.lifting),
+            received_ns=view.reading.read_ns,
+            max_age=0 if plan.conditional else robot.offers.max_age((view.reading,)),
+        )
+
+    async def _action_state(self, layout: Layout, plan: ActionPlan) -> State:
+        offers, robot = self.robot.offers, self.robot
+        readings = offers.known(plan.reads) or await offers.look(plan.reads)
+        view = offers.action_view(plan, offers.sight(layout, readings))
+        return robot.states.get(
+            self.url, (layout, view), lambda: State(lambda: action_document(view, robot.space, robot.lifting))
+        )
+
+    def _missing(self, layout: Layout) -> Problem:
+        """308 where the name is a complex resource, else 404."""
+        path = f"{self.name}/"
+        if path in layout.paths:
+            return moved(url_of(path, self.robot.space))
+        instead = layout.instead(self.name)
+        if instead is not None:
+            return Problem(404, f"The service {self.name} is offered as {url_of(instead, self.robot.space)}")
+        return Problem(404, f"There is no resource {self.name}.")
+
+    async def forms(self) -> Sequence[Form]:
+        return ()
+
+    # Writing
+
+    async def put(self, exchange: Exchange) -> Answer:
+        layout, plan = await self._property()
+        content = self._content(exchange, plan, await exchange.body())
+        async with self.robot.offers.turn(layout, self.name):
+            if plan.conditional:
+                require_writable(self.robot, plan, await seen_anew(self.robot, layout, plan.reads))
+            written = await planned(self.robot, plan.of, content)
+            return told(written, await carry_out(self.robot, written), exchange.accept)
+
+    async def patch(self, exchange: Exchange) -> Answer:
+        layout, plan = await self._property()
+        data = await exchange.body()
+        async with self.robot.offers.turn(layout, self.name):
+            sight = await seen_anew(self.robot, layout, plan.reads)
+            require_writable(self.robot, plan, sight)
+            content = self._patched(exchange, plan, sight, data)
+            written = await planned(self.robot, plan.of, content)
+            return told(written, await carry_out(self.robot, written), exchange.accept)
+
+    async def _property(self) -> tuple[Layout, PropertyPlan]:
+        layout = await self.robot.offers.layout()
+        plan = layout.property(self.name)
+        if plan is None:
+            raise self._missing(layout)
+        return layout, plan
+
+    def _content(self, exchange: Exchange, plan: PropertyPlan, data: bytes) -> object:
+        if exchange.media_type == JSON:
+            return parse_json(data)
+        return self._stated(plan, parse_body(data, exchange.media_type, self.url))
+
+    def _stated(self, plan: PropertyPlan, body: RdfBody) -> object:
+        """What RDF states the value to be: by rdf:value, or by the relation that a mapping gives it."""
+        subject, predicate = NamedNode(self.url), rdf.value
+        home = NamedNode(url_of(plan.home, self.robot.space))
+        if plan.mapped is not None and body.objects(home, plan.mapped.predicate):
+            subject, predicate = home, plan.mapped.predicate
+        return rdf_content(body, subject, predicate, plan.of, self.robot.lifting)
+
+    def _patched(self, exchange: Exchange, plan: PropertyPlan, sight: Sight, data: bytes) -> object:
+        view = self.robot.offers.property_view(plan, sight)
+        if view.reading.value is None:
+            why = view.reading.failure or "it has no value yet"
+            raise Problem(409, f"{self.name} cannot be patched: {why}; PUT a whole value.")
+        if exchange.media_type == MERGE_PATCH:
+            return merge_patch(parse_json(property_json(view, self.robot.whole)), parse_json(data))
+        before = property_document(view, self.robot.space, self.robot.whole)
+        return self._stated(plan, updated(data, before.all_triples(), self.url))
+
+    async def post(self, exchange: Exchange) -> Answer:
+        robot, layout = self.robot, await self.robot.offers.layout()
+        plan = layout.action(self.name)
+        if plan is None:
+            raise self._missing(layout)
+        if plan.schema is None:
+            raise Problem(409, f"{self.name} cannot be invoked: the type of the service is not known.")
+        request = await request_in(exchange, robot, plan.schema, self.url)
+        url = robot.space.service(plan.service)
+        await require_message(robot, Kind.SERVICE, plan.service, plan.schema.request, request, url, "#request")
+        async with robot.offers.turn(layout, self.name):
+            require_offered(robot, plan, await seen_anew(robot, layout, plan.reads))
+            outcome = await called(exchange, robot, plan.service, plan.schema, request)
+        problem = failure(robot, outcome) or declined_by(robot, outcome)
+        if problem is not None:
+            raise problem
+        return await self._after(plan.home, outcome)
+
+    async def _after(self, path: str, outcome: Outcome) -> Shown:
+        """The complex resource as it is after an action; the one above where the action has ended its own."""
+        call = Link(self.robot.space.call(outcome.call.id), ros.Call.value)
+        while True:
+            resource = ComplexResource(self.robot, path)
+            try:
+                return Shown(resource, await resource.state(), (call,))
+            except Problem as problem:
+                above = parent_of(path)
+                if problem.status != 404 or above is None:
+                    raise
+                path = above

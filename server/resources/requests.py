@@ -1,0 +1,69 @@
+"""Requests of services: from the body of a POST to the message that is sent."""
+
+from __future__ import annotations
+
+from rosld.adapters.model import Message, Refused, Sent, ServiceSchema
+from rosld.ontology.body import parse_body
+from rosld.ontology.lower import find_message, lowerer, parse_json
+from rosld.server.calls import KeyReused, Outcome
+from rosld.server.errors import problem_of
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.value import declined
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.resource import JSON
+from rosld.server.robot import Robot
+
+
+async def request_in(exchange: Exchange, robot: Robot, schema: ServiceSchema, url: str) -> Message:
+    """The request in a body sent to `url`; an empty one where the request has no fields."""
+    data = await exchange.body()
+    lowering = lowerer(schema.request, robot.lifting)
+    if not data.strip():
+        return lowering.from_json({}, defaults=exchange.flag("defaults"))
+    if exchange.media_type == JSON:
+        return lowering.from_json(parse_json(data), defaults=exchange.flag("defaults"))
+    body = parse_body(data, exchange.media_type, url)
+    root = find_message(body, url, robot.space.class_of(schema.request.ref.name), "#request")
+    return lowering.from_graph(body, root, url)
+
+
+async def called(exchange: Exchange, robot: Robot, service: str, schema: ServiceSchema, request: Message) -> Outcome:
+    """What became of a call of a service, once only for each Idempotency-Key."""
+    deadline = robot.deadline(robot.settings.call_deadline)
+    key = exchange.header("idempotency-key")
+    if key is None:
+        return await robot.calls.make(service, schema, request, deadline=deadline)
+    try:
+        return await robot.calls.once(key, service, schema, request, await exchange.body(), deadline=deadline)
+    except KeyReused as error:
+        raise Problem(422, f"The Idempotency-Key {key!r} came before with another request.") from error
+
+
+def failure(robot: Robot, outcome: Outcome) -> Problem | None:
+    """The Problem of a call that did not succeed, with the URL of the call; None where an answer came."""
+    error = outcome.error
+    if error is None:
+        return None
+    url = robot.space.call(outcome.call.id)
+    problem = problem_of(error)
+    problem.extra |= {"call": url, "state": outcome.call.state.value}
+    if isinstance(error, Refused):
+        problem.detail = f"{outcome.call.service} refused the call: {error.words or error.sentence}"
+    elif problem.status == 503 and error.sent is not Sent.NO:
+        problem.detail += " It may have been carried out."
+    problem.headers["Location"] = url
+    return problem
+
+
+def declined_by(robot: Robot, outcome: Outcome) -> Problem | None:
+    """The Problem of a call whose answer says `bool success` false: a refusal in the robot's words."""
+    call = outcome.call
+    if call.response is None:
+        return None
+    words = declined(call.schema.response, call.response)
+    if words is None:
+        return None
+    sentence = f"{call.service} refused" + (f": {words}" if words else "")
+    problem = problem_of(Refused(sentence, words=words or None, sent=Sent.YES))
+    problem.extra |= {"call": robot.space.call(call.id)}
+    return problem

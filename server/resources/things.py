@@ -1,0 +1,105 @@
+"""Thing Descriptions (WoT TD 1.1): of each complex resource, and of the whole robot at `/.well-known/wot`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from starlette.responses import Response
+
+from rosld.server.http import negotiation
+from rosld.server.http.conditional import ETag, guard
+from rosld.server.hypermedia.conditions import url_of
+from rosld.server.hypermedia.layout import ComplexPlan, Layout
+from rosld.server.hypermedia.thing import MEDIA_TYPE, ThingLink, thing_description
+from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.prepared import Prepared
+from rosld.server.ldp.resource import RDF_BODIES, RESOURCE, Resource
+from rosld.server.ldp.state import digest
+from rosld.server.robot import Robot
+
+FORMAT = "td"
+_OFFERS = (*RDF_BODIES, "application/json", "text/html", MEDIA_TYPE)
+
+
+def wants_thing(exchange: Exchange) -> bool:
+    """Whether a Thing Description is asked for rather than the state."""
+    if exchange.request.scope["query_string"] and "format" in exchange.query:
+        return exchange.query["format"] == FORMAT
+    accept = exchange.accept
+    return accept is not None and MEDIA_TYPE in accept and negotiation.choose(accept, _OFFERS) == MEDIA_TYPE
+
+
+def thing_response(exchange: Exchange, robot: Robot, data: bytes) -> Response:
+    """The answer with a Thing Description."""
+    etag = ETag(f"{robot.boot}-{digest(data)}", FORMAT)
+    headers = [
+        (b"content-type", MEDIA_TYPE.encode()),
+        (b"content-length", b"%d" % len(data)),
+        (b"etag", str(etag).encode()),
+        (b"vary", b"Accept"),
+        (b"cache-control", b"no-cache"),
+    ]
+    if guard("GET", etag, if_match=exchange.header("if-match"), if_none_match=exchange.header("if-none-match")):
+        return Prepared(304, b"", headers[2:])
+    return Prepared(200, data, headers)
+
+
+def complex_thing(robot: Robot, plan: ComplexPlan) -> bytes:
+    """The Thing Description of a complex resource: everything it can ever offer."""
+    properties, actions = _affordances(robot, plan)
+    space = robot.space
+    up = () if plan.parent is None else (ThingLink("collection", url_of(plan.parent, space)),)
+    down = tuple(ThingLink("item", url_of(child.path, space)) for child in plan.children)
+    related = tuple(ThingLink(link.relation.value, url_of(link.target, space)) for link in plan.links)
+    title = (plan.mapped.title if plan.mapped else None) or plan.path
+    return thing_description(
+        title,
+        url_of(plan.path, space),
+        properties,
+        actions,
+        links=(*related, *up, *down),
+        whole=bool(properties),
+        lifting=robot.lifting,
+    )
+
+
+def robot_thing(robot: Robot, layout: Layout) -> bytes:
+    """The Thing Description of the whole robot: the affordances of all its complex resources, named by their paths."""
+    properties: list[PropertyAffordance] = []
+    actions: list[ActionAffordance] = []
+    links: list[ThingLink] = []
+    for path in sorted(layout.paths):
+        plan = layout.complex(path)
+        assert plan is not None
+        own, acts = _affordances(robot, plan)
+        properties += (replace(one, name=path[1:] + one.name) for one in own)
+        actions += (replace(one, name=path[1:] + one.name) for one in acts)
+        if own or acts:
+            links.append(ThingLink("item", url_of(path, robot.space)))
+    system = robot.adapter.capabilities.system
+    return thing_description(
+        robot.name, robot.space.base, properties, actions, links=links, description=system, lifting=robot.lifting
+    )
+
+
+def _affordances(robot: Robot, plan: ComplexPlan) -> tuple[Sequence[PropertyAffordance], Sequence[ActionAffordance]]:
+    offers = robot.offers
+    properties = tuple(offers.member_affordance(one, write=True) for one in plan.members)
+    return properties, tuple(map(offers.action_affordance, plan.actions))
+
+
+class RobotThing(Resource):
+    """`/.well-known/wot`: where WoT clients look for the Thing Description of a host (WoT Discovery 6.3)."""
+
+    kind = "Thing Description"
+    links = (RESOURCE,)
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(f"{robot.space.base}.well-known/wot")
+        self.robot = robot
+
+    async def special(self, exchange: Exchange) -> Response | None:
+        layout = await self.robot.offers.layout()
+        return thing_response(exchange, self.robot, robot_thing(self.robot, layout))

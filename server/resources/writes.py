@@ -1,0 +1,36 @@
+"""Writes of properties: planned, held against the limits, carried out, told."""
+
+from __future__ import annotations
+
+from starlette.responses import Response
+
+from rosld.adapters.model import Kind
+from rosld.server.http.problem import Problem, render
+from rosld.server.hypermedia.catalogue import Property, Setter
+from rosld.server.hypermedia.value import MessageValue
+from rosld.server.hypermedia.writing import PlannedWrite, Written, plan_write
+from rosld.server.resources.limits import require_message, require_parameter
+from rosld.server.robot import Robot
+
+
+async def planned(robot: Robot, own: Property, content: object) -> PlannedWrite:
+    """How a property comes to have a value: within the limits, and nothing moves yet. Raises as `plan_write` does."""
+    plan = plan_write(robot, own, content)
+    name, value = plan.writer.name, plan.value
+    if not isinstance(value, MessageValue):
+        await require_parameter(robot, name, value.value)
+    elif isinstance(plan.writer, Setter):
+        url = robot.space.service(name)
+        await require_message(robot, Kind.SERVICE, name, value.schema, value.message, url, "#request")
+    else:
+        url = robot.space.topic(name)
+        await require_message(robot, Kind.TOPIC, name, value.schema, value.message, url, "#message")
+    return plan
+
+
+def told(plan: PlannedWrite, written: Written, accept: str | None) -> Response:
+    """The answer to a write that was carried out: 204, or 202 where nobody was there to hear it."""
+    if written is Written.DONE:
+        return Response(status_code=204)
+    sentence = f"The message was published, but no subscriber of {plan.writer.name} was there to get it."
+    return render(Problem(202, sentence, title="Nobody is listening"), accept).response()

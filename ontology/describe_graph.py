@@ -15,6 +15,7 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, ldp, rdf, rdfs, ros, xsd
 
 ROOMS: Mapping[str, str] = {
+    "resources": "Resources",
     "nodes": "Nodes",
     "topics": "Topics",
     "services": "Services",
@@ -23,6 +24,7 @@ ROOMS: Mapping[str, str] = {
     "types": "Types",
     "shapes": "Shapes",
     "bags": "Recordings",
+    "mappings": "Mappings",
     "queries": "Queries",
 }
 """The containers at the top, with their titles."""

@@ -123,7 +123,7 @@ class Application:
             error = Problem(500, "The server failed on this request; its log says more.")
         path = quote(exchange.request.scope["raw_path"].lstrip(b"/"), safe="/%:@!$&'()*+,;=~")
         url = self.robot.space.base + path
-        return self._pages.problem(exchange, error) or render(error, exchange.accept, url=url).response()
+        return self._pages.problem(exchange, error, url) or render(error, exchange.accept, url=url).response()
 
 
 def _share(response: Response, headers: Mapping[str, str]) -> None:

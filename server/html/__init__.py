@@ -4,19 +4,23 @@ Nothing here knows a robot or a store: a `Page` (or one of its kin) goes in, byt
 is text to these pages, never markup, and `HEADERS` tells the browser to run nothing at all.
 """
 
+from rosld.server.html.affordances import forms_of
 from rosld.server.html.forms import (
     DeleteForm,
     Form,
     MessageForm,
     ParameterForm,
+    ValueForm,
 )
 from rosld.server.html.page import (
     ALTERNATES,
     Alternate,
     Count,
+    Csrf,
     EntryPage,
     Listing,
     Notice,
+    Offer,
     Page,
     ProblemPage,
     QueryPage,
@@ -26,7 +30,7 @@ from rosld.server.html.page import (
     Step,
     StoredQuery,
 )
-from rosld.server.html.reading import parse_form, parse_parameter, split_hidden
+from rosld.server.html.reading import parse_form, parse_parameter, parse_value, split_hidden
 from rosld.server.html.render import (
     CONTENT_SECURITY_POLICY,
     HEADERS,
@@ -48,12 +52,14 @@ __all__ = [
     "STYLESHEET",
     "Alternate",
     "Count",
+    "Csrf",
     "DeleteForm",
     "EntryPage",
     "Form",
     "Listing",
     "MessageForm",
     "Notice",
+    "Offer",
     "Page",
     "ParameterForm",
     "ProblemPage",
@@ -64,8 +70,11 @@ __all__ = [
     "SparqlPage",
     "Step",
     "StoredQuery",
+    "ValueForm",
+    "forms_of",
     "parse_form",
     "parse_parameter",
+    "parse_value",
     "render_entry",
     "render_page",
     "render_problem",

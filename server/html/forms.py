@@ -1,18 +1,19 @@
-"""Forms: what a person may send to a resource, drawn from the schema of the message. `reading.py` reads them back.
+"""Forms: what a person may send to a resource, drawn from the shape of what it takes. `reading.py` reads them back.
 
-A form posts to the resource's own URL as `application/x-www-form-urlencoded`. Its first two fields are hidden: `csrf`,
-and `method`, the verb meant. All others are named by the path of their field (`linear.x`), so that a message may well
-have a field called `method`: only the first of that name is ours.
+A form posts as `application/x-www-form-urlencoded` to the resource at `action`, or where that is empty to its page's
+own. Its first two fields are hidden: `csrf`, and `method`, the verb meant. All others are named by the path of their
+field (`linear.x`), so that a message may well have a field called `method`: only the first of that name is ours.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, TypeAlias
 
 from rosld.adapters.model import MessageSchema
 from rosld.ontology.violations import Violation
+from rosld.server.html.bounds import demanded
 from rosld.server.html.inputs import (
     MOST_TEXT,
     Control,
@@ -20,12 +21,16 @@ from rosld.server.html.inputs import (
     Input,
     Json,
     can_be_typed,
+    choice,
     controls,
     number_text,
+    primitive,
     written,
 )
+from rosld.server.html.units import unit_symbol
 from rosld.server.html.view import visible
 from rosld.server.http import csrf
+from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
 
 CSRF_FIELD = csrf.FIELD
 METHOD_FIELD = "method"
@@ -44,7 +49,7 @@ class MessageForm:
     """A form for a message: publish it, or call a service with it.
 
     `value` (plain JSON, None for ROS's defaults) is what it is filled with at first, `typed` what was typed into it
-    when it was sent and did not fit, `violations` why. `action` is the URL it posts to, empty for the page's own.
+    when it was sent and did not fit, `violations` why.
     """
 
     template: ClassVar[str] = "message"
@@ -89,14 +94,67 @@ class ParameterForm:
     @property
     def controls(self) -> tuple[Control, ...]:
         """Its inputs: the type, and the value."""
-        typed = None if self.typed is None else dict(self.typed)
-        kind = kind_of(self.value) if typed is None else typed.get(TYPE_FIELD, "string")
-        text = _parameter_text(self.value) if typed is None else typed.get(VALUE_FIELD, "")
-        error = "; ".join(violation.message for violation in self.violations)
-        return (
-            Input(TYPE_FIELD, "type", "select", kind, options=PARAMETER_TYPES),
-            replace(_parameter_input(kind, text), error=visible(error)),
-        )
+        return _open_controls(self.value, self.typed, self.violations)
+
+
+@dataclass(frozen=True, slots=True)
+class ValueForm:
+    """A form for the value of a property, drawn from its shape; `label` is what one input is called.
+
+    `value` (plain JSON, None where there is none) is what it is filled with at first. The other fields are as those of
+    a `MessageForm`.
+    """
+
+    template: ClassVar[str] = "value"
+    shape: ValueShape
+    method: Method = "PUT"
+    title: str = "Set the value"
+    button: str = "Set"
+    value: Json = None
+    action: str = ""
+    about: str = ""
+    typed: Pairs | None = None
+    violations: tuple[Violation, ...] = ()
+    label: str = "value"
+
+    def refilled(self, pairs: Pairs, violations: Iterable[Violation]) -> ValueForm:
+        """The same form as it was sent, with what does not fit beside its fields."""
+        return replace(self, typed=tuple(pairs), violations=tuple(violations))
+
+    @property
+    def type(self) -> str:
+        """What is sent, as ROS calls it; empty where ROS has no type for it."""
+        match self.shape:
+            case ScalarShape(kind):
+                return kind.name
+            case MessageShape(schema):
+                return schema.ref.name
+            case OpenShape():
+                return ""
+
+    @property
+    def controls(self) -> tuple[Control, ...]:
+        """Its inputs."""
+        match self.shape:
+            case MessageShape(schema, fields, bounds):
+                filling = replace(_filling(self.typed, self.violations), bounds=bounds)
+                return controls(schema, self.value, filling, fields)
+            case ScalarShape(kind, bounds, measure):
+                filling = self._of_one(bounds)
+                return (primitive(kind, self.label, VALUE_FIELD, self.value, filling, _symbol(measure)),)
+            case OpenShape(bounds, measure) if bounds.choices:
+                present = _parameter_text(self.value)
+                filling = self._of_one(bounds)
+                return (choice(None, self.label, VALUE_FIELD, present, bounds, filling, _symbol(measure)),)
+            case OpenShape(bounds, measure):
+                of_type, value = _open_controls(self.value, self.typed, self.violations)
+                note = " ".join(filter(None, (value.note, visible(demanded(bounds)))))
+                return (of_type, replace(value, note=note, unit=_symbol(measure)))
+
+    def _of_one(self, bounds: Bounds) -> Filling:
+        """What the one input of a scalar is filled with: nothing that does not fit can be about anything else."""
+        typed = dict(self.typed) if self.typed is not None else None if self.value is not None else {}
+        return Filling(typed, _errors(self.violations), {VALUE_FIELD: bounds})
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +171,7 @@ class DeleteForm:
     violations: ClassVar[tuple[Violation, ...]] = ()
 
 
-Form: TypeAlias = MessageForm | ParameterForm | DeleteForm
+Form: TypeAlias = MessageForm | ParameterForm | ValueForm | DeleteForm
 
 
 def _filling(typed: Pairs | None, violations: Iterable[Violation]) -> Filling:
@@ -122,6 +180,27 @@ def _filling(typed: Pairs | None, violations: Iterable[Violation]) -> Filling:
         known = errors.get(violation.path)
         errors[violation.path] = f"{known}; {violation.message}" if known else violation.message
     return Filling(None if typed is None else dict(typed), errors)
+
+
+def _errors(violations: Iterable[Violation]) -> Mapping[str, str]:
+    text = "; ".join(violation.message for violation in violations)
+    return {VALUE_FIELD: text} if text else {}
+
+
+def _symbol(measure: Measure) -> str:
+    return "" if measure.unit is None else visible(unit_symbol(measure.unit.value))
+
+
+def _open_controls(value: Json, pairs: Pairs | None, violations: Iterable[Violation]) -> tuple[Input, Input]:
+    """The type, and the value."""
+    typed = None if pairs is None else dict(pairs)
+    kind = kind_of(value) if typed is None else typed.get(TYPE_FIELD, "string")
+    text = _parameter_text(value) if typed is None else typed.get(VALUE_FIELD, "")
+    error = visible("; ".join(violation.message for violation in violations))
+    return (
+        Input(TYPE_FIELD, "type", "select", kind, options=PARAMETER_TYPES),
+        replace(_parameter_input(kind, text), error=error),
+    )
 
 
 def kind_of(value: Json) -> str:

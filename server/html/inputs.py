@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from math import isfinite
 from typing import ClassVar, TypeAlias
 
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
-from rosld.ontology.fitting import RANGES
 from rosld.ontology.literals import OCTETS, STRINGS
+from rosld.server.html.bounds import browser_pattern, demanded, number_range, option_texts, same_value
 from rosld.server.html.messages import type_name
 from rosld.server.html.view import visible
+from rosld.shapes.value import UNBOUNDED, Bounds
 
 Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
 """Plain JSON as parsed; whole numbers are ints of any size."""
@@ -30,8 +30,8 @@ _DEEPEST = 64
 class Input:
     """One input. `type` is number, text, checkbox, textarea or select; `name` is the path of the field.
 
-    `value` is the text in it ("true" or "" for a checkbox), `hint` the ROS type, `note` a quiet sentence below it,
-    `error` what does not fit.
+    `value` is the text in it ("true" or "" for a checkbox), `hint` the ROS type, `unit` the symbol beside it, `note` a
+    quiet sentence below it, `error` what does not fit. A select whose value is no option asks for one.
     """
 
     kind: ClassVar[str] = "input"
@@ -46,8 +46,11 @@ class Input:
     min: str = ""
     max: str = ""
     step: str = ""
+    pattern: str = ""
+    minlength: str = ""
     maxlength: str = ""
     options: tuple[str, ...] = ()
+    unit: str = ""
 
     @property
     def lines(self) -> int:
@@ -72,10 +75,11 @@ Control: TypeAlias = Input | Fieldset
 
 @dataclass(frozen=True, slots=True)
 class Filling:
-    """What a form is filled with: what was `typed` into it last time, else a value; and the `errors` by path."""
+    """What a form is filled with: what was `typed` into it last time, else a value; `errors` and `bounds` by path."""
 
     typed: Mapping[str, str] | None = None
     errors: Mapping[str, str] | None = None
+    bounds: Mapping[str, Bounds] = field(default_factory=dict)
 
     def text(self, path: str, otherwise: str) -> str:
         """What stands in the input of `path`."""
@@ -95,28 +99,33 @@ class Filling:
         return visible("; ".join(found))
 
 
-def controls(schema: MessageSchema, value: Json, filling: Filling) -> tuple[Control, ...]:
-    """The inputs for a message of `schema`; `value` is plain JSON, and ROS's defaults stand where it has nothing."""
-    return _controls(schema, schema.ref.name, "", value, filling)
+def controls(
+    schema: MessageSchema, value: Json, filling: Filling, only: Container[str] | None = None
+) -> tuple[Control, ...]:
+    """The inputs for a message of `schema`; `value` is plain JSON, and ROS's defaults stand where it has nothing.
+
+    `only` names the fields of the message itself that are asked for; None is all of them.
+    """
+    fields = tuple(each for each in schema.type.fields if only is None or each.name in only)
+    return _controls(schema, fields, "", value, filling)
 
 
-def _controls(schema: MessageSchema, name: str, prefix: str, value: Json, filling: Filling) -> tuple[Control, ...]:
+def _controls(
+    schema: MessageSchema, fields: Iterable[Field], prefix: str, value: Json, filling: Filling
+) -> tuple[Control, ...]:
     values = value if isinstance(value, Mapping) else {}
-    return tuple(
-        _control(schema, each, f"{prefix}{each.name}", values.get(each.name), filling)
-        for each in schema.types[name].fields
-    )
+    return tuple(_control(schema, each, f"{prefix}{each.name}", values.get(each.name), filling) for each in fields)
 
 
 def _control(schema: MessageSchema, each: Field, path: str, value: Json, filling: Filling) -> Control:
     if is_fieldset(schema, each.type):
         assert isinstance(each.type, Nested)
-        inner = _controls(schema, each.type.name, f"{path}.", value, filling)
+        inner = _controls(schema, schema.types[each.type.name].fields, f"{path}.", value, filling)
         return Fieldset(path, each.name, each.type.name, inner, filling.error(path))
     if value is None:
         value = default(schema, each.type)
     if isinstance(each.type, Primitive):
-        return _primitive(each.type, each.name, path, value, filling)
+        return primitive(each.type, each.name, path, value, filling)
     return _json(each.type, each.name, path, value, filling)
 
 
@@ -137,30 +146,63 @@ def leaves(schema: MessageSchema, name: str) -> int:
     return count
 
 
-def _primitive(kind: Primitive, label: str, path: str, value: Json, filling: Filling) -> Input:
+def primitive(kind: Primitive, label: str, path: str, value: Json, filling: Filling, unit: str = "") -> Input:
+    """The input for one scalar, within its bounds; `value` is plain JSON."""
+    bounds = filling.bounds.get(path, UNBOUNDED)
+    if bounds.choices:
+        return choice(kind, label, path, _plain_text(kind, value), bounds, filling, unit)
     if kind.name == "bool":
         checked = filling.text(path, "true" if value is True else "")
-        return Input(
-            path, label, "checkbox", checked and "true", hint="bool", error=filling.below(path), required=False
-        )
+        error = filling.below(path)
+        return Input(path, label, "checkbox", checked and "true", hint="bool", error=error, required=False)
     if kind.name in STRINGS:
-        return _text(kind, label, path, value, filling)
-    return _number(kind, label, path, value, filling)
+        return _text(kind, label, path, value, bounds, filling)
+    return _number(kind, label, path, value, bounds, filling, unit)
 
 
-def _text(kind: Primitive, label: str, path: str, value: Json, filling: Filling) -> Input:
+def choice(
+    kind: Primitive | None, label: str, path: str, present: str, bounds: Bounds, filling: Filling, unit: str = ""
+) -> Input:
+    """A select of the values that a scalar may have; `kind` is None where ROS declares none."""
+    options = option_texts(kind, bounds)
+    text = filling.text(path, present)
+    return Input(
+        path,
+        label,
+        "select",
+        visible(next((option for option in options if same_value(option, text)), text)),
+        hint=kind.name if kind is not None else "",
+        error=filling.below(path),
+        options=tuple(map(visible, options)),
+        unit=unit,
+    )
+
+
+def _plain_text(kind: Primitive, value: Json) -> str:
+    if kind.name == "bool":
+        return "true" if value is True else "false"
+    if kind.name in STRINGS:
+        return value if isinstance(value, str) else ""
+    return number_text(value)
+
+
+def _text(kind: Primitive, label: str, path: str, value: Json, bounds: Bounds, filling: Filling) -> Input:
     present = value if isinstance(value, str) and can_be_typed(value) else None
     text = filling.text(path, present or "")
+    fixed = "The present value cannot be edited here." if present is None and filling.typed is None else ""
+    longest = [each for each in (kind.bound, bounds.max_length) if each is not None]
     return Input(
         path,
         label,
         "textarea" if "\n" in text or "\r" in text else "text",
         visible(text),
         hint=type_name(kind),
-        note="The present value cannot be edited here." if present is None and filling.typed is None else "",
+        note=visible(" ".join(filter(None, (fixed, demanded(bounds))))),
         error=filling.below(path),
-        required=False,
-        maxlength=str(kind.bound or ""),
+        required=bool(bounds.min_length),
+        pattern=visible(browser_pattern(bounds)),
+        minlength=str(bounds.min_length or ""),
+        maxlength=str(min(longest)) if longest else "",
     )
 
 
@@ -169,19 +211,21 @@ def can_be_typed(text: str) -> bool:
     return len(text) <= MOST_TEXT and visible(text) == text and "\r" not in text
 
 
-def _number(kind: Primitive, label: str, path: str, value: Json, filling: Filling) -> Input:
+def _number(kind: Primitive, label: str, path: str, value: Json, bounds: Bounds, filling: Filling, unit: str) -> Input:
     text = filling.text(path, number_text(value))
-    least, greatest = limits(kind.name)
+    least, greatest = number_range(kind, bounds)
     return Input(
         path,
         label,
         "number" if _browser_reads(text) else "text",
         visible(text),
         hint=kind.name,
+        note=visible(demanded(bounds)),
         error=filling.below(path),
         min=least,
         max=greatest,
         step="any" if kind.name in FLOATS else "1",
+        unit=unit,
     )
 
 
@@ -198,13 +242,6 @@ def _browser_reads(text: str) -> bool:
         return text == "" or (isfinite(float(text)) and "_" not in text and text.strip("+ ") == text)
     except (ValueError, OverflowError):
         return False
-
-
-@lru_cache(maxsize=64)
-def limits(name: str) -> tuple[str, str]:
-    """The least and greatest value of an integer type as texts; empty for floats."""
-    least, greatest = RANGES.get(name, ("", ""))
-    return str(least), str(greatest)
 
 
 def _json(kind: FieldType, label: str, path: str, value: Json, filling: Filling) -> Input:

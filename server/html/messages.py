@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Any, SupportsFloat, SupportsIndex, SupportsInt, cast
 from urllib.parse import quote
@@ -38,11 +38,20 @@ class _Drawing:
 
 
 def message_view(
-    schema: MessageSchema, message: Message, *, simulated_time: bool = False, octets: str | None = None
+    schema: MessageSchema,
+    message: Message,
+    *,
+    fields: tuple[Field, ...] | None = None,
+    simulated_time: bool = False,
+    octets: str | None = None,
 ) -> Rows:
-    """The table of a message. `octets` is the reference of a field's bytes but for the field's path, None without."""
+    """The table of a message, or of some of its `fields`.
+
+    `octets` is the reference of a field's bytes but for the field's path, None without.
+    """
     drawing = _Drawing(schema.types, simulated_time, octets)
-    return _rows(schema.type, message, "", 0, drawing)
+    kind = schema.type if fields is None else replace(schema.type, fields=fields)
+    return _rows(kind, message, "", 0, drawing)
 
 
 def _rows(kind: MessageType, message: Message, path: str, depth: int, drawing: _Drawing) -> Rows:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, TypeAlias
@@ -13,12 +13,17 @@ from rosld.ontology.document import Document
 from rosld.ontology.syntax import Syntax
 from rosld.ontology.violations import Violation
 from rosld.server.html.site import Site
+from rosld.server.hypermedia import views
 
 if TYPE_CHECKING:
     from rosld.server.html.forms import Form
 
 Term: TypeAlias = NamedNode | BlankNode | Literal | Triple
 Cell: TypeAlias = str | NamedNode | Literal
+Csrf: TypeAlias = Callable[[str], str]
+"""The token of a form by the URL it posts to; that of its page's own where that is empty."""
+Offer: TypeAlias = views.View
+"""What a page below `/resources/` is drawn from."""
 
 
 class Tone(Enum):
@@ -61,6 +66,13 @@ ALTERNATES = (
     Alternate("JSON", "application/json", "json"),
 )
 """What every resource can be read as beside HTML."""
+THING = Alternate("Thing Description", "application/td+json", "td")
+"""What a complex resource can be read as besides (WoT Thing Description 1.1)."""
+
+
+def no_token(action: str) -> str:
+    """The token of forms on pages that have none."""
+    return ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +98,11 @@ class Listing:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """The page of a resource. `forms` are shown as far as `allow` permits their methods.
+    """The page of a resource. `forms` are shown as far as `allow` permits their methods, those with an `action` always.
 
-    `title` is a ROS name as a rule, `kind` what it is ("Topic"); `csrf` is the token of its forms. `summary` is one
-    sentence for the reader. A page drawn as the answer to a form that did not fit carries that form refilled.
+    `title` is a ROS name as a rule, `kind` what it is ("Topic"); `csrf` tells the tokens of its forms. `summary` is one
+    sentence for the reader. A page drawn as the answer to a form that did not fit carries that form refilled. With an
+    `offer` the page shows that, and keeps the document's triples folded.
     """
 
     site: Site
@@ -98,22 +111,24 @@ class Page:
     document: Document
     allow: tuple[str, ...] = ("GET", "HEAD", "OPTIONS")
     forms: tuple[Form, ...] = ()
-    csrf: str = ""
+    csrf: Csrf = no_token
     notices: tuple[Notice, ...] = ()
     listing: Listing | None = None
     steps: tuple[Step, ...] = ()
     summary: str = ""
     alternates: tuple[Alternate, ...] = ALTERNATES
+    offer: Offer | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Count:
-    """A line of the entry page: how many there are of what, and where."""
+    """A line of the entry page: how many there are of what, and where. `first`: it is where to begin."""
 
     label: str
     number: int | None
     url: str
     about: str = ""
+    first: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,12 +6,15 @@ import re
 from collections.abc import Callable, Iterable
 from typing import TypeAlias, cast
 
-from rosld.adapters.model import FieldType, MessageSchema, Nested, Primitive
+from rosld.adapters.model import Field, FieldType, MessageSchema, Nested, Primitive
 from rosld.ontology.body import BodyError, parse_json
 from rosld.ontology.literals import STRINGS
 from rosld.ontology.violations import LoweringError, Violation
+from rosld.ontology.vocab import xsd
 from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD, PARAMETER_TYPES, TYPE_FIELD, VALUE_FIELD
 from rosld.server.html.inputs import FLOATS, MOST_TEXT, is_fieldset, is_octets
+from rosld.server.html.terms import NUMBERS
+from rosld.shapes.value import Bounds, MessageShape, OpenShape, ScalarShape, ValueShape
 
 JsonValue: TypeAlias = "bool | int | float | str | list[JsonValue] | dict[str, JsonValue] | None"
 _Reader: TypeAlias = Callable[[str], JsonValue]
@@ -40,12 +43,59 @@ def parse_form(schema: MessageSchema, pairs: Iterable[tuple[str, str]]) -> JsonV
     false; anything else that is missing, that no input of the form has sent, or that is no value of its type is a
     violation. Line ends are LF: browsers send CR LF whatever was typed. Raises LoweringError with all violations.
     """
+    return _parse_message(schema, schema.type.fields, pairs)
+
+
+def _parse_message(schema: MessageSchema, fields: Iterable[Field], pairs: Iterable[tuple[str, str]]) -> JsonValue:
     reading = _Reading(schema, *_by_name(pairs))
-    value = reading.message(schema.ref.name, "")
+    value = reading.message(fields, "")
     reading.refuse_the_rest()
     if reading.violations:
         raise LoweringError(*reading.violations)
     return value
+
+
+def parse_value(shape: ValueShape, pairs: Iterable[tuple[str, str]]) -> JsonValue:
+    """The plain JSON of the value that a `ValueForm` was filled with: the bare scalar, or an object of its fields.
+
+    As `parse_form` otherwise. Bounds are not judged here: the shape does that, whoever wrote the value.
+    """
+    match shape:
+        case MessageShape(schema, fields):
+            return _parse_message(schema, (each for each in schema.type.fields if each.name in fields), pairs)
+        case ScalarShape(kind, bounds):
+            return _parse_one(pairs, _reader(kind), "" if kind.name == "bool" and not bounds.choices else None)
+        case OpenShape(bounds) if bounds.choices:
+            return _parse_one(pairs, lambda text: _read_choice(bounds, text), None)
+        case OpenShape():
+            return parse_parameter(pairs)
+
+
+def _parse_one(pairs: Iterable[tuple[str, str]], reader: _Reader, unsent: str | None) -> JsonValue:
+    """The one value of a form; `unsent` is what a browser means that has sent none."""
+    texts, violations = _by_name(pairs)
+    text = texts.pop(VALUE_FIELD, unsent)
+    violations += [Violation(name, "is no field of this form", value) for name, value in texts.items()]
+    value: JsonValue = None
+    try:
+        if text is None:
+            raise ValueError("is missing")
+        value = reader(text)
+    except ValueError as error:
+        violations.append(Violation(VALUE_FIELD, str(error), text))
+    if violations:
+        raise LoweringError(*violations)
+    return value
+
+
+def _read_choice(bounds: Bounds, text: str) -> JsonValue:
+    """A choice of a value without a type, as plain JSON by the choice's own datatype."""
+    chosen = next((each for each in bounds.choices if each.value == text), None)
+    if chosen is None:
+        raise ValueError(f"must be one of {', '.join(each.value for each in bounds.choices)}")
+    if chosen.datatype == xsd.boolean:
+        return text in ("true", "1")
+    return _read_parameter("number", text) if chosen.datatype in NUMBERS else text
 
 
 def _by_name(pairs: Iterable[tuple[str, str]]) -> tuple[dict[str, str], list[Violation]]:
@@ -66,19 +116,17 @@ class _Reading:
         self.texts = texts
         self.violations = violations
 
-    def message(self, name: str, prefix: str) -> JsonValue:
-        """The fields of a type."""
-        return {each.name: self.field(each.type, f"{prefix}{each.name}") for each in self.schema.types[name].fields}
+    def message(self, fields: Iterable[Field], prefix: str) -> JsonValue:
+        """The fields of a message."""
+        return {each.name: self.field(each.type, f"{prefix}{each.name}") for each in fields}
 
     def field(self, kind: FieldType, path: str) -> JsonValue:
         """One field: a fieldset, or the text of one input."""
         if is_fieldset(self.schema, kind):
             assert isinstance(kind, Nested)
-            return self.message(kind.name, f"{path}.")
+            return self.message(self.schema.types[kind.name].fields, f"{path}.")
         text = self.texts.pop(path, None)
-        if kind == Primitive("bool"):
-            return self._read(path, text, _read_bool)
-        if text is None:
+        if text is None and kind != Primitive("bool"):
             self.violations.append(Violation(path, "is missing", None))
             return None
         return self._read(path, text, _reader(kind))
@@ -102,6 +150,8 @@ def _reader(kind: FieldType) -> _Reader:
         return _read_base64 if is_octets(kind) else _read_json
     if kind.name in STRINGS:
         return _read_string
+    if kind.name == "bool":
+        return _read_bool
     return _read_float if kind.name in FLOATS else _read_integer
 
 

@@ -14,14 +14,16 @@ from jinja2 import DictLoader, Environment, StrictUndefined
 from rosld.ontology.vocab import ldp, ros
 from rosld.server.html.breadcrumb import breadcrumb
 from rosld.server.html.carried import carried
-from rosld.server.html.description import describe, first_text
+from rosld.server.html.description import Section, describe, first_text
 from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD
 from rosld.server.html.labels import sentence
 from rosld.server.html.listing import contents
-from rosld.server.html.page import EntryPage, Notice, Page, ProblemPage, QueryPage, SparqlPage, Tone
+from rosld.server.html.offer import Posted, draw, posted_forms
+from rosld.server.html.page import THING, EntryPage, Notice, Page, ProblemPage, QueryPage, SparqlPage, Tone
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.tables import table
 from rosld.server.html.view import visible
+from rosld.server.hypermedia.views import ComplexView
 
 CONTENT_SECURITY_POLICY = "; ".join(
     (
@@ -134,25 +136,44 @@ def _frame(site: Site, title: str, url: str, notices: tuple[Notice, ...]) -> _Fr
 
 
 def render_page(page: Page) -> bytes:
-    """The page of a resource: notices, messages, contents, forms as far as allowed, and all that is said of it."""
-    notices = page.notices + _own_notices(page)
-    messages = carried(page.document, page.site)
+    """The page of a resource: notices, what is on offer or messages, contents, forms as far as allowed, and all that is
+
+    said of it.
+    """
+    posted = posted_forms(page.forms, page.allow, page.csrf, page.site)
+    sections = describe(page.document, page.site, without=(ldp.contains,) if page.offer is None else ())
     return _render(
         "page.html",
-        _frame(page.site, page.title, page.document.url, notices),
+        _frame(page.site, page.title, page.document.url, page.notices + _own_notices(page)),
         page=page,
-        messages=[each for each in messages if not each.aside],
-        asides=[each for each in messages if each.aside],
-        contents=contents(page.document, page.site, page.listing),
-        sections=describe(page.document, page.site, without=(ldp.contains,)),
-        forms=[form for form in page.forms if form.method in page.allow],
+        forms=[each for each in posted if page.offer is None or not each.form.action],
+        formats=(*page.alternates, *((THING,) if isinstance(page.offer, ComplexView) else ())),
         steps=[(_STEPS.get(step.rel, step.rel), step.rel, page.site.href(step.url)) for step in page.steps],
         curl=_curl(page.document.url, "text/turtle"),
+        **_body(page, sections, posted),
     )
 
 
+def _body(page: Page, sections: tuple[Section, ...], posted: tuple[Posted, ...]) -> dict[str, object]:
+    """What stands between the heading of a page and its forms."""
+    if page.offer is not None:
+        offer = draw(page.offer, page.site, posted)
+        return {"offer": offer, "messages": (), "asides": (), "contents": None, "sections": (), "folded": sections}
+    messages = carried(page.document, page.site)
+    return {
+        "offer": None,
+        "messages": [each for each in messages if not each.aside],
+        "asides": [each for each in messages if each.aside],
+        "contents": contents(page.document, page.site, page.listing),
+        "sections": sections,
+        "folded": (),
+    }
+
+
 def _own_notices(page: Page) -> tuple[Notice, ...]:
-    """What the description itself says is wrong with the resource."""
+    """What the description itself says is wrong with the resource; what is on offer tells that by itself."""
+    if page.offer is not None:
+        return ()
     found = ((words, first_text(page.document, predicate)) for predicate, words in _NOTICED)
     return tuple(Notice(f"{words}: {text}", Tone.WARNING) for words, text in found if text)
 

@@ -9,7 +9,7 @@ from urllib.parse import unquote, urlsplit
 from rosld.ontology.urls import TYPES, locate
 from rosld.ontology.vocab import PREFIXES, ros
 
-SECTIONS = ("nodes", "topics", "services", "parameters", "types", "queries")
+SECTIONS = ("resources", "nodes", "topics", "services", "parameters", "types", "mappings", "queries")
 """What the navigation of every page offers, beside SPARQL."""
 
 _NAMED = frozenset({"nodes", "topics", "services", "actions", "parameters", "resources"})

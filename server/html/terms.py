@@ -13,7 +13,7 @@ from rosld.server.html.site import Site
 from rosld.server.html.view import Go, Octets, Series, Text, View, text_view, visible
 
 _PLAIN = frozenset({xsd.string, rdf.langString})
-_NUMBERS = frozenset(
+NUMBERS = frozenset(
     {xsd.integer, xsd.decimal, xsd.float, xsd.double, xsd.byte, xsd.short, xsd.int, xsd.long}
     | {xsd.unsignedByte, xsd.unsignedShort, xsd.unsignedInt, xsd.unsignedLong, xsd.nonNegativeInteger}
 )
@@ -36,7 +36,7 @@ def cell_view(cell: Cell, site: Site) -> View:
     """A cell of a listing: text as it is, a term as a term without its datatype."""
     if isinstance(cell, str):
         return text_view(cell)
-    if isinstance(cell, Literal) and cell.datatype in _NUMBERS:
+    if isinstance(cell, Literal) and (cell.datatype in NUMBERS or cell.datatype == xsd.boolean):
         return Text(visible(cell.value), tone="number")
     return term_view(cell, site)
 
@@ -57,7 +57,7 @@ def literal_view(literal: Literal, site: Site) -> View:
         return _json_view(literal.value)
     if datatype == xsd.base64Binary:
         return Octets(len(literal.value) * 3 // 4 - literal.value[-2:].count("="), hint=hint)
-    if datatype in _NUMBERS:
+    if datatype in NUMBERS:
         return Text(visible(literal.value), hint, tone="number")
     return text_view(literal.value, hint)
 

@@ -6,14 +6,15 @@ import json
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
 from typing import TYPE_CHECKING
-from urllib.parse import parse_qsl
+from urllib.parse import parse_qsl, urlsplit
 
 from starlette.responses import Response
 
 from rosld.adapters.model import Stale
 from rosld.ontology.lower import LoweringError
 from rosld.server import html
-from rosld.server.html import DeleteForm, Form, Notice, ParameterForm, ProblemPage, Site
+from rosld.server.errors import problem_of_body
+from rosld.server.html import Csrf, DeleteForm, Form, Notice, ParameterForm, ProblemPage, Site, ValueForm
 from rosld.server.html.page import Tone
 from rosld.server.html.site import SECTIONS
 from rosld.server.http import negotiation
@@ -56,13 +57,12 @@ class Pages:
 
     async def page(self, resource: Resource, state: State, notices: Sequence[Notice] = ()) -> bytes:
         """The page of a resource as it is."""
-        return resource.page(self.site, state, await resource.forms(), self._token(resource), notices)
+        return resource.page(self.site, state, await resource.forms(), self._csrf(resource), notices)
 
-    def problem(self, exchange: Exchange, problem: Problem) -> Response | None:
-        """A problem as a page, for those who prefer one; None for all others."""
+    def problem(self, exchange: Exchange, problem: Problem, url: str) -> Response | None:
+        """A problem with the resource at `url` as a page, for those who prefer one; None for all others."""
         if negotiation.choose(exchange.accept, _PROBLEM_OFFERS) != "text/html":
             return None
-        url = str(exchange.request.url.path)
         page = ProblemPage(self.site, problem.status, problem.title, problem.detail, url, problem.violations)
         headers = {**problem.headers, **self.headers, "Vary": "Accept", "Cache-Control": "no-store"}
         return Response(html.render_problem(page), problem.status, headers, "text/html; charset=utf-8")
@@ -81,27 +81,46 @@ class Pages:
         try:
             value = _value(form, typed)
         except LoweringError as error:
-            raise FormRefused(form, typed, error) from error
+            raise FormRefused(form, typed, problem_of_body(error)) from error
         exchange.become(form.method, "application/json", b"" if value is None else json.dumps(value).encode())
         exchange.typed = typed
         return form
 
     async def refused(self, resource: Resource, refusal: FormRefused) -> Response:
-        """The page again with the form as it was filled in, and what does not fit beside its fields (422)."""
-        form = refusal.form
+        """The page again with the form as it was filled in, and with what is wrong: beside the fields that do not fit.
+
+        Raises the problem itself where there is no page to tell it on.
+        """
+        form, problem = refusal.form, refusal.problem
         if isinstance(form, DeleteForm):
-            raise refusal.error
-        count = len(refusal.error.violations)
-        sentence = f"Nothing was sent: {count} field{'s do' if count != 1 else ' does'} not fit."
-        notice = Notice(sentence, Tone.ERROR, tuple(refusal.error.violations))
-        again = form.refilled(refusal.typed, refusal.error.violations)
-        body = resource.page(self.site, await resource.state(), [again], self._token(resource), [notice])
-        return Response(body, 422, {**self.headers, "Cache-Control": "no-store"}, "text/html; charset=utf-8")
+            raise problem
+        fields = problem.violations if problem.status == 422 else ()
+        notice = Notice(_sentence(len(fields)) if fields else problem.detail, Tone.ERROR, problem.violations)
+        again = form.refilled(refusal.typed, fields)
+        try:
+            state = await resource.state()
+        except Problem:
+            raise problem from None
+        body = resource.page(self.site, state, [again], self._csrf(resource), [notice])
+        headers = {**problem.headers, **self.headers, "Cache-Control": "no-store"}
+        return Response(body, problem.status, headers, "text/html; charset=utf-8")
 
     async def told(self, resource: Resource, sentence: str) -> Response:
         """The page with a notice, after a form that was carried out with a reservation (202)."""
         body = await self.page(resource, await resource.state(), [Notice(sentence, Tone.WARNING)])
         return Response(body, 202, {**self.headers, "Cache-Control": "no-store"}, "text/html; charset=utf-8")
+
+    def came_from(self, exchange: Exchange) -> str | None:
+        """The URL of the page that a form stood on (RFC 9110 10.1.3), under the name of this site; None where that is
+
+        not told.
+        """
+        space = self._robot.space
+        try:
+            path = urlsplit(exchange.header("referer") or "").path
+        except ValueError:
+            return None
+        return space.base + path[len(space.path) :] if path.startswith(space.path) else None
 
     async def _pairs(self, exchange: Exchange) -> list[tuple[str, str]]:
         try:
@@ -110,18 +129,23 @@ class Pages:
         except (UnicodeDecodeError, ValueError) as error:
             raise Problem(400, f"The form cannot be read: {error}.") from error
 
-    def _token(self, resource: Resource) -> str:
-        return self._robot.forms.token(resource.url)
+    def _csrf(self, resource: Resource) -> Csrf:
+        """Tokens for the forms of its page, each for the URL it posts to."""
+        return lambda action: self._robot.forms.token(action or resource.url)
 
 
 class FormRefused(Exception):
-    """What was typed into a form does not fit."""
+    """What was typed into a form does not fit, or what it asks for was not done."""
 
-    def __init__(self, form: Form, typed: Sequence[tuple[str, str]], error: LoweringError) -> None:
-        super().__init__(str(error))
+    def __init__(self, form: Form, typed: Sequence[tuple[str, str]], problem: Problem) -> None:
+        super().__init__(problem.detail)
         self.form = form
         self.typed = tuple(typed)
-        self.error = error
+        self.problem = problem
+
+
+def _sentence(count: int) -> str:
+    return f"Nothing was sent: {count} field{'s do' if count != 1 else ' does'} not fit."
 
 
 def _value(form: Form, typed: Sequence[tuple[str, str]]) -> object:
@@ -129,6 +153,8 @@ def _value(form: Form, typed: Sequence[tuple[str, str]]) -> object:
         return None
     if isinstance(form, ParameterForm):
         return html.parse_parameter(typed)
+    if isinstance(form, ValueForm):
+        return html.parse_value(form.shape, typed)
     return html.parse_form(form.schema, typed)
 
 

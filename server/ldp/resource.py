@@ -14,7 +14,7 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.ontology.serialize import Syntax
-from rosld.server.html import Form, Listing, Notice, Page, Site, Step, render_page
+from rosld.server.html import Csrf, Form, Listing, Notice, Page, Site, Step, render_page
 from rosld.server.http.link import Link, uri
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
@@ -79,7 +79,7 @@ class Resource:
         """The URL of what constrains the bodies it takes, such as the shape of its type."""
         return None
 
-    def page(self, site: Site, state: State, forms: Sequence[Form], csrf: str, notices: Sequence[Notice]) -> bytes:
+    def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         """Its page for people."""
         return render_page(
             Page(
@@ -93,6 +93,7 @@ class Resource:
                 tuple(notices),
                 self.listing(),
                 self.steps(),
+                offer=state.view,
             )
         )
 

@@ -6,10 +6,13 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
+
+if TYPE_CHECKING:
+    from rosld.server.hypermedia.views import View
 
 
 class Rendering(NamedTuple):
@@ -27,6 +30,7 @@ class State:
     `token` is the state part of its ETag; without one it is a digest of the RDF. `plain` returns ROS's own JSON or
     raises the Problem that says why there is none (406). `received_ns` is when its newest sample was received, for Age.
     `max_age`: seconds for which it may be shown without asking again (RFC 9111 5.2.2.1); 0: ask each time.
+    `view` is what its page is drawn from, where that is more than its RDF.
     A state is kept as long as nothing changes, and its renderings with it.
     """
 
@@ -35,6 +39,7 @@ class State:
     token: str | None = None
     received_ns: int | None = None
     max_age: int = 0
+    view: View | None = None
     renderings: dict[str, Rendering] = field(default_factory=dict)
 
     @cached_property

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 from starlette.responses import Response
 
+from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.serialize import CannotCarry, Syntax, serialize
-from rosld.server.errors import problem_of_body
+from rosld.server.errors import problem_of, problem_of_body
 from rosld.server.events import asked
 from rosld.server.events.feed import Feeds
 from rosld.server.events.stream import HEADERS, EventStream, Telling
@@ -170,13 +171,16 @@ class Verbs:
             form = await self.pages.meant(exchange, resource)
             try:
                 answer = await _VERBS[form.method](resource, exchange)
-            except LoweringError as error:
-                raise FormRefused(form, exchange.typed, error) from error
+            except (LoweringError, RosError, Problem) as error:
+                problem = _problem(error)
+                if problem.status not in _TOLD_ON_THE_PAGE:
+                    raise
+                raise FormRefused(form, exchange.typed, problem) from error
         except FormRefused as refusal:
             return await self.pages.refused(resource, refusal)
         if isinstance(answer, Response) and answer.status_code == 202:
             return await self.pages.told(resource, "It was published, but no subscriber was there to get it.")
-        back = _back(resource, answer)
+        back = _back(resource, answer, self.pages.came_from(exchange))
         if form.method == "DELETE":
             back = resource.url.rstrip("/").rpartition("/")[0] + "/"
         return Response(status_code=303, headers={"Location": link.uri(back)})
@@ -210,6 +214,8 @@ class Verbs:
 
 
 _REFUSED_BODIES = frozenset({400, 409, 415, 422})
+_TOLD_ON_THE_PAGE = frozenset({409, 422, 429, 502, 503, 504})
+"""What may become of a form that was in order: the reader stays on its page."""
 _CONTENT = (b"content-type", b"content-length")
 _VERBS: Mapping[str, Callable[[Resource, Exchange], Awaitable[Answer]]] = {
     "PUT": lambda resource, exchange: resource.put(exchange),
@@ -219,15 +225,22 @@ _VERBS: Mapping[str, Callable[[Resource, Exchange], Awaitable[Answer]]] = {
 }
 
 
-def _back(resource: Resource, answer: Answer) -> str:
-    """Where a browser goes after a form."""
+def _problem(error: LoweringError | RosError | Problem) -> Problem:
+    """The problem that an error comes to."""
+    if isinstance(error, Problem):
+        return error
+    return problem_of(error) if isinstance(error, RosError) else problem_of_body(error)
+
+
+def _back(resource: Resource, answer: Answer, came_from: str | None) -> str:
+    """Where a browser goes after a form: to what it made, or back to where it stood."""
     match answer:
         case Created():
             return answer.location
         case Shown():
             return answer.resource.url
         case _:
-            return answer.headers.get("location", resource.url)
+            return answer.headers.get("location") or came_from or resource.url
 
 
 def _constrained(resource: Resource, error: BodyError | LoweringError | Problem) -> Problem:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rosld.ontology.describe_graph import ROOMS, entry_document
-from rosld.server.html import Count, EntryPage, Form, Notice, Site, render_entry
+from rosld.server.html import Count, Csrf, EntryPage, Form, Notice, Site, render_entry
 from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.ldp.state import State
 from rosld.server.robot import Robot
 from rosld.server.writable import RESERVED
+
+_FIRST = "What the robot is like now, and what it can do: values to read and to set, actions, links."
 
 
 class EntryResource(Resource):
@@ -22,7 +24,7 @@ class EntryResource(Resource):
         super().__init__(robot.space.base)
         self.robot = robot
 
-    def page(self, site: Site, state: State, forms: Sequence[Form], csrf: str, notices: Sequence[Notice]) -> bytes:
+    def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         graph, space = self.robot.graph, self.robot.space
         numbers = {
             "topics": len(graph.topics),
@@ -31,9 +33,12 @@ class EntryResource(Resource):
             "parameters": len(graph.parameters),
             "bags": len(self.robot.adapter.recordings),
         }
-        counts = tuple(
-            Count(ROOMS[room], number, space.container(room)) for room, number in numbers.items() if number
-        ) + tuple(Count(ROOMS[room], None, space.container(room)) for room in ("types", "calls", "queries"))
+        first = Count(ROOMS["resources"], None, space.container("resources"), _FIRST, first=True)
+        counts = (
+            first,
+            *(Count(ROOMS[room], number, space.container(room)) for room, number in numbers.items() if number),
+            *(Count(ROOMS[room], None, space.container(room)) for room in ("types", "mappings", "calls", "queries")),
+        )
         return render_entry(EntryPage(site, state.document, counts, self._example(), tuple(notices)))
 
     def _example(self) -> str | None:

@@ -14,6 +14,7 @@ import tempfile
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -21,12 +22,13 @@ from urllib.parse import urlsplit
 import numpy as np
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from rosld.adapters.model import Message, MessageSchema, TypeRef
+from rosld.adapters.model import Message, MessageSchema, Primitive, ServiceSchema, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.document import Document, Envelope, LiftedMessage
-from rosld.ontology.lift import TYPES, lifter
+from rosld.ontology.lift import TYPES, LiftSettings, lifter
 from rosld.ontology.lower import Violation, lowerer
-from rosld.ontology.vocab import ldp, rdf, rdfs, ros, xsd
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import av, ldp, rdf, rdfs, ros, xsd
 from rosld.server.html import (
     HEADERS,
     ICON,
@@ -47,19 +49,38 @@ from rosld.server.html import (
     SparqlPage,
     Step,
     StoredQuery,
+    ValueForm,
+    forms_of,
     render_entry,
     render_page,
     render_problem,
     render_query,
     render_sparql,
 )
-from rosld.server.html.page import Tone
+from rosld.server.html.page import Offer, Tone
+from rosld.server.hypermedia.describe import action_document, complex_document, property_document
+from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Value
+from rosld.server.hypermedia.views import (
+    ActionAffordance,
+    ActionView,
+    ComplexView,
+    LinkAffordance,
+    Member,
+    PropertyAffordance,
+    PropertyView,
+)
+from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
 
 BASE = "http://127.0.0.1:8080/"
 SITE = Site(BASE, "aircraft", system="The paper's aircraft")
 NOW = 1_795_225_901_123_456_789
 LIBRARY = TypeLibrary(ros_version=1)
 HOSTILE = '<script>alert("x")</script>\'\u202e&amp;\x00'
+
+
+def token(action: str) -> str:
+    """The token of every form, whatever it posts to."""
+    return "token"
 
 
 def schema(name: str) -> MessageSchema:
@@ -131,7 +152,7 @@ def display() -> Page:
     )
     form = MessageForm(kind, value={"data": "Cleared for take-off"}, about="Everybody who subscribes will receive it.")
     allow = ("GET", "HEAD", "OPTIONS", "PATCH", "PUT")
-    return Page(SITE, "Topic", "/cockpit/display", Document(url, tuple(triples)), allow, (form,), csrf="token")
+    return Page(SITE, "Topic", "/cockpit/display", Document(url, tuple(triples)), allow, (form,), csrf=token)
 
 
 def odometry() -> Page:
@@ -174,7 +195,14 @@ def twist(refused: bool = False) -> Page:
         form = form.refilled(typed, wrong)
         notices = (Notice("Nothing was published: two fields do not fit.", Tone.ERROR, wrong),)
     return Page(
-        SITE, "Topic", "/cmd_vel", Document(url, tuple(triples)), ("GET", "PUT"), (form,), csrf="t", notices=notices
+        SITE,
+        "Topic",
+        "/cmd_vel",
+        Document(url, tuple(triples)),
+        ("GET", "PUT"),
+        (form,),
+        csrf=token,
+        notices=notices,
     )
 
 
@@ -266,7 +294,7 @@ def parameter() -> Page:
         DeleteForm("Delete the parameter", about="It cannot be undone."),
     )
     allow = ("GET", "PUT", "DELETE")
-    return Page(SITE, "Parameter", "/aircraft/gains", Document(url, tuple(triples)), allow, forms, csrf="t")
+    return Page(SITE, "Parameter", "/aircraft/gains", Document(url, tuple(triples)), allow, forms, csrf=token)
 
 
 def service() -> Page:
@@ -283,7 +311,7 @@ def service() -> Page:
     kind = schema("rosld_aircraft/srv/SetNumber_Request")
     form = MessageForm(kind, "POST", "Call the service", "Call")
     title = "/aircraft/engine/set_speed"
-    return Page(SITE, "Service", title, Document(url, tuple(triples)), ("GET", "POST"), (form,), csrf="t")
+    return Page(SITE, "Service", title, Document(url, tuple(triples)), ("GET", "POST"), (form,), csrf=token)
 
 
 def call() -> Page:
@@ -346,11 +374,275 @@ def hostile() -> Page:
         Document(url, tuple(triples), messages),
         ("GET", "PUT", "DELETE"),
         (form, ParameterForm(HOSTILE), DeleteForm(HOSTILE, HOSTILE, HOSTILE)),
-        csrf='"><script>',
+        csrf=lambda _: '"><script>',
         notices=(Notice(HOSTILE, Tone.ERROR, (Violation(HOSTILE, HOSTILE, HOSTILE),)),),
         listing=Listing((HOSTILE,), {f"{url}/%22onload%3D%22": (HOSTILE,)}),
         summary=HOSTILE,
     )
+
+
+# What is on offer below /resources/
+
+SPACE = Space(BASE)
+RESOURCES = f"{BASE}resources"
+POWER = ScalarShape(Primitive("string"), Bounds(choices=(Literal("on"), Literal("off"))))
+SPEED = ScalarShape(
+    Primitive("float64"),
+    Bounds(least=Literal(0), greatest=Literal(1000)),
+    Measure(
+        NamedNode("http://qudt.org/vocab/unit/REV-PER-MIN"),
+        NamedNode("http://qudt.org/vocab/quantitykind/RotationalVelocity"),
+    ),
+)
+DIRECTION = ScalarShape(
+    Primitive("float64"),
+    Bounds(least=Literal(0), below=Literal(360)),
+    Measure(NamedNode("http://qudt.org/vocab/unit/DEG")),
+)
+
+
+def offered(offer: Offer, kind: str, title: str, allow: tuple[str, ...], notices: tuple[Notice, ...] = ()) -> Page:
+    """The page of something on offer, with its own forms."""
+    match offer:
+        case ComplexView():
+            document = complex_document(offer, SPACE, LiftSettings())
+        case PropertyView():
+            document = property_document(offer, SPACE, LiftSettings())
+        case ActionView():
+            document = action_document(offer, SPACE, LiftSettings())
+    return Page(SITE, kind, title, document, allow, forms_of(offer), token, notices, offer=offer)
+
+
+def of(kind: str, value: object, source: str, *names: str) -> MessageValue:
+    """A value that is a message, or some of its fields."""
+    found = schema(kind)
+    fields = tuple(each for each in found.type.fields if not names or each.name in names)
+    return MessageValue(found, message(found, value), fields, f"{BASE}topics{source}")
+
+
+def data(kind: str, value: object) -> MessageValue:
+    """A value that is the `data` of a message."""
+    return of(f"std_msgs/msg/{kind}", {"data": value}, "/x")
+
+
+def member(
+    name: str,
+    shape: ValueShape,
+    value: Value | None,
+    predicate: NamedNode | None = None,
+    *,
+    failure: str | None = None,
+    field: str | None = None,
+    write: bool = True,
+    read: bool = True,
+) -> Member:
+    """A property by its full name, as it was read."""
+    short = name.rpartition("/")[2]
+    affordance = PropertyAffordance(short, f"{RESOURCES}{name}", shape, predicate, read=read, write=write)
+    return Member(affordance, Reading(name, value, failure, NOW if value or failure else None), field)
+
+
+def power(value: str) -> Member:
+    """Whether the aircraft is started."""
+    return member("/aircraft/power", POWER, data("String", value), av.power)
+
+
+def action(name: str, service: str, relation: NamedNode | None = None) -> ActionAffordance:
+    """An action by its full name and the type of its service."""
+    found = LIBRARY.find(TypeRef(service))
+    assert isinstance(found, ServiceSchema)
+    return ActionAffordance(name.rpartition("/")[2], f"{RESOURCES}{name}", found.request, relation)
+
+
+def aircraft_stopped() -> Page:
+    """The paper's aircraft before it is started."""
+    view = ComplexView(
+        f"{RESOURCES}/aircraft/",
+        "/aircraft/",
+        (power("off"),),
+        (action("/aircraft/start", "std_srvs/srv/Trigger", av.start),),
+        parent=f"{RESOURCES}/",
+        mapping=f"{BASE}mappings/aircraft#aircraft",
+    )
+    return offered(view, "Complex resource", "/aircraft/", ("GET", "PATCH"))
+
+
+def aircraft_started() -> Page:
+    """The paper's aircraft once it is started: other links, another action."""
+    view = ComplexView(
+        f"{RESOURCES}/aircraft/",
+        "/aircraft/",
+        (power("on"),),
+        (action("/aircraft/stop", "std_srvs/srv/Trigger", av.stop),),
+        (LinkAffordance(av.engine, f"{RESOURCES}/aircraft/engine/"),),
+        (f"{RESOURCES}/aircraft/engine/",),
+        f"{RESOURCES}/",
+        mapping=f"{BASE}mappings/aircraft#aircraft",
+    )
+    return offered(view, "Complex resource", "/aircraft/", ("GET", "PATCH"))
+
+
+def engine() -> Page:
+    """Numbers with units."""
+    view = ComplexView(
+        f"{RESOURCES}/aircraft/engine/",
+        "/aircraft/engine/",
+        (
+            member("/aircraft/engine/speed", SPEED, data("Float64", 500.0), av.speed),
+            member("/aircraft/engine/direction", DIRECTION, data("Float64", 270.0), av.direction),
+        ),
+        links=(LinkAffordance(av.aircraft, f"{RESOURCES}/aircraft/"),),
+        parent=f"{RESOURCES}/aircraft/",
+        mapping=f"{BASE}mappings/aircraft#engine",
+    )
+    return offered(view, "Complex resource", "/aircraft/engine/", ("GET", "PATCH"))
+
+
+def property_view(one: Member, readers: Sequence[str], writers: Sequence[str]) -> PropertyView:
+    """A property by itself, with what is behind it."""
+    above = one.affordance.url.rpartition("/")[0] + "/"
+    return PropertyView(
+        one.affordance, one.reading, tuple(BASE + way for way in readers), tuple(BASE + way for way in writers), above
+    )
+
+
+def select() -> Page:
+    """A property that has one of two values."""
+    view = property_view(power("off"), ["services/aircraft/get_power"], ["services/aircraft/set_power"])
+    return offered(view, "Property", "/aircraft/power", ("GET", "PUT"))
+
+
+def speed_of(failure: str | None = None) -> PropertyView:
+    """The speed of the engine."""
+    value = data("Float64", 500.0) if failure is None else None
+    one = member("/aircraft/engine/speed", SPEED, value, av.speed, failure=failure)
+    ways = ["topics/aircraft/engine/speed", "services/aircraft/engine/get_speed"]
+    return property_view(one, ways, ["services/aircraft/engine/set_speed"])
+
+
+def number() -> Page:
+    """A property that is a number with a unit and bounds."""
+    return offered(speed_of(), "Property", "/aircraft/engine/speed", ("GET", "PUT"))
+
+
+def limited() -> Page:
+    """A value beyond its bounds, refused."""
+    page = offered(speed_of(), "Property", "/aircraft/engine/speed", ("GET", "PUT"))
+    wrong = (Violation("", "must be at most 1000", "1200.0"),)
+    (form,) = page.forms
+    assert isinstance(form, ValueForm)
+    notice = Notice("Nothing was sent: 1 field does not fit.", Tone.ERROR, wrong)
+    return replace(page, forms=(form.refilled([("value", "1200")], wrong),), notices=(notice,))
+
+
+def unreadable() -> Page:
+    """A property that cannot be read now."""
+    view = speed_of("/aircraft/engine/get_speed has not answered within 1 s")
+    return offered(view, "Property", "/aircraft/engine/speed", ("GET", "PUT"))
+
+
+def pose() -> Page:
+    """A property that is a message, some of whose fields have bounds."""
+    kind = schema("geometry_msgs/msg/PoseStamped")
+    shape = MessageShape(
+        kind, ("header", "pose"), {"pose.position.z": Bounds(least=Literal(0)), "header.frame_id": POWER.bounds}
+    )
+    value = of("geometry_msgs/msg/PoseStamped", {"pose": {"position": {"x": 1.5}}}, "/arm/goal")
+    view = property_view(member("/arm/goal", shape, value), ["topics/arm/goal"], ["topics/arm/goal"])
+    return offered(view, "Property", "/arm/goal", ("GET", "PUT"))
+
+
+def unmapped() -> Page:
+    """A namespace that no mapping arranges, with everything that may lie in one."""
+    turtle, pen = "turtlesim/msg/Pose", "turtlesim/srv/SetPen"
+    pose, place = schema(turtle), ("x", "y", "theta")
+    one_of = Bounds(choices=(Literal(1), Literal(2)))
+    view = ComplexView(
+        f"{RESOURCES}/turtle1/",
+        "/turtle1/",
+        (
+            member("/turtle1/pose", MessageShape(pose, place), of(turtle, {"x": 5.5}, "/p", *place), write=False),
+            member("/turtle1/name", OpenShape(), StoredValue("Leonardo")),
+            member("/turtle1/limits", OpenShape(), StoredValue([0.5, 1.0, 1.5])),
+            member("/turtle1/awake", ScalarShape(Primitive("bool")), data("Bool", True)),
+            member("/turtle1/gear", ScalarShape(Primitive("int8"), one_of), data("Int8", 3)),
+            member("/turtle1/height", ScalarShape(Primitive("float32")), of(turtle, {}, "/p"), field="y"),
+            member("/turtle1/lamp", ScalarShape(Primitive("bool")), None, read=False),
+            member("/turtle1/battery", OpenShape(), None, failure="/get_battery is gone", write=False),
+            member("/turtle1/distance", ScalarShape(Primitive("float64")), None, write=False),
+        ),
+        (
+            action("/turtle1/reset", "std_srvs/srv/Empty"),
+            action("/turtle1/center_the_view", "std_srvs/srv/Trigger"),
+            action("/turtle1/set_pen", pen),
+            ActionAffordance("dance", f"{RESOURCES}/turtle1/dance", None),
+        ),
+        children=(f"{RESOURCES}/turtle1/left%20arm/", f"{RESOURCES}/turtle1/camera/"),
+        parent=f"{RESOURCES}/",
+    )
+    return offered(view, "Complex resource", "/turtle1/", ("GET", "PATCH"))
+
+
+def press() -> Page:
+    """An action that takes nothing."""
+    one = action("/aircraft/start", "std_srvs/srv/Trigger", av.start)
+    view = ActionView(one, f"{BASE}services/aircraft/start", f"{RESOURCES}/aircraft/")
+    return offered(view, "Action", "/aircraft/start", ("GET", "POST"))
+
+
+def declined() -> Page:
+    """An action that was declined."""
+    view = ActionView(
+        action("/turtle1/set_pen", "turtlesim/srv/SetPen"),
+        f"{BASE}services/turtle1/set_pen",
+        f"{RESOURCES}/turtle1/",
+    )
+    notices = (Notice("/turtle1/set_pen declined: there is no ink.", Tone.ERROR),)
+    return offered(view, "Action", "/turtle1/set_pen", ("GET", "POST"), notices)
+
+
+def hostile_offer() -> Page:
+    """Resources named by somebody who means harm."""
+    text, odd = HOSTILE.replace("\x00", ""), f"{RESOURCES}/%3Cscript%3E"
+    strange = Bounds(choices=(Literal(text),), pattern=HOSTILE)
+    stranger = Bounds(pattern='"><script>', least=Literal(text), min_length=3)
+    told = Measure(NamedNode("javascript:alert(1)"), NamedNode("javascript:alert(1)"))
+    view = ComplexView(
+        f"{odd}/",
+        f"/{text}/",
+        (
+            Member(
+                PropertyAffordance(text, f"{odd}/a", ScalarShape(Primitive("string"), strange), title=text, write=True),
+                Reading(text, data("String", text), None, NOW),
+            ),
+            Member(
+                PropertyAffordance(text, f"{odd}/b", ScalarShape(Primitive("float64"), stranger, told), write=True),
+                Reading(text, None, HOSTILE),
+            ),
+            Member(
+                PropertyAffordance(text, f"{odd}/c", OpenShape(stranger, told), NamedNode("javascript:alert(1)")),
+                Reading(text, StoredValue({"a": [text]})),
+            ),
+            Member(
+                PropertyAffordance(text, "javascript:alert(1)", ScalarShape(Primitive("string"), stranger), write=True),
+                Reading(text, StoredValue(text)),
+                text,
+            ),
+        ),
+        (
+            ActionAffordance(
+                text, "https://elsewhere.example/", schema("std_msgs/msg/Empty"), NamedNode("javascript:alert(1)"), text
+            ),
+            ActionAffordance(text, f"{odd}/d", schema("std_msgs/msg/Empty"), title=text),
+            ActionAffordance(text, f"{odd}/e", schema("std_msgs/msg/String"), title=text),
+        ),
+        (LinkAffordance(NamedNode("javascript:alert(1)"), "javascript:alert(1)"), LinkAffordance(av.engine, odd)),
+        (f"{odd}/%22onload%3D%22/", "javascript:alert(1)"),
+        "javascript:alert(1)",
+        text,
+        "javascript:alert(1)",
+    )
+    return offered(view, HOSTILE, HOSTILE, ("GET", "PATCH"))
 
 
 QUERIES = (
@@ -398,6 +690,7 @@ def entry(stale: bool = False) -> bytes:
     )
     master = said(f"{BASE}#master", (rdf.type, ros.Master), (ros.uri, "http://localhost:11311/"))
     counts = (
+        Count("resources", None, f"{BASE}resources/", "What the robot is like now, and what it can do.", first=True),
         Count("nodes", 2, f"{BASE}nodes/", "Who takes part, and with what."),
         Count("topics", 14, f"{BASE}topics/", "What is published, by whom, how often."),
         Count("services", 9, f"{BASE}services/", "What can be called."),
@@ -423,7 +716,11 @@ def problem() -> bytes:
 
 def gallery() -> Mapping[str, bytes]:
     """All pages by name."""
-    pages = (speed, display, odometry, twist, image, scan, transforms, topics, parameter, service, call, message_type)
+    pages = (
+        speed, display, odometry, twist, image, scan, transforms, topics, parameter, service, call, message_type,
+        aircraft_stopped, aircraft_started, engine, select, number, limited, unreadable, pose, unmapped, press,
+        declined, hostile_offer,
+    )  # fmt: skip
     drawn = {page.__name__: render_page(page()) for page in pages}
     return {
         "entry": entry(),

@@ -106,7 +106,7 @@ class Browser(HTMLParser):
 
 
 def page(*forms: Form, allow: tuple[str, ...] = ("GET", "PUT", "POST", "DELETE")) -> Browser:
-    drawn = render_page(Page(SITE, "Topic", "/x", Document(URL, ()), allow, forms, csrf="token"))
+    drawn = render_page(Page(SITE, "Topic", "/x", Document(URL, ()), allow, forms, csrf=lambda _: "token"))
     return Browser(drawn.decode())
 
 

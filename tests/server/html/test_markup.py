@@ -16,7 +16,9 @@ from rosld.server.html import CONTENT_SECURITY_POLICY, STYLESHEET
 VOID = frozenset({"meta", "link", "img", "input", "br", "hr"})
 PAGES = (
     "entry", "stale", "speed", "display", "odometry", "twist", "image", "scan", "transforms", "topics", "parameter",
-    "service", "call", "message_type", "refused", "hostile", "sparql", "query", "problem",
+    "service", "call", "message_type", "refused", "hostile", "sparql", "query", "problem", "aircraft_stopped",
+    "aircraft_started", "engine", "select", "number", "limited", "unreadable", "pose", "unmapped", "press", "declined",
+    "hostile_offer",
 )  # fmt: skip
 
 

@@ -1,0 +1,63 @@
+"""Forms of what is on offer: to set a property, to invoke an action, each drawn from what it takes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from rosld.server.html.forms import Form, MessageForm, ValueForm
+from rosld.server.html.labels import sentence, words
+from rosld.server.html.page import Offer
+from rosld.server.html.values import plain_value
+from rosld.server.hypermedia.value import Reading
+from rosld.server.hypermedia.views import (
+    ActionAffordance,
+    ActionView,
+    ComplexView,
+    Member,
+    PropertyAffordance,
+    PropertyView,
+)
+from rosld.shapes.value import ScalarShape
+
+MOST_FORMS = 100
+"""Properties that can be set right on the page of their complex resource; the others have pages of their own."""
+
+
+def forms_of(view: Offer) -> tuple[Form, ...]:
+    """The forms on the page of a view. Those that post elsewhere than to the page's own URL say so in `action`.
+
+    On the page of a complex resource there is one for each action, and one for each property that is a single scalar.
+    """
+    match view:
+        case PropertyView(affordance, reading):
+            return (property_form(affordance, reading),) if affordance.write else ()
+        case ActionView(affordance):
+            return tuple(_action_forms(affordance))
+        case ComplexView():
+            return (
+                *_member_forms(view),
+                *(replace(form, action=one.url) for one in view.actions for form in _action_forms(one)),
+            )
+
+
+def property_form(affordance: PropertyAffordance, reading: Reading) -> ValueForm:
+    """The form for the value of a property."""
+    return ValueForm(affordance.shape, value=plain_value(reading.value), label=affordance.title or affordance.name)
+
+
+def _member_forms(view: ComplexView) -> Iterator[ValueForm]:
+    settable = [member for member in view.members if is_set_in_place(member)]
+    for member in settable[:MOST_FORMS]:
+        yield replace(property_form(member.affordance, member.reading), action=member.affordance.url)
+
+
+def is_set_in_place(member: Member) -> bool:
+    """Whether a member can be set by one input: a scalar that is all of its property."""
+    return member.affordance.write and member.field is None and isinstance(member.affordance.shape, ScalarShape)
+
+
+def _action_forms(affordance: ActionAffordance) -> Iterator[MessageForm]:
+    if affordance.request is not None:
+        name = affordance.title or affordance.name
+        yield MessageForm(affordance.request, "POST", name, affordance.title or sentence(words(affordance.name)))

@@ -1,0 +1,118 @@
+"""Bounds as an input can have them: the texts of its attributes, its options, and a sentence for people. Pure.
+
+An input only helps those who type: what is sent is judged by the shape itself, whatever a browser let through.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal, InvalidOperation
+
+from pyoxigraph import Literal
+
+from rosld.adapters.model import Primitive
+from rosld.ontology.fitting import RANGES
+from rosld.shapes.value import Bounds
+
+_MOST_DIGITS = 40
+_ONLY_IN_XPATH = re.compile(r"\\[A-Za-z]|\[[^\]]*\[|\(\?")
+"""What a pattern may hold that XPath and a browser read differently: classes by letter, subtraction, options."""
+
+
+def number(text: str) -> Decimal | None:
+    """The finite number that a text is, None for all others; endless ones count as none."""
+    try:
+        found = Decimal(text.strip())
+    except InvalidOperation:
+        return None
+    return found if found.is_finite() and abs(found.adjusted()) < _MOST_DIGITS else None
+
+
+def same_value(one: str, other: str) -> bool:
+    """Whether two texts are the same value: `1` and `1.0` are."""
+    return one == other or (number(one) is not None and number(one) == number(other))
+
+
+def number_range(kind: Primitive, bounds: Bounds) -> tuple[str, str]:
+    """The least and the greatest number of a primitive that an input may take, as texts; empty where there is none.
+
+    Inputs know no exclusive bounds: of whole numbers the next one is taken, of others the bound itself.
+    """
+    least, greatest = RANGES.get(kind.name, (None, None))
+    lower = [_decimal(least), _bound(bounds.least), _bound(bounds.above)]
+    upper = [_decimal(greatest), _bound(bounds.greatest), _bound(bounds.below)]
+    if least is not None:
+        lower = [None if each is None else each.to_integral_value(ROUND_CEILING) for each in lower]
+        upper = [None if each is None else each.to_integral_value(ROUND_FLOOR) for each in upper]
+        lower[2] = _next(bounds.above, lower[2], 1)
+        upper[2] = _next(bounds.below, upper[2], -1)
+    return (
+        _text(max((each for each in lower if each is not None), default=None)),
+        _text(min((each for each in upper if each is not None), default=None)),
+    )
+
+
+def _decimal(value: int | None) -> Decimal | None:
+    return None if value is None else Decimal(value)
+
+
+def _bound(literal: Literal | None) -> Decimal | None:
+    return None if literal is None else number(literal.value)
+
+
+def _next(literal: Literal | None, rounded: Decimal | None, step: int) -> Decimal | None:
+    """The whole number next to an exclusive bound."""
+    return rounded + step if rounded is not None and rounded == _bound(literal) else rounded
+
+
+def _text(value: Decimal | None) -> str:
+    return "" if value is None else f"{value:f}"
+
+
+def option_texts(kind: Primitive | None, bounds: Bounds) -> tuple[str, ...]:
+    """The texts of the choices, in their order; those of a whole number without a fraction."""
+    return tuple(dict.fromkeys(_option(kind, choice) for choice in bounds.choices))
+
+
+def _option(kind: Primitive | None, choice: Literal) -> str:
+    found = number(choice.value) if kind is not None and kind.name in RANGES else None
+    return str(int(found)) if found is not None and found == found.to_integral_value() else choice.value
+
+
+def browser_pattern(bounds: Bounds) -> str:
+    """The pattern for an input, which a browser matches with the whole text; empty where it might read another one."""
+    if bounds.pattern is None or _ONLY_IN_XPATH.search(bounds.pattern):
+        return ""
+    return f".*(?:{bounds.pattern}).*"
+
+
+def demanded(bounds: Bounds) -> str:
+    """What is demanded, in a sentence; empty where that is nothing, or the options say it."""
+    if bounds.choices:
+        return ""
+    found = ", ".join(_phrases(bounds))
+    return f"{found[:1].upper()}{found[1:]}." if found else ""
+
+
+def _phrases(bounds: Bounds) -> Iterator[str]:
+    if bounds.least is not None and bounds.greatest is not None:
+        yield f"from {bounds.least.value} to {bounds.greatest.value}"
+    elif bounds.least is not None:
+        yield f"at least {bounds.least.value}"
+    elif bounds.greatest is not None:
+        yield f"at most {bounds.greatest.value}"
+    if bounds.above is not None:
+        yield f"more than {bounds.above.value}"
+    if bounds.below is not None:
+        yield f"less than {bounds.below.value}"
+    if bounds.min_length is not None:
+        yield f"at least {_characters(bounds.min_length)}"
+    if bounds.max_length is not None:
+        yield f"at most {_characters(bounds.max_length)}"
+    if bounds.pattern is not None:
+        yield f"must match {bounds.pattern}"
+
+
+def _characters(count: int) -> str:
+    return f"{count} character{'' if count == 1 else 's'}"

@@ -1,0 +1,266 @@
+"""What is on offer, drawn: complex resources, properties and actions as values for the templates.
+
+The forms of a page are placed where they belong: beside the property that they set, as the button of the action.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import ClassVar, TypeAlias
+
+from pyoxigraph import NamedNode
+
+from rosld.ontology.vocab import ros
+from rosld.server.html.forms import Form
+from rosld.server.html.labels import label
+from rosld.server.html.moments import moment
+from rosld.server.html.page import Csrf, Offer
+from rosld.server.html.site import Anchor, Site, readable
+from rosld.server.html.terms import iri_view
+from rosld.server.html.units import unit_symbol
+from rosld.server.html.values import value_view
+from rosld.server.html.view import Go, Row, Rows, Text, View, visible
+from rosld.server.hypermedia.value import Reading
+from rosld.server.hypermedia.views import (
+    ActionAffordance,
+    ActionView,
+    ComplexView,
+    LinkAffordance,
+    Member,
+    PropertyAffordance,
+    PropertyView,
+)
+from rosld.shapes.value import MessageShape, OpenShape, ScalarShape, ValueShape
+
+_KINDS = {"topics": "topic", "services": "service", "parameters": "parameter"}
+
+
+@dataclass(frozen=True, slots=True)
+class Posted:
+    """A form on a page: where it posts to (empty for the page's own URL), and the token that it proves itself with."""
+
+    form: Form
+    href: str
+    token: str
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """A value as it is told; without a `view`, `words` say why there is none, and `failed` if that should not be."""
+
+    view: View | None
+    unit: Anchor | None = None
+    read: View | None = None
+    words: str = ""
+    failed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class PropertyRow:
+    """A property of a complex resource; `change` leads to its own page where it can be set there only."""
+
+    anchor: Anchor
+    relation: Anchor | None
+    told: Told
+    posted: Posted | None = None
+    change: Anchor | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ActionRow:
+    """An action of a complex resource, without a form where it cannot be invoked."""
+
+    anchor: Anchor
+    relation: Anchor | None
+    posted: Posted | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LinkRow:
+    """A link of a complex resource: its relation in words, and where it leads."""
+
+    words: str
+    anchor: Anchor
+    relation: Anchor | None
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnComplex:
+    """A complex resource. `below` are the complex resources in it that no link leads to."""
+
+    kind: ClassVar[str] = "complex"
+    properties: tuple[PropertyRow, ...]
+    actions: tuple[ActionRow, ...]
+    links: tuple[LinkRow, ...]
+    below: tuple[Anchor, ...]
+    part_of: Anchor | None
+    mapping: Anchor | None
+
+    @property
+    def settable(self) -> bool:
+        """Whether a property can be set from here."""
+        return any(row.posted or row.change for row in self.properties)
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnProperty:
+    """A property by itself; `facts` are its type and what it measures, `behind` what it is read from and written to."""
+
+    kind: ClassVar[str] = "property"
+    told: Told
+    facts: tuple[View, ...]
+    behind: Rows
+    part_of: Anchor | None
+    relation: Anchor | None
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnAction:
+    """An action by itself; `behind` is what it invokes."""
+
+    kind: ClassVar[str] = "action"
+    callable: bool
+    behind: Rows
+    part_of: Anchor | None
+    relation: Anchor | None
+
+
+Drawn: TypeAlias = DrawnComplex | DrawnProperty | DrawnAction
+
+
+def posted_forms(forms: Iterable[Form], allow: Iterable[str], csrf: Csrf, site: Site) -> tuple[Posted, ...]:
+    """The forms of a page with their tokens: those to the page's own URL as far as `allow` permits their methods, those
+
+    to others unless this server is read-only.
+    """
+    allowed = frozenset(allow)
+    return tuple(_posted(forms, allowed, csrf, site))
+
+
+def _posted(forms: Iterable[Form], allowed: frozenset[str], csrf: Csrf, site: Site) -> Iterator[Posted]:
+    for form in forms:
+        if not form.action:
+            if form.method in allowed:
+                yield Posted(form, "", csrf(""))
+            continue
+        href = site.href(form.action) if site.local(form.action) else None
+        if href is not None and not site.read_only:
+            yield Posted(form, href, csrf(form.action))
+
+
+def draw(offer: Offer, site: Site, posted: Iterable[Posted]) -> Drawn:
+    """What is on offer, with the forms that post elsewhere than to its page beside what they are about."""
+    match offer:
+        case ComplexView():
+            return _complex(offer, site, {each.form.action: each for each in posted if each.form.action})
+        case PropertyView(affordance, reading):
+            return DrawnProperty(
+                told(affordance, reading, None, site),
+                tuple(_facts(affordance.shape, site)),
+                _behind(site, (ros.readsFrom, offer.reads_from), (ros.writesTo, offer.writes_to)),
+                site.anchor(offer.part_of),
+                _term(affordance.predicate, site),
+            )
+        case ActionView(affordance):
+            return DrawnAction(
+                affordance.request is not None,
+                _behind(site, (ros.invokes, (offer.invokes,))),
+                site.anchor(offer.part_of),
+                _term(affordance.relation, site),
+            )
+
+
+def _complex(view: ComplexView, site: Site, posted: Mapping[str, Posted]) -> DrawnComplex:
+    linked = {link.target for link in view.links}
+    return DrawnComplex(
+        tuple(_property_row(member, site, posted) for member in view.members),
+        tuple(_action_row(action, site, posted) for action in view.actions),
+        tuple(_link_rows(view.links, site)),
+        tuple(
+            _named(child, readable(child.removeprefix(view.url)), site)
+            for child in view.children
+            if child not in linked
+        ),
+        site.anchor(view.parent) if view.parent else None,
+        site.anchor(view.mapping) if view.mapping else None,
+    )
+
+
+def _named(url: str, name: str, site: Site) -> Anchor:
+    """A link to a resource under a name of its own."""
+    found = site.anchor(url) or Anchor("", "", url)
+    return Anchor(found.href, visible(name), url, found.external)
+
+
+def _term(term: NamedNode | None, site: Site) -> Anchor | None:
+    return site.anchor(term.value) if term is not None else None
+
+
+def _property_row(member: Member, site: Site, posted: Mapping[str, Posted]) -> PropertyRow:
+    one = member.affordance
+    anchor = _named(one.url, one.title or one.name, site)
+    own = posted.get(one.url) if member.field is None else None
+    change = anchor if one.write and own is None else None
+    return PropertyRow(anchor, _term(one.predicate, site), told(one, member.reading, member.field, site), own, change)
+
+
+def _action_row(action: ActionAffordance, site: Site, posted: Mapping[str, Posted]) -> ActionRow:
+    anchor = _named(action.url, site.short(action.url), site)
+    return ActionRow(anchor, _term(action.relation, site), posted.get(action.url))
+
+
+def _link_rows(links: Iterable[LinkAffordance], site: Site) -> Iterator[LinkRow]:
+    for link in links:
+        anchor = site.anchor(link.target)
+        if anchor is not None:
+            yield LinkRow(visible(label(link.relation.value)), anchor, _term(link.relation, site))
+
+
+def told(affordance: PropertyAffordance, reading: Reading, field: str | None, site: Site) -> Told:
+    """The value of a property, or one field of it, with its unit and when it was read."""
+    read = moment(reading.read_ns) if reading.read_ns is not None else None
+    if reading.value is not None:
+        return Told(value_view(reading.value, site, field), _unit(affordance, site), read)
+    if reading.failure is not None:
+        return Told(None, read=read, words=visible(reading.failure), failed=True)
+    return Told(None, read=read, words="no value yet" if affordance.read else "can only be written")
+
+
+def _unit(affordance: PropertyAffordance, site: Site) -> Anchor | None:
+    unit = None if isinstance(affordance.shape, MessageShape) else affordance.shape.measure.unit
+    symbol = visible(unit_symbol(unit.value)) if unit is not None else ""
+    if unit is None or not symbol:
+        return None
+    return Anchor(site.href(unit.value) or "", symbol, unit.value, external=True)
+
+
+def _facts(shape: ValueShape, site: Site) -> Iterator[View]:
+    """The type of a value, and its kind of quantity."""
+    match shape:
+        case MessageShape(schema):
+            yield iri_view(f"{site.types}{schema.ref.name}", site)
+            return
+        case ScalarShape(kind):
+            yield Text(kind.name)
+        case OpenShape():
+            pass
+    if shape.measure.quantity_kind is not None:
+        yield iri_view(shape.measure.quantity_kind.value, site)
+
+
+def _behind(site: Site, *relations: tuple[NamedNode, Iterable[str]]) -> Rows:
+    """The topics, services and parameters behind something, by their relation to it."""
+    rows = []
+    for relation, urls in relations:
+        views = tuple(_source(url, site) for url in urls)
+        if views:
+            term = site.anchor(relation.value)
+            rows.append(Row(label(relation.value), views, about=visible(site.compact(relation.value)), term=term))
+    return Rows(tuple(rows))
+
+
+def _source(url: str, site: Site) -> View:
+    anchor = site.anchor(url)
+    kind = url.removeprefix(site.base).partition("/")[0]
+    return Go(anchor, _KINDS.get(kind, "")) if anchor is not None else Text(visible(url), tone="iri")

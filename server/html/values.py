@@ -1,0 +1,41 @@
+"""Values of properties: how one is shown, and as what plain JSON it stands in a form."""
+
+from __future__ import annotations
+
+from typing import cast
+
+from rosld.ontology.body import parse_json
+from rosld.ontology.lift import LiftSettings
+from rosld.server.html.inputs import Json, written
+from rosld.server.html.messages import message_view
+from rosld.server.html.site import Site
+from rosld.server.html.terms import cell_view
+from rosld.server.html.view import Text, View, text_view, visible
+from rosld.server.hypermedia.value import MessageValue, Value, literal, plain_json
+
+_LIFTING = LiftSettings()
+
+
+def value_view(value: Value, site: Site, field: str | None = None) -> View:
+    """How a value is shown; with `field`, one scalar of it by its dotted path."""
+    try:
+        scalar = literal(value, field)
+    except ValueError as error:
+        return Text(visible(str(error)), tone="none")
+    if scalar is not None:
+        return cell_view(scalar, site)
+    if isinstance(value, MessageValue):
+        octets = f"{site.href(value.origin)}?field="
+        return message_view(value.schema, value.message, fields=value.fields, octets=octets)
+    return text_view(written(plain_value(value), indent=2))
+
+
+def plain_value(value: Value | None) -> Json:
+    """The plain JSON that a form of the value is filled with: the bare scalar, or an object of its fields.
+
+    None where there is no value, or none that could be typed.
+    """
+    try:
+        return None if value is None else cast(Json, parse_json(plain_json(value, _LIFTING)))
+    except ValueError:
+        return None

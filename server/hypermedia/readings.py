@@ -81,8 +81,12 @@ class Readings:
     def known(self, property: Property) -> Reading | None:
         """The reading that is still good, the very same object as before: at once, asking nobody."""
         kept = self._kept.get(property.name)
-        if kept is None or (kept.property is not property and kept.property != property):
+        if kept is None:
             return None
+        if kept.property is not property:
+            if kept.property != property:
+                return None
+            kept.property = property  # of another catalogue, but the same
         if kept.topic is not None and self._topics.peek(kept.topic) is not kept.view:
             return None
         if kept.until != inf and kept.until <= asyncio.get_running_loop().time():
@@ -102,7 +106,11 @@ class Readings:
             reading = self._standing(one, attempt.since)
             if reading is not None:
                 readings[one.name] = reading
-            elif one.readers and isinstance(one.readers[0], ParameterSource):
+                continue
+            kept = self._kept.get(one.name)
+            if kept is not None and kept.property != one:
+                self.end((one.name,))  # what is known is of other sources
+            if one.readers and isinstance(one.readers[0], ParameterSource):
                 stored.append(one)
             else:
                 others.append(one)

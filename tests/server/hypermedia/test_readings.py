@@ -1,0 +1,820 @@
+"""Readings: who is asked for a value, how often, and what becomes of it when the robot does not behave."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import TypeVar, cast
+
+import pytest
+
+from rosld.adapters.aircraft import Aircraft
+from rosld.adapters.base import Adapter, AdapterOptions, ParameterValue, Subscription
+from rosld.adapters.model import (
+    Encoding,
+    Endpoint,
+    Graph,
+    MessageSchema,
+    NotFound,
+    Refused,
+    RosError,
+    Sample,
+    Schema,
+    ServiceSchema,
+    TimedOut,
+    Topic,
+    TypeRef,
+    UnknownType,
+    Unreachable,
+    frozen,
+)
+from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.slots import Slot
+from rosld.ontology.lift import LiftSettings
+from rosld.ontology.lower import lowerer
+from rosld.ontology.urls import Space
+from rosld.server.hypermedia.catalogue import Catalogue, Getter, OpenKind, ParameterSource, Property, TopicSource
+from rosld.server.hypermedia.conventions import catalogue
+from rosld.server.hypermedia.readings import Readings
+from rosld.server.hypermedia.signatures import answered_fields
+from rosld.server.hypermedia.value import Reading, plain_json
+from rosld.server.live.schemas import Schemas
+from rosld.server.live.topics import LiveSettings, LiveTopics
+
+T = TypeVar("T")
+
+SPACE = Space("http://127.0.0.1:8080/")
+LIFTING = LiftSettings()
+LIBRARY = TypeLibrary(ros_version=1)
+FRESHNESS, PATIENCE = 1.0, 10.0
+SPEED, POWER, SEATS = "/aircraft/engine/speed", "/aircraft/power", "/aircraft/seats"
+
+
+class Clock(asyncio.SelectorEventLoop):
+    """A loop whose time can be put forward."""
+
+    skipped = 0.0
+
+    def time(self) -> float:
+        return super().time() + self.skipped
+
+    def skip(self, seconds: float) -> None:
+        self.skipped += seconds
+
+
+def run(main: Callable[[Clock], Awaitable[T]]) -> T:
+    """Run a test on such a loop; nothing it began may be left over."""
+    loop = Clock()
+    try:
+        return loop.run_until_complete(main(loop))  # type: ignore[arg-type]
+    finally:
+        loop.run_until_complete(cancel_all())
+        loop.close()
+
+
+async def cancel_all() -> None:
+    left = asyncio.all_tasks() - {cast("asyncio.Task[object]", asyncio.current_task())}
+    for task in left:
+        task.cancel()
+    await asyncio.gather(*left, return_exceptions=True)
+
+
+def soon(seconds: float = 5.0) -> float:
+    return asyncio.get_running_loop().time() + seconds
+
+
+async def turns(count: int = 5) -> None:
+    """Let everything run that can."""
+    for _ in range(count):
+        await asyncio.sleep(0)
+
+
+def plain(reading: Reading) -> object:
+    """The value as JSON; the failure's text where there is none."""
+    return plain_json(reading.value, LIFTING).decode() if reading.value is not None else reading.failure
+
+
+class Deaf:
+    """A sink that does not listen."""
+
+    def graph_changed(self, graph: Graph) -> None: ...
+
+    def parameter_changed(self, name: str) -> None: ...
+
+
+# The aircraft
+
+
+class Cockpit:
+    """Readings of the embedded aircraft."""
+
+    def __init__(self, adapter: Aircraft, freshness: float = FRESHNESS) -> None:
+        self.adapter = adapter
+        self.schemas = Schemas(adapter)
+        self.topics = LiveTopics(adapter, self.schemas, LiveSettings())
+        self.readings = Readings(
+            adapter, self.topics, self.schemas, SPACE, freshness=freshness, patience=PATIENCE
+        )  # fmt: skip
+        self.catalogue: Catalogue = catalogue(adapter.graph, LIBRARY.find)
+
+    def property(self, name: str) -> Property:
+        return self.catalogue.properties[name]
+
+    async def read(self, name: str, **how: bool) -> Reading:
+        return (await self.readings.read([self.property(name)], deadline=soon(), **how))[name]
+
+
+def flown(test: Callable[[Cockpit, Clock], Awaitable[None]]) -> None:
+    async def main(loop: Clock) -> None:
+        adapter = Aircraft(AdapterOptions())
+        await adapter.open(Deaf(), deadline=soon())
+        cockpit = Cockpit(adapter)
+        try:
+            await test(cockpit, loop)
+        finally:
+            await cockpit.readings.stop()
+            await cockpit.topics.stop()
+            await adapter.close()
+
+    run(main)
+
+
+def test_a_topic_is_read_as_its_latest_message_and_good_until_another_comes() -> None:
+    async def main(cockpit: Cockpit, loop: Clock) -> None:
+        speed = cockpit.property(SPEED)
+        assert cockpit.readings.known(speed) is None
+        reading = await cockpit.read(SPEED)
+        assert (plain(reading), reading.failure, reading.fresh_until) == ("0.0", None, None)
+        assert reading.value is not None
+        assert getattr(reading.value, "origin") == SPACE.topic(SPEED)  # noqa: B009
+        assert cockpit.readings.known(speed) is reading
+        assert await cockpit.read(SPEED) is reading
+        assert await cockpit.read(SPEED, anew=True) is reading
+        arrived = asyncio.Event()
+        subscription = await cockpit.adapter.subscribe(SPEED)
+        subscription.watch(arrived.set)
+        await arrived.wait()
+        assert cockpit.readings.known(speed) is None
+        again = await cockpit.read(SPEED)
+        assert again is not reading
+        assert reading.read_ns is not None
+        assert again.read_ns is not None
+        assert again.read_ns > reading.read_ns
+        subscription.close()
+
+    flown(main)
+
+
+def test_a_getter_is_fresh_for_a_while() -> None:
+    async def main(cockpit: Cockpit, loop: Clock) -> None:
+        power = cockpit.property(POWER)
+        reading = await cockpit.read(POWER)
+        assert plain(reading) == '"off"'
+        assert getattr(reading.value, "origin") == SPACE.base + "resources/aircraft/power"  # noqa: B009
+        assert reading.fresh_until is not None
+        assert reading.fresh_until == pytest.approx(loop.time() + FRESHNESS, abs=0.2)
+        assert cockpit.readings.known(power) is reading
+        loop.skip(FRESHNESS)
+        assert cockpit.readings.known(power) is None
+        assert await cockpit.read(POWER) is not reading
+
+    flown(main)
+
+
+def test_freshness_ends_with_a_write() -> None:
+    async def main(cockpit: Cockpit, loop: Clock) -> None:
+        assert plain(await cockpit.read(POWER)) == '"off"'
+        start = cockpit.catalogue.actions["/aircraft/start"].schema
+        assert start is not None
+        await cockpit.adapter.call("/aircraft/start", start.ref, b"", deadline=soon())
+        assert plain(await cockpit.read(POWER)) == '"off"'
+        cockpit.readings.end([POWER, "/nothing/of/that/name"])
+        assert cockpit.readings.known(cockpit.property(POWER)) is None
+        assert plain(await cockpit.read(POWER)) == '"on"'
+
+    flown(main)
+
+
+def test_all_members_are_read_together_and_parameters_in_one_call() -> None:
+    async def main(cockpit: Cockpit, loop: Clock) -> None:
+        asked: list[Sequence[str]] = []
+        get = cockpit.adapter.get_parameters
+
+        async def counted(names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
+            asked.append(names)
+            return await get(names, deadline=deadline)
+
+        cockpit.adapter.get_parameters = counted  # type: ignore[method-assign]
+        properties = list(cockpit.catalogue.properties.values())
+        readings = await cockpit.readings.read(properties, deadline=soon())
+        assert set(readings) == set(cockpit.catalogue.properties)
+        assert len(asked) == 1
+        found = {name: plain(reading) for name, reading in readings.items()}
+        assert found[SPEED] == "0.0"
+        assert found[POWER] == '"off"'
+        assert found[SEATS] == "2"
+        assert found["/cockpit/checklist"] == '["fuel","flaps","radio"]'
+        assert found["/cockpit/display"] is None  # nobody has published there
+        again = await cockpit.readings.read(properties, deadline=soon())
+        assert [again[name] is readings[name] for name in readings].count(False) <= 1  # the speed may be another
+        assert len(asked) == 1
+
+    flown(main)
+
+
+def test_a_leaf_that_has_become_a_tree_is_read_whole() -> None:
+    async def main(cockpit: Cockpit, loop: Clock) -> None:
+        tree = Property("/aircraft/engine", OpenKind(), (ParameterSource("/aircraft/engine"),))
+        readings = await cockpit.readings.read([tree], deadline=soon())
+        assert '"cylinders":6' in str(plain(readings["/aircraft/engine"]))
+
+    flown(main)
+
+
+def test_a_published_message_is_there_at_once_where_there_was_none() -> None:
+    async def main(cockpit: Cockpit, loop: Clock) -> None:
+        name = "/cockpit/display"
+        assert plain(await cockpit.read(name)) is None
+        schema = LIBRARY.find(TypeRef("std_msgs/msg/String"))
+        assert isinstance(schema, MessageSchema)
+        data = schema.codec.encode(schema.codec.build(schema.ref.name, {"data": "hello"}), Encoding.ROS1)
+        await cockpit.adapter.publish(name, schema.ref, data, deadline=soon())
+        assert cockpit.readings.known(cockpit.property(name)) is None
+        assert plain(await cockpit.read(name)) == '"hello"'
+
+    flown(main)
+
+
+# A robot that misbehaves
+
+
+GET = LIBRARY.find(TypeRef("rosld_aircraft/srv/GetNumber"))
+ASKED = "/robot/get_x"
+
+
+def getter(name: str, schema: Schema = GET) -> Getter:
+    assert isinstance(schema, ServiceSchema)
+    return Getter(name, schema, answered_fields(schema))
+
+
+def number(value: float) -> bytes:
+    assert isinstance(GET, ServiceSchema)
+    message = lowerer(GET.response).from_json({"data": value})
+    return GET.response.codec.encode(message, Encoding.ROS1)
+
+
+class Fake:
+    """What an adapter does for readings: services answer as they are told to, topics are slots."""
+
+    def __init__(self) -> None:
+        self.capabilities = replace(Aircraft(AdapterOptions()).capabilities, system="fake")
+        self.calls: list[str] = []
+        self.deadlines: list[float] = []
+        self.running = 0
+        self.most_running = 0
+        self.begun = asyncio.Event()
+        self.release = asyncio.Event()
+        self.hangs = False
+        self.answers: Callable[[int], bytes] = number
+        self.stored: dict[str, ParameterValue] | Exception = {}
+        self.fetched: list[Sequence[str]] = []
+        self.slots: dict[str, Slot] = {}
+        self.topics: dict[str, Topic] = {}
+        self.unknown: set[str] = set()
+        self.subscribed: list[str] = []
+
+    @property
+    def graph(self) -> Graph:
+        return Graph(1, topics=frozen(self.topics))
+
+    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        assert request == b""
+        self.calls.append(service)
+        self.deadlines.append(deadline)
+        turn = len(self.calls)
+        self.running += 1
+        self.most_running = max(self.running, self.most_running)
+        try:
+            self.begun.set()
+            if self.hangs:
+                await self.release.wait()
+            return self.answers(turn)
+        finally:
+            self.running -= 1
+
+    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
+        self.fetched.append(names)
+        if self.hangs:
+            await self.release.wait()
+        if isinstance(self.stored, Exception):
+            raise self.stored
+        return {name: self.stored[name] for name in names if name in self.stored}
+
+    async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
+        if ref.name in self.unknown:
+            raise UnknownType(f"nobody knows {ref.name}")
+        return LIBRARY.find(ref)
+
+    async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
+        self.subscribed.append(topic)
+        return self.slots.setdefault(topic, Slot()).subscribe(depth)
+
+    def say(self, topic: str, kind: str, value: object, sequence: int = 1) -> None:
+        """Somebody publishes."""
+        schema = LIBRARY.find(TypeRef(kind))
+        assert isinstance(schema, MessageSchema)
+        data = value if isinstance(value, bytes) else None
+        if data is None:
+            data = schema.codec.encode(lowerer(schema).from_json(value), Encoding.ROS1)
+        self.advertise(topic, schema.ref)
+        sample = Sample(data, Encoding.ROS1, schema.ref, "/talker", 1000 + sequence, sequence)
+        self.slots.setdefault(topic, Slot()).put(sample)
+
+    def advertise(self, topic: str, ref: TypeRef) -> None:
+        self.topics[topic] = Topic(topic, (ref,), (Endpoint("/talker", ref),))
+
+
+class Bench:
+    """Readings of a fake robot."""
+
+    def __init__(self, freshness: float = FRESHNESS, patience: float = PATIENCE, first: float = 0.0) -> None:
+        self.fake = Fake()
+        adapter = cast(Adapter, self.fake)
+        schemas = Schemas(adapter)
+        self.topics = LiveTopics(adapter, schemas, LiveSettings(first_value=first))
+        self.readings = Readings(adapter, self.topics, schemas, SPACE, freshness=freshness, patience=patience)
+
+    def property(self, *readers: TopicSource | Getter | ParameterSource, name: str = "/robot/x") -> Property:
+        return Property(name, OpenKind(), readers or (getter(ASKED),))
+
+    async def read(
+        self, *readers: TopicSource | Getter | ParameterSource, within: float = 5.0, anew: bool = False
+    ) -> Reading:
+        found = await self.readings.read([self.property(*readers)], deadline=soon(within), anew=anew)
+        return found["/robot/x"]
+
+
+def benched(test: Callable[[Bench, Clock], Awaitable[None]], **how: float) -> None:
+    async def main(loop: Clock) -> None:
+        bench = Bench(**how)
+        await test(bench, loop)
+        await bench.readings.stop()
+        await bench.topics.stop()
+        await turns()
+        assert len(asyncio.all_tasks()) == 1, "something is left running"
+
+    run(main)
+
+
+def test_two_hundred_readers_share_one_call_a_period_and_get_the_very_same_reading() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        for period in (1, 2):
+            bench.fake.hangs = True
+            bench.fake.release.clear()
+            readers = [asyncio.ensure_future(bench.read()) for _ in range(200)]
+            await turns()
+            assert len(bench.fake.calls) == period
+            bench.fake.release.set()
+            readings = await asyncio.gather(*readers)
+            assert {id(each) for each in readings} == {id(readings[0])}
+            assert plain(readings[0]) == f"{float(period)}"
+            assert await bench.read() is readings[0]
+            loop.skip(FRESHNESS)
+
+    benched(main)
+
+
+def test_a_call_is_given_its_own_patience_not_the_readers() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        await bench.read(within=0.5)
+        assert bench.fake.deadlines == [pytest.approx(loop.time() + PATIENCE, abs=0.2)]
+
+    benched(main)
+
+
+def test_a_reader_that_is_cancelled_takes_the_call_from_nobody() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.hangs = True
+        impatient, patient = (asyncio.ensure_future(bench.read()) for _ in range(2))
+        await bench.fake.begun.wait()
+        impatient.cancel()
+        with suppress(asyncio.CancelledError):
+            await impatient
+        bench.fake.release.set()
+        assert plain(await patient) == "1.0"
+        assert len(bench.fake.calls) == 1
+
+    benched(main)
+
+
+def test_a_call_goes_on_when_all_its_readers_have_gone_and_its_answer_is_kept() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.hangs = True
+        reader = asyncio.ensure_future(bench.read())
+        await bench.fake.begun.wait()
+        reader.cancel()
+        bench.fake.release.set()
+        await turns()
+        assert plain(await bench.read()) == "1.0"
+        assert len(bench.fake.calls) == 1
+
+    benched(main)
+
+
+def test_a_getter_that_hangs_costs_each_reader_no_more_than_its_own_deadline_and_is_called_once() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.hangs = True
+        for within in (2.0, 3.0):
+            reader = asyncio.ensure_future(bench.read(within=within))
+            await turns()
+            loop.skip(within)
+            reading = await reader
+            assert plain(reading) == f"{ASKED} has not answered within {within:g} s"
+            assert bench.readings.known(bench.property()) is None
+        assert len(bench.fake.calls) == 1
+        loop.skip(PATIENCE - 5.0)
+        await turns()
+        assert bench.fake.running == 0
+        given_up = await bench.read()
+        assert plain(given_up) == f"{ASKED} has not answered within {PATIENCE:g} s"
+        assert await bench.read() is given_up, "a dead getter is not hammered"
+        assert len(bench.fake.calls) == 1
+        loop.skip(FRESHNESS)
+        bench.fake.release.set()
+        assert plain(await bench.read()) == "2.0"
+
+    benched(main)
+
+
+def test_one_that_hangs_leaves_the_others_whole_and_all_are_there_by_the_deadline() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.hangs = True
+        bench.fake.say("/robot/t", "std_msgs/msg/Float64", {"data": 7})
+        hanging = [bench.property(getter(f"/robot/get_{i}"), name=f"/robot/{i}") for i in range(20)]
+        topic = bench.property(TopicSource("/robot/t", None), name="/robot/t")
+        reader = asyncio.ensure_future(bench.readings.read([*hanging, topic], deadline=soon(4)))
+        await turns(20)
+        assert len(bench.fake.calls) == 20
+        loop.skip(4)
+        found = await reader
+        assert plain(found["/robot/t"]) == "7.0"
+        assert plain(found["/robot/3"]) == "/robot/get_3 has not answered within 4 s"
+
+    benched(main)
+
+
+def refuses(error: RosError | Exception) -> Callable[[int], bytes]:
+    def answer(turn: int) -> bytes:
+        raise error
+
+    return answer
+
+
+@pytest.mark.parametrize(
+    ("error", "failure"),
+    [
+        (Refused("the node said no", words="no fuel"), f"{ASKED} refused: no fuel"),
+        (Refused("the node said no"), f"{ASKED} refused: the node said no"),
+        (NotFound("there is no service /robot/get_x"), f"{ASKED} cannot be read: there is no service /robot/get_x"),
+        (Unreachable("the node does not answer"), f"{ASKED} cannot be read: the node does not answer"),
+        (TimedOut("no answer"), f"{ASKED} has not answered within 10 s"),
+        (KeyError("a bug"), f"{ASKED} cannot be read"),
+    ],
+)
+def test_a_getter_that_fails_is_told_by_name_and_not_asked_again_for_a_while(error: Exception, failure: str) -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.answers = refuses(error)
+        reading = await bench.read()
+        assert (plain(reading), reading.value) == (failure, None)
+        assert await bench.read() is reading
+        assert len(bench.fake.calls) == 1
+        bench.fake.answers = number
+        assert plain(await bench.read(anew=True)) == "2.0"
+
+    benched(main)
+
+
+def test_an_answer_that_cannot_be_read_is_told() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.answers = lambda turn: b"\x01"
+        assert str(plain(await bench.read())).startswith(f"the answer of {ASKED} cannot be read: 1 bytes are no ")
+
+    benched(main)
+
+
+def test_a_getter_that_answers_success_false_has_refused() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        library = TypeLibrary(ros_version=1)
+        schema = library.learn_service("made_up/srv/Get", "---\nbool success\nstring message\nint32 count")
+        words = iter(["no fuel", ""])
+
+        def answer(turn: int) -> bytes:
+            message = lowerer(schema.response).from_json({"success": False, "message": next(words), "count": 3})
+            return schema.response.codec.encode(message, Encoding.ROS1)
+
+        bench.fake.answers = answer
+        own = getter(ASKED, schema)
+        assert plain(await bench.read(own)) == f"{ASKED} refused: no fuel"
+        assert plain(await bench.read(own, anew=True)) == f"{ASKED} refused"
+
+    benched(main)
+
+
+# Anew
+
+
+def test_a_reading_anew_takes_nothing_that_was_kept() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        kept = await bench.read()
+        anew = await bench.read(anew=True)
+        assert [plain(kept), plain(anew)] == ["1.0", "2.0"]
+        assert await bench.read() is anew
+
+    benched(main)
+
+
+def test_a_reading_anew_shares_only_calls_that_began_after_it() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.hangs = True
+        before = asyncio.ensure_future(bench.read())
+        await turns()
+        anew = [asyncio.ensure_future(bench.read(anew=True)) for _ in range(3)]
+        await turns()
+        assert len(bench.fake.calls) == 2
+        after = asyncio.ensure_future(bench.read())
+        await turns()
+        assert len(bench.fake.calls) == 2
+        bench.fake.release.set()
+        assert plain(await before) in ("1.0", "2.0")
+        assert [plain(each) for each in await asyncio.gather(*anew, after)] == ["2.0"] * 4
+        assert plain(await bench.read()) == "2.0", "the older answer does not replace the newer"
+
+    benched(main)
+
+
+def test_readings_anew_of_a_getter_that_hangs_do_not_pile_up() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.hangs = True
+        readers = []
+        for _ in range(30):
+            readers.append(asyncio.ensure_future(bench.read(anew=True)))
+            await turns()
+        assert len(bench.fake.calls) == 2
+        bench.fake.release.set()
+        found = [plain(each) for each in await asyncio.gather(*readers)]
+        assert found == ["1.0", "2.0", *["3.0"] * 28]
+        assert bench.fake.most_running == 2
+
+    benched(main)
+
+
+def test_writes_while_a_getter_hangs_do_not_pile_up_calls_either() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.hangs = True
+        readers = []
+        for _ in range(30):
+            readers.append(asyncio.ensure_future(bench.read()))
+            await turns()
+            bench.readings.end(["/robot/x"])
+        assert len(bench.fake.calls) == 2
+        bench.fake.release.set()
+        assert {plain(each) for each in await asyncio.gather(*readers)} == {"1.0", "2.0", "3.0"}
+
+    benched(main)
+
+
+# The end of freshness
+
+
+def test_who_reads_after_the_end_of_freshness_does_not_share_the_call_before_it() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.hangs = True
+        before = asyncio.ensure_future(bench.read())
+        await turns()
+        bench.readings.end(["/robot/x"])
+        after = asyncio.ensure_future(bench.read())
+        await turns()
+        assert len(bench.fake.calls) == 2
+        bench.fake.release.set()
+        assert plain(await before) in ("1.0", "2.0")
+        assert plain(await after) == "2.0"
+        assert plain(await bench.read()) == "2.0"
+
+    benched(main)
+
+
+def test_an_answer_to_a_question_from_before_the_end_of_freshness_is_not_kept() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.hangs = True
+        before = asyncio.ensure_future(bench.read())
+        await turns()
+        bench.readings.end(["/robot/x"])
+        bench.fake.release.set()
+        assert plain(await before) == "1.0"
+        assert bench.readings.known(bench.property()) is None
+        assert plain(await bench.read()) == "2.0"
+
+    benched(main)
+
+
+@pytest.mark.parametrize("steps", range(8))
+def test_whenever_freshness_ends_what_was_asked_before_is_never_known_after(steps: int) -> None:
+    """At every turn of the loop between the answer and the reader that gets it."""
+
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.hangs = True
+        before = asyncio.ensure_future(bench.read())
+        await turns()
+        bench.fake.release.set()
+        await turns(steps)
+        bench.readings.end(["/robot/x"])
+        after = asyncio.ensure_future(bench.read())
+        assert plain(await before) == "1.0"
+        assert plain(await after) == "2.0"
+        known = bench.readings.known(bench.property())
+        assert known is not None
+        assert plain(known) == "2.0"
+
+    benched(main)
+
+
+def test_parameters_share_calls_and_their_freshness_ends_too() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.stored = {"/robot/x": 1, "/robot/y": 2}
+        both = [bench.property(ParameterSource(f"/robot/{key}"), name=f"/robot/{key}") for key in "xy"]
+        bench.fake.hangs = True
+        readers = [asyncio.ensure_future(bench.readings.read(both, deadline=soon())) for _ in range(50)]
+        await turns()
+        assert bench.fake.fetched == [["/robot/x", "/robot/y"]]
+        bench.fake.release.set()
+        found = await asyncio.gather(*readers)
+        assert {id(each["/robot/x"]) for each in found} == {id(found[0]["/robot/x"])}
+        bench.fake.stored = {"/robot/x": 3, "/robot/y": 4}
+        bench.readings.end(["/robot/y"])
+        again = await bench.readings.read(both, deadline=soon())
+        assert [plain(each) for each in again.values()] == ["1", "4"]
+        assert bench.fake.fetched[1:] == [["/robot/y"]]
+        anew = await bench.readings.read(both, deadline=soon(), anew=True)
+        assert [plain(each) for each in anew.values()] == ["3", "4"]
+
+    benched(main)
+
+
+def test_a_parameter_that_has_vanished_or_cannot_be_had_is_told() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        own = ParameterSource("/robot/x")
+        assert plain(await bench.read(own)) == "there is no parameter /robot/x any more"
+        bench.fake.stored = Unreachable("the master does not answer")
+        assert plain(await bench.read(own, anew=True)) == "/robot/x cannot be read: the master does not answer"
+        deep: ParameterValue = 1
+        for _ in range(100):
+            deep = [deep]
+        bench.fake.stored = {"/robot/x": deep}
+        assert str(plain(await bench.read(own, anew=True))).startswith("/robot/x cannot be shown: ")
+        bench.fake.hangs = True
+        reader = asyncio.ensure_future(bench.read(own, anew=True, within=2.0))
+        await turns()
+        loop.skip(2.0)
+        assert plain(await reader) == "/robot/x has not answered within 2 s"
+
+    benched(main)
+
+
+# One source after the other
+
+
+TOPIC = TopicSource("/robot/x", None)
+
+
+def test_a_topic_comes_before_the_getter() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.say("/robot/x", "std_msgs/msg/Float64", {"data": 7})
+        assert plain(await bench.read(TOPIC, getter(ASKED))) == "7.0"
+        assert bench.fake.calls == []
+
+    benched(main)
+
+
+def test_a_topic_without_a_message_gives_way_to_the_getter_until_one_comes() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        sources = (TOPIC, getter(ASKED), ParameterSource("/robot/x"))
+        reading = await bench.read(*sources)
+        assert plain(reading) == "1.0"
+        assert bench.readings.known(bench.property(*sources)) is reading
+        bench.fake.say("/robot/x", "std_msgs/msg/Float64", {"data": 7})
+        assert bench.readings.known(bench.property(*sources)) is None
+        assert plain(await bench.read(*sources)) == "7.0"
+        assert len(bench.fake.calls) == 1
+        assert bench.fake.fetched == []
+
+    benched(main)
+
+
+def test_messages_that_cannot_be_read_give_way_to_the_getter_which_is_called_once_a_period() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        for turn in range(1, 6):
+            bench.fake.say("/robot/x", "std_msgs/msg/Float64", b"\x00", turn)
+            assert plain(await bench.read(TOPIC, getter(ASKED))) == "1.0"
+        assert len(bench.fake.calls) == 1
+
+    benched(main)
+
+
+def test_where_all_sources_fail_all_failures_are_told() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.say("/robot/x", "std_msgs/msg/Float64", b"\x00")
+        bench.fake.answers = refuses(Refused("no"))
+        failure = str(plain(await bench.read(TOPIC, getter(ASKED), ParameterSource("/robot/x"))))
+        assert failure.startswith("the latest message of /robot/x cannot be read: 1 bytes are no std_msgs/msg/Float64")
+        assert failure.endswith("; /robot/get_x refused: no; there is no parameter /robot/x any more")
+
+    benched(main)
+
+
+def test_a_message_of_an_unknown_type_is_told() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.unknown = {"std_msgs/msg/Float64"}
+        bench.fake.say("/robot/x", "std_msgs/msg/Float64", {"data": 7})
+        assert plain(await bench.read(TOPIC)) == "/robot/x cannot be read: nobody knows std_msgs/msg/Float64"
+        bench.fake.unknown = set()
+        loop.skip(FRESHNESS)
+        assert plain(await bench.read(TOPIC)) == "7.0"
+
+    benched(main)
+
+
+def test_a_topic_that_is_silent_is_waited_for_once() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.advertise("/robot/x", LIBRARY.find(TypeRef("std_msgs/msg/Float64")).ref)
+        readers = [asyncio.ensure_future(bench.read(TOPIC)) for _ in range(20)]
+        await turns()
+        assert not any(each.done() for each in readers)
+        loop.skip(3.0)
+        readings = await asyncio.gather(*readers)
+        assert {(each.value, each.failure) for each in readings} == {(None, None)}
+        loop.skip(FRESHNESS)
+        assert plain(await asyncio.wait_for(bench.read(TOPIC), 1.0)) is None
+        assert bench.fake.subscribed == ["/robot/x"]
+        bench.fake.say("/robot/x", "std_msgs/msg/Float64", {"data": 7})
+        assert plain(await bench.read(TOPIC)) == "7.0"
+
+    benched(main, first=3.0)
+
+
+def test_readers_of_a_new_message_share_what_one_of_them_decoded() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.say("/robot/x", "std_msgs/msg/Float64", {"data": 7})
+        readings = await asyncio.gather(*(bench.read(TOPIC) for _ in range(50)))
+        bench.fake.say("/robot/x", "std_msgs/msg/Float64", {"data": 8}, 2)
+        again = await asyncio.gather(*(bench.read(TOPIC) for _ in range(50)))
+        assert len({id(each) for each in readings}) == 1
+        assert len({id(each) for each in again}) == 1
+        assert plain(again[0]) == "8.0"
+
+    benched(main)
+
+
+def test_a_property_that_cannot_be_read_has_no_value_and_no_failure() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        setter_only = Property("/robot/x", OpenKind())
+        found = await bench.readings.read([setter_only], deadline=soon())
+        assert found["/robot/x"] == found["/robot/x"]
+        assert (found["/robot/x"].value, found["/robot/x"].failure) == (None, None)
+        assert bench.readings.known(setter_only) is found["/robot/x"]
+
+    benched(main)
+
+
+def test_a_reading_is_known_of_the_same_property_only() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        reading = await bench.read()
+        assert bench.readings.known(bench.property()) is reading  # an equal one, of another catalogue
+        other = bench.property(getter("/robot/x/get"))
+        assert bench.readings.known(other) is None
+        assert plain(await bench.read(getter("/robot/x/get"))) == "2.0"
+        assert bench.fake.calls == [ASKED, "/robot/x/get"]
+
+    benched(main)
+
+
+def test_without_freshness_every_reading_calls_but_those_at_one_time_share() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        assert plain(await bench.read()) == "1.0"
+        both = await asyncio.gather(bench.read(), bench.read())
+        assert [plain(each) for each in both] == ["2.0", "2.0"]
+
+    benched(main, freshness=0.0)
+
+
+def test_stopping_cancels_what_runs_and_tells_who_waits() -> None:
+    async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.hangs = True
+        reader = asyncio.ensure_future(bench.read())
+        await bench.fake.begun.wait()
+        await bench.readings.stop()
+        assert bench.fake.running == 0
+        assert (await reader).value is None
+
+    benched(main)

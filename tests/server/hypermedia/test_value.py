@@ -1,0 +1,354 @@
+"""Values: how a property's value is written in RDF and in plain JSON, and when two are the same."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from datetime import datetime, timezone
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyoxigraph import Literal, NamedNode, RdfFormat, parse
+
+from rosld.adapters.model import Encoding, Message, MessageSchema, ServiceSchema, TypeRef
+from rosld.adapters.model.library import TypeLibrary
+from rosld.ontology.document import Document
+from rosld.ontology.lift import LiftSettings
+from rosld.ontology.literals import DATATYPES
+from rosld.ontology.lower import lowerer, parse_json
+from rosld.ontology.lower_graph import term_leaf
+from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.vocab import rdf, ros, xsd
+from rosld.server.hypermedia.value import (
+    MessageValue,
+    Reading,
+    StoredValue,
+    declined,
+    lifted,
+    literal,
+    part_of,
+    picked_json,
+    plain_json,
+    scalar_field,
+    token,
+)
+
+P = "http://127.0.0.1:8080/resources/robot/thing"
+T = "http://127.0.0.1:8080/topics/robot/thing"
+LIFTING = LiftSettings()
+LIBRARY = TypeLibrary(ros_version=1)
+
+
+def schema_of(definition: str, name: str = "made_up/msg/Thing") -> MessageSchema:
+    return TypeLibrary(ros_version=1).learn_message(name, definition)
+
+
+def known(name: str) -> MessageSchema:
+    schema = LIBRARY.find(TypeRef(name))
+    assert isinstance(schema, MessageSchema)
+    return schema
+
+
+def value_of(schema: MessageSchema, value: object, *names: str) -> MessageValue:
+    """The message of a JSON value; with names, only these fields of it are the value."""
+    fields = tuple(field for field in schema.type.fields if not names or field.name in names)
+    return MessageValue(schema, lowerer(schema).from_json(value, defaults=True), fields, T)
+
+
+def scalar(kind: str, value: object) -> MessageValue:
+    schema = schema_of(f"{kind} data")
+    message = schema.codec.build(schema.ref.name, {"data": value})
+    return MessageValue(schema, message, schema.type.fields, T)
+
+
+def typed(lexical: str, datatype: str) -> Literal:
+    return Literal(lexical, datatype=NamedNode(xsd.iri + datatype))
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "expected", "plain"),
+    [
+        ("bool", True, typed("true", "boolean"), b"true"),
+        ("byte", -3, typed("-3", "byte"), b"-3"),
+        ("char", 200, typed("200", "unsignedByte"), b"200"),
+        ("int32", -7, typed("-7", "int"), b"-7"),
+        ("uint64", 2**64 - 1, typed("18446744073709551615", "unsignedLong"), b'"18446744073709551615"'),
+        ("int64", 7, typed("7", "long"), b"7"),
+        ("float32", float(np.float32(0.1)), typed("0.1", "float"), b"0.1"),
+        ("float64", 0.1, typed("0.1", "double"), b"0.1"),
+        ("float64", math.nan, typed("NaN", "double"), b'"NaN"'),
+        ("float32", -math.inf, typed("-INF", "float"), b'"-INF"'),
+        ("string", "off", Literal("off"), b'"off"'),
+        ("string", "", Literal(""), b'""'),
+        ("string", 'a "b"\n𝄞', Literal('a "b"\n𝄞'), '"a \\"b\\"\\n𝄞"'.encode()),
+        (
+            "string",
+            b"\xff\xfe".decode("utf-8", "surrogateescape"),
+            typed("//4=", "base64Binary"),
+            b'{"@value":"//4=","@type":"http://www.w3.org/2001/XMLSchema#base64Binary"}',
+        ),
+    ],
+)
+def test_a_scalar_is_the_literal_of_its_primitive_and_a_bare_json_value(
+    kind: str, value: object, expected: Literal, plain: bytes
+) -> None:
+    assert literal(scalar(kind, value)) == expected
+    assert plain_json(scalar(kind, value), LIFTING) == plain
+
+
+@given(st.floats() | st.sampled_from([-0.0, 5e-324]))
+def test_a_float_reads_back_as_the_very_same(number: float) -> None:
+    value = scalar("float64", number)
+    found = literal(value)
+    assert found is not None
+    schema = value.schema
+    field = scalar_field(schema.type.fields)
+    assert field is not None
+    back = term_leaf(field.type)(found)  # type: ignore[arg-type]
+    from_json = lowerer(schema).from_json({"data": parse_json(plain_json(value, LIFTING))})
+    for each in (back, getattr(from_json, "data")):  # noqa: B009
+        assert isinstance(each, float)
+        assert np.float64(each).tobytes() == np.float64(number).tobytes() or (math.isnan(each) and math.isnan(number))
+
+
+@given(st.floats(width=32))
+def test_a_float32_has_its_own_digits(number: float) -> None:
+    found = literal(scalar("float32", number))
+    assert found is not None
+    assert found.datatype == xsd.float
+    assert np.float32(found.value.replace("INF", "inf")) == np.float32(number) or math.isnan(number)
+
+
+def test_every_primitive_has_a_literal_of_its_datatype() -> None:
+    for kind, datatype in DATATYPES.items():
+        if kind != "wstring":  # ROS 2's
+            value = "x" if kind == "string" else True if kind == "bool" else 1
+            found = literal(scalar(kind, value))
+            assert found is not None
+            assert found.datatype.value == xsd.iri + datatype
+
+
+def test_a_long_string_that_is_the_value_is_whole() -> None:
+    text = "x" * 100_000
+    value = scalar("string", text)
+    assert literal(value) == Literal(text)
+    assert json.loads(plain_json(value, LiftSettings(inline_limit=10))) == text
+
+
+def test_a_message_is_the_object_of_its_fields_and_has_no_literal() -> None:
+    value = value_of(known("geometry_msgs/msg/Vector3"), {"x": 1, "y": 2, "z": 3})
+    assert literal(value) is None
+    assert plain_json(value, LIFTING) == b'{"x":1.0,"y":2.0,"z":3.0}'
+
+
+RESPONSE = "float32 x\nfloat32 y\nbool success\nstring message"
+
+
+def test_fields_that_are_not_the_value_are_left_out() -> None:
+    value = value_of(schema_of(RESPONSE), {"x": 1, "y": 2, "success": True, "message": "ok"}, "x", "y")
+    assert plain_json(value, LIFTING) == b'{"x":1.0,"y":2.0}'
+    triples = lifted(value, "#value", LIFTING).triples(Document(P, ()))
+    assert {each.predicate.value.rpartition("#")[2] for each in triples} == {"x", "y", "type"}
+    assert [each.object for each in triples if each.predicate == rdf.type] == [
+        NamedNode(LIFTING.types + "made_up/msg/Thing")
+    ]
+
+
+def test_one_field_of_a_response_is_a_scalar() -> None:
+    value = value_of(schema_of(RESPONSE), {"x": 1.5}, "x")
+    assert plain_json(value, LIFTING) == b"1.5"
+    assert literal(value) == typed("1.5", "float")
+
+
+def test_one_field_that_is_no_primitive_is_a_message() -> None:
+    value = value_of(schema_of("float64[] data"), {"data": [1]})
+    assert plain_json(value, LIFTING) == b'{"data":[1.0]}'
+    assert literal(value) is None
+
+
+POSE = {"position": {"x": 1.25, "y": -2, "z": 0}, "orientation": {"w": 1}}
+
+
+@pytest.mark.parametrize(
+    ("path", "lexical"), [("pose.position.x", "1.25"), ("pose.position.y", "-2.0"), ("pose.orientation.w", "1.0")]
+)
+def test_a_field_is_picked_by_its_path(path: str, lexical: str) -> None:
+    value = value_of(known("geometry_msgs/msg/PoseStamped"), {"pose": POSE})
+    assert literal(value, path) == typed(lexical, "double")
+    assert picked_json(value, path) == lexical.encode()
+
+
+def test_an_element_of_an_array_is_picked_by_its_place() -> None:
+    scan = value_of(known("sensor_msgs/msg/LaserScan"), {"ranges": [0.1, "NaN", 3]})
+    assert literal(scan, "ranges.0") == typed("0.1", "float")
+    assert literal(scan, "ranges.1") == typed("NaN", "float")
+    assert picked_json(scan, "ranges.1") == b'"NaN"'
+    tree = value_of(known("tf2_msgs/msg/TFMessage"), {"transforms": [{"child_frame_id": "base"}]})
+    assert literal(tree, "transforms.0.child_frame_id") == Literal("base")
+
+
+@pytest.mark.parametrize(
+    "path", ["", "nothing", "pose.nothing", "pose.position.x.y", "pose", "pose.position", "pose.0"]
+)
+def test_a_field_that_is_no_scalar_is_told_in_a_sentence(path: str) -> None:
+    value = value_of(known("geometry_msgs/msg/PoseStamped"), {"pose": POSE})
+    for pick in (literal, picked_json):
+        with pytest.raises(ValueError, match="geometry_msgs/msg/PoseStamped"):
+            pick(value, path)
+
+
+def test_an_array_that_is_too_short_has_no_such_field_now() -> None:
+    scan = value_of(known("sensor_msgs/msg/LaserScan"), {"ranges": [0.1]})
+    for path in ("ranges.1", "ranges.-1", "ranges.99999999999999999999"):
+        with pytest.raises(ValueError, match="has no field"):
+            literal(scan, path)
+
+
+def test_a_field_that_is_not_of_the_value_cannot_be_picked() -> None:
+    value = value_of(schema_of(RESPONSE), {"x": 1}, "x", "y")
+    with pytest.raises(ValueError, match="success"):
+        literal(value, "success")
+
+
+@pytest.mark.parametrize(
+    ("value", "expected", "plain"),
+    [
+        (2, typed("2", "integer"), b"2"),
+        (0.5, typed("0.5", "double"), b"0.5"),
+        (False, typed("false", "boolean"), b"false"),
+        ("RO-SLD", Literal("RO-SLD"), b'"RO-SLD"'),
+        (b"\x00\xff", typed("AP8=", "base64Binary"), b'{"@value":"AP8=","@type":"xsd:base64Binary"}'),
+        (
+            datetime(2026, 1, 31, tzinfo=timezone.utc),
+            typed("2026-01-31T00:00:00Z", "dateTime"),
+            b'{"@value":"2026-01-31T00:00:00Z","@type":"xsd:dateTime"}',
+        ),
+        (["fuel", 2], Literal('["fuel",2]', datatype=rdf.JSON), b'["fuel",2]'),
+        ({"a": {"b": 1}}, None, b'{"a":{"b":1}}'),
+    ],
+)
+def test_a_parameter_is_its_literal_and_its_json(value: object, expected: Literal | None, plain: bytes) -> None:
+    stored = StoredValue(value)  # type: ignore[arg-type]
+    assert literal(stored) == expected
+    assert plain_json(stored, LIFTING) == plain
+
+
+def test_a_field_of_a_stored_tree_or_list_is_picked_too() -> None:
+    stored = StoredValue({"limits": {"speed": 4.5}, "names": ["a", "b"]})
+    assert literal(stored, "limits.speed") == typed("4.5", "double")
+    assert picked_json(stored, "names.1") == b'"b"'
+    for path in ("limits", "names", "names.2", "other"):
+        with pytest.raises(ValueError, match=path):
+            literal(stored, path)
+
+
+def test_the_bytes_of_elided_fields_are_asked_of_where_they_are() -> None:
+    """In a document of another URL they still lead to the topic."""
+    small = LiftSettings(inline_limit=4)
+    value = value_of(schema_of("uint8[] data\nfloat32 x"), {"data": [1] * 9, "x": 1})
+    document = Document(P, (), (lifted(value, "#thing", small),))
+    href = NamedNode(f"{T}?field=data")
+    for syntax in (Syntax.TURTLE, Syntax.N_TRIPLES, Syntax.JSON_LD):
+        quads = parse(serialize(document, syntax), format=_format(syntax), base_iri=P)
+        assert [each.object for each in quads if each.predicate == ros.bytes] == [href], syntax
+    assert [each.object for each in document.all_triples() if each.predicate == ros.bytes] == [href]
+    assert json.loads(plain_json(value, small))["data"] == {"elided": True, "length": 9, "href": href.value}
+
+
+def _format(syntax: Syntax) -> RdfFormat:
+    found = RdfFormat.from_media_type(syntax.media_type)
+    assert found is not None
+    return found
+
+
+def test_a_message_without_a_source_leads_to_its_own_document() -> None:
+    value = value_of(schema_of("uint8[] data\nfloat32 x"), {"data": [1] * 9, "x": 1})
+    own = replace(lifted(value, "#message", LiftSettings(inline_limit=4)), source=None)
+    hrefs = [each.object for each in own.triples(Document(T, ())) if each.predicate == ros.bytes]
+    assert hrefs == [NamedNode(f"{T}?field=data")]
+
+
+def test_a_part_of_a_message_builds_the_whole_with_defaults() -> None:
+    schema = schema_of(RESPONSE)
+    part = part_of(schema, schema.type.fields[:2])
+    message = lowerer(part).from_json({"x": 1, "y": 2})
+    assert schema.codec.decode(schema.codec.encode(message, Encoding.ROS1), Encoding.ROS1) == message
+    assert plain_json(MessageValue(schema, message, schema.type.fields, T), LIFTING) == (
+        b'{"x":1.0,"y":2.0,"success":false,"message":""}'
+    )
+    assert part_of(schema, schema.type.fields) is schema
+
+
+@pytest.mark.parametrize(
+    ("definition", "value", "words"),
+    [
+        ("bool success\nstring message", {"success": False, "message": "too fast"}, "too fast"),
+        ("bool success\nstring status_message", {"success": False, "status_message": "no"}, "no"),
+        ("bool success", {"success": False}, ""),
+        ("bool success\nstring message", {"success": True, "message": "fine"}, None),
+        ("string success", {"success": ""}, None),
+        ("float64 data", {}, None),
+    ],
+)
+def test_a_response_declines_with_bool_success_false(definition: str, value: object, words: str | None) -> None:
+    schema = schema_of(definition)
+    assert declined(schema, _message(schema, value)) == words
+
+
+def test_a_success_that_is_the_value_declines_nothing() -> None:
+    schema = schema_of("bool success")
+    assert declined(schema, _message(schema, {"success": False}), schema.type.fields) is None
+
+
+def _message(schema: MessageSchema, value: object) -> Message:
+    return lowerer(schema).from_json(value, defaults=True)
+
+
+def reading(value: MessageValue | StoredValue | None, failure: str | None = None, at: int = 1) -> Reading:
+    return Reading("/robot/thing", value, failure, at, float(at))
+
+
+def test_tokens_differ_with_the_value_and_the_failure_and_not_with_the_time() -> None:
+    vector = known("geometry_msgs/msg/Vector3")
+    readings = [
+        reading(scalar("float64", 1.0)),
+        reading(scalar("float64", -0.0)),
+        reading(scalar("float64", 0.0)),
+        reading(scalar("float64", math.nan)),
+        reading(scalar("string", "NaN")),
+        reading(scalar("float32", 1.0)),
+        reading(value_of(vector, {"x": 1})),
+        reading(value_of(vector, {"x": 2})),
+        reading(value_of(vector, {"x": 1}, "x")),
+        reading(scalar("string", "x" * 100_000)),
+        reading(scalar("string", "x" * 99_999 + "y")),
+        reading(StoredValue(1)),
+        reading(StoredValue(1.0)),
+        reading(StoredValue(True)),
+        reading(StoredValue("1")),
+        reading(StoredValue([1])),
+        reading(StoredValue({})),
+        reading(None),
+        reading(None, "it refused"),
+        reading(None, "it refused again"),
+    ]
+    tokens = [token(each) for each in readings]
+    assert len(set(tokens)) == len(tokens)
+    assert tokens == [token(replace(each, read_ns=99, fresh_until=None)) for each in readings]
+
+
+@given(st.floats(), st.floats())
+def test_two_tokens_are_alike_just_when_the_values_are(one: float, other: float) -> None:
+    same = np.float64(one).tobytes() == np.float64(other).tobytes() or (math.isnan(one) and math.isnan(other))
+    assert (token(reading(scalar("float64", one))) == token(reading(scalar("float64", other)))) == same
+
+
+def test_the_shipped_getter_of_the_aircraft_gives_a_bare_scalar() -> None:
+    service = LIBRARY.find(TypeRef("rosld_aircraft/srv/GetText"))
+    assert isinstance(service, ServiceSchema)
+    value = value_of(service.response, {"data": "off"})
+    assert plain_json(value, LIFTING) == b'"off"'
+    assert literal(value) == Literal("off")

@@ -4,7 +4,7 @@ Nothing here knows a robot or a store: a `Page` (or one of its kin) goes in, byt
 is text to these pages, never markup, and `HEADERS` tells the browser to run nothing at all.
 """
 
-from rosld.server.html.affordances import forms_of
+from rosld.server.html.affordances import action_form, forms_of, property_form
 from rosld.server.html.forms import (
     DeleteForm,
     Form,
@@ -71,10 +71,12 @@ __all__ = [
     "Step",
     "StoredQuery",
     "ValueForm",
+    "action_form",
     "forms_of",
     "parse_form",
     "parse_parameter",
     "parse_value",
+    "property_form",
     "render_entry",
     "render_page",
     "render_problem",

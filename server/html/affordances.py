@@ -33,12 +33,10 @@ def forms_of(view: Offer) -> tuple[Form, ...]:
         case PropertyView(affordance, reading):
             return (property_form(affordance, reading),) if affordance.write else ()
         case ActionView(affordance):
-            return tuple(_action_forms(affordance))
+            return _once(action_form(affordance))
         case ComplexView():
-            return (
-                *_member_forms(view),
-                *(replace(form, action=one.url) for one in view.actions for form in _action_forms(one)),
-            )
+            actions = (form for one in view.actions for form in _once(action_form(one), one.url))
+            return (*_member_forms(view), *actions)
 
 
 def property_form(affordance: PropertyAffordance, reading: Reading) -> ValueForm:
@@ -57,7 +55,13 @@ def is_set_in_place(member: Member) -> bool:
     return member.affordance.write and member.field is None and isinstance(member.affordance.shape, ScalarShape)
 
 
-def _action_forms(affordance: ActionAffordance) -> Iterator[MessageForm]:
-    if affordance.request is not None:
-        name = affordance.title or affordance.name
-        yield MessageForm(affordance.request, "POST", name, affordance.title or sentence(words(affordance.name)))
+def action_form(affordance: ActionAffordance) -> MessageForm | None:
+    """The form that invokes an action, just a button where nothing is to be sent; None where it cannot be invoked."""
+    if affordance.request is None:
+        return None
+    button = affordance.title or sentence(words(affordance.name))
+    return MessageForm(affordance.request, "POST", affordance.title or affordance.name, button)
+
+
+def _once(form: MessageForm | None, action: str = "") -> tuple[MessageForm, ...]:
+    return () if form is None else (replace(form, action=action),)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -15,7 +15,7 @@ from rosld.ontology.vocab import ldp, ros
 from rosld.server.html.breadcrumb import breadcrumb
 from rosld.server.html.carried import carried
 from rosld.server.html.description import Section, describe, first_text
-from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD
+from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD, Form, ValueForm
 from rosld.server.html.labels import sentence
 from rosld.server.html.listing import contents
 from rosld.server.html.offer import Posted, draw, posted_forms
@@ -23,7 +23,7 @@ from rosld.server.html.page import THING, EntryPage, Notice, Page, ProblemPage, 
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.tables import table
 from rosld.server.html.view import visible
-from rosld.server.hypermedia.views import ComplexView
+from rosld.server.hypermedia.views import ComplexView, PropertyView
 
 CONTENT_SECURITY_POLICY = "; ".join(
     (
@@ -140,7 +140,7 @@ def render_page(page: Page) -> bytes:
 
     said of it.
     """
-    posted = posted_forms(page.forms, page.allow, page.csrf, page.site)
+    posted = posted_forms(_fitting(page), page.allow, page.csrf, page.site)
     sections = describe(page.document, page.site, without=(ldp.contains,) if page.offer is None else ())
     return _render(
         "page.html",
@@ -152,6 +152,12 @@ def render_page(page: Page) -> bytes:
         curl=_curl(page.document.url, "text/turtle"),
         **_body(page, sections, posted),
     )
+
+
+def _fitting(page: Page) -> Iterator[Form]:
+    """The forms without those for the value of a property that must not be written now, which its offer says."""
+    locked = isinstance(page.offer, PropertyView) and not page.offer.affordance.write
+    return (form for form in page.forms if not (locked and isinstance(form, ValueForm)))
 
 
 def _body(page: Page, sections: tuple[Section, ...], posted: tuple[Posted, ...]) -> dict[str, object]:

@@ -75,7 +75,8 @@ class Pages:
         pairs = await self._pairs(exchange)
         token, method, typed = html.split_hidden(pairs)
         self._robot.forms.require(token, resource.url)
-        form = next((form for form in await resource.forms() if form.method == method), None)
+        forms = await resource.forms()
+        form = next((form for form in forms if form.method == method and not form.action), None)
         if form is None:
             raise Problem(405, resource.why_not(method or "POST"), headers={"Allow": ", ".join(resource.methods())})
         try:

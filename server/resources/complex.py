@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from starlette.responses import Response
 
 from rosld.ontology.lower import parse_json
-from rosld.server.html import Form
+from rosld.server.html import Form, forms_of
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
@@ -93,6 +93,7 @@ class ComplexResource(Resource):
             lambda: complex_json(view, robot.lifting),
             received_ns=min(times, default=None),
             max_age=0 if plan.conditional else robot.offers.max_age(own),
+            view=view,
         )
 
     async def _plan(self) -> tuple[Layout, ComplexPlan]:
@@ -113,7 +114,8 @@ class ComplexResource(Resource):
         return thing_response(exchange, self.robot, complex_thing(self.robot, plan))
 
     async def forms(self) -> Sequence[Form]:
-        return ()
+        view = (await self.state()).view
+        return () if view is None else forms_of(view)
 
     async def patch(self, exchange: Exchange) -> Answer:
         """Several members at once: planned whole, carried out one after the other, reported member by member."""

@@ -14,7 +14,7 @@ from rosld.ontology.body import RdfBody, parse_body
 from rosld.ontology.lower import parse_json
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.calls import Outcome
-from rosld.server.html import Form
+from rosld.server.html import Form, action_form, property_form
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
@@ -22,6 +22,7 @@ from rosld.server.hypermedia.content import rdf_content
 from rosld.server.hypermedia.describe import action_document, property_document, property_json
 from rosld.server.hypermedia.layout import ActionPlan, Layout, PropertyPlan, parent_of
 from rosld.server.hypermedia.offers import Sight
+from rosld.server.hypermedia.views import PropertyView
 from rosld.server.hypermedia.writing import carry_out
 from rosld.server.hypermedia.writing import why_not as why_not_writable
 from rosld.server.ldp.exchange import Exchange
@@ -129,6 +130,7 @@ class MemberResource(Resource):
             lambda: property_json(view, robot.lifting),
             received_ns=view.reading.read_ns,
             max_age=0 if plan.conditional else robot.offers.max_age((view.reading,)),
+            view=view,
         )
 
     async def _action_state(self, layout: Layout, plan: ActionPlan) -> State:
@@ -136,7 +138,9 @@ class MemberResource(Resource):
         readings = offers.known(plan.reads) or await offers.look(plan.reads)
         view = offers.action_view(plan, offers.sight(layout, readings))
         return robot.states.get(
-            self.url, (layout, view), lambda: State(lambda: action_document(view, robot.space, robot.lifting))
+            self.url,
+            (layout, view),
+            lambda: State(lambda: action_document(view, robot.space, robot.lifting), view=view),
         )
 
     def _missing(self, layout: Layout) -> Problem:
@@ -150,7 +154,16 @@ class MemberResource(Resource):
         return Problem(404, f"There is no resource {self.name}.")
 
     async def forms(self) -> Sequence[Form]:
-        return ()
+        """Whatever conditions say now: a form that was on offer when its page was drawn is told why it no longer is."""
+        layout, offers = await self.robot.offers.layout(), self.robot.offers
+        forms: list[Form] = []
+        if layout.property(self.name) is not None:
+            view = (await self.state()).view
+            if isinstance(view, PropertyView):
+                forms.append(property_form(view.affordance, view.reading))
+        action = layout.action(self.name)
+        form = action_form(offers.action_affordance(action)) if action is not None else None
+        return forms if form is None else [*forms, form]
 
     # Writing
 

@@ -1,0 +1,371 @@
+"""Limits: SHACL shapes that bound what is written, by the type of a message or by the resource it is written to.
+
+A shape says what it limits by its targets (SHACL 2.1.3): `sh:targetClass` is the class of a message type and holds
+wherever such a message is written, nested ones included; `sh:targetNode` is the URL of a resource. Messages are judged
+as they would be lifted, whole however large; of a message itself only those fields are looked at that a limit names.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import islice
+from typing import TypeAlias, cast
+
+import numpy as np
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+
+from rosld.adapters.model import Array, Message, MessageSchema, Nested, Primitive
+from rosld.ontology.body import Term, parse_body
+from rosld.ontology.lift import TYPES, LiftSettings, lifter
+from rosld.ontology.literals import DATATYPES, STRINGS, base64_text, octets, scalars
+from rosld.ontology.urls import Space
+from rosld.ontology.violations import Violation
+from rosld.ontology.vocab import rdf, rdfs, sh, xsd
+from rosld.shapes.bounds import merged
+from rosld.shapes.constraints import MOST, NodeShape, compiled, conjunction
+from rosld.shapes.reading import ShapesGraph
+from rosld.shapes.value import UNBOUNDED, Bounds
+from rosld.shapes.view import TripleView
+
+Check: TypeAlias = Callable[[Message, str, str], tuple[Violation, ...]]
+"""Judges a message that is lifted as the node (`#message`) of a document (its URL): what it breaks."""
+
+_WHOLE = 1 << 62
+_KINDS = ("resources", "topics", "services", "parameters")
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*/(?:msg|srv|action)/[A-Za-z]\w*", re.ASCII)
+
+
+def read_limits(data: bytes, base: str) -> tuple[Triple, ...]:
+    """The shapes graph of a Turtle file, its relative IRIs resolved against the server's base URL.
+
+    Raises BodyError for what is no Turtle, ValueError for triples about triples.
+    """
+    body = parse_body(data, "text/turtle", base)
+    triples: list[Triple] = []
+    for subject, properties in body.subjects.items():
+        for predicate, objects in properties.items():
+            for each in objects:
+                if isinstance(subject, Triple) or isinstance(each, Triple):
+                    raise ValueError("a shapes graph has no triple terms")
+                triples.append(Triple(subject, predicate, each))
+    return tuple(triples)
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """All limits in force. `graph` is the shapes graphs they come from, in one.
+
+    `by_class`: the limits on messages by the IRI of their class. `by_url`: those on resources.
+    """
+
+    graph: tuple[Triple, ...] = ()
+    by_class: Mapping[str, NodeShape] = field(default_factory=dict)
+    by_url: Mapping[str, NodeShape] = field(default_factory=dict)
+    types: str = TYPES
+
+    @classmethod
+    def of(cls, graphs: Sequence[Sequence[Triple]], space: Space) -> Limits:
+        """The limits of shapes graphs; blank nodes of different graphs are different.
+
+        Raises ValueError with a sentence for a malformed shape, one that limits nothing because it has no target, and a
+        target that is neither the class of a message type nor the URL of a resource of `space`.
+        """
+        by_class: dict[str, list[NodeShape]] = {}
+        by_url: dict[str, list[NodeShape]] = {}
+        for graph in graphs:
+            shapes = ShapesGraph(graph)
+            targeted = set()
+            for node, kind, target in _targets(graph, shapes):
+                targeted.add(node)
+                name, shape = shapes.name(node), compiled(shapes, node)
+                if kind == sh.targetClass:
+                    by_class.setdefault(_class(name, target, shape, space), []).append(shape)
+                else:
+                    by_url.setdefault(_url(name, kind, target, space), []).append(shape)
+            for root in shapes.roots():
+                if root not in targeted:
+                    raise ValueError(
+                        f"{shapes.name(root)} limits nothing: give it a sh:targetNode (the URL of a resource) or a "
+                        "sh:targetClass (the class of a message type)"
+                    )
+        return cls(
+            tuple(_union(graphs)),
+            {name: conjunction(found) for name, found in by_class.items()},
+            {url: conjunction(found) for url, found in by_url.items()},
+            space.types,
+        )
+
+    def __bool__(self) -> bool:
+        """Whether anything is limited."""
+        return bool(self.by_class or self.by_url)
+
+    def message(self, schema: MessageSchema) -> Check | None:
+        """What judges messages of a type; None where no limit is about it, or about a type nested in it."""
+        return _check(self, schema) if self.by_class else None
+
+    def resource(self, url: str) -> NodeShape | None:
+        """What judges the triples of the resource at a URL, the URL being the focus node; None where nothing does."""
+        return self.by_url.get(url)
+
+    def bounds_of_resource(self, url: str, predicate: NamedNode = rdf.value) -> Bounds:
+        """What is demanded of the scalar that is a resource's value of a predicate."""
+        shape = self.by_url.get(url)
+        return UNBOUNDED if shape is None else shape.within.get((predicate,), UNBOUNDED)
+
+    def bounds_of_message(self, schema: MessageSchema) -> Mapping[str, Bounds]:
+        """What is demanded of single scalars, by dotted path; in arrays of messages the path is that of each element.
+
+        So `transforms.transform.translation.x` is that of every transform.
+        """
+        return _bounds(self, schema) if self.by_class else {}
+
+
+def _targets(graph: Sequence[Triple], shapes: ShapesGraph) -> Iterator[tuple[NamedNode | BlankNode, NamedNode, Term]]:
+    """Each target, those of shapes that are classes too (SHACL 2.1.3.3)."""
+    yield from shapes.targeting()
+    classes = {triple.subject for triple in graph if triple.predicate == rdf.type and triple.object == rdfs.Class}
+    for root in shapes.roots():
+        if root in classes:
+            yield root, sh.targetClass, root
+
+
+def _class(name: str, target: Term, shape: NodeShape, space: Space) -> str:
+    iri = target.value if isinstance(target, NamedNode) else str(target)
+    if not iri.startswith(space.types) or not _TYPE_NAME.fullmatch(iri[len(space.types) :]):
+        raise ValueError(
+            f"{name} limits the class <{iri}>, which is no message type: it should look like "
+            f"<{space.types}geometry_msgs/msg/Twist>"
+        )
+    for path in shape.paths or ():
+        if path.value.startswith(space.types) and not path.value.startswith(iri + "#"):
+            raise ValueError(f"{name} limits <{iri}>, but is about <{path.value}>, which is no field of that type")
+    return iri
+
+
+def _url(name: str, kind: NamedNode, target: Term, space: Space) -> str:
+    if kind != sh.targetNode:
+        raise ValueError(
+            f"{name} has a sh:{kind.value[len(sh.iri) :]}; a limit is told by sh:targetNode (the URL of a resource) or "
+            "sh:targetClass (the class of a message type)"
+        )
+    url = target.value if isinstance(target, NamedNode) else str(target)
+    location = space.location(url) if isinstance(target, NamedNode) else None
+    if location is None or location.kind not in _KINDS or "#" in url or "?" in url:
+        raise ValueError(
+            f"{name} limits <{url}>, which is no resource, topic, service or parameter of <{space.base}>: write a "
+            "relative IRI, such as <resources/aircraft/engine/speed>"
+        )
+    return url
+
+
+def _union(graphs: Sequence[Sequence[Triple]]) -> Iterator[Triple]:
+    """The triples of all graphs, their blank nodes kept apart."""
+    for number, graph in enumerate(graphs):
+
+        def apart(term: Term, prefix: str = f"g{number}-") -> Term:
+            return BlankNode(prefix + term.value) if isinstance(term, BlankNode) else term
+
+        for triple in graph:
+            yield Triple(apart(triple.subject), triple.predicate, apart(triple.object))  # type: ignore[arg-type]
+
+
+# Messages
+
+
+@lru_cache(maxsize=1024)
+def _check(limits: Limits, schema: MessageSchema) -> Check | None:
+    names = {name: Space("http://0/", limits.types).class_of(name) for name in schema.types}
+    shapes = {name: limits.by_class[iri] for name, iri in names.items() if iri in limits.by_class}
+    return _MessageCheck(schema, shapes, limits.types).check if shapes else None
+
+
+class _MessageCheck:
+    """Judges the messages of one schema by the shapes of its types."""
+
+    def __init__(self, schema: MessageSchema, shapes: Mapping[str, NodeShape], types: str) -> None:
+        self._schema = schema
+        self._shapes = shapes
+        self._layout = _Layout(schema, types)
+        reaching = self._reaching()
+        self._steps = {name: self._inner(name, reaching | shapes.keys()) for name in reaching}
+        self._strange = tuple(self._strangers())
+
+    def check(self, message: Message, document: str, node: str) -> tuple[Violation, ...]:
+        """What a message breaks. A limit on a field that the type has not must be a mistake: it lets nothing pass."""
+        if self._strange:
+            return self._strange
+        view = MessageView(self._layout, message, document, node)
+        return tuple(islice(self._broken(self._schema.ref.name, message, "", view), MOST))
+
+    def _broken(self, name: str, message: Message, place: str, view: MessageView) -> Iterator[Violation]:
+        shape = self._shapes.get(name)
+        if shape is not None:
+            for each in shape.broken(view.place(name, message, place), view):
+                yield each if not place else _below(place[1:], each)
+        for attribute, field_name, kind, is_array in self._steps.get(name, ()):
+            value = getattr(message, attribute)
+            if not is_array:
+                yield from self._broken(kind, value, f"{place}.{field_name}", view)
+                continue
+            for index, element in enumerate(value):
+                yield from self._broken(kind, element, f"{place}.{field_name}.{index}", view)
+
+    def _strangers(self) -> Iterator[Violation]:
+        for name, shape in self._shapes.items():
+            own = self._layout.classes[name].value + "#"
+            for path in shape.paths or ():
+                if path.value.startswith(own) and path not in self._layout.fields[name]:
+                    yield Violation(
+                        "",
+                        f"cannot be written while the limit <{shape.iri}> is about {path.value[len(own) :]!r}, which "
+                        f"is no field of {name}: correct the shapes that rosld was given (--shapes)",
+                    )
+
+    def _reaching(self) -> set[str]:
+        """The types that hold, at whatever depth, a type with a shape."""
+        types = self._schema.types
+        found: set[str] = set()
+        while more := {
+            name
+            for name, kind in types.items()
+            if name not in found and any(_nested(each.type) in {*found, *self._shapes} for each in kind.fields)
+        }:
+            found |= more
+        return found
+
+    def _inner(self, name: str, wanted: Set[str]) -> tuple[tuple[str, str, str, bool], ...]:
+        """The fields that lead on: attribute, name, type, whether it is an array."""
+        return tuple(
+            (each.attribute, each.name, nested, isinstance(each.type, Array))
+            for each in self._schema.types[name].fields
+            if (nested := _nested(each.type)) is not None and nested in wanted
+        )
+
+
+def _nested(kind: object) -> str | None:
+    """The message type within a field's type."""
+    element = kind.element if isinstance(kind, Array) else kind
+    return element.name if isinstance(element, Nested) else None
+
+
+def _below(place: str, violation: Violation) -> Violation:
+    return replace(violation, path=f"{place}.{violation.path}" if violation.path else place)
+
+
+class _Layout:
+    """A schema by its IRIs: the class of each type, and its fields by their properties."""
+
+    def __init__(self, schema: MessageSchema, types: str) -> None:
+        space = Space("http://0/", types)
+        self.schema = schema
+        self.lifter = lifter(schema, LiftSettings(types, _WHOLE))
+        self.classes = {name: NamedNode(space.class_of(name)) for name in schema.types}
+        self.fields = {
+            name: {NamedNode(space.property_of(name, each.name)): each for each in kind.fields}
+            for name, kind in schema.types.items()
+        }
+
+
+class MessageView:
+    """The view of a message as it would be lifted. Scalars and nested messages are read from the message itself; it is
+
+    lifted as soon as a shape asks for anything else.
+    """
+
+    def __init__(self, layout: _Layout, message: Message, document: str, node: str) -> None:
+        self._layout = layout
+        self._message = message
+        self._document = document
+        self._node = node
+        self._places: dict[Term, tuple[str, Message]] = {}
+        self._lifted: TripleView | None = None
+
+    def place(self, name: str, message: Message, place: str) -> NamedNode:
+        """The node of a message within, at `.linear`."""
+        node = NamedNode(self._document + self._node + place)
+        self._places[node] = (name, message)
+        return node
+
+    def objects(self, node: Term, predicate: NamedNode) -> Sequence[Term]:
+        """The value nodes of a predicate."""
+        if self._lifted is None and (place := self._places.get(node)) is not None:
+            name, message = place
+            if predicate == rdf.type:
+                return (self._layout.classes[name],)
+            field = self._layout.fields[name].get(predicate)
+            if field is not None and not isinstance(field.type, Array):
+                value = getattr(message, field.attribute)
+                if isinstance(field.type, Primitive):
+                    return (literal(field.type, value),)
+                inner = NamedNode(f"{cast(NamedNode, node).value}.{field.name}")
+                self._places[inner] = (field.type.name, value)
+                return (inner,)
+        return self._whole().objects(node, predicate)
+
+    def triples(self) -> Sequence[Triple]:
+        """All of it."""
+        return self._whole().triples()
+
+    def _whole(self) -> TripleView:
+        if self._lifted is None:
+            self._lifted = TripleView(self._layout.lifter.triples(self._message, self._document, self._node))
+        return self._lifted
+
+
+def literal(kind: Primitive, value: bool | int | float | str) -> Literal:
+    """A scalar as it is lifted."""
+    if kind.name in STRINGS:
+        try:
+            return Literal(cast(str, value))
+        except ValueError:  # bytes that are not UTF-8
+            return Literal(base64_text(octets(cast(str, value))), datatype=xsd.base64Binary)
+    numbers = np.array([value], "<f4") if kind.name == "float32" else (value,)
+    return Literal(scalars(cast("Iterable[bool | int | float]", numbers))[0], datatype=_DATATYPES[kind.name])
+
+
+_DATATYPES = {name: NamedNode(xsd.iri + local) for name, local in DATATYPES.items()}
+
+
+# Bounds
+
+
+@lru_cache(maxsize=1024)
+def _bounds(limits: Limits, schema: MessageSchema) -> Mapping[str, Bounds]:
+    space = Space("http://0/", limits.types)
+    return _bounds_of(limits, schema, schema.ref.name, space)
+
+
+def _bounds_of(limits: Limits, schema: MessageSchema, name: str, space: Space) -> dict[str, Bounds]:
+    """The bounds of a type and of all it holds."""
+    shape = limits.by_class.get(space.class_of(name))
+    own: dict[str, Bounds] = {}
+    if shape is not None:
+        for way, bounds in shape.within.items():
+            path = _dotted(schema, name, way, space)
+            if path is not None:
+                own[path] = bounds
+    inner = (
+        {f"{each.name}.{path}": bounds for path, bounds in _bounds_of(limits, schema, nested, space).items()}
+        for each in schema.types[name].fields
+        if (nested := _nested(each.type)) is not None
+    )
+    return merged(own, *inner)
+
+
+def _dotted(schema: MessageSchema, name: str, way: Sequence[NamedNode], space: Space) -> str | None:
+    """The dotted path of the scalar that predicates lead to; None where they lead to none."""
+    kind: object = Nested(name)
+    steps = []
+    for predicate in way:
+        if not isinstance(kind, Nested):
+            return None
+        fields = {space.property_of(kind.name, each.name): each for each in schema.types[kind.name].fields}
+        found = fields.get(predicate.value)
+        if found is None:
+            return None
+        steps.append(found.name)
+        kind = found.type
+    return ".".join(steps) if isinstance(kind, Primitive) else None

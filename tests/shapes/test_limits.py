@@ -1,0 +1,411 @@
+"""Limits: what is written is bounded by type and by resource, as pyshacl would, and NaN slips through nowhere."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pyshacl
+import pytest
+import rdflib
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, serialize
+
+import rosld.adapters.aircraft
+from rosld.adapters.model import Array, Field, Message, MessageSchema, Nested, TypeRef
+from rosld.adapters.model.library import TypeLibrary
+from rosld.ontology.body import BodyError
+from rosld.ontology.fitting import RANGES
+from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.literals import DTYPES, STRINGS
+from rosld.ontology.urls import TYPES, Space
+from rosld.ontology.vocab import rdf, sh, xsd
+from rosld.shapes.limits import Limits, read_limits
+from rosld.shapes.value import UNBOUNDED, Bounds
+
+SPACE = Space("http://127.0.0.1:8080/")
+URL = SPACE.topic("/cmd_vel")
+LIBRARY = TypeLibrary(ros_version=1)
+PREFIXES = f"""
+@prefix sh: <http://www.w3.org/ns/shacl#> . @prefix xsd: <http://www.w3.org/2001/XMLSchema#> .
+@prefix rdf: <http://www.w3.org/1999/02/22-rdf-syntax-ns#> . @prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
+@prefix g: <{TYPES}geometry_msgs/msg/> . @prefix twist: <{TYPES}geometry_msgs/msg/Twist#> .
+@prefix vector: <{TYPES}geometry_msgs/msg/Vector3#> . @prefix t: <{TYPES}test_msgs/msg/> .
+@prefix all: <{TYPES}test_msgs/msg/All#> . @prefix point: <{TYPES}geometry_msgs/msg/Point#> .
+"""
+ALL = """
+bool flag
+int8 tiny
+uint64 unsigned
+float32 single
+float64 double
+string text
+duration span
+geometry_msgs/Point point
+geometry_msgs/Point[] points
+float64[3] triple
+string[] words
+uint8[] bytes
+"""
+
+
+@cache
+def schema_of(name: str) -> MessageSchema:
+    if name == "test_msgs/msg/All":
+        return LIBRARY.learn_message(name, ALL)
+    schema = LIBRARY.find(TypeRef(name))
+    assert isinstance(schema, MessageSchema)
+    return schema
+
+
+TWIST = schema_of("geometry_msgs/msg/Twist")
+
+
+def graph(turtle: str) -> tuple[Triple, ...]:
+    return read_limits((PREFIXES + turtle).encode(), SPACE.base)
+
+
+def limits(*turtle: str) -> Limits:
+    return Limits.of([graph(each) for each in turtle], SPACE)
+
+
+def message(schema: MessageSchema, values: dict[str, object], name: str | None = None, path: str = "") -> Message:
+    """A message whose fields are 0, "", empty, or what `values` has by dotted path."""
+    kind = schema.types[name or schema.ref.name]
+    return schema.codec.build(kind.name, {each.attribute: _value(schema, each, values, path) for each in kind.fields})
+
+
+def _value(schema: MessageSchema, field: Field, values: dict[str, object], path: str) -> object:
+    path = f"{path}.{field.name}".lstrip(".")
+    kind = field.type
+    if isinstance(kind, Nested):
+        return message(schema, values, kind.name, path)
+    if isinstance(kind, Array):
+        if isinstance(kind.element, Nested):
+            count = values.get(path, 0)
+            assert isinstance(count, int)
+            return [message(schema, values, kind.element.name, f"{path}.{index}") for index in range(count)]
+        if kind.element.name in STRINGS:
+            return values.get(path, [])
+        return np.array(values.get(path, np.zeros(kind.length or 0)), DTYPES[kind.element.name])
+    return values.get(path, "" if kind.name in STRINGS else False if kind.name == "bool" else 0)
+
+
+def twist(**values: object) -> Message:
+    return message(TWIST, {key.replace("_", "."): value for key, value in values.items()})
+
+
+def broken(given: Limits, schema: MessageSchema, value: Message) -> list[tuple[str, str]]:
+    check = given.message(schema)
+    assert check is not None
+    return [(each.path, each.message) for each in check(value, URL, "#message")]
+
+
+SPEED = "<#fast> a sh:NodeShape ; sh:targetClass g:Vector3 ; sh:property [ sh:path vector:x ; %s ] ."
+NESTED = """<#fast> a sh:NodeShape ; sh:targetClass g:Twist ;
+  sh:property [ sh:path twist:linear ; sh:property [ sh:path vector:x ; sh:minInclusive 0 ; sh:maxInclusive 1000 ] ] ."""
+
+
+# By type
+
+
+def test_a_message_within_its_limits_breaks_nothing() -> None:
+    assert broken(limits(NESTED), TWIST, twist(linear_x=1000.0)) == []
+    assert broken(limits(NESTED), TWIST, twist(linear_x=0.0, linear_y=5000.0)) == []
+
+
+def test_a_violation_tells_the_dotted_path_the_bound_and_all_that_a_report_needs() -> None:
+    check = limits(NESTED).message(TWIST)
+    assert check is not None
+    (one,) = check(twist(linear_x=1000.5), URL, "#message")
+    assert (one.path, one.message, one.value) == ("linear.x", "must be at most 1000", "1000.5")
+    assert one.component == NamedNode(sh.iri + "MaxInclusiveConstraintComponent")
+    assert one.focus == NamedNode(URL + "#message.linear")
+    assert one.predicate == NamedNode(f"{TYPES}geometry_msgs/msg/Vector3#x")
+    assert one.term == Literal("1000.5", datatype=xsd.double)
+
+
+def test_a_limit_on_a_nested_type_holds_wherever_it_is_nested() -> None:
+    assert broken(limits(SPEED % "sh:maxExclusive 10"), TWIST, twist(linear_x=10.0, angular_x=11.0)) == [
+        ("linear.x", "must be less than 10"),
+        ("angular.x", "must be less than 10"),
+    ]
+
+
+def test_a_limit_holds_for_each_message_of_an_array() -> None:
+    given = limits("<#p> sh:targetClass g:Point ; sh:property [ sh:path point:y ; sh:minInclusive 0 ] .")
+    value = message(schema_of("test_msgs/msg/All"), {"points": 3, "points.1.y": -1.0, "point.y": -2.0})
+    assert broken(given, schema_of("test_msgs/msg/All"), value) == [
+        ("point.y", "must be at least 0"),
+        ("points.1.y", "must be at least 0"),
+    ]
+
+
+def test_types_that_no_limit_is_about_have_no_check() -> None:
+    given = limits(NESTED)
+    assert given.message(schema_of("std_msgs/msg/String")) is None
+    assert given.message(schema_of("geometry_msgs/msg/Vector3")) is None
+    assert given.message(TWIST) is given.message(TWIST)
+    assert Limits().message(TWIST) is None
+    assert not Limits()
+    assert given
+
+
+@pytest.mark.parametrize(
+    "bound", ["sh:minInclusive 0", "sh:maxInclusive 1000", "sh:maxExclusive 1000", "sh:minExclusive -1"]
+)
+@pytest.mark.parametrize("way", ["", "sh:path ( twist:linear vector:x )"])
+def test_nan_is_within_no_bounds(bound: str, way: str) -> None:
+    """pyshacl lets NaN pass every upper bound; SHACL 4.3 asks that the comparison be true, and it never is."""
+    turtle = f"<#l> sh:targetClass g:Twist ; sh:property [ {way} ; {bound} ] ." if way else SPEED % bound
+    assert broken(limits(turtle), TWIST, twist(linear_x=float("nan")))
+    assert not broken(limits(turtle), TWIST, twist(linear_x=1.0))
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf"), 1000.0000000000001, -5e-324])
+def test_from_0_to_1000_lets_nothing_else_through(value: float) -> None:
+    assert broken(limits(NESTED), TWIST, twist(linear_x=value))
+
+
+def test_a_float32_is_judged_by_its_own_digits() -> None:
+    given = limits("<#s> sh:targetClass t:All ; sh:property [ sh:path all:single ; sh:maxInclusive 1e-1 ] .")
+    schema = schema_of("test_msgs/msg/All")
+    assert not broken(given, schema, message(schema, {"single": float(np.float32(0.1))}))
+    assert broken(given, schema, message(schema, {"single": float(np.float32(0.11))}))
+
+
+def test_what_is_not_simple_is_judged_too() -> None:
+    given = limits("""<#two> sh:targetClass g:Twist ; sh:message "too fast" ;
+      sh:property [ sh:path ( twist:linear [ sh:alternativePath ( vector:x vector:y ) ] ) ; sh:maxInclusive 5 ] .""")
+    assert broken(given, TWIST, twist(linear_x=5.0)) == []
+    assert len(broken(given, TWIST, twist(linear_x=6.0, linear_y=7.0))) == 2
+
+
+def test_a_text_that_is_not_utf_8_is_judged_as_it_is_lifted() -> None:
+    schema = schema_of("std_msgs/msg/String")
+    given = limits(f"<#s> sh:targetClass <{TYPES}std_msgs/msg/String> ; sh:property [ sh:path <{TYPES}std_msgs/msg/String#data> ; "
+                   'sh:in ( "on" "off" ) ] .')  # fmt: skip
+    assert broken(given, schema, message(schema, {"data": "\udcff"})) == [("data", 'must be one of "on", "off"')]
+    assert broken(given, schema, message(schema, {"data": "off"})) == []
+
+
+def test_large_values_are_judged_whole() -> None:
+    schema = schema_of("std_msgs/msg/String")
+    given = limits(f"<#s> sh:targetClass <{TYPES}std_msgs/msg/String> ; "
+                   f"sh:property [ sh:path <{TYPES}std_msgs/msg/String#data> ; sh:maxLength 100000 ; sh:datatype xsd:string ] .")  # fmt: skip
+    assert broken(given, schema, message(schema, {"data": "a" * 100_000})) == []
+    assert len(broken(given, schema, message(schema, {"data": "a" * 100_001}))) == 1
+
+
+def test_a_limit_on_a_field_that_the_type_has_not_lets_nothing_pass() -> None:
+    given = limits("<#typo> sh:targetClass g:Twist ; sh:property [ sh:path twist:linaer ; sh:maxCount 0 ] .")
+    ((_, words),) = broken(given, TWIST, twist())
+    assert "'linaer'" in words
+    assert "--shapes" in words
+
+
+# By resource
+
+
+def value_of(url: str, value: Literal) -> list[Triple]:
+    return [Triple(NamedNode(url), rdf.value, value)]
+
+
+def typed(text: str, datatype: NamedNode) -> Literal:
+    return Literal(text, datatype=datatype)
+
+
+@cache
+def aircraft() -> Limits:
+    data = (Path(rosld.adapters.aircraft.__file__).parent / "limits.ttl").read_bytes()
+    return Limits.of([read_limits(data, SPACE.base)], SPACE)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "holds"),
+    [
+        ("engine/speed", typed("0.0", xsd.double), True),
+        ("engine/speed", typed("1000.0", xsd.double), True),
+        ("engine/speed", typed("500", xsd.integer), True),
+        ("engine/speed", typed("1000.1", xsd.double), False),
+        ("engine/speed", typed("-0.1", xsd.double), False),
+        ("engine/speed", typed("NaN", xsd.double), False),
+        ("engine/speed", typed("INF", xsd.double), False),
+        ("engine/speed", Literal("fast"), False),
+        ("engine/direction", typed("360.0", xsd.double), True),
+        ("engine/direction", typed("361.0", xsd.double), False),
+        ("power", Literal("on"), True),
+        ("power", Literal("off"), True),
+        ("power", Literal("On"), False),
+        ("power", Literal("on", language="en"), False),
+    ],
+)
+def test_the_limits_of_the_aircraft(name: str, value: Literal, holds: bool) -> None:
+    url = f"{SPACE.base}resources/aircraft/{name}"
+    shape = aircraft().resource(url)
+    assert shape is not None
+    violations = shape.violations(NamedNode(url), value_of(url, value))
+    assert (not violations) is holds
+    assert all(each.path == "" and each.term == value and each.shape is None for each in violations)
+
+
+def test_a_resource_without_a_limit_has_none() -> None:
+    assert aircraft().resource(f"{SPACE.base}resources/aircraft/engine/") is None
+    assert aircraft().bounds_of_resource(f"{SPACE.base}resources/else") == UNBOUNDED
+
+
+def test_several_limits_on_one_resource_hold_together_and_narrow_its_bounds() -> None:
+    url = f"{SPACE.base}resources/v"
+    given = limits(
+        "_:a sh:targetNode <resources/v> ; sh:property [ sh:path rdf:value ; sh:maxInclusive 10 ; sh:minExclusive 0 ] .",
+        "_:a sh:targetNode <resources/v> ; sh:property [ sh:path rdf:value ; sh:maxInclusive 5.5 ; sh:minInclusive -3 ] .",
+    )
+    assert given.bounds_of_resource(url) == Bounds(
+        least=typed("-3", xsd.integer), above=typed("0", xsd.integer), greatest=typed("5.5", xsd.decimal)
+    )
+    shape = given.resource(url)
+    assert shape is not None
+    assert len(shape.violations(NamedNode(url), value_of(url, typed("11", xsd.integer)))) == 2
+    assert len(shape.violations(NamedNode(url), value_of(url, typed("6", xsd.integer)))) == 1
+    assert len({triple.subject for triple in given.graph}) == 4
+
+
+def test_bounds_of_the_aircraft() -> None:
+    bounds = aircraft().bounds_of_resource(f"{SPACE.base}resources/aircraft/engine/speed")
+    assert bounds == Bounds(least=typed("0", xsd.integer), greatest=typed("1000", xsd.integer))
+    power = aircraft().bounds_of_resource(f"{SPACE.base}resources/aircraft/power")
+    assert power.choices == (Literal("on"), Literal("off"))
+
+
+def test_bounds_of_a_message_are_by_dotted_path_and_merged() -> None:
+    given = limits(NESTED, SPEED % "sh:maxInclusive 2000 ; sh:minInclusive -1")
+    assert given.bounds_of_message(TWIST) == {
+        "linear.x": Bounds(least=typed("0", xsd.integer), greatest=typed("1000", xsd.integer)),
+        "angular.x": Bounds(least=typed("-1", xsd.integer), greatest=typed("2000", xsd.integer)),
+    }
+    assert given.bounds_of_message(schema_of("std_msgs/msg/String")) == {}
+
+
+def test_bounds_within_an_array_of_messages_are_those_of_each_element() -> None:
+    given = limits("<#p> sh:targetClass g:Point ; sh:property [ sh:path point:y ; sh:minInclusive 0 ] .")
+    assert given.bounds_of_message(schema_of("test_msgs/msg/All")).keys() == {"point.y", "points.y"}
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("turtle", "words"),
+    [
+        ("<#l> a sh:NodeShape ; sh:property [ sh:path rdf:value ; sh:maxInclusive 1 ] .", "limits nothing"),
+        ("<#l> sh:targetSubjectsOf rdf:value ; sh:property [ sh:path rdf:value ; sh:maxInclusive 1 ] .", "targetSubjectsOf"),
+        ("<#l> sh:targetObjectsOf rdf:value ; sh:maxInclusive 1 .", "targetObjectsOf"),
+        ("<#l> sh:target [ a sh:SPARQLTarget ] ; sh:maxInclusive 1 ; sh:targetNode <resources/a> .", "only SHACL Core"),
+        ("<#l> sh:targetNode <http://elsewhere/resources/a> ; sh:nodeKind sh:IRI .", "relative IRI"),
+        ("<#l> sh:targetNode <data/a> ; sh:nodeKind sh:IRI .", "no resource, topic, service or parameter"),
+        ("<#l> sh:targetNode <topics/a#message> ; sh:nodeKind sh:IRI .", "no resource, topic"),
+        ('<#l> sh:targetNode "resources/a" ; sh:nodeKind sh:IRI .', "no resource, topic"),
+        ("<#l> sh:targetClass <http://elsewhere/Twist> ; sh:nodeKind sh:IRI .", "no message type"),
+        ("<#l> sh:targetClass <%sTwist> ; sh:nodeKind sh:IRI ." % TYPES, "no message type"),
+        ("<#l> sh:targetClass g:Twist ; sh:property [ sh:path vector:x ; sh:maxInclusive 1 ] .", "no field of that type"),
+        ("<#l> a sh:NodeShape, rdfs:Class ; sh:property [ sh:path vector:x ; sh:maxInclusive 1 ] .", "no message type"),
+        ("<#l> sh:targetNode <topics/a> ; sh:property [ sh:maxInclusive 1 ] .", "without a sh:path"),
+        ("<#l> sh:targetNode <topics/a> ; sh:property [ sh:path rdf:value ; sh:maxInlcusive 1 ] .", "sh:maxInlcusive"),
+        ("<#l> sh:targetNode <topics/a> ; sh:node <#m> .", "nothing is said of it"),
+    ],
+)  # fmt: skip
+def test_limits_that_could_not_be_held_are_refused_with_a_sentence(turtle: str, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        limits(turtle)
+
+
+def test_a_file_that_cannot_be_read_is_refused() -> None:
+    with pytest.raises(BodyError, match="line 1"):
+        read_limits(b"<#l> sh:targetNode", SPACE.base)
+    with pytest.raises(BodyError, match="nested deeper"):
+        read_limits(b"<#l> <#p> " + b"[ <#p> " * 200 + b"]" * 200 + b" .", SPACE.base)
+
+
+# The same as pyshacl
+
+
+FIELDS = {
+    "flag": ("sh:hasValue true", "sh:in ( true )", "sh:datatype xsd:boolean"),
+    "tiny": ("sh:minInclusive -5", "sh:maxExclusive 7.5", "sh:in ( 1 2 3 )", 'sh:in ( "3"^^xsd:byte 5 )', "sh:datatype xsd:byte"),
+    "unsigned": ("sh:maxInclusive 18446744073709551614", "sh:minExclusive 1e0"),
+    "single": ("sh:maxInclusive 0.1", "sh:minInclusive 1e-1", 'sh:hasValue "0.5"^^xsd:float', "sh:datatype xsd:float"),
+    "double": ("sh:minInclusive 0 ; sh:maxInclusive 1000", "sh:maxExclusive 0.1", 'sh:in ( "0.1"^^xsd:double 1.0 )'),
+    "text": ('sh:in ( "on" "off" )', 'sh:pattern "^o"', "sh:minLength 2 ; sh:maxLength 3", "sh:datatype xsd:string"),
+    "point": ("sh:node [ sh:property [ sh:path point:x ; sh:maxInclusive 1 ] ]", "sh:class g:Point", "sh:class g:Vector3",
+              "sh:property [ sh:path point:y ; sh:minInclusive 0 ]", "sh:nodeKind sh:IRI"),
+    "points": ("sh:nodeKind sh:BlankNodeOrIRI", "sh:hasValue rdf:nil", "sh:not [ sh:class g:Point ]"),
+    "triple": ("sh:datatype rdf:JSON", 'sh:pattern "1"'),
+    "words": ('sh:pattern "on"', "sh:maxLength 8"),
+    "bytes": ("sh:maxLength 4", "sh:datatype xsd:base64Binary"),
+}  # fmt: skip
+numbers = st.one_of(
+    st.sampled_from([0.0, -0.0, 0.1, 0.5, 1.0, 7.5, 1000.0, float("inf"), float("-inf")]), st.floats(allow_nan=False)
+)
+texts = st.sampled_from(["", "on", "off", "toolong", "\udcff", "ü", 'o"n\n'])
+messages = st.fixed_dictionaries(
+    {},
+    optional={
+        "flag": st.booleans(),
+        "tiny": st.one_of(st.integers(-6, 8), st.integers(*RANGES["int8"])),
+        "unsigned": st.one_of(st.integers(0, 3), st.integers(*RANGES["uint64"])),
+        "single": st.one_of(numbers.filter(lambda each: abs(each) < 1e30 or abs(each) > 1e300), st.floats(width=32, allow_nan=False))
+        .map(lambda each: float(np.float32(each))),
+        "double": numbers,
+        "text": texts,
+        "point.x": numbers,
+        "point.y": numbers,
+        "points": st.integers(0, 2),
+        "points.0.x": numbers,
+        "triple": st.lists(numbers, min_size=3, max_size=3),
+        "words": st.lists(texts, max_size=3),
+        "bytes": st.lists(st.integers(0, 255), max_size=5),
+    },
+)  # fmt: skip
+property_shapes = st.sampled_from(sorted(FIELDS)).flatmap(
+    lambda name: st.builds(
+        lambda body, extra: f"sh:property [ sh:path all:{name} ; {body} {extra} ]",
+        st.sampled_from(FIELDS[name]),
+        st.sampled_from(["", "; sh:minCount 1", "; sh:maxCount 1", "; sh:maxCount 0"]),
+    )
+)
+EXTRA = (
+    "<#p> sh:targetClass g:Point ; sh:property [ sh:path point:x ; sh:minInclusive 0 ] .",
+    "<#q> sh:targetClass t:All ; sh:property [ sh:path ( all:points [ sh:zeroOrMorePath rdf:rest ] rdf:first ) ; sh:maxCount 1 ] .",
+    "<#q> sh:targetClass t:All ; sh:property [ sh:path all:double ; sh:lessThan all:single ] .",
+    "",
+)
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@given(messages, st.lists(property_shapes, min_size=1, max_size=3), st.sampled_from(EXTRA))
+def test_a_verdict_on_a_message_is_that_of_pyshacl(values: dict[str, object], parts: list[str], extra: str) -> None:
+    schema = schema_of("test_msgs/msg/All")
+    shapes = graph(f"<#l> a sh:NodeShape ; sh:targetClass t:All ; {' ; '.join(parts)} .\n{extra}")
+    value = message(schema, values)
+    check = Limits.of([shapes], SPACE).message(schema)
+    assert check is not None
+    found = {(each.focus, each.predicate, each.component) for each in check(value, URL, "#message")}
+    lifted = lifter(schema, LiftSettings(inline_limit=1 << 62)).triples(value, URL, "#message")
+    _, report, words = pyshacl.validate(rdf_graph(lifted), shacl_graph=rdf_graph(shapes))
+    assert isinstance(report, rdflib.Graph), words
+    expected = {
+        tuple(
+            NamedNode(said) if isinstance(said := report.value(result, rdflib.SH[name]), rdflib.URIRef) else None
+            for name in ("focusNode", "resultPath", "sourceConstraintComponent")
+        )
+        for result in report.objects(None, rdflib.SH.result)
+    }
+    assert found == expected
+
+
+def rdf_graph(triples: list[Triple] | tuple[Triple, ...]) -> rdflib.Graph:
+    text = serialize(triples, format=RdfFormat.N_TRIPLES)
+    assert text is not None
+    return rdflib.Graph().parse(text, format="nt")

@@ -85,11 +85,14 @@ def main() -> None:
         script.write_text(PUT)
         serve = ("-m", "rosld", "serve", "aircraft", "--port", "0", "--max-publish-rate", "1000000000")
         with serving("-c", BASELINE) as bare, serving(*serve) as rosld:
-            speed = f"{rosld}topics/aircraft/engine/speed"
+            speed, aircraft = f"{rosld}topics/aircraft/engine/speed", f"{rosld}resources/aircraft/"
             rows = {
                 "GET live topic at 10 Hz, Turtle": (speed, f"{bare}x", ("-H", "Accept: text/turtle")),
                 "GET live topic at 10 Hz, JSON-LD": (speed, f"{bare}x", ("-H", "Accept: application/ld+json")),
                 "GET live topic at 10 Hz, JSON": (speed, f"{bare}x", ("-H", "Accept: application/json")),
+                "GET complex resource, Turtle": (aircraft, f"{bare}x", ("-H", "Accept: text/turtle")),
+                "GET complex resource, JSON": (aircraft, f"{bare}x", ("-H", "Accept: application/json")),
+                "GET property by a getter, JSON": (f"{aircraft}power", f"{bare}x", ("-H", "Accept: application/json")),
                 "PUT that publishes, Turtle": (f"{rosld}topics/cockpit/display", f"{bare}x", ("-s", str(script))),
             }
             print(f"{'':36}{'rosld/s':>10}{'bare/s':>10}{'ratio':>8}")

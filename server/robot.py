@@ -27,6 +27,7 @@ from rosld.server.limiter import PublishLimiter
 from rosld.server.live.schemas import Schemas
 from rosld.server.live.topics import LiveSettings, LiveTopics
 from rosld.server.settings import Settings
+from rosld.shapes.limits import Limits, read_limits
 
 OPEN_SECONDS = 5.0
 
@@ -56,7 +57,7 @@ class Robot:
         self.states = States()
         self.changes = Signal()
         self.parameter_changes = Signal()
-        self.limits = limits_of(settings, adapter)
+        self.limits = limits_of(settings, adapter, self.space)
         self.mappings = Mappings()
         for document in documents_of(settings, adapter, self.space):
             self.mappings.replace(document)
@@ -165,18 +166,17 @@ def documents_of(settings: Settings, adapter: Adapter, space: Space) -> Iterator
         yield load_mapping(path, space)
 
 
-class _NoLimits:
-    def __bool__(self): return False
-    def message(self, s): return None
-    def resource(self, s): return None
-    def bounds_of_resource(self, *a):
-        from rosld.shapes.value import UNBOUNDED
-        return UNBOUNDED
-    def bounds_of_message(self, *a): return {}
-
-
-def limits_of(settings, adapter):
-    return _NoLimits()
+def limits_of(settings: Settings, adapter: Adapter, space: Space) -> Limits:
+    """The limits in force: the robot's own, and those of the settings. Raises ValueError with the file's name."""
+    shipped = adapter.capabilities.limits
+    graphs = []
+    for path in (*((shipped,) if shipped is not None else ()), *settings.shapes):
+        try:
+            graphs.append(read_limits(path.read_bytes(), space.base))
+            Limits.of(graphs[-1:], space)
+        except ValueError as error:
+            raise ValueError(f"{path} holds no limits: {error}") from error
+    return Limits.of(graphs, space)
 
 
 def used_types(graph: Graph) -> list[TypeRef]:

@@ -22,15 +22,16 @@ _WORDS = frozenset({"message", "status_message"})
 def answered_fields(schema: ServiceSchema) -> tuple[Field, ...]:
     """The fields of the response that are a value; none where this type is no getter's.
 
-    A getter's request is empty and its response is light and more than a status. The status is `bool success` and,
-    beside anything else, the string `message` or `status_message`.
+    A getter's request is empty and its response is light and more than a status. The status is `bool success` and, with
+    it, the string `message` or `status_message`.
     """
     if schema.request.type.fields or not is_light(schema.response):
         return ()
     fields = schema.response.type.fields
     answered = tuple(field for field in fields if not _is_success(field))
-    value = tuple(field for field in answered if not _is_words(field))
-    return value if value or len(answered) < len(fields) else answered
+    if len(answered) == len(fields):
+        return fields
+    return tuple(field for field in answered if not _is_words(field))
 
 
 def _is_success(field: Field) -> bool:

@@ -259,9 +259,9 @@ class TestGetters:
         [
             ("GetFloat", ["value"]),
             ("GetTold", ["value"]),
-            ("GetBusy", ["value"]),
+            ("GetBusy", ["value", "message"]),
             ("GetWords", ["message"]),
-            ("GetCount", ["success"]),
+            ("GetCount", ["success", "message"]),
             ("GetPoint", ["point", "layer"]),
             ("GetPair", ["pair"]),
             ("rosld_aircraft/srv/GetText", ["data"]),

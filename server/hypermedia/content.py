@@ -1,0 +1,92 @@
+"""Content: what a body wants the value of a property to be. Pure.
+
+It is plain JSON (as `parse_json` gives it) or, where RDF says it with a literal, that `Literal`: its datatype tells
+what a JSON value could not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from pyoxigraph import BlankNode, Literal, NamedNode
+
+from rosld.adapters.model import Field, MessageSchema
+from rosld.ontology.body import RdfBody, Term
+from rosld.ontology.lift import LiftSettings
+from rosld.ontology.lower import LoweringError, Violation, lowerer, parse_json
+from rosld.ontology.violations import shortened
+from rosld.ontology.vocab import rdf
+from rosld.server.hypermedia.catalogue import Getter, Property, Setter, TopicSource
+from rosld.server.hypermedia.value import WHOLE, MessageValue, part_of, plain_json
+
+
+class _Layout(NamedTuple):
+    """The fields of a type of message as which a value may be sent."""
+
+    schema: MessageSchema
+    fields: tuple[Field, ...]
+
+
+def rdf_content(
+    body: RdfBody,
+    subject: NamedNode,
+    predicate: NamedNode,
+    property: Property,
+    lifting: LiftSettings,
+    *,
+    node: str = "#value",
+) -> object:
+    """The content that `subject` `predicate` states for a property.
+
+    That is a literal, or a node whose type is that of messages which the property is read as or written with. Where
+    nothing is stated, the node `node` of the document is taken if the body describes it. Raises LoweringError where
+    there is nothing, more than one value, or a value of another kind.
+    """
+    term = _stated(body, subject, predicate, subject.value + node)
+    if isinstance(term, Literal):
+        return term
+    if not isinstance(term, NamedNode | BlankNode):
+        raise LoweringError(Violation("", "expected a literal or a node", shortened(term)))
+    return _described(body, term, property, lifting, subject.value)
+
+
+def _stated(body: RdfBody, subject: NamedNode, predicate: NamedNode, node: str) -> Term:
+    terms = body.objects(subject, predicate)
+    if len(terms) > 1:
+        raise LoweringError(Violation("", f"expected one value, and there are {len(terms)}: {predicate} is said twice"))
+    if terms:
+        return terms[0]
+    if (named := NamedNode(node)) in body.subjects:
+        return named
+    raise LoweringError(Violation("", f"missing: expected the value, as {subject} {predicate}"))
+
+
+def _described(
+    body: RdfBody, node: NamedNode | BlankNode, property: Property, lifting: LiftSettings, document: str
+) -> object:
+    """The plain JSON of the message that a node is."""
+    kinds = body.objects(node, rdf.type)
+    layouts = {NamedNode(lifting.types + each.schema.ref.name): each for each in _layouts(property)}
+    found = next((layouts[kind] for kind in kinds if isinstance(kind, NamedNode) and kind in layouts), None)
+    if found is None:
+        expected = f"a node of type {' or '.join(map(str, layouts))}" if layouts else "a literal"
+        stated = ", ".join(map(str, kinds)) or f"{node} without a type"
+        raise LoweringError(Violation("", f"expected {expected}", shortened(stated)))
+    part = part_of(found.schema, found.fields)
+    message = lowerer(part, lifting).from_graph(body, node, document)
+    return parse_json(plain_json(MessageValue(found.schema, message, found.fields, document), WHOLE))
+
+
+def _layouts(property: Property) -> Iterator[_Layout]:
+    """The messages that the property is read as and written with."""
+    for way in (*property.readers, *property.writers):
+        match way:
+            case TopicSource(schema=schema) if schema is not None:
+                yield _Layout(schema, schema.type.fields)
+            case Getter(schema=service, fields=fields):
+                yield _Layout(service.response, fields)
+            case Setter(schema=service):
+                yield _Layout(service.request, service.request.type.fields)
+            case _:
+                pass

@@ -1,0 +1,276 @@
+"""Writing: a property is written by the first of its writers that may write now, planned first and carried out last."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import TYPE_CHECKING, cast
+
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.adapters.model import (
+    Field,
+    Kind,
+    Message,
+    MessageSchema,
+    Operation,
+    ParameterValue,
+    Primitive,
+    Ref,
+    Refused,
+    Sent,
+)
+from rosld.ontology.fitting import Misfit
+from rosld.ontology.json_leaves import json_leaf
+from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.lower import LoweringError, Violation, lowerer
+from rosld.ontology.lower_graph import term_leaf
+from rosld.ontology.parameters import lower_json, lower_term
+from rosld.ontology.violations import shortened
+from rosld.ontology.vocab import rdf
+from rosld.server.calls import Unreadable
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.catalogue import (
+    MessageKind,
+    ParameterSource,
+    Property,
+    ScalarKind,
+    Setter,
+    TopicSource,
+    ValueKind,
+    Writer,
+)
+from rosld.server.hypermedia.value import (
+    WHOLE,
+    MessageValue,
+    StoredValue,
+    Value,
+    declined,
+    literal,
+    part_of,
+    scalar_field,
+)
+from rosld.server.publication import Publication, publish
+from rosld.server.writable import refusal
+
+if TYPE_CHECKING:
+    from rosld.server.robot import Robot
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedWrite:
+    """A write of the property `property` of which all that could be refused has been looked at.
+
+    `value` is what it was lowered to: the request, the message or the parameter's value; `data` are the bytes of the
+    first two.
+    """
+
+    property: str
+    writer: Writer
+    value: Value
+    data: bytes = b""
+
+
+class Written(Enum):
+    """What became of a write."""
+
+    DONE = "done"
+    UNHEARD = "unheard"
+    """It was published, but nobody was listening."""
+
+
+# Who writes
+
+
+def writer_of(robot: Robot, property: Property) -> Writer | None:
+    """What writes the property now: the first of its writers that may; None where none may."""
+    return next((one for one in property.writers if _refusal(robot, one) is None), None)
+
+
+def why_not(robot: Robot, property: Property) -> str:
+    """Why nothing writes the property now, in sentences."""
+    if robot.settings.read_only:
+        return "This server is read-only."
+    reasons = [reason for one in property.writers if (reason := _refusal(robot, one)) is not None]
+    return " ".join(reasons) or f"{property.name} has no setter, no parameter and no topic that could be written."
+
+
+def _refusal(robot: Robot, writer: Writer) -> str | None:
+    """Why a writer must not be used now, in a sentence; None where it may be."""
+    if robot.settings.read_only:
+        return "This server is read-only."
+    match writer:
+        case Setter():
+            return _setter_refusal(robot, writer.name)
+        case ParameterSource():
+            return _parameter_refusal(robot, writer.name)
+        case TopicSource():
+            return _topic_refusal(robot, writer)
+
+
+def _setter_refusal(robot: Robot, name: str) -> str | None:
+    if Operation.CALL in robot.adapter.allows(Ref(Kind.SERVICE, name)):
+        return None
+    service = robot.graph.services.get(name)
+    if service is None:
+        return f"There is no service {name} any more."
+    return f"The service {name} cannot be called" + (f": {service.uncallable}." if service.uncallable else ".")
+
+
+def _parameter_refusal(robot: Robot, name: str) -> str | None:
+    if name not in robot.graph.parameters:
+        return f"There is no parameter {name} any more."
+    if Operation.SET_PARAMETER in robot.adapter.allows(Ref(Kind.PARAMETER, name)):
+        return None
+    return f"The parameter {name} of this {robot.adapter.capabilities.system} cannot be set."
+
+
+def _topic_refusal(robot: Robot, writer: TopicSource) -> str | None:
+    topic = robot.graph.topics.get(writer.name)
+    if topic is None:
+        return f"There is no topic {writer.name} any more."
+    if writer.schema is None:
+        return f"The type of {writer.name} is not known."
+    if Operation.PUBLISH not in robot.adapter.allows(Ref(Kind.TOPIC, writer.name)):
+        return f"Nothing can be published on {writer.name} of a {robot.adapter.capabilities.system}."
+    return refusal(topic, robot.graph, robot.settings.allow_publish)
+
+
+# The plan
+
+
+def plan_write(robot: Robot, property: Property, content: object) -> PlannedWrite:
+    """How the property comes to be what `content` says (plain JSON, or a literal of RDF): nothing moves yet.
+
+    Raises a 405 Problem where nothing writes it now, and LoweringError for what does not fit; the `path` of a violation
+    is "" for a scalar.
+    """
+    writer = writer_of(robot, property)
+    match writer:
+        case Setter(schema=service):
+            return _planned(robot, property, writer, service.request, content)
+        case TopicSource(schema=schema) if schema is not None:
+            return _planned(robot, property, writer, schema, content)
+        case ParameterSource():
+            return PlannedWrite(property.name, writer, StoredValue(_parameter_value(property.kind, content)))
+        case _:
+            raise Problem(405, why_not(robot, property))
+
+
+def _parameter_value(kind: ValueKind, content: object) -> ParameterValue:
+    """The value of a parameter. ROS declares no type for it, but what reads the property may have one."""
+    value = lower_term(content) if isinstance(content, Literal) else lower_json(content)
+    match kind:
+        case ScalarKind(primitive=primitive):
+            fitted = _fitted(primitive, content)
+            return fitted if isinstance(fitted, bool | int | float) else value
+        case MessageKind(schema=schema, fields=fields):
+            lowerer(part_of(schema, fields)).from_json(content)
+    return value
+
+
+def _fitted(kind: Primitive, content: object) -> object:
+    """A content as a primitive. Raises LoweringError where it does not fit."""
+    try:
+        return term_leaf(kind)(content) if isinstance(content, Literal) else json_leaf(kind)(content)
+    except Misfit as misfit:
+        raise LoweringError(Violation("", misfit.words, shortened(misfit.value))) from misfit
+
+
+def _planned(robot: Robot, property: Property, writer: Writer, schema: MessageSchema, content: object) -> PlannedWrite:
+    message = lowered(schema, content, robot.lifting)
+    data = schema.codec.encode(message, robot.adapter.capabilities.encoding)
+    url = robot.space.service(writer.name) if isinstance(writer, Setter) else robot.space.topic(writer.name)
+    return PlannedWrite(property.name, writer, MessageValue(schema, message, schema.type.fields, url), data)
+
+
+def lowered(schema: MessageSchema, content: object, lifting: LiftSettings) -> Message:
+    """The message of `schema` that carries a content: in its one field if that is a scalar, else field by field.
+
+    Raises LoweringError for what does not fit.
+    """
+    field = scalar_field(schema.type.fields)
+    if isinstance(content, Literal):
+        return _from_literal(schema, field, content, lifting)
+    lowering = lowerer(schema, lifting)
+    if field is None or (isinstance(content, dict) and content.keys() == {field.name}):
+        return lowering.from_json(content)
+    try:
+        return lowering.from_json({field.name: content})
+    except LoweringError as error:
+        raise LoweringError(*(replace(each, path="") for each in error.violations)) from error
+
+
+def _from_literal(schema: MessageSchema, field: Field | None, content: Literal, lifting: LiftSettings) -> Message:
+    if field is None:
+        expected = f"expected a node of type <{lifting.types}{schema.ref.name}>"
+        raise LoweringError(Violation("", expected, shortened(content)))
+    value = _fitted(cast(Primitive, field.type), content)
+    return schema.codec.build(schema.ref.name, {field.attribute: value})
+
+
+def written_triples(
+    planned: PlannedWrite,
+    url: str,
+    lifting: LiftSettings,
+    *,
+    predicate: NamedNode = rdf.value,
+    node: str = "#value",
+) -> list[Triple]:
+    """What a write says, as RDF: `url` `predicate` the value, and the node of the message that carries it, whole.
+
+    A scalar is stated as a literal; its message is described all the same, so that shapes of its class judge it too.
+    """
+    subject, value = NamedNode(url), planned.value
+    scalar = literal(value)
+    triples = [] if scalar is None else [Triple(subject, predicate, scalar)]
+    if isinstance(value, MessageValue):
+        if scalar is None:
+            triples.append(Triple(subject, predicate, NamedNode(url + node)))
+        whole = replace(lifting, inline_limit=WHOLE.inline_limit)
+        triples += lifter(value.schema, whole).triples(value.message, url, node)
+    return triples
+
+
+# Carrying it out
+
+
+async def carry_out(robot: Robot, planned: PlannedWrite) -> Written:
+    """Move the robot. Raises RosError as the adapter does, Refused where the setter answers that it will not."""
+    writer, value = planned.writer, planned.value
+    match writer:
+        case Setter():
+            await _call(robot, writer, planned.data)
+        case TopicSource():
+            assert isinstance(value, MessageValue)
+            published = await publish(robot, Publication(writer.name, value.schema.ref, planned.data))
+            return Written.DONE if published.matched else Written.UNHEARD
+        case ParameterSource():
+            assert isinstance(value, StoredValue)
+            await _set(robot, writer.name, value.value)
+    return Written.DONE
+
+
+async def _set(robot: Robot, name: str, value: ParameterValue) -> None:
+    deadline = robot.deadline(robot.settings.call_deadline)
+    try:
+        await robot.adapter.set_parameters({name: value}, deadline=deadline)
+    finally:
+        robot.written(Kind.PARAMETER, name)
+
+
+async def _call(robot: Robot, setter: Setter, request: bytes) -> None:
+    deadline = robot.deadline(robot.settings.call_deadline)
+    response = setter.schema.response
+    try:
+        answer = await robot.adapter.call(setter.name, setter.schema.ref, request, deadline=deadline)
+    finally:
+        robot.written(Kind.SERVICE, setter.name)
+    try:
+        message = response.codec.decode(answer, robot.adapter.capabilities.encoding)
+    except ValueError as error:
+        raise Unreadable(f"the answer of {setter.name} cannot be read: {error}", sent=Sent.YES) from error
+    words = declined(response, message)
+    if words is not None:
+        sentence = f"{setter.name} refused the value" + (f": {words}" if words else "")
+        raise Refused(sentence, words=words or None, sent=Sent.YES)

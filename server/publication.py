@@ -1,0 +1,46 @@
+"""Publications: messages that are ready to be published, and the rules under which rosld publishes."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rosld.adapters.base import Published
+from rosld.adapters.model import Kind, TypeRef
+from rosld.server.http.problem import Problem
+
+if TYPE_CHECKING:
+    from rosld.server.robot import Robot
+
+
+@dataclass(frozen=True, slots=True)
+class Publication:
+    """A message for a topic: nothing about it can be refused any more but by the robot."""
+
+    topic: str
+    type: TypeRef
+    data: bytes
+    latch: bool = False
+
+
+async def publish(robot: Robot, publication: Publication) -> Published:
+    """Publish, waiting a moment for somebody to listen. Raises a 429 Problem where the topic is published too often."""
+    topic = publication.topic
+    wait = robot.limiter.wait(topic, asyncio.get_running_loop().time())
+    if wait > 0:
+        sentence = f"More than {robot.limiter.rate:g} messages a second on {topic} (--max-publish-rate)."
+        raise Problem(429, sentence, headers={"Retry-After": str(max(1, round(wait)))})
+    deadline = robot.deadline(robot.settings.publish_wait)
+    try:
+        return await robot.adapter.publish(
+            topic, publication.type, publication.data, latch=publication.latch, deadline=deadline
+        )
+    finally:
+        robot.written(Kind.TOPIC, topic)
+
+
+def unheard(topic: str) -> Problem:
+    """What tells that nobody was listening (202)."""
+    sentence = f"The message was published, but no subscriber of {topic} was there to get it."
+    return Problem(202, sentence, title="Nobody is listening")

@@ -65,8 +65,8 @@ async def _of_property(robot: Robot, kind: Kind, name: str, value: Value) -> lis
     catalogue = (await robot.offers.layout()).catalogue
     ways = {Kind.TOPIC: catalogue.by_topic, Kind.SERVICE: catalogue.by_service, Kind.PARAMETER: catalogue.by_parameter}
     found = ways[kind].get(name)
-    if found is None:
-        return []
+    if found is None or (kind is Kind.SERVICE and all(way.name != name for way in catalogue.properties[found].writers)):
+        return []  # what a getter is asked with is no value
     url = url_of(found, robot.space)
     shape = robot.limits.resource(url)
     if shape is None:

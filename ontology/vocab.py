@@ -1,7 +1,8 @@
 """The terms rosld writes and reads, one class a namespace: `ros.publishes` is the NamedNode `ros:publishes`.
 
-The ROS vocabulary itself is defined in `rosld.ttl` beside this file; a test holds the two against each other,
-both ways. A trailing underscore only keeps a term clear of a Python keyword: `sh.or_` is `sh:or`.
+The ROS vocabulary itself is defined in `rosld.ttl` beside this file, `map:` in `mapping.ttl`, `av:` in `aircraft.ttl`;
+tests hold each against its class here, both ways. A trailing underscore only keeps a term clear of a Python keyword:
+`sh.or_` is `sh:or`.
 """
 
 # The attributes are spelt as the vocabularies spell them.
@@ -364,6 +365,9 @@ class mapping(Namespace, iri="https://w3id.org/rosld/mapping#"):
     """The vocabulary of mapping documents."""
 
     ComplexResource: NamedNode
+    MappedProperty: NamedNode
+    MappedAction: NamedNode
+    MappedLink: NamedNode
     path: NamedNode
     property: NamedNode
     predicate: NamedNode

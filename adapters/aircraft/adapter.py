@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
 
 from rosld.adapters import parameters
@@ -48,7 +49,13 @@ PERIOD = 0.1
 
 _TOPIC_TYPES = {SPEED: "std_msgs/msg/Float64", DISPLAY: "std_msgs/msg/String"}
 _CAPABILITIES = Capabilities(
-    system="aircraft", encoding=Encoding.ROS1, writes=True, creates_topics=True, parameter_trees=True
+    system="aircraft",
+    encoding=Encoding.ROS1,
+    writes=True,
+    creates_topics=True,
+    parameter_trees=True,
+    mapping=Path(__file__).with_name("mapping.ttl"),
+    limits=Path(__file__).with_name("limits.ttl"),
 )
 _KNOWN_TOPIC = frozenset({Operation.SUBSCRIBE, Operation.PUBLISH})
 _KNOWN_PARAMETER = frozenset({Operation.GET_PARAMETER, Operation.SET_PARAMETER, Operation.DELETE_PARAMETER})

@@ -1,4 +1,4 @@
-"""The vocabulary, served where its terms are looked for."""
+"""The vocabularies, served where their terms are looked for."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from rosld.server.ldp.resource import Resource
 from rosld.server.ldp.state import State
 from rosld.server.robot import Robot
 
+FILES = ("rosld.ttl", "mapping.ttl", "aircraft.ttl", "align.ttl")
+"""The vocabularies of rosld, and what aligns them with others."""
+
 
 @cache
 def vocabulary() -> tuple[Triple, ...]:
-    """Every triple of the vocabulary and of its alignments."""
+    """Every triple of the vocabularies and of their alignments."""
     folder = files("rosld.ontology")
-    texts = [(folder / name).read_bytes() for name in ("rosld.ttl", "align.ttl")]
+    texts = [(folder / name).read_bytes() for name in FILES]
     return tuple(quad.triple for text in texts for quad in parse(text, format=RdfFormat.TURTLE))
 
 

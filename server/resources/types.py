@@ -1,4 +1,7 @@
-"""Types and their shapes: `/types/PKG/msg/NAME` and `/shapes/PKG/msg/NAME`, within containers of packages."""
+"""Types and their shapes: `/types/PKG/msg/NAME` and `/shapes/PKG/msg/NAME`, within containers of packages.
+
+`/shapes/mapping` is there too: the shape of mapping documents.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,11 @@ from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
 from rosld.server.ldp.state import State
 from rosld.server.robot import Robot, Same, used_types
+from rosld.shapes.mapping import mapping_shape
 from rosld.shapes.message import shape_document
+
+MAPPING = "mapping"
+"""The name of the shape of mapping documents, below `/shapes/`."""
 
 
 class TypeResource(Resource):
@@ -57,6 +64,20 @@ class ShapeResource(Resource):
         )
 
 
+class MappingShapeResource(Resource):
+    """`/shapes/mapping`: the shape of mapping documents."""
+
+    kind = "Shape"
+    title = MAPPING
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot.space.shape(MAPPING))
+        self.robot = robot
+
+    async def state(self) -> State:
+        return self.robot.states.get(self.url, 0, lambda: State(lambda: mapping_shape(self.url)))
+
+
 class TypeContainer(Resource):
     """`/types/` and `/shapes/`, their packages and kinds."""
 
@@ -70,9 +91,8 @@ class TypeContainer(Resource):
         self.namespace = namespace
 
     async def state(self) -> State:
-        depth = len(self.namespace)
         listed = sorted({ref.name for ref in known_types(self.robot)})
-        below = tuple(name for name in listed if tuple(name.split("/"))[:depth] == self.namespace)
+        below = names_below(listed, self.room, self.namespace)
         if self.namespace and not below:
             raise Problem(404, f"No type of {'/'.join(self.namespace)} is known.")
         return self.robot.states.get(
@@ -97,6 +117,13 @@ def known_types(robot: Robot) -> Sequence[TypeRef]:
     return list(dict.fromkeys([*robot.adapter.known_types(), *used_types(robot.graph)]))
 
 
+def names_below(listed: Sequence[str], room: str, namespace: tuple[str, ...]) -> tuple[str, ...]:
+    """The names that a container of types or shapes shows, of those `listed` by the robot."""
+    depth = len(namespace)
+    below = tuple(name for name in listed if tuple(name.split("/"))[:depth] == namespace)
+    return (*below, MAPPING) if room == "shapes" and not namespace else below
+
+
 def type_room(robot: Robot, location: Location) -> Resource:
     """`/types/` and below."""
     if location.is_container or len(location.segments) < 3:
@@ -106,6 +133,8 @@ def type_room(robot: Robot, location: Location) -> Resource:
 
 def shape_room(robot: Robot, location: Location) -> Resource:
     """`/shapes/` and below."""
+    if location.segments == (MAPPING,) and not location.is_container:
+        return MappingShapeResource(robot)
     if location.is_container or len(location.segments) < 3:
         return _container(robot, "shapes", location)
     return ShapeResource(robot, "/".join(location.segments))

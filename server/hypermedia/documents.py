@@ -1,0 +1,396 @@
+"""Mapping documents: read from RDF, judged by their shape, and by what a shape cannot say.
+
+Pure but for `load_mapping`. What is refused is refused whole, with every reason at its place. Nothing here looks at the
+robot: a document may name what is not there yet.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from itertools import count
+from pathlib import Path
+from time import monotonic
+from typing import TypeAlias, TypeVar
+
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+from rdflib.namespace import SH
+
+from rosld.ontology.body import RdfBody, Term, parse_body
+from rosld.ontology.syntax import Syntax
+from rosld.ontology.turtle import shortened
+from rosld.ontology.urls import Space
+from rosld.ontology.violations import LoweringError, Violation
+from rosld.ontology.violations import shortened as brief
+from rosld.ontology.vocab import mapping, rdf, rdfs, sh
+from rosld.server.hypermedia.mapping import ComplexResource, Condition, MappedAction, MappedLink, MappedProperty
+from rosld.shapes.constraints import compiled
+from rosld.shapes.mapping import misfits
+from rosld.shapes.reading import ShapesGraph
+from rosld.shapes.value import Measure
+
+Node: TypeAlias = NamedNode | BlankNode
+Statements: TypeAlias = Mapping[NamedNode, Sequence[Term]]
+_T = TypeVar("_T")
+
+MOST_TRIPLES = 5_000
+"""The triples a document may have. To judge so many takes a second or two, seven where all of them are wrong."""
+_MOST_VIOLATIONS = 20
+_LONGEST_READING = 5.0
+"""Seconds that the conditions of a document may take to be read."""
+_WHEN = (mapping.writableWhen, mapping.availableWhen, mapping.existsWhen)
+_TELLING = (mapping.name, mapping.member, mapping.service, mapping.target)
+_TERMS = frozenset(mapping.terms().values())
+_NEUTRAL = frozenset(
+    NamedNode(sh.iri + name)
+    for name in (
+        "path", "property", "name", "description", "order", "group", "defaultValue", "message", "severity",
+        "deactivated", "flags", "ignoredProperties", "targetNode", "targetClass", "targetSubjectsOf", "targetObjectsOf",
+    )
+)  # fmt: skip
+"""What may be said of a shape without demanding anything."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MappingDocument:
+    """A mapping document that was found good: its triples exactly as they were sent, and what they mean."""
+
+    url: str
+    triples: tuple[Triple, ...]
+    resources: tuple[ComplexResource, ...]
+
+
+class MappingRefused(LoweringError):
+    """A document that is no mapping, or none that can be in force beside the others."""
+
+
+def read_mapping(data: bytes, media_type: str, url: str) -> MappingDocument:
+    """The mapping that `data` describes, its relative IRIs resolved against `url`.
+
+    Raises BodyError for what cannot be parsed, MappingRefused for what is no mapping, ValueError for a media type that
+    is no RDF syntax. Takes seconds for the largest documents: call it off the loop.
+    """
+    return mapping_of(parse_body(data, media_type, url), url)
+
+
+def load_mapping(path: Path, space: Space, name: str | None = None) -> MappingDocument:
+    """The mapping in a file, by its `name` (the file's by default) under `/mappings/`.
+
+    Raises OSError where there is no such file, and ValueError for one that is no mapping: each with the file's name.
+    """
+    syntax = next((each for each in Syntax if f".{each.extension}" == path.suffix.lower()), None)
+    if syntax is None:
+        known = ", ".join(f".{each.extension}" for each in Syntax)
+        raise ValueError(f"{path} is no mapping that can be read: its name must end in {known}.")
+    try:
+        return read_mapping(path.read_bytes(), syntax.media_type, space.url("mappings", (name or path.stem,)))
+    except ValueError as error:
+        raise ValueError(f"{path} is no mapping: {error}") from error
+
+
+def mapping_of(body: RdfBody, url: str) -> MappingDocument:
+    """The mapping that the triples of a body describe. Raises MappingRefused."""
+    triples = tuple(_triples(body))
+    if len(triples) > MOST_TRIPLES:
+        raise MappingRefused(
+            Violation("", f"a mapping has at most {MOST_TRIPLES} triples; make several documents of it")
+        )
+    if strange := next((each for each in triples if Triple in (type(each.subject), type(each.object))), None):
+        raise MappingRefused(Violation("", "a mapping has no triple terms", brief(strange)))
+    reader = _Reader(url, _conditions_named(triples, url))
+    return MappingDocument(url, triples, reader.resources())
+
+
+def _triples(body: RdfBody) -> Iterator[Triple]:
+    for subject, properties in body.subjects.items():
+        for predicate in properties:
+            for object in body.objects(subject, predicate):
+                yield Triple(subject, predicate, object)
+
+
+def _conditions_named(triples: Sequence[Triple], url: str) -> list[Triple]:
+    """The same with an IRI for every condition that stands in brackets, so that reports can name it."""
+    taken = {node for triple in triples for node in (triple.subject, triple.object)}
+    free = (node for number in count(1) if (node := NamedNode(f"{url}#condition.{number}")) not in taken)
+    blank = {triple.object: None for triple in triples if triple.predicate in _WHEN}
+    names: dict[Term, NamedNode] = {node: next(free) for node in blank if isinstance(node, BlankNode)}
+    return [
+        Triple(names.get(subject, subject), predicate, names.get(object, object))
+        for subject, predicate, object in triples
+    ]
+
+
+class _Reader:
+    """Reads one document, whose conditions all have names; `found` is what is wrong with it."""
+
+    def __init__(self, url: str, triples: Sequence[Triple]) -> None:
+        self.url = url
+        self.triples = triples
+        self.said: dict[Term, dict[NamedNode, list[Term]]] = {}
+        for subject, predicate, object in triples:
+            self.said.setdefault(subject, {}).setdefault(predicate, []).append(object)
+        self.places = _Places(url, triples, self.said)
+        self.found: dict[Violation, None] = {}
+        self.conditions: dict[Term, Condition] = {}
+
+    def resources(self) -> tuple[ComplexResource, ...]:
+        """The complex resources by path. Raises MappingRefused."""
+        for misfit in misfits(self.triples):
+            self.wrong(misfit.focus, misfit.message, misfit.value, misfit.predicate, misfit.component)
+        self.refuse()
+        self.check_terms()
+        self.check_demands()
+        self.refuse()
+        self.check_conditions()
+        self.refuse()
+        nodes = [node for node, said in self.said.items() if mapping.ComplexResource in said.get(rdf.type, ())]
+        if not nodes:
+            self.wrong(None, "the document describes no map:ComplexResource, so there is nothing to arrange")
+        resources = sorted((self.resource(node) for node in nodes), key=lambda one: (one.path, one.iri))
+        self.check_paths(resources)
+        self.check_sights(resources)
+        self.refuse()
+        return tuple(resources)
+
+    # What is there
+
+    def resource(self, node: Term) -> ComplexResource:
+        """One complex resource."""
+        assert isinstance(node, NamedNode)
+        path = self.text(node, mapping.path)
+        properties = [self.property(each, path) for each in self.objects(node, mapping.property)]
+        actions = [self.action(each, path) for each in self.objects(node, mapping.action)]
+        links = [self.link(each) for each in self.objects(node, mapping.link)]
+        found = ComplexResource(
+            node.value,
+            path,
+            tuple(sorted(properties, key=lambda one: (one.name, one.predicate.value))),
+            tuple(sorted(actions, key=lambda one: (one.name, one.relation.value))),
+            tuple(sorted(links, key=lambda one: (one.relation.value, one.target))),
+            self.when(node, mapping.existsWhen),
+            self.title(node),
+        )
+        self.check_names(found)
+        return found
+
+    def property(self, node: Term, path: str) -> MappedProperty:
+        """One property; its member's name is made a full one."""
+        member = _full(self.text(node, mapping.member), path)
+        field = self.text(node, mapping.field) or None
+        name = self.text(node, mapping.name) or (field or member).replace("." if field else "/", "/").rpartition("/")[2]
+        return MappedProperty(
+            self.relation(node, mapping.predicate),
+            member,
+            name,
+            field,
+            Measure(self.iri(node, mapping.unit), self.iri(node, mapping.quantityKind)),
+            self.when(node, mapping.writableWhen),
+        )
+
+    def action(self, node: Term, path: str) -> MappedAction:
+        """One action; its service's name is made a full one."""
+        service = _full(self.text(node, mapping.service), path)
+        return MappedAction(
+            self.relation(node, mapping.relation),
+            self.text(node, mapping.name) or service.rpartition("/")[2],
+            service,
+            self.when(node, mapping.availableWhen),
+        )
+
+    def link(self, node: Term) -> MappedLink:
+        """One link."""
+        return MappedLink(
+            self.relation(node, mapping.relation),
+            self.text(node, mapping.target),
+            self.when(node, mapping.availableWhen),
+        )
+
+    def when(self, node: Term, predicate: NamedNode) -> tuple[Condition, ...]:
+        """The conditions that a node names."""
+        found = (self.conditions[each] for each in self.objects(node, predicate))
+        return tuple(sorted(found, key=lambda condition: condition.iri))
+
+    def title(self, node: Term) -> str | None:
+        """The rdfs:label, in English or no language where there are several."""
+        labels = [each for each in self.objects(node, rdfs.label) if isinstance(each, Literal)]
+        rank = {None: 0, "en": 1}
+        return min(
+            ((rank.get(one.language, 2), one.language or "", one.value) for one in labels), default=(0, "", None)
+        )[2]
+
+    # What is wrong
+
+    def wrong(
+        self,
+        node: Term | str | None,
+        message: str,
+        value: object = None,
+        predicate: NamedNode | None = None,
+        component: NamedNode | None = None,
+    ) -> None:
+        """Note what is wrong with a predicate of a node, with the node itself, or (None) with the whole document."""
+        place = "" if node is None else self.places.of(node, predicate)
+        focus = node if isinstance(node, Node) else NamedNode(self.url)
+        self.found[Violation(place, message, brief(value), component, None, focus, predicate)] = None
+
+    def refuse(self) -> None:
+        """Raise what was noted, if anything was."""
+        if self.found:
+            violations = sorted(self.found, key=lambda one: (one.path, one.message, one.value or ""))
+            raise MappingRefused(*violations[:_MOST_VIOLATIONS])
+
+    def check_terms(self) -> None:
+        """No term of `map:` or of SHACL is misspelt: an unknown one would silently mean nothing."""
+        for subject, predicate, object in self.triples:
+            for term in (predicate, object):
+                if isinstance(term, NamedNode) and _unknown(term):
+                    self.wrong(subject, _no_term(term), None, predicate)
+
+    def check_demands(self) -> None:
+        """Every condition demands something, and so does each of its property shapes: else it would always hold."""
+        waiting = [node for node, said in self.said.items() if mapping.about in said]
+        seen = set(waiting)
+        while waiting:
+            shape = waiting.pop()
+            said = self.said.get(shape, {})
+            inner = said.get(sh.property, [])
+            if not inner and not any(term.value.startswith(sh.iri) and term not in _NEUTRAL for term in said):
+                what = "this property shape" if sh.path in said else "this shape"
+                self.wrong(shape, f"{what} demands nothing, so it would always hold: say what must be")
+            waiting += [each for each in inner if each not in seen]
+            seen.update(inner)
+
+    def check_conditions(self) -> None:
+        """Every condition can be judged; all of them are read in good time."""
+        graph = ShapesGraph(self.triples)
+        deadline = monotonic() + _LONGEST_READING
+        for node, said in self.said.items():
+            if mapping.about not in said:
+                continue
+            if monotonic() > deadline:
+                self.wrong(node, "the conditions before this one are too large: make them fewer or simpler")
+                return
+            assert isinstance(node, NamedNode)
+            try:
+                shape = compiled(graph, node)
+            except ValueError as error:
+                self.wrong(node, f"the condition cannot be judged: {error}")
+                continue
+            self.conditions[node] = Condition(node.value, self.text(node, mapping.about), shape)
+
+    def check_names(self, resource: ComplexResource) -> None:
+        """No two things in a complex resource have one name, no two values one predicate."""
+        node = NamedNode(resource.iri)
+        names = [one.name for one in resource.properties] + [one.name for one in resource.actions]
+        for name in _twice(names):
+            self.wrong(node, f"the name {name!r} is there twice; give one of the two another map:name", name)
+        for predicate in _twice([one.predicate for one in resource.properties]):
+            words = f"two properties have the predicate {shortened(predicate.value)[0]}; give each its own"
+            self.wrong(node, words, None, mapping.property)
+
+    def check_paths(self, resources: Sequence[ComplexResource]) -> None:
+        """No two complex resources have one path."""
+        for path in _twice([one.path for one in resources]):
+            first, *others = [NamedNode(one.iri) for one in resources if one.path == path]
+            for other in others:
+                words = f"{self.places.of(first)} has this path already; give each its own, or make one of them"
+                self.wrong(other, words, path, mapping.path)
+
+    def check_sights(self, resources: Sequence[ComplexResource]) -> None:
+        """Every condition looks at what there is, as far as this document says: one that does not would never hold."""
+        states = {one.path: {each.predicate for each in one.properties} for one in resources}
+        for node, condition in self.conditions.items():
+            about = condition.about
+            there = states.get(about) if about.endswith("/") else {rdf.value}
+            if there is None or condition.shape.paths is None:
+                continue
+            for path in sorted(condition.shape.paths - there, key=str):
+                self.wrong(
+                    node,
+                    f"the state of {about} has no {shortened(path.value)[0]}, so this would never hold; it has "
+                    + (", ".join(sorted(shortened(each.value)[0] for each in there)) or "no properties"),
+                )
+
+    # What is said
+
+    def objects(self, node: Term, predicate: NamedNode) -> Sequence[Term]:
+        """The objects of a predicate."""
+        return self.said.get(node, {}).get(predicate, ())
+
+    def text(self, node: Term, predicate: NamedNode) -> str:
+        """The one string, "" where there is none."""
+        return next((each.value for each in self.objects(node, predicate) if isinstance(each, Literal)), "")
+
+    def iri(self, node: Term, predicate: NamedNode) -> NamedNode | None:
+        """The one IRI, None where there is none."""
+        return next((each for each in self.objects(node, predicate) if isinstance(each, NamedNode)), None)
+
+    def relation(self, node: Term, predicate: NamedNode) -> NamedNode:
+        """The one IRI where there is one."""
+        found = self.iri(node, predicate)
+        assert found is not None
+        return found
+
+
+class _Places:
+    """Where something stands in a document, in words: `<#aircraft> map:action "start" map:service`."""
+
+    def __init__(self, url: str, triples: Iterable[Triple], said: Mapping[Term, Statements]) -> None:
+        self._url = url
+        self._said = said
+        self._above: dict[Term, tuple[Term, NamedNode]] = {}
+        for subject, predicate, object in triples:
+            if isinstance(object, BlankNode):
+                self._above.setdefault(object, (subject, predicate))
+
+    def of(self, node: Term | str, predicate: NamedNode | None = None) -> str:
+        """The place of a predicate of a node, or of the node itself."""
+        steps = [] if predicate is None else [shortened(predicate.value)[0]]
+        passed: set[Term] = set()
+        while isinstance(node, BlankNode) and node in self._above and node not in passed:
+            passed.add(node)
+            above, leading = self._above[node]
+            steps += [self._told(node), shortened(leading.value)[0]]
+            node = above
+        return " ".join(step for step in (self._name(node), *reversed(steps)) if step)
+
+    def _name(self, node: Term | str) -> str:
+        if not isinstance(node, NamedNode):
+            return "[]" if isinstance(node, BlankNode) else f'"{node}"'
+        if node.value.startswith(f"{self._url}#"):
+            return f"<{node.value.removeprefix(self._url)}>"
+        return shortened(node.value)[0]
+
+    def _told(self, node: BlankNode) -> str:
+        """What tells a node in brackets from its neighbours, "" where nothing does."""
+        said = self._said.get(node, {})
+        telling = (each for predicate in _TELLING for each in said.get(predicate, ()) if isinstance(each, Literal))
+        first = next(telling, None)
+        return "" if first is None else f'"{first.value}"'
+
+
+def _full(name: str, path: str) -> str:
+    """A name as it stands, or from the path on."""
+    return name if name.startswith("/") else path + name
+
+
+def _twice(values: Collection[_T]) -> list[_T]:
+    """Those that are there more than once."""
+    return [value for value, number in Counter(values).items() if number > 1]
+
+
+def _unknown(term: NamedNode) -> bool:
+    """Whether a term is of `map:` or SHACL and does not exist there."""
+    if term.value.startswith(mapping.iri):
+        return term not in _TERMS
+    return term.value.startswith(sh.iri) and term.value not in SH
+
+
+def _no_term(term: NamedNode) -> str:
+    """What to say of a term that does not exist."""
+    known = [each.value for each in _TERMS] if term.value.startswith(mapping.iri) else [str(each) for each in dir(SH)]
+    close = get_close_matches(term.value, known, 1)
+    hint = f"; {shortened(close[0])[0]} does" if close else ""
+    return f"{shortened(term.value)[0]} does not exist{hint}"

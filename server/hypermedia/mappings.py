@@ -1,0 +1,172 @@
+"""The mappings in force: documents by URL, and what they arrange together; lookups in that are pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from rosld.ontology.namespaces import Kept
+from rosld.ontology.violations import Violation
+from rosld.server.hypermedia.documents import MappingDocument, MappingRefused
+from rosld.server.hypermedia.mapping import Arrangement, ComplexResource, Condition, MappedAction
+
+
+class Mappings:
+    """The documents in force. Every change is whole or none, and what was handed out before it never changes."""
+
+    def __init__(self) -> None:
+        self._documents: Mapping[str, MappingDocument] = MappingProxyType({})
+        self._arrangement = Arrangement()
+
+    @property
+    def documents(self) -> Mapping[str, MappingDocument]:
+        """The documents by URL, in the order in which they came into force."""
+        return self._documents
+
+    @property
+    def arrangement(self) -> Arrangement:
+        """What all of them arrange together."""
+        return self._arrangement
+
+    def replace(self, document: MappingDocument) -> None:
+        """Put a document into force, in the place of the one of the same URL.
+
+        Raises MappingRefused, and changes nothing, where it and another one speak of the same path or condition.
+        """
+        others = {url: each for url, each in self._documents.items() if url != document.url}
+        _check(document, others.values())
+        self._become({**self._documents, document.url: document})
+
+    def remove(self, url: str) -> None:
+        """Take the document of this URL out of force; nothing happens where there is none."""
+        if url in self._documents:
+            self._become({each: document for each, document in self._documents.items() if each != url})
+
+    def _become(self, documents: Mapping[str, MappingDocument]) -> None:
+        resources = {one.path: one for document in documents.values() for one in document.resources}
+        arrangement = Arrangement(self._arrangement.revision + 1, MappingProxyType(resources))
+        self._documents, self._arrangement = MappingProxyType(documents), arrangement
+
+
+def _check(document: MappingDocument, others: Iterable[MappingDocument]) -> None:
+    """Raise MappingRefused where a document takes what is another's."""
+    paths, conditions = _claims(document)
+    found: list[Violation] = []
+    for other in others:
+        taken, named = _claims(other)
+        for path in sorted(paths & taken):
+            found.append(Violation(path, f"{other.url} arranges this path already; change that one, or remove it"))
+        for iri in sorted(conditions & named):
+            found.append(Violation(iri, f"{other.url} describes this condition already; give this one its own IRI"))
+    if found:
+        raise MappingRefused(*found)
+
+
+def _claims(document: MappingDocument) -> tuple[set[str], set[str]]:
+    """The paths and the IRIs of conditions that are a document's own."""
+    resources = document.resources
+    return {one.path for one in resources}, {each.iri for one in resources for each in one.conditions()}
+
+
+@dataclass(frozen=True, slots=True)
+class _Index:
+    """What is looked up in an arrangement."""
+
+    guards: Mapping[str, tuple[Condition, ...]]
+    services: Mapping[str, list[tuple[ComplexResource, MappedAction]]]
+    dependents: Mapping[str, frozenset[str]]
+    components: Mapping[str, frozenset[str]]
+
+
+def guards_of_member(arrangement: Arrangement, name: str) -> tuple[Condition, ...]:
+    """All conditions under which a member may be written, of every mapping that maps it, by its full name."""
+    return _index(arrangement).guards.get(name, ())
+
+
+def actions_by_service(arrangement: Arrangement) -> Mapping[str, list[tuple[ComplexResource, MappedAction]]]:
+    """As what actions each service is offered, by its full name."""
+    return _index(arrangement).services
+
+
+def members_of(resource: ComplexResource) -> frozenset[str]:
+    """The full names of the members whose values a complex resource shows."""
+    return frozenset(one.member for one in resource.properties)
+
+
+def dependents(arrangement: Arrangement, about: str) -> frozenset[str]:
+    """The paths of the complex resources that have a condition about this path, or this name."""
+    return _index(arrangement).dependents.get(about, frozenset())
+
+
+def component(arrangement: Arrangement, path: str) -> frozenset[str]:
+    """The paths that hang together with this one, itself among them: from a complex resource to what its conditions
+
+    are about, any number of steps in either direction. A condition about a single property leads to the complex
+    resources that show it, and to the one that it lies in.
+    """
+    return _index(arrangement).components.get(path) or frozenset({path})
+
+
+def covering(arrangement: Arrangement, path: str) -> tuple[ComplexResource, ...]:
+    """The mapped resources at and above a path or name, the outermost first."""
+    above = (path[: position + 1] for position, char in enumerate(path) if char == "/")
+    return tuple(arrangement.resources[each] for each in above if each in arrangement.resources)
+
+
+def _make_index(arrangement: Arrangement) -> _Index:
+    guards: dict[str, dict[str, Condition]] = {}
+    services: dict[str, list[tuple[ComplexResource, MappedAction]]] = {}
+    concerned: dict[str, set[str]] = {}
+    for resource in arrangement.resources.values():
+        for one in resource.properties:
+            guards.setdefault(one.member, {}).update((each.iri, each) for each in one.writable_when)
+        for action in resource.actions:
+            services.setdefault(action.service, []).append((resource, action))
+        for condition in resource.conditions():
+            concerned.setdefault(condition.about, set()).add(resource.path)
+    return _Index(
+        {member: tuple(found.values()) for member, found in guards.items()},
+        services,
+        {about: frozenset(paths) for about, paths in concerned.items()},
+        _components(arrangement, concerned),
+    )
+
+
+_index: Callable[[Arrangement], _Index] = Kept(_make_index)
+
+
+def _components(arrangement: Arrangement, concerned: Mapping[str, Iterable[str]]) -> Mapping[str, frozenset[str]]:
+    """The component of every path that a condition has to do with; `concerned`: who has conditions about what."""
+    shown: dict[str, set[str]] = {}
+    for resource in arrangement.resources.values():
+        for member in members_of(resource):
+            shown.setdefault(member, {_home(member)}).add(resource.path)
+    neighbours: dict[str, set[str]] = {}
+    for about, paths in concerned.items():
+        places = () if about.endswith("/") else shown.get(about, {_home(about)})
+        for other in (*paths, *places):
+            neighbours.setdefault(about, set()).add(other)
+            neighbours.setdefault(other, set()).add(about)
+    found: dict[str, frozenset[str]] = {}
+    for start in neighbours:
+        if start not in found:
+            together = set(_reached(start, neighbours))
+            paths = frozenset(each for each in together if each.endswith("/"))
+            found |= dict.fromkeys(together, paths)
+    return found
+
+
+def _home(name: str) -> str:
+    """The path of the complex resource that a name lies in."""
+    return name.rpartition("/")[0] + "/"
+
+
+def _reached(start: str, neighbours: Mapping[str, Iterable[str]]) -> Iterator[str]:
+    waiting, seen = [start], {start}
+    while waiting:
+        place = waiting.pop()
+        yield place
+        new = [each for each in neighbours[place] if each not in seen]
+        seen.update(new)
+        waiting += new

@@ -1,0 +1,713 @@
+"""Mapping documents: what they mean, and every way in which one is refused."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+
+from rosld.ontology.body import RdfBody, parse_body
+from rosld.ontology.document import Document
+from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.urls import Space
+from rosld.ontology.violations import Violation
+from rosld.ontology.vocab import av, mapping, rdf, rdfs, sh, xsd
+from rosld.server.hypermedia import documents
+from rosld.server.hypermedia.documents import (
+    MOST_TRIPLES,
+    MappingDocument,
+    MappingRefused,
+    load_mapping,
+    mapping_of,
+    read_mapping,
+)
+from rosld.server.hypermedia.mapping import ComplexResource, MappedProperty
+from rosld.shapes.value import Measure
+
+SPACE = Space("http://127.0.0.1:8080/")
+URL = "http://127.0.0.1:8080/mappings/aircraft"
+TURTLE = "text/turtle"
+AIRCRAFT = Path(str(files("rosld.adapters.aircraft"))) / "mapping.ttl"
+TEXT = AIRCRAFT.read_text()
+GUIDE = Path(__file__).parents[3] / "docs" / "resources.md"
+PREFIXES = """
+@prefix map: <https://w3id.org/rosld/mapping#> .
+@prefix av: <https://w3id.org/rosld/aircraft#> .
+@prefix ldp: <http://www.w3.org/ns/ldp#> .
+@prefix rdf: <http://www.w3.org/1999/02/22-rdf-syntax-ns#> .
+@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
+@prefix sh: <http://www.w3.org/ns/shacl#> .
+@prefix unit: <http://qudt.org/vocab/unit/> .
+@prefix quantitykind: <http://qudt.org/vocab/quantitykind/> .
+"""
+SHAPE = '[ a sh:NodeShape ; map:about "/a/" ; sh:property [ sh:path av:p ; sh:minInclusive 1 ] ]'
+NORMATIVE = """
+   <#aircraft> a map:ComplexResource ; map:path "/aircraft/" ;
+     map:property [ map:predicate av:power ; map:member "power" ; map:writableWhen <#standing> ] ;
+     map:action [ map:relation av:start ; map:name "start" ; map:service "/aircraft/start" ; map:availableWhen <#stopped> ] ,
+                [ map:relation av:stop ; map:name "stop" ; map:service "/aircraft/stop" ; map:availableWhen <#started> , <#standing> ] ;
+     map:link [ map:relation av:engine ; map:target "/aircraft/engine/" ; map:availableWhen <#started> ] .
+   <#engine> a map:ComplexResource ; map:path "/aircraft/engine/" ; map:existsWhen <#started> ;
+     map:property [ map:predicate av:speed ; map:member "speed" ] , [ map:predicate av:direction ; map:member "direction" ] ;
+     map:link [ map:relation av:aircraft ; map:target "/aircraft/" ] .
+   <#started>  a sh:NodeShape ; map:about "/aircraft/" ; sh:property [ sh:path av:power ; sh:hasValue "on" ] .
+   <#stopped>  a sh:NodeShape ; map:about "/aircraft/" ; sh:property [ sh:path av:power ; sh:hasValue "off" ] .
+   <#standing> a sh:NodeShape ; map:about "/aircraft/engine/" ; sh:property [ sh:path av:speed ; sh:maxInclusive 0 ] .
+"""  # noqa: E501
+
+
+def read(turtle: str) -> MappingDocument:
+    return read_mapping((PREFIXES + turtle).encode(), TURTLE, URL)
+
+
+def refused(turtle: str) -> tuple[Violation, ...]:
+    with pytest.raises(MappingRefused) as found:
+        read(turtle)
+    assert found.value.violations
+    return found.value.violations
+
+
+def resource(inner: str) -> ComplexResource:
+    """The complex resource of path `/a/` with this in it."""
+    (found,) = read(f'<#a> a map:ComplexResource ; map:path "/a/" ; {inner} .').resources
+    return found
+
+
+def one_property(inner: str) -> MappedProperty:
+    (found,) = resource(f"map:property [ map:predicate av:p ; {inner} ]").properties
+    return found
+
+
+# The aircraft
+
+
+@cache
+def aircraft() -> MappingDocument:
+    return load_mapping(AIRCRAFT, SPACE, "aircraft")
+
+
+def test_the_aircrafts_mapping_is_listing_three() -> None:
+    plane, engine = aircraft().resources
+    assert (plane.path, engine.path) == ("/aircraft/", "/aircraft/engine/")
+    assert plane.iri == f"{URL}#aircraft"
+    assert [(one.predicate, one.member, one.name) for one in plane.properties] == [
+        (av.power, "/aircraft/power", "power")
+    ]
+    assert [(one.relation, one.name, one.service) for one in plane.actions] == [
+        (av.start, "start", "/aircraft/start"),
+        (av.stop, "stop", "/aircraft/stop"),
+    ]
+    assert [(one.relation, one.target) for one in plane.links] == [(av.engine, "/aircraft/engine/")]
+    assert [one.member for one in engine.properties] == ["/aircraft/engine/direction", "/aircraft/engine/speed"]
+    assert [(one.relation, one.target) for one in engine.links] == [(av.aircraft, "/aircraft/")]
+
+
+def test_the_aircrafts_conditions_are_where_listing_three_has_them() -> None:
+    plane, engine = aircraft().resources
+
+    def names(conditions: Iterable[object]) -> list[str]:
+        return [str(getattr(each, "iri", "")).partition("#")[2] for each in conditions]
+
+    assert names(plane.properties[0].writable_when) == ["standing"]
+    assert [names(one.available_when) for one in plane.actions] == [["stopped"], ["standing", "started"]]
+    assert names(plane.links[0].available_when) == ["started"]
+    assert names(plane.exists_when) == []
+    assert names(engine.exists_when) == ["started"]
+    assert {one.about for one in plane.conditions()} == {"/aircraft/", "/aircraft/engine/"}
+
+
+def test_a_condition_is_one_value_wherever_it_is_named() -> None:
+    plane, engine = aircraft().resources
+    (started,) = engine.exists_when
+    assert plane.links[0].available_when[0] is started
+
+
+def test_a_condition_judges_a_state() -> None:
+    (started,) = aircraft().resources[1].exists_when
+    focus = NamedNode("http://127.0.0.1:8080/resources/aircraft/")
+    assert not started.shape.violations(focus, [Triple(focus, av.power, Literal("on"))])
+    assert started.shape.violations(focus, [Triple(focus, av.power, Literal("off"))])
+
+
+def test_the_shipped_file_says_the_normative_triples_and_labels_only() -> None:
+    normative = {_told(one) for one in read(NORMATIVE).triples}
+    shipped = {_told(one) for one in aircraft().triples}
+    assert normative <= shipped
+    assert {one[1] for one in shipped - normative} == {str(rdfs.label)}
+    assert len(read(NORMATIVE).triples) + 2 == len(aircraft().triples)
+
+
+def _told(triple: Triple) -> tuple[str, str, str]:
+    """A triple without the labels of blank nodes."""
+    subject, object = ("[]" if isinstance(each, BlankNode) else str(each) for each in (triple.subject, triple.object))
+    return subject, str(triple.predicate), object
+
+
+@pytest.mark.parametrize("syntax", Syntax, ids=lambda syntax: syntax.extension)
+def test_a_mapping_is_the_same_in_every_syntax(syntax: Syntax) -> None:
+    written = serialize(Document(URL, aircraft().triples), syntax)
+    again = read_mapping(written, syntax.media_type, URL)
+    assert list(map(_outline, again.resources)) == list(map(_outline, aircraft().resources))
+
+
+def _outline(found: ComplexResource) -> object:
+    return (
+        found.path,
+        found.title,
+        [(one.name, one.member, [each.iri for each in one.writable_when]) for one in found.properties],
+        [(one.name, one.service, [each.iri for each in one.available_when]) for one in found.actions],
+        [(one.relation, one.target, [each.iri for each in one.available_when]) for one in found.links],
+        [each.iri for each in found.exists_when],
+    )
+
+
+# What a document may say
+
+
+def test_a_property_is_named_by_map_name_else_by_its_field_else_by_its_member() -> None:
+    assert one_property('map:member "pose" ; map:field "pose.position.x" ; map:name "east"').name == "east"
+    assert one_property('map:member "pose" ; map:field "pose.position.x"').name == "x"
+    assert one_property('map:member "arm/joint"').name == "joint"
+    assert one_property('map:member "/other/joint"').name == "joint"
+
+
+def test_a_member_is_named_from_the_path_on_or_from_the_root() -> None:
+    assert one_property('map:member "power"').member == "/a/power"
+    assert one_property('map:member "b/power"').member == "/a/b/power"
+    assert one_property('map:member "/other/name"').member == "/other/name"
+
+
+def test_a_member_may_carry_a_field_a_unit_and_a_quantity_kind() -> None:
+    found = one_property(
+        'map:member "pose" ; map:field "position.x" ; map:unit unit:M ; map:quantityKind quantitykind:Length'
+    )
+    assert found.field == "position.x"
+    assert found.measure == Measure(
+        NamedNode("http://qudt.org/vocab/unit/M"), NamedNode("http://qudt.org/vocab/quantitykind/Length")
+    )
+    assert one_property('map:member "pose"').field is None
+
+
+def test_a_service_is_named_like_a_member_and_names_its_action() -> None:
+    for service, full in (("start", "/a/start"), ("/b/start", "/b/start")):
+        (found,) = resource(f'map:action [ map:relation av:start ; map:service "{service}" ]').actions
+        assert (found.service, found.name) == (full, "start")
+
+
+@pytest.mark.parametrize(
+    ("labels", "title"),
+    [
+        ("", None),
+        ('rdfs:label "Plane" ;', "Plane"),
+        ('rdfs:label "Flugzeug"@de , "Plane"@en ;', "Plane"),
+        ('rdfs:label "Flugzeug"@de , "Avion"@fr ;', "Flugzeug"),
+    ],
+)
+def test_the_label_is_the_title_in_english_or_no_language_first(labels: str, title: str | None) -> None:
+    assert resource(f"{labels} map:link [ map:relation av:engine ; map:target '/b/' ]").title == title
+
+
+def test_what_rdf_has_no_order_for_is_in_the_order_of_names() -> None:
+    members = "".join(f'map:property [ map:predicate av:{name} ; map:member "{name}" ] ; ' for name in "cab")
+    assert [one.name for one in resource(members + 'rdfs:label "x"').properties] == ["a", "b", "c"]
+
+
+def test_a_condition_in_brackets_works_and_gets_a_name_of_the_document() -> None:
+    first, second = resource(
+        f"map:property [ map:predicate av:p ; map:member 'p' ] ; map:existsWhen {SHAPE} , {SHAPE}"
+    ).exists_when
+    assert (first.iri, second.iri) == (f"{URL}#condition.1", f"{URL}#condition.2")
+    assert first.about == "/a/"
+    focus = NamedNode("http://x/a/")
+    assert first.shape.violations(focus, [Triple(focus, NamedNode(f"{av.iri}p"), Literal(0))])
+
+
+def test_the_name_of_a_condition_in_brackets_is_never_one_that_the_document_uses() -> None:
+    (found,) = resource(
+        f"map:property [ map:predicate av:p ; map:member 'p' ] ; rdfs:seeAlso <#condition.1> ; map:existsWhen {SHAPE}"
+    ).exists_when
+    assert found.iri == f"{URL}#condition.2"
+
+
+def test_the_triples_are_exactly_those_that_were_sent() -> None:
+    text = f'<#a> a map:ComplexResource ; map:path "/a/" ; map:existsWhen {SHAPE.replace("av:p", "av:q")} ; ' + (
+        'map:property [ map:predicate av:q ; map:member "p" ] . <> rdfs:label "A"@en , "B" . <x:y> <x:z> 1 , 1.0 .'
+    )
+    sent = parse_body((PREFIXES + text).encode(), TURTLE, URL)
+    found = read(text).triples
+    assert len(found) == sent.size
+    assert {_told(one) for one in found} == {
+        _told(Triple(s, p, o)) for s, said in sent.subjects.items() for p, objects in said.items() for o in objects
+    }
+
+
+def test_what_is_said_of_other_things_is_kept_and_means_nothing() -> None:
+    found = read(TEXT + '<> rdfs:comment "Mine." . <x:a> <x:b> [ <x:c> ( 1 2 ) ] .')
+    assert list(map(_outline, found.resources)) == list(map(_outline, aircraft().resources))
+
+
+def test_a_condition_may_be_about_a_property_by_its_name() -> None:
+    (found,) = resource(
+        'map:link [ map:relation av:engine ; map:target "/b/" ; map:availableWhen [ a sh:NodeShape ; '
+        'map:about "/a/power" ; sh:property [ sh:path rdf:value ; sh:hasValue "on" ] ] ]'
+    ).links
+    assert found.available_when[0].about == "/a/power"
+
+
+def test_a_condition_may_be_about_a_resource_of_another_document() -> None:
+    (found,) = resource(
+        "map:existsWhen [ a sh:NodeShape ; map:about '/b/' ; sh:property [ sh:path av:any ; sh:minCount 1 ] ]"
+    ).exists_when
+    assert found.about == "/b/"
+
+
+def test_the_root_may_be_a_complex_resource() -> None:
+    (found,) = read(
+        '<#all> a map:ComplexResource ; map:path "/" ; map:property [ map:predicate av:p ; map:member "p" ] .'
+    ).resources
+    assert (found.path, found.properties[0].member) == ("/", "/p")
+
+
+# What the shape refuses: inside a complex resource of path /a/
+
+WRONG = {
+    "a predicate that is no IRI": ('map:property [ map:predicate "p" ; map:member "p" ]', "predicate"),
+    "no predicate": ('map:property [ map:member "p" ]', "predicate"),
+    "two predicates": ('map:property [ map:predicate av:p , av:q ; map:member "p" ]', "predicate"),
+    "rdf:type as a predicate": ('map:property [ map:predicate rdf:type ; map:member "p" ]', "predicate"),
+    "a term of LDP as a predicate": ('map:property [ map:predicate ldp:contains ; map:member "p" ]', "predicate"),
+    "no member": ("map:property [ map:predicate av:p ]", "member"),
+    "two members": ('map:property [ map:predicate av:p ; map:member "p" , "q" ]', "member"),
+    "a member that is an IRI": ("map:property [ map:predicate av:p ; map:member <p> ]", "member"),
+    "a member that is a number": ("map:property [ map:predicate av:p ; map:member 1 ]", "member"),
+    "a member with a language": ('map:property [ map:predicate av:p ; map:member "p"@en ]', "member"),
+    "an empty member": ('map:property [ map:predicate av:p ; map:member "" ]', "member"),
+    "a member that is a path": ('map:property [ map:predicate av:p ; map:member "p/" ]', "member"),
+    "a member with an empty part": ('map:property [ map:predicate av:p ; map:member "/p//q" ]', "member"),
+    "a member that ends a line": ('map:property [ map:predicate av:p ; map:member "p\\n" ]', "member"),
+    "a name with a slash": ('map:property [ map:predicate av:p ; map:member "p" ; map:name "a/b" ]', "name"),
+    "an empty name": ('map:property [ map:predicate av:p ; map:member "p" ; map:name "" ]', "name"),
+    "two names": ('map:property [ map:predicate av:p ; map:member "p" ; map:name "a" , "b" ]', "name"),
+    "a field with a slash": ('map:property [ map:predicate av:p ; map:member "p" ; map:field "x/y" ]', "field"),
+    "a field that ends in a dot": ('map:property [ map:predicate av:p ; map:member "p" ; map:field "x." ]', "field"),
+    "an empty field": ('map:property [ map:predicate av:p ; map:member "p" ; map:field "" ]', "field"),
+    "a field that ends a line": ('map:property [ map:predicate av:p ; map:member "p" ; map:field "x\\n" ]', "field"),
+    "two fields": ('map:property [ map:predicate av:p ; map:member "p" ; map:field "x" , "y" ]', "field"),
+    "a unit that is no IRI": ('map:property [ map:predicate av:p ; map:member "p" ; map:unit "m" ]', "unit"),
+    "two units": ('map:property [ map:predicate av:p ; map:member "p" ; map:unit unit:M , unit:S ]', "unit"),
+    "a quantity kind that is no IRI": (
+        'map:property [ map:predicate av:p ; map:member "p" ; map:quantityKind "length" ]',
+        "quantityKind",
+    ),
+    "a property that is no node": ('map:property "power"', "property"),
+    "a property with a service": ('map:property [ map:predicate av:p ; map:member "p" ; map:service "s" ]', "service"),
+    "a property that is available": (
+        f'map:property [ map:predicate av:p ; map:member "p" ; map:availableWhen {SHAPE} ]',
+        "availableWhen",
+    ),
+    "a misspelt term of a property": ('map:property [ map:predicate av:p ; map:member "p" ; map:feld "x" ]', "feld"),
+    "an action without a relation": ('map:action [ map:service "s" ]', "relation"),
+    "an action without a service": ("map:action [ map:relation av:start ]", "service"),
+    "an action of two services": ('map:action [ map:relation av:start ; map:service "s" , "t" ]', "service"),
+    "an action whose name is two": (
+        'map:action [ map:relation av:start ; map:service "s" ; map:name "a" , "b" ]',
+        "name",
+    ),
+    "an action with a target": ('map:action [ map:relation av:start ; map:service "s" ; map:target "/b/" ]', "target"),
+    "an action that is writable": (
+        f'map:action [ map:relation av:start ; map:service "s" ; map:writableWhen {SHAPE} ]',
+        "writableWhen",
+    ),
+    "an action that is no node": ('map:action "start"', "action"),
+    "a link without a relation": ('map:link [ map:target "/b/" ]', "relation"),
+    "a link without a target": ("map:link [ map:relation av:engine ]", "target"),
+    "a link to a name": ('map:link [ map:relation av:engine ; map:target "/b" ]', "target"),
+    "a link to an IRI": ("map:link [ map:relation av:engine ; map:target </resources/b/> ]", "target"),
+    "a link whose target is two": ('map:link [ map:relation av:engine ; map:target "/b/" , "/c/" ]', "target"),
+    "a link with a name": ('map:link [ map:relation av:engine ; map:target "/b/" ; map:name "b" ]', "name"),
+    "a link that is no node": ('map:link "/b/"', "link"),
+    "a second path": ('map:path "/b/"', "path"),
+    "a title that is a node": ("rdfs:label [ rdfs:label 'x' ]", "label"),
+    "a misspelt term of a complex resource": ('map:exists "x"', "exists"),
+    "a term of something else": ('<x:y> "z"', "x:y"),
+    "a condition that is a literal": ('map:existsWhen "on"', "existsWhen"),
+    "a condition that is described nowhere": ("map:existsWhen <#nowhere>", "about"),
+    "a condition that is no shape": ('map:existsWhen [ map:about "/a/" ; sh:minLength 1 ]', "type"),
+    "a condition about nothing": (
+        "map:existsWhen [ a sh:NodeShape ; sh:property [ sh:path av:p ; sh:minCount 1 ] ]",
+        "about",
+    ),
+    "a condition about two resources": (
+        'map:existsWhen [ a sh:NodeShape ; map:about "/b/" , "/c/" ; sh:property [ sh:path av:p ; sh:minCount 1 ] ]',
+        "about",
+    ),
+    "a condition about a relative name": (
+        'map:existsWhen [ a sh:NodeShape ; map:about "b" ; sh:property [ sh:path av:p ; sh:minCount 1 ] ]',
+        "about",
+    ),
+    "a condition about an IRI": (
+        "map:existsWhen [ a sh:NodeShape ; map:about </a/> ; sh:property [ sh:path av:p ; sh:minCount 1 ] ]",
+        "about",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_complex_resource_is_refused_for(case: str) -> None:
+    inner, blamed = WRONG[case]
+    found = refused(f'<#a> a map:ComplexResource ; map:path "/a/" ; {inner} .')
+    assert any(one.path.endswith(blamed) or one.path.endswith(f"{blamed}>") for one in found), found
+    assert all(one.message.endswith((".", "?")) and one.component and one.focus for one in found)
+
+
+@pytest.mark.parametrize("path", ["aircraft/", "/aircraft", "", "//", "/a//b/", "/a/\n", "/a\u0007/"])
+def test_a_path_that_does_not_begin_and_end_with_a_slash_is_refused(path: str) -> None:
+    (found,) = refused(f"<#a> a map:ComplexResource ; map:path {Literal(path)} .")
+    assert (found.path, found.predicate) == ("<#a> map:path", mapping.path)
+    assert found.focus == NamedNode(f"{URL}#a")
+
+
+def test_a_complex_resource_without_a_path_is_refused() -> None:
+    (found,) = refused("<#a> a map:ComplexResource .")
+    assert found.path == "<#a> map:path"
+
+
+@pytest.mark.parametrize("path", ["/", "/a/", "/a/b/", "/ä ö/", "/~/"])
+def test_any_other_path_is_taken(path: str) -> None:
+    assert read(f"<#a> a map:ComplexResource ; map:path {Literal(path)} .").resources[0].path == path
+
+
+def test_a_complex_resource_without_its_type_is_refused() -> None:
+    (found,) = refused('<#a> map:path "/a/" .')
+    assert found.path == "<#a> rdf:type"
+
+
+def test_a_complex_resource_without_an_iri_is_refused() -> None:
+    (found,) = refused('[] a map:ComplexResource ; map:path "/a/" .')
+    assert "IRI of its own" in found.message
+
+
+def test_a_violation_says_where_it_is_in_words() -> None:
+    (found,) = refused(TEXT.replace('map:service "/aircraft/stop"', 'map:service "/aircraft/stop/"'))
+    assert found.path == '<#aircraft> map:action "stop" map:service'
+    assert found.value == "/aircraft/stop/"
+
+
+# What no shape can say
+
+
+def test_a_document_without_a_complex_resource_is_refused() -> None:
+    for text in ("", "<> rdfs:label 'nothing' .", "<#c> a sh:NodeShape ; map:about '/a/' ; sh:minCount 1 ."):
+        assert refused(text)
+
+
+def test_two_complex_resources_with_one_path_are_refused() -> None:
+    (found,) = refused('<#a> a map:ComplexResource ; map:path "/a/" . <#b> a map:ComplexResource ; map:path "/a/" .')
+    assert found.path == "<#b> map:path"
+    assert "<#a>" in found.message
+
+
+@pytest.mark.parametrize(
+    "inner",
+    [
+        'map:property [ map:predicate av:p ; map:member "b/x" ] , [ map:predicate av:q ; map:member "c/x" ]',
+        'map:action [ map:relation av:p ; map:service "b/x" ] , [ map:relation av:q ; map:service "c/x" ]',
+        'map:property [ map:predicate av:p ; map:member "x" ] ; map:action [ map:relation av:q ; map:service "b/x" ]',
+        'map:property [ map:predicate av:p ; map:member "b" ; map:field "x" ] ; '
+        'map:property [ map:predicate av:q ; map:member "x" ]',
+    ],
+)
+def test_names_that_collide_are_refused(inner: str) -> None:
+    (found,) = refused(f'<#a> a map:ComplexResource ; map:path "/a/" ; {inner} .')
+    assert found.value == "x"
+    assert "map:name" in found.message
+
+
+def test_equal_names_in_different_complex_resources_do_not_collide() -> None:
+    both = 'map:property [ map:predicate av:p ; map:member "x" ]'
+    assert (
+        len(
+            read(f"""<#a> a map:ComplexResource ; map:path "/a/" ; {both} .
+        <#b> a map:ComplexResource ; map:path "/b/" ; {both} .""").resources
+        )
+        == 2
+    )
+
+
+def test_two_properties_with_one_predicate_are_refused() -> None:
+    (found,) = refused(TEXT.replace("av:direction", "av:speed"))
+    assert "av:speed" in found.message
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right"), [("sh:hasvalue", "sh:hasValue"), ("sh:Path", "sh:path"), ("map:abuot", "map:about")]
+)
+def test_a_misspelt_term_is_refused_with_the_one_that_is_like_it(wrong: str, right: str) -> None:
+    text = "<#a> a map:ComplexResource ; map:path '/a/' . <x:y> " + wrong + " 1 ."
+    (found,) = refused(text)
+    assert found.message == f"{wrong} does not exist; {right} does"
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        "sh:message 'always'",
+        "sh:property [ sh:path av:p ]",
+        "sh:property [ sh:path av:p ; sh:name 'p' ] , [ sh:path av:q ; sh:minCount 1 ]",
+        "sh:property [ sh:path av:p ; sh:property [ sh:path av:q ] ]",
+        "sh:severity sh:Warning ; sh:targetClass av:X",
+    ],
+)
+def test_a_condition_that_demands_nothing_is_refused(shape: str) -> None:
+    (found,) = refused(
+        f"<#a> a map:ComplexResource ; map:path '/a/' ; map:existsWhen [ a sh:NodeShape ; map:about '/b/' ; {shape} ] ."
+    )
+    assert "demands nothing" in found.message
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        "sh:property [ sh:minCount 1 ]",
+        "sh:property [ sh:path av:p , av:q ; sh:minCount 1 ]",
+        "sh:property [ sh:path 'p' ; sh:minCount 1 ]",
+        "sh:property [ sh:path av:p ; sh:minCount 'many' ]",
+        "sh:property [ sh:path av:p ; sh:pattern '(' ]",
+        "sh:property [ sh:path av:p ; sh:pattern '(a+)+$' ]",
+        "sh:property [ sh:path av:p ; sh:in 1 ]",
+        "sh:property <#nowhere>",
+        "sh:node <#nowhere>",
+        "sh:sparql [ sh:select 'SELECT $this WHERE { $this ?p ?o }' ]",
+        "sh:not 'x'",
+    ],
+)
+def test_a_condition_that_cannot_be_judged_is_refused(shape: str) -> None:
+    found = refused(
+        f"<#a> a map:ComplexResource ; map:path '/a/' ; map:existsWhen [ a sh:NodeShape ; map:about '/b/' ; {shape} ] ."
+    )
+    assert all(one.path.startswith(("<#condition.1>", "<#nowhere>")) for one in found), found
+
+
+def test_a_condition_that_looks_at_what_its_resource_does_not_have_is_refused() -> None:
+    (found,) = refused(TEXT.replace("sh:path av:speed", "sh:path av:sped"))
+    assert found.path == "<#standing>"
+    assert "has no av:sped" in found.message
+    assert "av:direction, av:speed" in found.message
+
+
+def test_a_condition_about_a_property_looks_at_its_value_only() -> None:
+    (found,) = refused(
+        "<#a> a map:ComplexResource ; map:path '/a/' ; map:existsWhen [ a sh:NodeShape ; map:about '/a/p' ; "
+        "sh:property [ sh:path av:p ; sh:minCount 1 ] ] ."
+    )
+    assert "rdf:value" in found.message
+
+
+def test_a_shape_that_refers_to_itself_is_refused_or_taken_but_ends() -> None:
+    refused(
+        "<#a> a map:ComplexResource ; map:path '/a/' ; map:existsWhen <#c> . "
+        "<#c> a sh:NodeShape ; map:about '/b/' ; sh:node <#c> ."
+    )
+
+
+def test_more_triples_than_a_document_may_have_are_refused() -> None:
+    (found,) = refused("".join(f"<#a{number}> <x:y> 1 . " for number in range(MOST_TRIPLES + 1)))
+    assert str(MOST_TRIPLES) in found.message
+
+
+def test_a_triple_term_is_refused() -> None:
+    (found,) = refused(TEXT + "<x:a> <x:b> <<( <x:c> <x:d> <x:e> )>> .")
+    assert "triple term" in found.message
+
+
+DEEP = {
+    "a chain of shapes": "<#c0> a sh:NodeShape ; map:about '/b/' . "
+    + "".join(f"<#c{n}> sh:property <#c{n + 1}> . " for n in range(2000)),
+    "a chain of nested shapes": "<#c0> a sh:NodeShape ; map:about '/b/' . "
+    + "".join(f"<#c{n}> sh:node <#c{n + 1}> . " for n in range(2000)),
+    "a chain of subclasses": "".join(f"<#c{n}> rdfs:subClassOf <#c{n + 1}> . " for n in range(2000))
+    + "<#c2000> rdfs:subClassOf map:ComplexResource .",
+}
+
+
+@pytest.mark.parametrize("case", DEEP)
+def test_depth_does_no_harm(case: str) -> None:
+    with suppress(MappingRefused):
+        read(TEXT + DEEP[case])
+
+
+def test_conditions_that_take_too_long_to_be_read_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(documents, "_LONGEST_READING", -1.0)
+    (found,) = refused(TEXT)
+    assert "too large" in found.message
+
+
+def test_at_most_twenty_violations_are_told() -> None:
+    assert len(refused("".join(f"<#a{number}> map:path {number} . " for number in range(50)))) == 20
+
+
+# Files
+
+
+def test_a_file_is_named_by_its_stem_unless_it_is_given_a_name(tmp_path: Path) -> None:
+    path = tmp_path / "my plane.ttl"
+    path.write_text(TEXT)
+    assert load_mapping(path, SPACE).url == "http://127.0.0.1:8080/mappings/my%20plane"
+    assert load_mapping(path, SPACE, "a").url == "http://127.0.0.1:8080/mappings/a"
+
+
+@pytest.mark.parametrize("syntax", Syntax, ids=lambda syntax: syntax.extension)
+def test_a_file_may_be_in_any_syntax(tmp_path: Path, syntax: Syntax) -> None:
+    path = tmp_path / f"plane.{syntax.extension}"
+    path.write_bytes(serialize(Document(f"{SPACE.base}mappings/plane", aircraft().triples), syntax))
+    assert len(load_mapping(path, SPACE).resources) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.ttl", "<#a> a", "line 1"),
+        ("a.ttl", "", "ComplexResource"),
+        ("a.json", "{}", ".ttl"),
+        ("a", "", ".ttl"),
+        ("a.ttl", PREFIXES + '<#a> map:path "/a/" .', "rdf:type"),
+    ],
+)
+def test_a_bad_file_is_told_with_its_name_and_the_reason(tmp_path: Path, name: str, text: str, words: str) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(ValueError, match=re.escape(str(path))) as found:
+        load_mapping(path, SPACE)
+    assert words in str(found.value)
+
+
+def test_a_missing_file_is_an_os_error(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        load_mapping(tmp_path / "none.ttl", SPACE)
+
+
+# The guide
+
+
+def guide() -> list[str]:
+    return re.findall(r"```turtle\n(.*?)```", GUIDE.read_text("utf-8"), re.DOTALL)
+
+
+def test_every_mapping_in_the_guide_is_good() -> None:
+    mappings = [text for text in guide() if "map:ComplexResource" in text]
+    assert mappings
+    for text in mappings:
+        assert read_mapping(text.encode(), TURTLE, URL).resources
+
+
+def test_the_guides_turtle_is_arranged_as_it_says() -> None:
+    (text,) = [text for text in guide() if "/turtle1/" in text]
+    (turtle,) = read_mapping(text.encode(), TURTLE, f"{SPACE.base}mappings/turtle").resources
+    assert turtle.path == "/turtle1/"
+    assert {one.name: (one.member, one.field) for one in turtle.properties} == {
+        "command": ("/turtle1/cmd_vel", None),
+        "heading": ("/turtle1/pose", "theta"),
+        "speed": ("/turtle1/pose", "linear_velocity"),
+        "x": ("/turtle1/pose", "x"),
+        "y": ("/turtle1/pose", "y"),
+    }
+    assert {one.name: one.service for one in turtle.actions} == {
+        "clear": "/clear",
+        "reset": "/reset",
+        "set_pen": "/turtle1/set_pen",
+        "teleport": "/turtle1/teleport_absolute",
+    }
+
+
+# Damage
+
+
+@st.composite
+def damaged(draw: st.DrawFn) -> RdfBody:
+    """The aircraft's mapping with a few triples gone, changed or added."""
+    triples = list(aircraft().triples)
+    subjects = sorted({one.subject for one in triples}, key=str)
+    predicates = sorted({*(one.predicate for one in triples), *mapping.terms().values(), *sh.terms().values()}, key=str)
+    objects: Sequence[object] = [
+        *sorted({one.object for one in triples}, key=str),
+        *(Literal(text) for text in ("", "/", "x", "/a/b/", "a\nb")),
+        Literal("1", datatype=xsd.integer),
+        Literal("many", datatype=xsd.integer),
+        Literal("x", language="en"),
+        rdf.nil,
+        sh.NodeShape,
+        BlankNode("new"),
+        *subjects,
+    ]
+    for _ in range(draw(st.integers(1, 4))):
+        place = draw(st.integers(0, len(triples) - 1))
+        match draw(st.sampled_from(["remove", "object", "predicate", "subject", "add"])):
+            case "remove":
+                triples.pop(place)
+            case "object":
+                triples[place] = Triple(
+                    triples[place].subject, triples[place].predicate, draw(st.sampled_from(objects))
+                )
+            case "predicate":
+                triples[place] = Triple(
+                    triples[place].subject, draw(st.sampled_from(predicates)), triples[place].object
+                )
+            case "subject":
+                triples[place] = Triple(
+                    draw(st.sampled_from(subjects)), triples[place].predicate, triples[place].object
+                )
+            case _:
+                triples.append(
+                    Triple(
+                        draw(st.sampled_from(subjects)),
+                        draw(st.sampled_from(predicates)),
+                        draw(st.sampled_from(objects)),
+                    )
+                )
+    return _body(triples)
+
+
+def _body(triples: Iterable[Triple]) -> RdfBody:
+    subjects: dict[object, dict[NamedNode, list[object]]] = {}
+    for subject, predicate, object in triples:
+        subjects.setdefault(subject, {}).setdefault(predicate, []).append(object)
+    return RdfBody(subjects, len(list(triples)))
+
+
+@settings(max_examples=400, deadline=None)
+@given(damaged())
+def test_a_damaged_mapping_is_taken_or_refused_with_a_reason(body: RdfBody) -> None:
+    match outcome(body):
+        case MappingRefused() as error:
+            assert 1 <= len(error.violations) <= 20
+            assert all(one.message for one in error.violations)
+        case found:
+            assert found.resources
+            assert len({one.path for one in found.resources}) == len(found.resources)
+
+
+def outcome(body: RdfBody) -> MappingDocument | MappingRefused:
+    """What becomes of a body; anything but these two is a fault."""
+    try:
+        return mapping_of(body, URL)
+    except MappingRefused as error:
+        return error
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.data())
+def test_a_mapping_that_lost_a_triple_is_taken_only_where_that_triple_was_not_needed(data: st.DataObject) -> None:
+    triples = list(aircraft().triples)
+    gone = triples.pop(data.draw(st.integers(0, len(triples) - 1)))
+    optional = {"label", "name", "writableWhen", "availableWhen", "existsWhen", "property", "action", "link"}
+    if isinstance(outcome(_body(triples)), MappingRefused):
+        return
+    assert gone.predicate.value.rpartition("#")[2] in optional, gone

@@ -1,0 +1,259 @@
+"""Mappings in force: replaced whole or not at all; and what is looked up in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rosld.ontology.urls import Space
+from rosld.server.hypermedia.documents import MappingDocument, MappingRefused, load_mapping, read_mapping
+from rosld.server.hypermedia.mapping import Arrangement, Condition
+from rosld.server.hypermedia.mappings import (
+    Mappings,
+    actions_by_service,
+    component,
+    covering,
+    dependents,
+    guards_of_member,
+    members_of,
+)
+
+SPACE = Space("http://127.0.0.1:8080/")
+AIRCRAFT = load_mapping(Path(str(files("rosld.adapters.aircraft"))) / "mapping.ttl", SPACE, "aircraft")
+PREFIXES = """
+@prefix map: <https://w3id.org/rosld/mapping#> .
+@prefix : <https://example.org/robot#> .
+@prefix rdf: <http://www.w3.org/1999/02/22-rdf-syntax-ns#> .
+@prefix sh: <http://www.w3.org/ns/shacl#> .
+"""
+
+
+def document(name: str, text: str) -> MappingDocument:
+    return read_mapping((PREFIXES + text).encode(), "text/turtle", f"{SPACE.base}mappings/{name}")
+
+
+def resource(path: str, inner: str = "") -> str:
+    """A complex resource; its IRI is made of its path."""
+    return f'<#r{path.replace("/", "-")}> a map:ComplexResource ; map:path "{path}" {inner} .\n'
+
+
+def about(place: str) -> str:
+    """A condition in brackets about a path, or about a name."""
+    seen = ":p" if place.endswith("/") else "rdf:value"
+    return f'[ a sh:NodeShape ; map:about "{place}" ; sh:property [ sh:path {seen} ; sh:minInclusive 1 ] ]'
+
+
+def having(member: str, *, when: str = "") -> str:
+    return f'; map:property [ map:predicate :p ; map:member "{member}" {when} ]'
+
+
+def arranged(*documents: MappingDocument) -> Arrangement:
+    mappings = Mappings()
+    for each in documents:
+        mappings.replace(each)
+    return mappings.arrangement
+
+
+def abouts(conditions: Iterable[Condition]) -> list[str]:
+    return sorted(each.about for each in conditions)
+
+
+# Documents
+
+
+def test_nothing_is_in_force_at_first() -> None:
+    assert Mappings().arrangement == Arrangement()
+    assert not Mappings().documents
+
+
+def test_a_document_comes_into_force_and_goes() -> None:
+    mappings = Mappings()
+    mappings.replace(AIRCRAFT)
+    assert set(mappings.arrangement.resources) == {"/aircraft/", "/aircraft/engine/"}
+    assert list(mappings.documents) == [AIRCRAFT.url]
+    mappings.remove(AIRCRAFT.url)
+    assert not mappings.arrangement.resources
+    assert not mappings.documents
+
+
+def test_a_document_takes_the_place_of_the_one_of_its_url() -> None:
+    mappings = Mappings()
+    mappings.replace(document("a", resource("/a/") + resource("/b/")))
+    mappings.replace(document("a", resource("/b/") + resource("/c/")))
+    assert set(mappings.arrangement.resources) == {"/b/", "/c/"}
+    assert len(mappings.documents) == 1
+
+
+def test_every_change_has_a_revision_of_its_own() -> None:
+    mappings = Mappings()
+    seen = [mappings.arrangement.revision]
+    for change in (
+        lambda: mappings.replace(AIRCRAFT),
+        lambda: mappings.replace(AIRCRAFT),
+        lambda: mappings.remove(AIRCRAFT.url),
+    ):
+        change()
+        seen.append(mappings.arrangement.revision)
+    assert len(set(seen)) == len(seen)
+
+
+def test_removing_what_is_not_there_changes_nothing() -> None:
+    mappings = Mappings()
+    before = mappings.arrangement
+    mappings.remove("http://127.0.0.1:8080/mappings/none")
+    assert mappings.arrangement is before
+
+
+def test_what_was_handed_out_never_changes() -> None:
+    mappings = Mappings()
+    mappings.replace(document("a", resource("/a/")))
+    arrangement, documents = mappings.arrangement, mappings.documents
+    mappings.replace(document("b", resource("/b/")))
+    mappings.remove(f"{SPACE.base}mappings/a")
+    assert set(arrangement.resources) == {"/a/"}
+    assert list(documents) == [f"{SPACE.base}mappings/a"]
+    with pytest.raises(TypeError):
+        arrangement.resources["/x/"] = arrangement.resources["/a/"]  # type: ignore[index]
+
+
+def test_a_document_that_takes_anothers_path_is_refused_and_all_stays_as_it_was() -> None:
+    mappings = Mappings()
+    mappings.replace(document("a", resource("/a/") + resource("/b/")))
+    mappings.replace(document("c", resource("/c/")))
+    before = mappings.arrangement
+    with pytest.raises(MappingRefused) as found:
+        mappings.replace(document("c", resource("/d/") + resource("/b/") + resource("/a/")))
+    assert [one.path for one in found.value.violations] == ["/a/", "/b/"]
+    assert f"{SPACE.base}mappings/a" in found.value.violations[0].message
+    assert mappings.arrangement is before
+
+
+def test_a_document_that_describes_anothers_condition_is_refused() -> None:
+    shape = '<http://x/c> a sh:NodeShape ; map:about "/z/" ; sh:property [ sh:path :p ; sh:minCount 1 ] .'
+    mappings = Mappings()
+    mappings.replace(document("a", resource("/a/", "; map:existsWhen <http://x/c>") + shape))
+    with pytest.raises(MappingRefused, match="http://x/c"):
+        mappings.replace(document("b", resource("/b/", "; map:existsWhen <http://x/c>") + shape))
+    mappings.replace(document("a", resource("/a/")))
+    mappings.replace(document("b", resource("/b/", "; map:existsWhen <http://x/c>") + shape))
+
+
+# Lookups
+
+
+def test_the_guards_of_a_member_are_those_of_every_mapping_of_it() -> None:
+    arrangement = arranged(
+        document("a", resource("/a/", having("p", when=f"; map:writableWhen {about('/x/')}"))),
+        document("b", resource("/b/", having("/a/p", when=f"; map:writableWhen {about('/y/')} , {about('/z/')}"))),
+        document("c", resource("/c/", having("/a/p", when='; map:field "x"'))),
+    )
+    assert abouts(guards_of_member(arrangement, "/a/p")) == ["/x/", "/y/", "/z/"]
+    assert guards_of_member(arrangement, "/a/q") == ()
+
+
+def test_a_guard_that_two_mappings_of_a_member_share_is_there_once() -> None:
+    when = "; map:writableWhen <#c>"
+    shape = '<#c> a sh:NodeShape ; map:about "/x/" ; sh:property [ sh:path :p ; sh:minCount 1 ] .'
+    both = document("a", resource("/a/", having("p", when=when)) + resource("/b/", having("/a/p", when=when)) + shape)
+    assert len(guards_of_member(arranged(both), "/a/p")) == 1
+
+
+def test_actions_are_found_by_the_service_behind_them() -> None:
+    action = '; map:action [ map:relation :go ; map:name "{}" ; map:service "/s" ]'
+    arrangement = arranged(document("a", resource("/a/", action.format("go")) + resource("/b/", action.format("run"))))
+    found = actions_by_service(arrangement)
+    assert set(found) == {"/s"}
+    assert [(one.path, action.name) for one, action in found["/s"]] == [("/a/", "go"), ("/b/", "run")]
+    assert set(actions_by_service(arranged(AIRCRAFT))) == {"/aircraft/start", "/aircraft/stop"}
+
+
+def test_members_are_the_full_names_of_what_is_shown() -> None:
+    shown = having("p") + '; map:property [ map:predicate :q ; map:member "/b/q" ; map:field "x.y" ]'
+    (one,) = document("a", resource("/a/", shown)).resources
+    assert members_of(one) == {"/a/p", "/b/q"}
+
+
+def test_dependents_have_a_condition_of_any_kind_about_a_place() -> None:
+    wanting = f"; map:existsWhen {about('/x/')}"
+    writing = having("p", when=f"; map:writableWhen {about('/x/')}")
+    acting = f'; map:action [ map:relation :go ; map:service "go" ; map:availableWhen {about("/x/")} ]'
+    linking = f'; map:link [ map:relation :to ; map:target "/x/" ; map:availableWhen {about("/x/")} ]'
+    naming = f"; map:existsWhen {about('/x/p')}"
+    kinds = {"/a/": wanting, "/b/": writing, "/c/": acting, "/d/": linking, "/e/": naming, "/f/": ""}
+    arrangement = arranged(document("all", "".join(resource(path, inner) for path, inner in kinds.items())))
+    assert dependents(arrangement, "/x/") == {"/a/", "/b/", "/c/", "/d/"}
+    assert dependents(arrangement, "/x/p") == {"/e/"}
+    assert dependents(arrangement, "/f/") == frozenset()
+
+
+def test_a_component_is_what_hangs_together_by_conditions_in_any_number_of_steps() -> None:
+    arrangement = arranged(
+        document("a", resource("/a/", f"; map:existsWhen {about('/b/')}") + resource("/b/", having("p"))),
+        document("c", resource("/c/", f"; map:existsWhen {about('/b/')}")),
+        document("d", resource("/d/", f"; map:existsWhen {about('/c/')}").replace(":p", ":p")),
+        document("e", resource("/e/") + resource("/f/", f"; map:existsWhen {about('/g/')}")),
+    )
+    for path in ("/a/", "/b/", "/c/", "/d/"):
+        assert component(arrangement, path) == {"/a/", "/b/", "/c/", "/d/"}
+    assert component(arrangement, "/e/") == {"/e/"}
+    assert component(arrangement, "/f/") == component(arrangement, "/g/") == {"/f/", "/g/"}
+    assert component(arrangement, "/nowhere/") == {"/nowhere/"}
+
+
+def test_a_condition_about_a_property_ties_those_that_show_it() -> None:
+    arrangement = arranged(
+        document("a", resource("/a/", f"; map:existsWhen {about('/x/p')}")),
+        document("b", resource("/b/", having("/x/p"))),
+        document("c", resource("/c/", f"; map:existsWhen {about('/x/p')}")),
+        document("d", resource("/d/", having("/x/q"))),
+    )
+    assert component(arrangement, "/a/") == {"/a/", "/b/", "/c/", "/x/"}
+    assert component(arrangement, "/x/") == component(arrangement, "/b/") == component(arrangement, "/a/")
+    assert component(arrangement, "/d/") == {"/d/"}
+
+
+def test_the_aircraft_hangs_together() -> None:
+    arrangement = arranged(AIRCRAFT)
+    assert component(arrangement, "/aircraft/") == {"/aircraft/", "/aircraft/engine/"}
+    assert dependents(arrangement, "/aircraft/engine/") == {"/aircraft/"}
+    assert dependents(arrangement, "/aircraft/") == {"/aircraft/", "/aircraft/engine/"}
+
+
+def test_what_covers_a_place_is_mapped_at_or_above_it_the_outermost_first() -> None:
+    arrangement = arranged(document("a", resource("/") + resource("/a/") + resource("/a/b/c/") + resource("/ab/")))
+
+    def paths(place: str) -> list[str]:
+        return [one.path for one in covering(arrangement, place)]
+
+    assert paths("/a/b/c/") == ["/", "/a/", "/a/b/c/"]
+    assert paths("/a/b/c/d") == ["/", "/a/", "/a/b/c/"]
+    assert paths("/a/b/c") == ["/", "/a/"]
+    assert paths("/ab/x") == ["/", "/ab/"]
+    assert paths("/") == ["/"]
+    assert [one.path for one in covering(arranged(AIRCRAFT), "/cockpit/display")] == []
+
+
+PATHS = st.sampled_from([f"/{one}/" for one in "abcdef"])
+
+
+@given(st.dictionaries(PATHS, st.lists(st.one_of(PATHS, PATHS.map(lambda path: f"{path}p")), max_size=2), max_size=6))
+def test_components_part_the_paths(conditions: dict[str, list[str]]) -> None:
+    texts = [
+        resource(path, "".join(f"; map:existsWhen {about(place)}" for place in places) + having("p"))
+        for path, places in conditions.items()
+    ]
+    if not texts:
+        return
+    arrangement = arranged(document("all", "".join(texts)))
+    for path, places in conditions.items():
+        together = component(arrangement, path)
+        assert path in together
+        assert all(component(arrangement, other) == together for other in together)
+        assert {place.rpartition("/")[0] + "/" for place in places} <= together
+        for place in places:
+            assert path in dependents(arrangement, place)

@@ -52,6 +52,7 @@ _SEVERAL = _terms(
 )
 _BEYOND_CORE = _terms("sparql js rule expression target values entailment shapesGraph")
 _CARDINAL = (xsd.integer, xsd.nonNegativeInteger, NamedNode(xsd.iri + "positiveInteger"))
+_TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
 
 def local(predicate: NamedNode) -> str:
@@ -171,7 +172,7 @@ class ShapesGraph:
                     yield from self._closure(each, shapes)
                 elif predicate in (sh.and_, sh.or_, sh.xone):
                     yield from self._inner(each)
-                    for member in self._list(each, predicate):
+                    for member in self._list(each):
                         yield from self._closure(member, shapes)
                 elif isinstance(each, BlankNode):
                     yield from self._inner(each)
@@ -307,14 +308,34 @@ class ShapesGraph:
             case sh.flags:
                 _text(value)
             case sh.in_:
-                members = self._list(value, parameter)
+                members = self._list(value)
                 draft.of_value.append(components.one_of([_known(each) for each in members]))
                 draft.demand(Bounds(choices=tuple(each for each in members if isinstance(each, Literal))))
             case sh.hasValue:
                 draft.of_set.append(components.with_value(_known(value)))
                 draft.demand(Bounds(choices=(value,)) if isinstance(value, Literal) else UNBOUNDED)
+            case _ if parameter in _LEFT:
+                self._left(draft, parameter, value)
             case _:
                 self._shapes_of(draft, parameter, value)
+
+    def _left(self, draft: _Draft, parameter: NamedNode, value: Term) -> None:
+        """What is left to pyshacl, which would only stumble over a wrong value when it comes to it."""
+        match local(parameter):
+            case "sh:qualifiedValueShape":
+                self._part(draft, value)
+            case "sh:qualifiedMinCount" | "sh:qualifiedMaxCount":
+                _cardinal(value)
+            case "sh:languageIn":
+                for each in self._list(value):
+                    _text(each)
+            case "sh:ignoredProperties":
+                for each in self._list(value):
+                    _iri(each)
+            case "sh:closed" | "sh:uniqueLang" | "sh:qualifiedValueShapesDisjoint":
+                _truth(value)
+            case _:
+                _iri(value)
 
     def _shapes_of(self, draft: _Draft, parameter: NamedNode, value: Term) -> None:
         """The parameters whose values are shapes."""
@@ -334,17 +355,13 @@ class ShapesGraph:
             case sh.not_:
                 draft.of_value.append(components.no_shape(self._part(draft, value)))
             case sh.and_ | sh.or_ | sh.xone:
-                shapes = [self._part(draft, each) for each in self._list(value, parameter)]
+                shapes = [self._part(draft, each) for each in self._list(value)]
                 if not shapes:
                     raise _Fault("is an empty list")
                 logic = {sh.and_: components.all_shapes, sh.or_: components.any_shape, sh.xone: components.one_shape}
                 draft.of_value.append(logic[parameter](shapes))
                 for shape in shapes if parameter == sh.and_ else ():
                     draft.include(shape)
-            case _ if parameter == NamedNode(sh.iri + "qualifiedValueShape"):
-                self._part(draft, value)
-            case _ if parameter in _PAIRS:
-                _iri(value)
 
     def _part(self, draft: _Draft, value: Term) -> Shape:
         if not isinstance(value, NamedNode | BlankNode):
@@ -400,11 +417,10 @@ class ShapesGraph:
     # What is said about a shape
 
     def _is_deactivated(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> bool:
-        for value in said.get(sh.deactivated, ()):
-            if not isinstance(value, Literal) or value.datatype != xsd.boolean:
-                raise self._wrong(node, sh.deactivated, f"is {value}, where true or false is needed")
-            return value.value in ("true", "1")
-        return False
+        try:
+            return any(map(_truth, said.get(sh.deactivated, ())))
+        except _Fault as fault:
+            raise self._wrong(node, sh.deactivated, str(fault)) from fault
 
     def _severity(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> NamedNode | None:
         for value in said.get(sh.severity, ()):
@@ -421,7 +437,7 @@ class ShapesGraph:
         preferred = sorted(messages, key=lambda each: (not (each.language or "en").startswith("en"), each.value))
         return preferred[0].value if preferred else None
 
-    def _list(self, head: Term, parameter: NamedNode) -> list[Term]:
+    def _list(self, head: Term) -> list[Term]:
         members: list[Term] = []
         seen: set[Term] = set()
         while head != rdf.nil:
@@ -452,6 +468,12 @@ def _text(value: Term) -> str:
     if not isinstance(value, Literal) or value.datatype != xsd.string:
         raise _Fault(f"is {value}, where a string is needed")
     return value.value
+
+
+def _truth(value: Term) -> bool:
+    if not isinstance(value, Literal) or value.datatype != xsd.boolean or value.value not in _TRUTH:
+        raise _Fault(f"is {value}, where true or false is needed")
+    return _TRUTH[value.value]
 
 
 def _cardinal(value: Term) -> int:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, cast
 
-from pyoxigraph import Literal, NamedNode, Triple
+from pyoxigraph import Literal
 
 from rosld.adapters.model import (
     Field,
@@ -22,12 +22,11 @@ from rosld.adapters.model import (
 )
 from rosld.ontology.fitting import Misfit
 from rosld.ontology.json_leaves import json_leaf
-from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import LoweringError, Violation, lowerer
 from rosld.ontology.lower_graph import term_leaf
 from rosld.ontology.parameters import lower_json, lower_term
 from rosld.ontology.violations import shortened
-from rosld.ontology.vocab import rdf
 from rosld.server.calls import Unreadable
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import (
@@ -41,12 +40,10 @@ from rosld.server.hypermedia.catalogue import (
     Writer,
 )
 from rosld.server.hypermedia.value import (
-    WHOLE,
     MessageValue,
     StoredValue,
     Value,
     declined,
-    literal,
     part_of,
     scalar_field,
 )
@@ -207,29 +204,6 @@ def _from_literal(schema: MessageSchema, field: Field | None, content: Literal, 
         raise LoweringError(Violation("", expected, shortened(content)))
     value = _fitted(cast(Primitive, field.type), content)
     return schema.codec.build(schema.ref.name, {field.attribute: value})
-
-
-def written_triples(
-    planned: PlannedWrite,
-    url: str,
-    lifting: LiftSettings,
-    *,
-    predicate: NamedNode = rdf.value,
-    node: str = "#value",
-) -> list[Triple]:
-    """What a write says, as RDF: `url` `predicate` the value, and the node of the message that carries it, whole.
-
-    A scalar is stated as a literal; its message is described all the same, so that shapes of its class judge it too.
-    """
-    subject, value = NamedNode(url), planned.value
-    scalar = literal(value)
-    triples = [] if scalar is None else [Triple(subject, predicate, scalar)]
-    if isinstance(value, MessageValue):
-        if scalar is None:
-            triples.append(Triple(subject, predicate, NamedNode(url + node)))
-        whole = replace(lifting, inline_limit=WHOLE.inline_limit)
-        triples += lifter(value.schema, whole).triples(value.message, url, node)
-    return triples
 
 
 # Carrying it out

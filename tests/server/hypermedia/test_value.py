@@ -9,7 +9,7 @@ from datetime import datetime, timezone
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import Literal, NamedNode, RdfFormat, parse
 
@@ -99,6 +99,7 @@ def test_a_scalar_is_the_literal_of_its_primitive_and_a_bare_json_value(
     assert plain_json(scalar(kind, value), LIFTING) == plain
 
 
+@settings(deadline=None)
 @given(st.floats() | st.sampled_from([-0.0, 5e-324]))
 def test_a_float_reads_back_as_the_very_same(number: float) -> None:
     value = scalar("float64", number)
@@ -114,6 +115,7 @@ def test_a_float_reads_back_as_the_very_same(number: float) -> None:
         assert np.float64(each).tobytes() == np.float64(number).tobytes() or (math.isnan(each) and math.isnan(number))
 
 
+@settings(deadline=None)
 @given(st.floats(width=32))
 def test_a_float32_has_its_own_digits(number: float) -> None:
     found = literal(scalar("float32", number))
@@ -340,6 +342,7 @@ def test_tokens_differ_with_the_value_and_the_failure_and_not_with_the_time() ->
     assert tokens == [token(replace(each, read_ns=99, fresh_until=None)) for each in readings]
 
 
+@settings(deadline=None)
 @given(st.floats(), st.floats())
 def test_two_tokens_are_alike_just_when_the_values_are(one: float, other: float) -> None:
     same = np.float64(one).tobytes() == np.float64(other).tobytes() or (math.isnan(one) and math.isnan(other))

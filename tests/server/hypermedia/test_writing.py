@@ -1,0 +1,518 @@
+"""Writing: who writes a property now, what a content is lowered to, and what becomes of it on the robot."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import replace
+from typing import Any, TypeVar, cast
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyoxigraph import Literal
+
+from rosld.adapters.aircraft import Aircraft
+from rosld.adapters.base import Adapter, AdapterOptions, Published
+from rosld.adapters.model import (
+    Encoding,
+    Graph,
+    Kind,
+    MessageSchema,
+    Operation,
+    Parameter,
+    Primitive,
+    Ref,
+    Refused,
+    Sent,
+    Service,
+    ServiceSchema,
+    TimedOut,
+    Topic,
+    TypeRef,
+)
+from rosld.adapters.model.library import TypeLibrary
+from rosld.ontology.lift import LiftSettings
+from rosld.ontology.lower import LoweringError
+from rosld.ontology.vocab import rdf, xsd
+from rosld.server.calls import Unreadable
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.catalogue import (
+    Catalogue,
+    OpenKind,
+    ParameterSource,
+    Property,
+    ScalarKind,
+    Setter,
+    TopicSource,
+    Writer,
+)
+from rosld.server.hypermedia.conventions import catalogue
+from rosld.server.hypermedia.signatures import kind_of
+from rosld.server.hypermedia.value import MessageValue, StoredValue, plain_json
+from rosld.server.hypermedia.writing import (
+    PlannedWrite,
+    Written,
+    carry_out,
+    lowered,
+    plan_write,
+    why_not,
+    writer_of,
+)
+from rosld.server.robot import Robot
+from rosld.server.settings import Settings
+
+T = TypeVar("T")
+
+LIFTING = LiftSettings()
+LIBRARY = TypeLibrary(ros_version=1)
+POWER, SPEED, SEATS, DISPLAY = "/aircraft/power", "/aircraft/engine/speed", "/aircraft/seats", "/cockpit/display"
+
+
+def run(main: Awaitable[T]) -> T:
+    return asyncio.run(main)  # type: ignore[arg-type]
+
+
+class Flight:
+    """The embedded aircraft as a robot, with what was written to it."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.adapter = Aircraft(AdapterOptions())
+        self.robot = Robot(self.adapter, Settings(**settings))
+        self.written: list[tuple[Kind, str]] = []
+        self.robot.written = lambda kind, name: self.written.append((kind, name))  # type: ignore[method-assign]
+        self.catalogue: Catalogue = catalogue(self.adapter.graph, LIBRARY.find)
+
+    def property(self, name: str) -> Property:
+        return self.catalogue.properties[name]
+
+    def plan(self, name: str, content: object) -> PlannedWrite:
+        return plan_write(self.robot, self.property(name), content)
+
+    async def write(self, name: str, content: object) -> Written:
+        return await carry_out(self.robot, self.plan(name, content))
+
+    async def answer(self, service: str) -> object:
+        """What a getter of the aircraft says."""
+        schema = LIBRARY.find(TypeRef("rosld_aircraft/srv/GetText"))
+        assert isinstance(schema, ServiceSchema)
+        data = await self.adapter.call(service, schema.ref, b"", deadline=self.robot.deadline(1))
+        return getattr(schema.response.codec.decode(data, Encoding.ROS1), "data")  # noqa: B009
+
+
+def flown(test: Callable[[Flight], Awaitable[None]], **settings: Any) -> None:
+    async def main() -> None:
+        flight = Flight(**settings)
+        await flight.robot.start()
+        try:
+            await test(flight)
+        finally:
+            await flight.robot.stop()
+
+    run(main())
+
+
+def violations(error: LoweringError) -> list[tuple[str, str]]:
+    return [(each.path, each.message) for each in error.violations]
+
+
+# On the aircraft
+
+
+def test_a_setter_is_called_with_the_value() -> None:
+    async def main(flight: Flight) -> None:
+        plan = flight.plan(POWER, "on")
+        assert (plan.property, plan.writer.name) == (POWER, "/aircraft/set_power")
+        assert plain_json(plan.value, LIFTING) == b'"on"'
+        assert flight.written == []
+        assert await flight.answer("/aircraft/get_power") == "off"
+        assert await carry_out(flight.robot, plan) is Written.DONE
+        assert await flight.answer("/aircraft/get_power") == "on"
+        assert flight.written == [(Kind.SERVICE, "/aircraft/set_power")]
+
+    flown(main)
+
+
+@pytest.mark.parametrize("content", ["on", {"data": "on"}, Literal("on")])
+def test_a_scalar_may_be_bare_an_object_of_its_field_or_a_literal(content: object) -> None:
+    async def main(flight: Flight) -> None:
+        await flight.write(POWER, content)
+        assert await flight.answer("/aircraft/get_power") == "on"
+
+    flown(main)
+
+
+def test_what_the_setter_refuses_is_refused_with_its_words() -> None:
+    async def main(flight: Flight) -> None:
+        with pytest.raises(Refused) as caught:
+            await flight.write(POWER, "purple")
+        assert caught.value.words
+        assert caught.value.sent is Sent.YES
+        assert caught.value.sentence == f"/aircraft/set_power refused the value: {caught.value.words}"
+        assert flight.written == [(Kind.SERVICE, "/aircraft/set_power")], "it may have done something"
+
+    flown(main)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (5, "expected a string"),
+        (None, "expected a string"),
+        ({"data": "on", "more": 1}, "expected a string"),
+        (["on"], "expected a string"),
+        (Literal(5), "expected a string"),
+        (Literal("on", language="en"), "expected a string without a language"),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_anything_moves(content: object, message: str) -> None:
+    async def main(flight: Flight) -> None:
+        with pytest.raises(LoweringError) as caught:
+            flight.plan(POWER, content)
+        assert violations(caught.value) == [("", message)]
+
+    flown(main)
+
+
+def test_a_parameter_is_set_where_there_is_no_setter() -> None:
+    async def main(flight: Flight) -> None:
+        plan = flight.plan(SEATS, 4)
+        assert (plan.writer, plan.data) == (ParameterSource(SEATS), b"")
+        assert isinstance(plan.value, StoredValue)
+        assert plan.value.value == 4
+        assert await carry_out(flight.robot, plan) is Written.DONE
+        assert await flight.adapter.get_parameters([SEATS], deadline=flight.robot.deadline(1)) == {SEATS: 4}
+        assert flight.written == [(Kind.PARAMETER, SEATS)]
+
+    flown(main)
+
+
+@pytest.mark.parametrize(
+    ("content", "stored"),
+    [
+        (Literal("7", datatype=xsd.short), 7),
+        (Literal("0.1", datatype=xsd.double), 0.1),
+        (Literal("INF", datatype=xsd.float), math.inf),
+        (Literal('["a",1]', datatype=rdf.JSON), ["a", 1]),
+        (["a", 1], ["a", 1]),
+        ({"@value": "NaN", "@type": "xsd:string"}, "NaN"),
+        ({"a": {"b": True}}, {"a": {"b": True}}),
+    ],
+)
+def test_a_parameter_takes_whatever_parameters_can_be(content: object, stored: object) -> None:
+    async def main(flight: Flight) -> None:
+        plan = flight.plan(SEATS, content)
+        assert isinstance(plan.value, StoredValue)
+        assert plan.value.value == stored
+        assert type(plan.value.value) is type(stored)
+
+    flown(main)
+
+
+@pytest.mark.parametrize("content", [None, [None], Literal("x", datatype=xsd.anyURI), Literal("x", language="en")])
+def test_what_no_parameter_can_be_is_refused(content: object) -> None:
+    async def main(flight: Flight) -> None:
+        with pytest.raises(LoweringError):
+            flight.plan(SEATS, content)
+
+    flown(main)
+
+
+def test_a_topic_that_others_listen_to_is_published_to() -> None:
+    async def main(flight: Flight) -> None:
+        assert await flight.write(DISPLAY, "cleared for take-off") is Written.DONE
+        view = await flight.robot.topics.look(DISPLAY)
+        assert view.newest is not None
+        assert view.newest.data[4:] == b"cleared for take-off"
+        assert not view.newest.latched
+        assert flight.written == [(Kind.TOPIC, DISPLAY)]
+
+    flown(main)
+
+
+def test_publishing_obeys_the_rate() -> None:
+    async def main(flight: Flight) -> None:
+        await flight.write(DISPLAY, "one")
+        with pytest.raises(Problem) as caught:
+            await flight.write(DISPLAY, "two")
+        assert caught.value.status == 429
+        assert caught.value.headers["Retry-After"]
+        assert flight.written == [(Kind.TOPIC, DISPLAY)]
+
+    flown(main, max_publish_rate=0.001 + 1)
+
+
+def test_the_setter_writes_what_a_sensor_s_topic_shows() -> None:
+    async def main(flight: Flight) -> None:
+        assert isinstance(writer_of(flight.robot, flight.property(SPEED)), Setter)
+        only_topic = replace(flight.property(SPEED), writers=(flight.property(SPEED).writers[-1],))
+        assert isinstance(only_topic.writers[0], TopicSource)
+        assert writer_of(flight.robot, only_topic) is None
+        assert "is published by /aircraft" in why_not(flight.robot, only_topic)
+
+    flown(main)
+
+
+def test_a_read_only_server_writes_nothing() -> None:
+    async def main(flight: Flight) -> None:
+        for own in flight.catalogue.properties.values():
+            assert writer_of(flight.robot, own) is None
+            assert why_not(flight.robot, own) == "This server is read-only."
+        with pytest.raises(Problem) as caught:
+            flight.plan(POWER, "on")
+        assert caught.value.status == 405
+
+    flown(main, read_only=True)
+
+
+def test_each_property_of_the_aircraft_has_the_writer_it_should() -> None:
+    async def main(flight: Flight) -> None:
+        writers = {name: writer_of(flight.robot, own) for name, own in flight.catalogue.properties.items()}
+        assert {name: writer.name for name, writer in writers.items() if writer is not None} == {
+            **{name: name for name in flight.catalogue.by_parameter},
+            POWER: "/aircraft/set_power",
+            SPEED: "/aircraft/engine/set_speed",
+            "/aircraft/engine/direction": "/aircraft/engine/set_direction",
+            DISPLAY: DISPLAY,
+        }
+
+    flown(main)
+
+
+# On a robot of our own making
+
+
+class Fake:
+    """What an adapter does for writing."""
+
+    def __init__(self, graph: Graph, allowed: Iterable[Operation] = Operation) -> None:
+        self.graph = graph
+        self.capabilities = replace(Aircraft(AdapterOptions()).capabilities, system="fake")
+        self.recordings: dict[str, object] = {}
+        self.allowed = frozenset(allowed)
+        self.sent: list[bytes] = []
+        self.answer: bytes | Exception = b""
+        self.matched = 1
+
+    def allows(self, ref: Ref) -> frozenset[Operation]:
+        known = {Kind.SERVICE: self.graph.services, Kind.TOPIC: self.graph.topics, Kind.PARAMETER: {}}[ref.kind]
+        return self.allowed if ref.name in known or ref.kind is Kind.PARAMETER else frozenset()
+
+    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        self.sent.append(request)
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+    async def publish(self, topic: str, type: TypeRef, data: bytes, *, latch: bool, deadline: float) -> Published:
+        self.sent.append(data)
+        assert not latch
+        return Published(self.matched)
+
+
+def message_schema(definition: str, name: str = "made_up/msg/Thing") -> MessageSchema:
+    return TypeLibrary(ros_version=1).learn_message(name, definition)
+
+
+def service(definition: str) -> ServiceSchema:
+    return TypeLibrary(ros_version=1).learn_service("made_up/srv/Set", definition)
+
+
+X = "/robot/x"
+SET = service("float32 value\n---\nbool success\nstring message")
+SETTER = Setter("/robot/set_x", SET)
+TOPIC = TopicSource(X, message_schema("float32 data"))
+WHOLE_GRAPH = Graph(
+    1,
+    services={"/robot/set_x": Service("/robot/set_x", SET.ref, ("/robot",))},
+    topics={X: Topic(X, (TypeRef("made_up/msg/Thing"),))},
+    parameters={X: Parameter(X)},
+)
+
+
+def robot(graph: Graph = WHOLE_GRAPH, allowed: Iterable[Operation] = Operation, **settings: Any) -> tuple[Robot, Fake]:
+    fake = Fake(graph, allowed)
+    own = Robot(cast(Adapter, fake), Settings(**{"allow_publish": (X,), **settings}))
+    return own, fake
+
+
+def writable(*writers: Writer) -> Property:
+    return Property(X, OpenKind(), (), writers or (SETTER, ParameterSource(X), TOPIC))
+
+
+def test_the_first_writer_that_may_write_now_does() -> None:
+    everything = writable()
+    assert writer_of(robot()[0], everything) is SETTER
+    no_service = replace(WHOLE_GRAPH, services={})
+    assert writer_of(robot(no_service)[0], everything) == ParameterSource(X)
+    assert writer_of(robot(WHOLE_GRAPH, {Operation.SET_PARAMETER})[0], everything) == ParameterSource(X)
+    assert writer_of(robot(replace(no_service, parameters={}))[0], everything) is TOPIC
+    assert writer_of(robot(WHOLE_GRAPH, {Operation.PUBLISH})[0], everything) is TOPIC
+    assert writer_of(robot(WHOLE_GRAPH, {Operation.PUBLISH}, allow_publish=())[0], everything) is None
+    assert writer_of(robot(Graph(1))[0], everything) is None
+    assert writer_of(robot()[0], Property(X, OpenKind())) is None
+
+
+def test_why_nothing_writes_is_told_of_every_writer() -> None:
+    told = why_not(robot(Graph(1))[0], writable())
+    assert told == (
+        "There is no service /robot/set_x any more. There is no parameter /robot/x any more. "
+        "There is no topic /robot/x any more."
+    )
+    uncallable = {"/robot/set_x": Service("/robot/set_x", SET.ref, (), "its definition is not known")}
+    nothing = robot(replace(WHOLE_GRAPH, services=uncallable), ())[0]
+    assert why_not(nothing, writable()) == (
+        "The service /robot/set_x cannot be called: its definition is not known. "
+        "The parameter /robot/x of this fake cannot be set. Nothing can be published on /robot/x of a fake."
+    )
+    assert why_not(robot()[0], writable(TopicSource(X, None))) == "The type of /robot/x is not known."
+    assert why_not(robot()[0], Property(X, OpenKind())) == (
+        "/robot/x has no setter, no parameter and no topic that could be written."
+    )
+
+
+def test_a_property_that_nothing_writes_is_405() -> None:
+    with pytest.raises(Problem) as caught:
+        plan_write(robot(Graph(1))[0], writable(), 1)
+    assert caught.value.status == 405
+    assert "/robot/set_x" in caught.value.detail
+
+
+def test_a_scalar_goes_to_the_one_field_of_the_setter_whatever_it_is_called() -> None:
+    plan = plan_write(robot()[0], writable(), 1.5)
+    assert isinstance(plan.value, MessageValue)
+    assert plain_json(plan.value, LIFTING) == b"1.5"
+    assert plan.data == b"\x00\x00\xc0\x3f"
+
+
+def test_what_fits_the_property_but_not_its_setter_is_refused() -> None:
+    own, fake = robot()
+    with pytest.raises(LoweringError, match="beyond its range"):
+        plan_write(own, writable(), 1e300)
+    assert fake.sent == []
+
+
+@pytest.mark.parametrize("answer", [b"\x01\x00\x00\x00\x00", b"\x01\x04\x00\x00\x00done"])
+def test_a_setter_that_says_success_is_done(answer: bytes) -> None:
+    async def main() -> None:
+        own, fake = robot()
+        fake.answer = answer
+        assert await carry_out(own, plan_write(own, writable(), 1)) is Written.DONE
+        assert len(fake.sent) == 1
+
+    run(main())
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"), [(b"\x00\x08\x00\x00\x00too fast", "too fast"), (b"\x00\x00\x00\x00\x00", None)]
+)
+def test_a_setter_that_says_no_success_has_refused(answer: bytes, words: str | None) -> None:
+    async def main() -> None:
+        own, fake = robot()
+        fake.answer = answer
+        with pytest.raises(Refused) as caught:
+            await carry_out(own, plan_write(own, writable(), 1))
+        assert caught.value.words == words
+
+    run(main())
+
+
+def test_a_setter_whose_answer_cannot_be_read_may_have_done_it() -> None:
+    async def main() -> None:
+        own, fake = robot()
+        fake.answer = b"\x00"
+        with pytest.raises(Unreadable) as caught:
+            await carry_out(own, plan_write(own, writable(), 1))
+        assert caught.value.sent is Sent.YES
+
+    run(main())
+
+
+def test_what_becomes_of_a_setter_that_fails_is_told_as_it_is_and_freshness_ends() -> None:
+    async def main() -> None:
+        own, fake = robot()
+        written: list[tuple[Kind, str]] = []
+        own.written = lambda kind, name: written.append((kind, name))  # type: ignore[method-assign]
+        fake.answer = TimedOut("no answer", sent=Sent.MAYBE)
+        with pytest.raises(TimedOut) as caught:
+            await carry_out(own, plan_write(own, writable(), 1))
+        assert caught.value is fake.answer
+        assert written == [(Kind.SERVICE, "/robot/set_x")]
+
+    run(main())
+
+
+def test_a_message_that_nobody_heard_is_told() -> None:
+    async def main() -> None:
+        own, fake = robot()
+        fake.matched = 0
+        assert await carry_out(own, plan_write(own, writable(TOPIC), 1)) is Written.UNHEARD
+        fake.matched = 1
+        assert await carry_out(own, plan_write(own, writable(TOPIC), 1)) is Written.DONE
+
+    run(main())
+
+
+def test_a_parameter_beside_something_typed_keeps_to_that_type() -> None:
+    own = robot()[0]
+    typed = Property(X, ScalarKind(Primitive("float64")), (), (ParameterSource(X),))
+    for content, stored in ((5, 5.0), (Literal(5), 5.0), (Literal("INF", datatype=xsd.double), math.inf)):
+        plan = plan_write(own, typed, content)
+        assert isinstance(plan.value, StoredValue)
+        assert (plan.value.value, type(plan.value.value)) == (stored, float)
+    with pytest.raises(LoweringError, match="expected a float64"):
+        plan_write(own, typed, "fast")
+    point = message_schema("float64 x\nfloat64 y")
+    whole = Property(X, kind_of(point, point.type.fields), (), (ParameterSource(X),))
+    plan = plan_write(own, whole, {"x": 1, "y": 2})
+    assert isinstance(plan.value, StoredValue)
+    assert plan.value.value == {"x": 1, "y": 2}
+    with pytest.raises(LoweringError) as caught:
+        plan_write(own, whole, {"x": 1})
+    assert [each.path for each in caught.value.violations] == ["y"]
+
+
+# Lowering
+
+
+FLOAT, INTEGER = message_schema("float64 data"), message_schema("int64 data")
+
+
+def test_a_message_takes_the_object_of_its_fields_and_no_literal() -> None:
+    schema = message_schema("float64 x\nfloat64 y")
+    message = lowered(schema, {"x": 1, "y": "NaN"}, LIFTING)
+    assert getattr(message, "x") == 1.0  # noqa: B009
+    for content in (Literal(1), 1, [1, 2], "x", None):
+        with pytest.raises(LoweringError) as caught:
+            lowered(schema, content, LIFTING)
+        assert [each.path for each in caught.value.violations] == [""]
+    with pytest.raises(LoweringError) as caught:
+        lowered(schema, {"x": "far", "z": 1}, LIFTING)
+    assert {each.path for each in caught.value.violations} == {"x", "y", "z"}
+
+
+def test_a_literal_counts_by_its_own_datatype() -> None:
+    whole = message_schema("int64 data")
+    with pytest.raises(LoweringError):
+        lowered(whole, Literal("5"), LIFTING)
+    assert getattr(lowered(whole, Literal("5", datatype=xsd.decimal), LIFTING), "data") == 5  # noqa: B009
+    number = message_schema("float64 data")
+    with pytest.raises(LoweringError):
+        lowered(number, Literal("NaN"), LIFTING)
+
+
+@settings(deadline=None)
+@given(st.floats())
+def test_a_float_arrives_exactly(number: float) -> None:
+    lexical = "NaN" if math.isnan(number) else repr(number).replace("inf", "INF")
+    message = lowered(FLOAT, Literal(lexical, datatype=xsd.double), LIFTING)
+    data = getattr(message, "data")  # noqa: B009
+    assert data == number or (math.isnan(data) and math.isnan(number))
+
+
+@settings(deadline=None)
+@given(st.integers(-(2**63), 2**63 - 1))
+def test_an_integer_arrives_exactly(number: int) -> None:
+    for content in (number, str(number), Literal(str(number), datatype=xsd.integer)):
+        assert getattr(lowered(INTEGER, content, LIFTING), "data") == number  # noqa: B009

@@ -146,7 +146,7 @@ def render_page(page: Page) -> bytes:
         "page.html",
         _frame(page.site, page.title, page.document.url, page.notices + _own_notices(page)),
         page=page,
-        forms=[each for each in posted if page.offer is None or not each.form.action],
+        forms=[each for each in posted if not (isinstance(page.offer, ComplexView) and each.form.action)],
         formats=(*page.alternates, *((THING,) if isinstance(page.offer, ComplexView) else ())),
         steps=[(_STEPS.get(step.rel, step.rel), step.rel, page.site.href(step.url)) for step in page.steps],
         curl=_curl(page.document.url, "text/turtle"),

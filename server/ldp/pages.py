@@ -121,7 +121,7 @@ class Pages:
             path = urlsplit(exchange.header("referer") or "").path
         except ValueError:
             return None
-        return space.base + path[len(space.path) :] if path.startswith(space.path) else None
+        return space.base + path[len(space.path) :].lstrip("/") if path.startswith(space.path) else None
 
     async def _pairs(self, exchange: Exchange) -> list[tuple[str, str]]:
         try:

@@ -46,7 +46,7 @@ class ComplexResource(Resource):
 
     def __init__(self, robot: Robot, path: str) -> None:
         super().__init__(url_of(path, robot.space))
-        self.title = path
+        self.title = path if path != "/" else "Resources"
         self.robot = robot
         self.path = path
         self.links = (

@@ -12,6 +12,7 @@ from types import ModuleType
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pyoxigraph import Literal
 
 from rosld.adapters.model import (
     Array,
@@ -38,12 +39,15 @@ from rosld.server.html import (
     Page,
     ParameterForm,
     Site,
+    ValueForm,
     parse_form,
     parse_parameter,
+    parse_value,
     render_page,
     split_hidden,
 )
 from rosld.server.html.inputs import Json
+from rosld.shapes.value import Bounds, MessageShape, OpenShape, ScalarShape, ValueShape
 
 URL = "http://127.0.0.1:8080/topics/x"
 SITE = Site("http://127.0.0.1:8080/", "robot")
@@ -350,3 +354,116 @@ def test_violations_of_the_elements_of_an_array_stand_beside_the_array() -> None
     form = MessageForm(kind).refilled(pairs, [Violation("position.3", "expected a float64", "x")])
     body = render_page(Page(SITE, "Topic", "/x", Document(URL, ()), ("PUT",), (form,))).decode()
     assert "position.3: expected a float64" in body
+
+
+# Values of properties
+
+PRIMITIVES = st.sampled_from([Primitive(name) for name in ("bool", "int8", "uint64", "float32", "float64", "string")])
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.data())
+def test_a_scalars_form_sent_untouched_means_the_present_value(data: st.DataObject) -> None:
+    kind = data.draw(PRIMITIVES)
+    value = data.draw(values(kind, schema("std_msgs/msg/Empty")))
+    read = parse_value(ScalarShape(kind), sent(ValueForm(ScalarShape(kind), value=value)))  # type: ignore[arg-type]
+    one = LIBRARY.learn_message(f"odd_msgs/msg/One{kind.name.capitalize()}", f"{kind.name} data\n")
+    as_read, as_it_was = (lowerer(one).from_json({"data": each}) for each in (read, value))
+    assert octets(one, as_read) == octets(one, as_it_was)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_a_form_for_some_fields_means_these_alone(data: st.DataObject) -> None:
+    kind = schema(data.draw(st.sampled_from(TYPES)))
+    names = [each.name for each in kind.type.fields]
+    chosen = tuple(data.draw(st.lists(st.sampled_from(names), unique=True)) if names else ())
+    form = ValueForm(MessageShape(kind, chosen))
+    read = parse_value(form.shape, sent(form))
+    assert isinstance(read, dict)
+    assert set(read) == set(chosen)
+
+
+@settings(max_examples=60, deadline=None)
+@given(JSON)
+def test_a_form_for_anything_sent_untouched_means_the_present_value(value: object) -> None:
+    if isinstance(value, int) and abs(value) >= 10**39:
+        return
+    read = parse_value(OpenShape(), sent(ValueForm(OpenShape(), value=value)))  # type: ignore[arg-type]
+    assert (read, type(read)) == (value, type(value))
+
+
+CHOICES = (Literal("on"), Literal(2), Literal(0.5), Literal(True))
+
+
+@pytest.mark.parametrize(("text", "value"), [("on", "on"), ("2", 2), ("0.5", 0.5), ("true", True)])
+def test_a_choice_among_anything_has_its_own_type(text: str, value: object) -> None:
+    read = parse_value(OpenShape(Bounds(choices=CHOICES)), [("value", text)])
+    assert (read, type(read)) == (value, type(value))
+
+
+@pytest.mark.parametrize("kind", ["string", "bool", "int8", "float64"])
+def test_a_choice_is_read_as_its_type(kind: str) -> None:
+    texts = {"string": ("a", "b"), "bool": ("true", "false"), "int8": ("1", "2"), "float64": ("0.5", "1.5")}[kind]
+    shape = ScalarShape(Primitive(kind), Bounds(choices=tuple(map(Literal, texts))))
+    wanted: dict[str, Json] = {"string": "b", "bool": False, "int8": 2, "float64": 1.5}
+    assert parse_value(shape, sent(ValueForm(shape, value=wanted[kind]))) == wanted[kind]
+
+
+@pytest.mark.parametrize(
+    ("shape", "pairs", "words"),
+    [
+        (ScalarShape(Primitive("float64")), [], "is missing"),
+        (ScalarShape(Primitive("float64")), [("value", "")], "is empty"),
+        (ScalarShape(Primitive("int8")), [("value", "1.5")], "whole number"),
+        (ScalarShape(Primitive("bool")), [("value", "maybe")], "true or false"),
+        (ScalarShape(Primitive("string")), [("value", "a"), ("value", "b")], "given twice"),
+        (ScalarShape(Primitive("string")), [("value", "a"), ("data", "b")], "no field of this form"),
+        (OpenShape(Bounds(choices=CHOICES)), [("value", "off")], "must be one of on, 2, 0.5, true"),
+        (OpenShape(), [("type", "number"), ("value", "many")], "must be a number"),
+        (MessageShape(schema("geometry_msgs/msg/Twist"), ("linear",)), [("angular.x", "1")], "is no field of"),
+    ],
+)
+def test_a_value_that_is_none_is_refused(shape: ValueShape, pairs: list[tuple[str, str]], words: str) -> None:
+    with pytest.raises(LoweringError) as refusal:
+        parse_value(shape, pairs)
+    assert any(words in each.message for each in refusal.value.violations)
+    again = page(ValueForm(shape).refilled(pairs, refusal.value.violations))
+    assert again.forms == 1
+
+
+@settings(max_examples=60, deadline=None)
+@given(PRIMITIVES, st.lists(st.tuples(st.sampled_from(["value", "type", "x"]), texts()), max_size=4), texts())
+def test_whatever_is_sent_for_a_value_is_read_or_refused(
+    kind: Primitive, pairs: list[tuple[str, str]], option: str
+) -> None:
+    bounds = Bounds(choices=(Literal(option),))
+    for shape in (ScalarShape(kind), ScalarShape(kind, bounds), OpenShape(), OpenShape(bounds)):
+        violations: tuple[Violation, ...] = ()
+        try:
+            parse_value(shape, pairs)
+        except LoweringError as error:
+            violations = error.violations
+        assert page(ValueForm(shape).refilled(pairs, violations)).forms == 1
+
+
+def test_an_unchecked_box_is_false() -> None:
+    assert parse_value(ScalarShape(Primitive("bool")), []) is False
+
+
+def test_bounds_of_fields_are_attributes_of_their_inputs() -> None:
+    kind = schema("geometry_msgs/msg/TwistStamped")
+    bounds = {
+        "twist.linear.x": Bounds(least=Literal(-1), greatest=Literal(1)),
+        "header.frame_id": Bounds(pattern="^[a-z]+$", min_length=1, max_length=9),
+        "header.seq": Bounds(choices=(Literal(1), Literal(2))),
+    }
+    form = ValueForm(MessageShape(kind, ("header", "twist"), bounds), value={"header": {"seq": 2}})
+    inputs = {each["name"]: each for each in page(form).inputs}
+    assert (inputs["twist.linear.x"]["min"], inputs["twist.linear.x"]["max"]) == ("-1", "1")
+    frame = inputs["header.frame_id"]
+    assert (frame["pattern"], frame["minlength"], frame["maxlength"]) == (".*(?:^[a-z]+$).*", "1", "9")
+    assert "required" in frame
+    assert inputs["header.seq"]["tag"] == "select"
+    assert "min" not in inputs["twist.linear.y"]
+    assert dict(sent(form))["header.seq"] == "2"

@@ -1,0 +1,105 @@
+"""Bounds as inputs have them: never narrower than what is demanded, so that no browser refuses what the shape takes."""
+
+from __future__ import annotations
+
+import re
+from decimal import Decimal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyoxigraph import Literal
+
+from rosld.adapters.model import Primitive
+from rosld.ontology.fitting import RANGES
+from rosld.server.html.bounds import browser_pattern, demanded, number_range, option_texts, same_value
+from rosld.shapes.value import UNBOUNDED, Bounds
+
+FLOAT, INT8, TEXT = Primitive("float64"), Primitive("int8"), Primitive("string")
+NUMBERS = st.decimals(-1000, 1000, places=2) | st.integers(-200, 200).map(Decimal)
+BOUNDS = st.builds(
+    lambda *each: Bounds(*(None if one is None else Literal(str(one)) for one in each)),
+    *[st.none() | NUMBERS] * 4,
+)
+
+
+def fits(bounds: Bounds, value: Decimal) -> bool:
+    """What SHACL 4.3 says."""
+    least, greatest, above, below = (
+        None if each is None else Decimal(each.value)
+        for each in (bounds.least, bounds.greatest, bounds.above, bounds.below)
+    )
+    return (
+        (least is None or value >= least)
+        and (greatest is None or value <= greatest)
+        and (above is None or value > above)
+        and (below is None or value < below)
+    )
+
+
+@given(BOUNDS)
+def test_whole_numbers_are_taken_exactly_where_they_fit(bounds: Bounds) -> None:
+    least, greatest = map(Decimal, number_range(INT8, bounds))
+    for value in range(*RANGES["int8"]):
+        assert (least <= value <= greatest) == fits(bounds, Decimal(value))
+
+
+@given(BOUNDS, NUMBERS)
+def test_every_number_that_fits_is_taken(bounds: Bounds, value: Decimal) -> None:
+    least, greatest = number_range(FLOAT, bounds)
+    if fits(bounds, value):
+        assert not least or value >= Decimal(least)
+        assert not greatest or value <= Decimal(greatest)
+
+
+@pytest.mark.parametrize("text", ["INF", "NaN", "many", "", "1e999999999", "-1e-999999999"])
+def test_a_bound_that_no_input_knows_is_none(text: str) -> None:
+    assert number_range(FLOAT, Bounds(least=Literal(text), below=Literal(text))) == ("", "")
+    assert number_range(INT8, Bounds(least=Literal(text))) == ("-128", "127")
+
+
+def test_bounds_beyond_the_type_change_nothing() -> None:
+    assert number_range(INT8, Bounds(least=Literal(-1000), greatest=Literal(1000))) == ("-128", "127")
+
+
+@pytest.mark.parametrize(
+    ("bounds", "sentence"),
+    [
+        (UNBOUNDED, ""),
+        (Bounds(least=Literal(0), greatest=Literal(1000)), "From 0 to 1000."),
+        (Bounds(least=Literal(0), below=Literal(360)), "At least 0, less than 360."),
+        (Bounds(above=Literal("0.5")), "More than 0.5."),
+        (Bounds(min_length=1, max_length=3), "At least 1 character, at most 3 characters."),
+        (Bounds(pattern="^[a-z]+$"), "Must match ^[a-z]+$."),
+        (Bounds(choices=(Literal("on"), Literal("off"))), ""),
+    ],
+)
+def test_what_is_demanded_is_told_in_a_sentence(bounds: Bounds, sentence: str) -> None:
+    assert demanded(bounds) == sentence
+
+
+@given(st.from_regex(r"\A[a-c]{0,4}\Z"))
+def test_a_pattern_is_searched_for_as_shacl_does(text: str) -> None:
+    for pattern in ("ab", "^a", "c$", "^(ab|c)+$"):
+        found = re.fullmatch(browser_pattern(Bounds(pattern=pattern)), text)
+        assert (found is not None) == (re.search(pattern, text) is not None)
+
+
+@pytest.mark.parametrize("pattern", [r"^\w+$", r"\i\c*", "[a-z-[aeiou]]", "(?i)on"])
+def test_a_pattern_that_a_browser_reads_differently_is_left_to_the_shape(pattern: str) -> None:
+    assert browser_pattern(Bounds(pattern=pattern)) == ""
+    assert pattern in demanded(Bounds(pattern=pattern))
+
+
+def test_choices_of_whole_numbers_have_no_fraction() -> None:
+    choices = Bounds(choices=(Literal("1.0"), Literal("2"), Literal("1"), Literal("2.5")))
+    assert option_texts(INT8, choices) == ("1", "2", "2.5")
+    assert option_texts(FLOAT, choices) == ("1.0", "2", "1", "2.5")
+    assert option_texts(TEXT, Bounds(choices=(Literal("1.0"),))) == ("1.0",)
+
+
+def test_equal_numbers_are_one_value() -> None:
+    assert same_value("1", "1.0")
+    assert same_value("on", "on")
+    assert not same_value("on", "off")
+    assert not same_value("NaN", "INF")

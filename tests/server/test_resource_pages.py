@@ -1,0 +1,104 @@
+"""The aircraft flown by hand: pages of resources as a browser gets and posts them, over HTTP."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+
+HTML = {"Accept": "text/html"}
+AIRCRAFT, ENGINE = "/resources/aircraft/", "/resources/aircraft/engine/"
+
+
+@pytest.fixture
+def http(serve: Callable[..., Any]) -> httpx.Client:
+    """A browser at an aircraft that has not been started."""
+    client: httpx.Client = serve("aircraft").http
+    client.headers.update(HTML)
+    return client
+
+
+def forms(page: str) -> dict[str, str]:
+    """The tokens of a page's forms by where they post; empty for the page's own URL."""
+    found = {}
+    for form in re.findall(r"<form.*?</form>", page, re.DOTALL):
+        action = re.search(r'action="([^"]*)"', form)
+        token = re.search(r'name="csrf" value="([^"]+)"', form)
+        assert token is not None
+        found[action[1] if action else ""] = token[1]
+    return found
+
+
+def press(http: httpx.Client, page: str, action: str, method: str = "POST", **fields: str) -> httpx.Response:
+    """Send a form of a page; a browser says which page it was on."""
+    token = forms(http.get(page).text)[action]
+    here = {"Referer": str(http.base_url.join(page))}
+    return http.post(action or page, data={"csrf": token, "method": method, **fields}, headers=here)
+
+
+def test_the_aircraft_is_flown_by_the_forms_of_its_pages(http: httpx.Client) -> None:
+    sent = press(http, AIRCRAFT, f"{AIRCRAFT}start")
+    assert (sent.status_code, httpx.URL(sent.headers["location"]).path) == (303, AIRCRAFT)
+    page = http.get(AIRCRAFT).text
+    assert f'href="{ENGINE}"' in page
+    assert f"{AIRCRAFT}stop" in forms(page)
+    assert f"{AIRCRAFT}start" not in forms(page)
+    sent = press(http, ENGINE, f"{ENGINE}speed", "PUT", value="500")
+    assert (sent.status_code, httpx.URL(sent.headers["location"]).path) == (303, ENGINE)
+    direction = press(http, f"{ENGINE}direction", "", "PUT", value="270")
+    assert (direction.status_code, httpx.URL(direction.headers["location"]).path) == (303, f"{ENGINE}direction")
+    assert "270.0" in http.get(f"{ENGINE}direction").text
+
+
+def test_a_value_that_the_robot_refuses_stays_in_the_form_with_its_words(http: httpx.Client) -> None:
+    press(http, AIRCRAFT, f"{AIRCRAFT}start")
+    sent = press(http, ENGINE, f"{ENGINE}speed", "PUT", value="5000")
+    assert sent.status_code == 422
+    assert 'class="notice error"' in sent.text
+    assert 'value="5000"' in sent.text
+    assert "1000" in sent.text
+
+
+def test_a_button_of_an_old_page_is_told_why_it_is_gone(http: httpx.Client) -> None:
+    token = forms(http.get(AIRCRAFT).text)[f"{AIRCRAFT}start"]
+    fields = {"csrf": token, "method": "POST"}
+    assert http.post(f"{AIRCRAFT}start", data=fields).status_code == 303
+    again = http.post(f"{AIRCRAFT}start", data=fields)
+    assert again.status_code == 409
+    assert "is not on offer now" in again.text
+    assert f'<a href="{AIRCRAFT}">' in again.text
+
+
+def test_a_token_is_for_one_action_only(http: httpx.Client) -> None:
+    tokens = forms(http.get(AIRCRAFT).text)
+    fields = {"csrf": tokens[f"{AIRCRAFT}power"], "method": "POST"}
+    assert http.post(f"{AIRCRAFT}start", data=fields).status_code == 403
+    assert http.get(f"{AIRCRAFT}power", headers={"Accept": "application/json"}).json() == "off"
+
+
+def test_a_form_of_a_member_posted_to_its_complex_resource_means_nothing(http: httpx.Client) -> None:
+    token = forms(http.get(f"{AIRCRAFT}start").text)[""]
+    assert http.post(AIRCRAFT, data={"csrf": token, "method": "POST"}).status_code == 403
+
+
+@pytest.mark.parametrize("referer", ["http://[", "https://elsewhere.example/x", "javascript:alert(1)", "//x/y"])
+def test_no_form_leads_elsewhere(http: httpx.Client, referer: str) -> None:
+    token = forms(http.get("/resources/cockpit/brightness").text)[""]
+    fields = {"csrf": token, "method": "PUT", "type": "number", "value": "0.5"}
+    sent = http.post("/resources/cockpit/brightness", data=fields, headers={"Referer": referer})
+    assert sent.status_code == 303
+    assert sent.headers["location"].startswith(str(http.base_url))
+
+
+def test_what_is_not_there_has_a_page_with_the_way_back(http: httpx.Client) -> None:
+    page = http.get(f"{ENGINE}speed")
+    assert page.status_code == 404
+    assert f'<a href="{AIRCRAFT}">' in page.text
+
+
+def test_the_entry_page_leads_to_the_resources_first(http: httpx.Client) -> None:
+    cards = re.findall(r'<li[^>]*><a href="([^"]+)"><span class="number">', http.get("/").text)
+    assert cards[0] == "/resources/"

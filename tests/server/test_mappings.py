@@ -276,6 +276,24 @@ def test_a_file_given_at_start_is_in_force(serve: Callable[..., object], tmp_pat
     assert client.get("/mappings/aircraft").status_code == 200
 
 
+def test_a_file_of_its_name_takes_the_place_of_the_mapping_that_the_robot_comes_with(
+    serve: Callable[..., object], tmp_path: Path
+) -> None:
+    path = tmp_path / "aircraft.ttl"
+    path.write_text(COCKPIT)
+    client: httpx.Client = serve("aircraft", "--mapping", str(path)).http  # type: ignore[attr-defined]
+    assert "night" in client.get("/mappings/aircraft").text
+    assert "/aircraft/" not in client.get("/mappings/aircraft").text
+
+
+def test_files_that_arrange_one_path_are_told_at_start(tmp_path: Path) -> None:
+    path = tmp_path / "mine.ttl"
+    path.write_bytes(SHIPPED.read_bytes())
+    result = CliRunner().invoke(main, ["serve", "aircraft", "--port", "0", "--mapping", str(path)])
+    assert result.exit_code == 1
+    assert "/mappings/aircraft arranges this path already" in result.stderr
+
+
 def test_a_bad_file_at_start_is_told_and_nothing_is_served(tmp_path: Path) -> None:
     path = tmp_path / "mine.ttl"
     path.write_text(BAD)

@@ -1,0 +1,16 @@
+"""What agents are made of: vocabularies, and none of the server's paths."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+PATHS = re.compile(r"/(resources|topics|services|parameters|mappings|aircraft|engine)\b(?!#)")
+
+
+@pytest.mark.parametrize("agent", ["pilot.py", "wot.mjs", "rules.n3", "reasoner.mjs"])
+def test_an_agent_holds_no_path_of_the_server(agent: str) -> None:
+    assert not PATHS.search((HERE / agent).read_text())

@@ -1,0 +1,50 @@
+"""N3 rules and the EYE reasoner: requests follow from what the representations say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+RULES = Path(__file__).parent / "rules.n3"
+PILOT = "http://example.org/pilot#"
+
+
+def cruise(speed: float) -> str:
+    """The mission, as a fact."""
+    return f"<{PILOT}Cruise> <{PILOT}speed> {speed:g} ."
+
+
+def steps(lines: list[Any]) -> list[tuple[str, str]]:
+    """What was written and remembered, repetitions left out: the last part of the URL, and the body or the status."""
+    told = [
+        (line["remembered"].removeprefix(PILOT), "")
+        if "remembered" in line
+        else (line["target"].rpartition("/")[2], line.get("body", ""))
+        for line in lines
+    ]
+    return [step for number, step in enumerate(told) if number == 0 or told[number - 1] != step]
+
+
+FLIGHT = [("speed", "20"), ("Cruised", ""), ("speed", "0"), ("stop", ""), ("Landed", "")]
+
+
+def test_rules_fly_the_aircraft(aircraft: Any, run_node: Callable[..., Any]) -> None:
+    code, lines = run_node("reasoner.mjs", aircraft.url, str(RULES), cruise(20))
+    assert code == 0, lines
+    assert steps(lines) == [("start", ""), *FLIGHT]
+    assert {line.get("status", 200) for line in lines} <= {200, 204}
+    assert (aircraft.power, aircraft.speed) == ("off", 0.0)
+
+
+def test_rules_fly_on_what_is_on_already(aircraft: Any, run_node: Callable[..., Any]) -> None:
+    aircraft.place("on", 40.0)
+    code, lines = run_node("reasoner.mjs", aircraft.url, str(RULES), cruise(20))
+    assert code == 0, lines
+    assert steps(lines) == FLIGHT
+
+
+def test_no_request_follows_for_what_the_shape_forbids(aircraft: Any, run_node: Callable[..., Any]) -> None:
+    code, lines = run_node("reasoner.mjs", aircraft.url, str(RULES), cruise(1500), "8")
+    assert code == 1
+    assert steps(lines) == [("start", "")]

@@ -12,6 +12,7 @@ from rosld.ontology.literals import DATATYPES
 from rosld.ontology.triples import Statement, Value, about, each, integer, text
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import qudt, rdf, sh, xsd
+from rosld.shapes.bounds import narrowed
 from rosld.shapes.value import NO_MEASURE, UNBOUNDED, Bounds, Measure, MessageShape, ScalarShape, ValueShape
 
 
@@ -40,16 +41,18 @@ def _scalar(node: NamedNode, kind: Primitive | None, bounds: Bounds, measure: Me
     """What one literal must be: of the datatype of its primitive, within its range and the bounds."""
     datatype = None if kind is None else NamedNode(xsd.iri + DATATYPES[kind.name])
     least, greatest = RANGES.get(kind.name, (None, None)) if kind is not None else (None, None)
+    longest = kind.bound if kind is not None else None
+    bounds = narrowed(bounds, Bounds(integer(least), integer(greatest), max_length=longest))
     triples = about(
         node,
         (sh.datatype, datatype),
-        (sh.minInclusive, bounds.least or integer(least)),
-        (sh.maxInclusive, bounds.greatest or integer(greatest)),
+        (sh.minInclusive, bounds.least),
+        (sh.maxInclusive, bounds.greatest),
         (sh.minExclusive, bounds.above),
         (sh.maxExclusive, bounds.below),
         (sh.pattern, text(bounds.pattern)),
         (sh.minLength, integer(bounds.min_length)),
-        (sh.maxLength, integer(_least(bounds.max_length, kind.bound if kind is not None else None))),
+        (sh.maxLength, integer(bounds.max_length)),
         (qudt.hasUnit, measure.unit),
         (qudt.hasQuantityKind, measure.quantity_kind),
     )
@@ -59,25 +62,17 @@ def _scalar(node: NamedNode, kind: Primitive | None, bounds: Bounds, measure: Me
     return triples
 
 
-def _least(*values: int | None) -> int | None:
-    return min((value for value in values if value is not None), default=None)
-
-
 def _message(shape: MessageShape, node: NamedNode, space: Space) -> list[Triple]:
     """What a message must be: all that its type's shape says or, of a part of its fields, what that says of each."""
     kind = shape.schema.type
     type_shape = space.shape(kind.name)
-    whole = {field.name for field in kind.fields} <= set(shape.fields)
-    statements: list[Statement] = (
-        [(sh.class_, NamedNode(space.class_of(kind.name))), (sh.node, NamedNode(type_shape))]
-        if whole
-        else [
-            (sh.nodeKind, sh.BlankNodeOrIRI),
-            *each(sh.property, (each_ for field in kind.fields if field.name in shape.fields
-                                for each_ in _field_shapes(field, type_shape, space))),
-        ]
-    )  # fmt: skip
-    return about(node, *statements) + _bounded(node, kind.name, shape.schema, _tree(shape.bounds), space)
+    if {field.name for field in kind.fields} <= set(shape.fields):
+        said: list[Statement] = [(sh.class_, NamedNode(space.class_of(kind.name))), (sh.node, NamedNode(type_shape))]
+    else:
+        fields = (field for field in kind.fields if field.name in shape.fields)
+        parts = (part for field in fields for part in _field_shapes(field, type_shape, space))
+        said = [(sh.nodeKind, sh.BlankNodeOrIRI), *each(sh.property, parts)]
+    return about(node, *said) + _bounded(node, kind.name, shape.schema, _tree(shape.bounds), space)
 
 
 def _field_shapes(field: Field, type_shape: str, space: Space) -> Iterable[NamedNode]:
@@ -96,11 +91,11 @@ class _Bounded(dict[str, "_Bounded"]):
 
 def _tree(bounds: Mapping[str, Bounds]) -> _Bounded:
     root = _Bounded()
-    for path, each_ in bounds.items():
+    for path, demanded in bounds.items():
         place = root
         for step in path.split("."):
             place = place.setdefault(step, _Bounded())
-        place.bounds = each_
+        place.bounds = demanded
     return root
 
 
@@ -115,7 +110,8 @@ def _bounded(node: NamedNode, kind: str, schema: MessageSchema, tree: _Bounded, 
         element = field.type
         if isinstance(element, Array) and isinstance(element.element, Nested):
             element = element.element
-            rest = within(inner, "rest")
+            # A path is a blank node: an IRI would be a predicate (SHACL 2.3.1).
+            rest = BlankNode(_label(inner) + "-rest")
             head, cells = _listed(within(inner, "path"), (property, rest, rdf.first))
             triples += [*about(inner, (sh.path, head)), *about(rest, (sh.zeroOrMorePath, rdf.rest)), *cells]
         else:
@@ -129,11 +125,15 @@ def _bounded(node: NamedNode, kind: str, schema: MessageSchema, tree: _Bounded, 
 
 def _listed(name: NamedNode, elements: Iterable[NamedNode | BlankNode | Literal]) -> tuple[Value, list[Triple]]:
     """An rdf:List, whose cells are blank: its head and its triples."""
-    label = "".join(letter if letter.isalnum() else "-" for letter in name.value)
     cells: list[Triple] = []
     rest: Value = rdf.nil
     for number, element in reversed(list(enumerate(elements))):
-        cell = BlankNode(f"{label}-{number}")
+        cell = BlankNode(f"{_label(name)}-{number}")
         cells += about(cell, (rdf.first, element), (rdf.rest, rest))
         rest = cell
     return rest, cells
+
+
+def _label(name: NamedNode) -> str:
+    """A label for blank nodes that belong to a node: no other node's, within one document or many."""
+    return "".join(letter if letter.isascii() and letter.isalnum() else f"-{ord(letter):x}-" for letter in name.value)

@@ -42,7 +42,7 @@ def test_a_pattern_that_could_take_for_ever_is_refused(text: str) -> None:
 
 @pytest.mark.parametrize("text", ["(", "[a", "a**", "(?P<a", "(" * 500 + ")" * 500, "\\"])
 def test_what_is_no_regular_expression_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="no regular expression|could take for ever"):
+    with pytest.raises(ValueError, match=r"no regular expression|could take for ever"):
         pattern(text)
 
 
@@ -77,7 +77,7 @@ def test_flags_are_those_of_shacl_that_are_known() -> None:
 pieces = st.recursive(
     st.sampled_from(["a", "b", "[ab]", ".", "[^a]", ","]),
     lambda inner: st.one_of(
-        st.tuples(inner, st.sampled_from(["*", "+", "?", "{2}", "{0,2}", "{1,9}", "*?"])).map(lambda two: f"(?:{two[0]}){two[1]}"),
+        st.builds("(?:{}){}".format, inner, st.sampled_from(["*", "+", "?", "{2}", "{0,2}", "{1,9}", "*?"])),
         st.lists(inner, min_size=1, max_size=3).map("".join),
         st.lists(inner, min_size=2, max_size=3).map(lambda each: f"({'|'.join(each)})"),
     ),

@@ -36,6 +36,17 @@ def test_a_report_has_everything_that_shacl_demands_of_one() -> None:
             assert len(list(graph.objects(result, required))) == 1
 
 
+def test_what_a_shape_found_is_told_with_its_shape_constraint_path_and_value() -> None:
+    focus, shape, path = (NamedNode(f"http://h/{name}") for name in ("engine", "mapping#standing", "v#speed"))
+    component, value = NamedNode(sh.iri + "MaxInclusiveConstraintComponent"), Literal(5)
+    found = Violation("speed", "must be at most 0", "5", component, shape, focus, path, value, sh.Warning)
+    triples = validation_report(URL, [found]).triples
+    said = {t.predicate: t.object for t in triples if t.subject == NamedNode(f"{URL}#result.0")}
+    assert said[sh.sourceConstraintComponent] == component
+    assert (said[sh.sourceShape], said[sh.focusNode], said[sh.resultPath]) == (shape, focus, path)
+    assert (said[sh.value], said[sh.resultSeverity]) == (value, sh.Warning)
+
+
 def test_a_report_without_violations_conforms() -> None:
     triples = validation_report(URL, []).triples
     assert [t.object for t in triples if t.predicate == sh.conforms] == [Literal(True)]

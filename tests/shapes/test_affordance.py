@@ -1,0 +1,168 @@
+"""Shapes of what to send: pyshacl takes what may be sent and refuses what may not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import pyshacl
+import pytest
+import rdflib
+from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, serialize
+
+from rosld.adapters.model import MessageSchema, Primitive, TypeRef
+from rosld.adapters.model.library import TypeLibrary
+from rosld.ontology.lift import lifter
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import qudt, rdf, sh, xsd
+from rosld.shapes.affordance import value_shape_triples
+from rosld.shapes.constraints import node_shape
+from rosld.shapes.message import closure
+from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
+
+SPACE = Space("http://127.0.0.1:8080/")
+URL = "http://127.0.0.1:8080/resources/a"
+SHAPE = NamedNode(URL + "#shape")
+SPEED = NamedNode("https://w3id.org/rosld/aircraft#speed")
+LIBRARY = TypeLibrary(ros_version=1)
+
+
+@cache
+def schema_of(name: str) -> MessageSchema:
+    schema = LIBRARY.find(TypeRef(name))
+    assert isinstance(schema, MessageSchema)
+    return schema
+
+
+def typed(text: str, datatype: NamedNode = xsd.double) -> Literal:
+    return Literal(text, datatype=datatype)
+
+
+def graph(triples: Sequence[Triple]) -> rdflib.Graph:
+    text = serialize(triples, format=RdfFormat.N_TRIPLES)
+    assert text is not None
+    return rdflib.Graph().parse(text, format="nt")
+
+
+def conforms(
+    shape: ValueShape, data: Sequence[Triple], path: NamedNode = rdf.value, more: Sequence[Triple] = ()
+) -> bool:
+    shapes = [*value_shape_triples(shape, SHAPE, path, SPACE), *more, Triple(SHAPE, sh.targetNode, NamedNode(URL))]
+    found, report, words = pyshacl.validate(graph(data), shacl_graph=graph(shapes))
+    assert isinstance(report, rdflib.Graph), words
+    return bool(found)
+
+
+def of(*values: Literal, path: NamedNode = rdf.value) -> list[Triple]:
+    return [Triple(NamedNode(URL), path, value) for value in values]
+
+
+def test_a_bounded_scalar_is_of_its_datatype_and_within_its_bounds() -> None:
+    shape = ScalarShape(Primitive("float64"), Bounds(least=typed("0", xsd.integer), below=typed("1000", xsd.integer)))
+    assert conforms(shape, of(typed("0.0")))
+    assert not conforms(shape, of(typed("1000.0")))
+    assert not conforms(shape, of(typed("-1.0")))
+    assert not conforms(shape, of(typed("5", xsd.integer)))
+    assert not conforms(shape, of())
+    assert not conforms(shape, of(typed("1.0"), typed("2.0")))
+
+
+def test_an_integer_is_within_the_range_of_its_type_where_nothing_is_narrower() -> None:
+    assert not conforms(ScalarShape(Primitive("int64")), of(typed("9223372036854775808", xsd.long)))
+    shape = ScalarShape(Primitive("int8"), Bounds(least=typed("0", xsd.integer)))
+    assert conforms(shape, of(typed("127", xsd.byte)))
+    assert not conforms(shape, of(typed("-1", xsd.byte)))
+    wider = ScalarShape(Primitive("int8"), Bounds(greatest=typed("1000", xsd.integer)))
+    said = [t.object for t in value_shape_triples(wider, SHAPE, rdf.value, SPACE) if t.predicate == sh.maxInclusive]
+    assert said == [typed("127", xsd.integer)]
+
+
+def test_choices_patterns_and_lengths_are_told() -> None:
+    choice = ScalarShape(Primitive("string"), Bounds(choices=(Literal("on"), Literal("off"))))
+    assert conforms(choice, of(Literal("off")))
+    assert not conforms(choice, of(Literal("up")))
+    text = ScalarShape(Primitive("string", bound=4), Bounds(pattern="^a", min_length=2, max_length=9))
+    assert conforms(text, of(Literal("abcd")))
+    for wrong in ("bcd", "a", "abcde"):
+        assert not conforms(text, of(Literal(wrong)))
+
+
+def test_a_mapped_property_is_by_its_predicate_and_tells_its_unit() -> None:
+    unit = NamedNode("http://qudt.org/vocab/unit/KN")
+    shape = ScalarShape(Primitive("float64"), measure=Measure(unit=unit))
+    assert conforms(shape, of(typed("1.0"), path=SPEED), SPEED)
+    assert not conforms(shape, of(typed("1.0")), SPEED)
+    assert Triple(NamedNode(URL + "#shape.value"), qudt.hasUnit, unit) in value_shape_triples(
+        shape, SHAPE, SPEED, SPACE
+    )
+
+
+def test_an_open_value_may_be_anything_within_its_bounds() -> None:
+    assert conforms(OpenShape(), of(Literal("anything")))
+    assert not conforms(OpenShape(Bounds(greatest=typed("5", xsd.integer))), of(typed("6", xsd.integer)))
+
+
+def twist(**values: float) -> list[Triple]:
+    schema = schema_of("geometry_msgs/msg/Twist")
+    parts = {
+        name: schema.codec.build(
+            "geometry_msgs/msg/Vector3", {axis: values.get(f"{name}_{axis}", 0.0) for axis in "xyz"}
+        )
+        for name in ("linear", "angular")
+    }
+    return message("geometry_msgs/msg/Twist", parts)
+
+
+def message(name: str, values: dict[str, object]) -> list[Triple]:
+    schema = schema_of(name)
+    triples = lifter(schema).triples(schema.codec.build(name, values), URL, "#value")
+    return [Triple(NamedNode(URL), rdf.value, NamedNode(URL + "#value")), *triples]
+
+
+def whole(name: str, **bounds: Bounds) -> MessageShape:
+    schema = schema_of(name)
+    dotted = {path.replace("_", "."): each for path, each in bounds.items()}
+    return MessageShape(schema, tuple(field.name for field in schema.type.fields), dotted)
+
+
+def test_a_message_is_of_its_types_shape_and_within_the_bounds_of_its_fields() -> None:
+    name = "geometry_msgs/msg/Twist"
+    shape, types = whole(name, linear_x=Bounds(greatest=typed("1000", xsd.integer))), closure(schema_of(name), SPACE)
+    assert conforms(shape, twist(linear_x=1000.0, angular_x=5000.0), more=types)
+    assert not conforms(shape, twist(linear_x=1000.5), more=types)
+    assert not conforms(shape, [t for t in twist() if not t.predicate.value.endswith("Twist#angular")], more=types)
+    assert not conforms(shape, of(typed("1.0")), more=types)
+
+
+def test_a_part_of_a_messages_fields_needs_no_others() -> None:
+    schema = schema_of("geometry_msgs/msg/Twist")
+    shape, types = MessageShape(schema, ("linear",)), closure(schema, SPACE)
+    untyped = [t for t in twist() if (t.subject, t.predicate) != (NamedNode(URL + "#value"), rdf.type)]
+    without = [t for t in untyped if not t.predicate.value.endswith("Twist#angular")]
+    assert conforms(shape, without, more=types)
+    assert not conforms(shape, [t for t in untyped if not t.predicate.value.endswith("Twist#linear")], more=types)
+
+
+def test_bounds_within_an_array_hold_for_each_element() -> None:
+    name = "geometry_msgs/msg/Polygon"
+    point = schema_of(name).codec.build
+    shape = whole(name, points_x=Bounds(greatest=typed("5", xsd.integer)))
+    types = closure(schema_of(name), SPACE)
+    for x, holds in ((5.0, True), (6.0, False)):
+        points = [point("geometry_msgs/msg/Point32", {"x": each, "y": 9.0, "z": 0.0}) for each in (1.0, x)]
+        assert conforms(shape, message(name, {"points": points}), more=types) is holds
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        ScalarShape(Primitive("string"), Bounds(choices=(Literal("on"),), pattern="^o", min_length=1)),
+        whole("geometry_msgs/msg/Twist", linear_x=Bounds(least=typed("0", xsd.integer))),
+        OpenShape(),
+    ],
+)
+def test_the_shape_can_be_compiled_and_its_nodes_are_fragments(shape: ValueShape) -> None:
+    triples = value_shape_triples(shape, SHAPE, rdf.value, SPACE)
+    node_shape([*triples, *closure(schema_of("geometry_msgs/msg/Twist"), SPACE)], SHAPE)
+    shapes = {t.subject for t in triples if t.predicate not in (rdf.first, rdf.rest, sh.zeroOrMorePath)}
+    assert all(isinstance(each, NamedNode) and each.value.startswith(URL + "#shape") for each in shapes)

@@ -39,6 +39,11 @@ class Moment:
     state: State | Problem
     chunks: dict[str, bytes] = field(default_factory=dict)
 
+    @property
+    def is_final(self) -> bool:
+        """Whether nothing can come after it: the resource is gone for good (410)."""
+        return isinstance(self.state, Problem) and self.state.status == 410
+
 
 class Sleeper:
     """A task that sleeps until somebody wakes it."""
@@ -51,16 +56,14 @@ class Sleeper:
 
     def wake(self) -> None:
         """Wake it, if it sleeps."""
-        if self._woken is not None and not self._woken.done():
-            self._woken.set_result(None)
+        woken, self._woken = self._woken, None
+        if woken is not None and not woken.done():
+            woken.set_result(None)
 
-    async def sleep(self) -> None:
-        """Sleep."""
+    def asleep(self) -> asyncio.Future[None]:
+        """What to await in order to sleep."""
         self._woken = self._loop.create_future()
-        try:
-            await self._woken
-        finally:
-            self._woken = None
+        return self._woken
 
 
 class Feed:
@@ -97,26 +100,28 @@ class Feed:
 
     async def wait(self, sleeper: Sleeper, version: int) -> None:
         """Until there may be something newer than `version`, or somebody else wakes the sleeper."""
-        if self.version != version:
-            return
-        self._sleepers[sleeper] = None
-        try:
-            await sleeper.sleep()
-        finally:
-            self._sleepers.pop(sleeper, None)
+        if self.version == version:
+            self._sleepers[sleeper] = None
+            try:
+                await sleeper.asleep()
+            finally:
+                self._sleepers.pop(sleeper, None)
+
+    def at_hand(self) -> Moment | None:
+        """What `look` would tell, if it need not read for it."""
+        return self._moment if self._seen == self.version else None
 
     async def look(self) -> Moment:
         """What the resource is like now: the very same object while that does not change."""
-        if self._moment is not None and self._seen == self.version:
-            return self._moment
         async with self._turn:
-            if self._moment is None or self._seen != self.version:
+            moment = self.at_hand()
+            if moment is None:
                 version = self.version
-                found = await self._read()
-                if self._moment is None or self._moment.name != found.name:
-                    self._moment = found
-                self._seen = version
-        return self._moment
+                moment = await self._read()
+                if self._moment is not None and self._moment.name == moment.name:
+                    moment = self._moment
+                self._moment, self._seen = moment, version
+            return moment
 
     async def _read(self) -> Moment:
         try:

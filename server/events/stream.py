@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from starlette.responses import Response
-from starlette.types import Message, Receive, Scope, Send
+from starlette.types import Receive, Scope, Send
 
 from rosld.adapters.model import RosError
 from rosld.server.errors import problem_of
@@ -98,12 +98,13 @@ class EventStream(Response):
             await self._send(send, await self._telling.chunk(Moment("", problem)))
 
     async def _follow(self, feed: Feed, send: Send) -> None:
-        loop = asyncio.get_running_loop()
         sleeper = Sleeper()
-        told: Moment | None = None
-        version = 0
-        with self._alarm(loop, sleeper):
-            while True:
+        version = feed.version
+        told = await feed.look()
+        if not self._is_known(told.state):
+            await self._event(send, told)
+        with self._alarm(sleeper):
+            while not told.is_final:
                 await feed.wait(sleeper, version)
                 if feed.version == version:
                     await self._keep_alive(send)
@@ -111,33 +112,32 @@ class EventStream(Response):
                 if (seconds := self._pace.wait(time.monotonic())) > 0.0:
                     await asyncio.sleep(seconds)
                 version = feed.version
-                moment = await feed.look()
-                if moment is told:
-                    continue
-                told = moment
-                if not self._is_known(moment):
-                    self._pace.passed(time.monotonic())
-                    await self._send(send, await self._telling.chunk(moment))
-                if isinstance(moment.state, Problem) and moment.state.status == 410:
-                    return
+                moment = feed.at_hand() or await feed.look()
+                if moment is not told:
+                    told = moment
+                    await self._event(send, moment)
 
-    def _is_known(self, moment: Moment) -> bool:
-        """Whether the reader had this state before the stream began; asked of the first moment only."""
-        known, self._known = self._known, None
-        return isinstance(moment.state, State) and asked.is_state(known, self._telling.name(moment.state))
+    def _is_known(self, state: State | Problem) -> bool:
+        """Whether the reader says that it has this state."""
+        return isinstance(state, State) and asked.is_state(self._known, self._telling.name(state))
+
+    async def _event(self, send: Send, moment: Moment) -> None:
+        chunk = moment.chunks.get(self._telling.variant) or await self._telling.chunk(moment)
+        self._pace.passed(time.monotonic())
+        await self._send(send, chunk)
 
     async def _send(self, send: Send, chunk: bytes) -> None:
         self._spoke = time.monotonic()
-        message: Message = {"type": "http.response.body", "body": chunk, "more_body": True}
-        await send(message)
+        await send({"type": "http.response.body", "body": chunk, "more_body": True})
 
     async def _keep_alive(self, send: Send) -> None:
         if time.monotonic() - self._spoke >= KEEP_ALIVE_SECONDS:
             await self._send(send, frame.KEEP_ALIVE)
 
     @contextlib.contextmanager
-    def _alarm(self, loop: asyncio.AbstractEventLoop, sleeper: Sleeper) -> Iterator[None]:
+    def _alarm(self, sleeper: Sleeper) -> Iterator[None]:
         """Wakes the sleeper when nothing was sent for a while. One timer, not one an event."""
+        loop = asyncio.get_running_loop()
         timer: asyncio.TimerHandle
 
         def ring() -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from starlette.responses import Response
 
+from rosld.adapters.base import Watch
 from rosld.adapters.model import Kind, Operation, Ref, RosError, Service, ServiceSchema
 from rosld.ontology.describe_services import CallView, call_document, service_document
 from rosld.ontology.document import Document
@@ -125,6 +126,9 @@ class CallResource(Resource):
     async def state(self) -> State:
         call = self.call
         return self.robot.states.get(self.url, Same(call), lambda: self.shown(call))
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return self.robot.calls.changes.watch(wake)
 
     def shown(self, call: Call) -> State:
         """The state of this call as it stood."""

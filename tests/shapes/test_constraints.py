@@ -11,6 +11,7 @@ import rdflib
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse, serialize
+from pyshacl.errors import ReportableRuntimeError
 
 from rosld.ontology.vocab import sh, xsd
 from rosld.shapes.constraints import NodeShape, node_shape
@@ -211,7 +212,12 @@ EVERY_OTHER = st.sampled_from(
 def test_the_verdict_on_every_other_shape_is_that_of_pyshacl(other: str, body: str, data: list[Triple]) -> None:
     shapes = triples(f":shape a sh:NodeShape ; {other} {';' if body else ''} {body} .")
     shape = node_shape(shapes, SHAPE)
-    assert by_rosld(shape, data) == by_pyshacl(shapes, data)
+    try:
+        expected = by_pyshacl(shapes, data)
+    except ReportableRuntimeError:  # blank nodes, which it will not order
+        assert shape.violations(FOCUS, data)
+    else:
+        assert by_rosld(shape, data) == expected
 
 
 # What surprises

@@ -126,6 +126,7 @@ class Robot:
             with contextlib.suppress(asyncio.CancelledError):
                 await self._follower
         await self.calls.stop()
+        await self.readings.stop()
         await self.topics.stop()
         await self.adapter.close()
 

@@ -47,9 +47,10 @@ def property_document(
 ) -> Document:
     """A property: its value as rdf:value, what it is read from and written to, and what may be done with it now."""
     subject = NamedNode(view.affordance.url)
-    said = _said(view.reading, None, subject.value, VALUE, lifting)
+    said = _said(view.reading, view.field, subject.value, VALUE, lifting)
+    name = view.reading.name if view.field is None else _name(subject.value, space)
     triples = (
-        *_property(view.affordance, view.reading.name, view.reads_from, view.writes_to, view.part_of),
+        *_property(view.affordance, name, view.reads_from, view.writes_to, view.part_of),
         *about(subject, (rdf.value, said.term), (ros.unreadable, said.failure)),
         *_property_affordance(view.affordance, subject, "#property", space),
     )
@@ -58,12 +59,16 @@ def property_document(
 
 def property_json(view: PropertyView, lifting: LiftSettings) -> bytes:
     """The value of a property as plain JSON; null where there is none."""
-    return _json(view.reading, None, lifting)
+    return _json(view.reading, view.field, lifting)
 
 
 @lru_cache(maxsize=4096)
 def _property(
-    affordance: PropertyAffordance, name: str, reads_from: tuple[str, ...], writes_to: tuple[str, ...], part_of: str
+    affordance: PropertyAffordance,
+    name: str | None,
+    reads_from: tuple[str, ...],
+    writes_to: tuple[str, ...],
+    part_of: str,
 ) -> tuple[Triple, ...]:
     """What does not change with the value."""
     return tuple(

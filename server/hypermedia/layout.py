@@ -6,7 +6,7 @@ on the state of the robot. Plans are made when first asked for and kept with the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -31,12 +31,21 @@ _MOST_AFFECTED = 10_000
 
 @dataclass(frozen=True, slots=True)
 class MemberPlan:
-    """A property within a complex resource: its key, and how a mapping has it (None: as it is)."""
+    """A property within a complex resource: its key, and how a mapping has it (None: as it is).
+
+    `at` is the full name under which it answers by itself; None where that is already another's.
+    """
 
     name: str
     of: Property
+    at: str | None
     guards: tuple[Condition, ...]
     mapped: MappedProperty | None = None
+
+    @property
+    def field(self) -> str | None:
+        """The one scalar that is shown of the property's value."""
+        return self.mapped.field if self.mapped is not None else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +108,9 @@ class ComplexPlan:
 
 @dataclass(frozen=True, slots=True)
 class PropertyPlan:
-    """A property by itself. `mapped`: as a mapping has it in the complex resource that it lies in."""
+    """A property by itself, or one field of it under a name of its own, as a mapping may have it."""
 
+    name: str
     of: Property
     exists_when: tuple[Condition, ...]
     guards: tuple[Condition, ...]
@@ -110,7 +120,12 @@ class PropertyPlan:
     @property
     def home(self) -> str:
         """The path of the complex resource that it lies in."""
-        return home_of(self.of.name)
+        return home_of(self.name)
+
+    @property
+    def member(self) -> MemberPlan:
+        """The same as a part of its complex resource."""
+        return MemberPlan(self.name.rpartition("/")[2], self.of, self.name, self.guards, self.mapped)
 
     @property
     def conditional(self) -> bool:
@@ -149,6 +164,12 @@ class Layout:
             resource.path + action.name: action
             for resource in arrangement.resources.values()
             for action in resource.actions
+        }
+        self._picked = {
+            resource.path + one.name: one
+            for resource in arrangement.resources.values()
+            for one in resource.properties
+            if one.field is not None and resource.path + one.name not in catalogue.properties
         }
         self._children = _children(catalogue.namespaces, arrangement)
         self._schemas = _schemas(catalogue)
@@ -199,6 +220,10 @@ class Layout:
             for leaf in members.leaves
             if about + leaf in self.catalogue.properties
         )
+
+    def reads(self, conditions: Iterable[Condition]) -> tuple[Property, ...]:
+        """The properties that must be read to judge these conditions."""
+        return self._reads((), conditions)
 
     def turns(self, names: Iterable[str]) -> tuple[str, ...]:
         """What a write to these names must have its turn at, in an order that all writes share; nothing where no
@@ -269,7 +294,9 @@ class Layout:
     def _derived_members(self, path: str) -> tuple[MemberPlan, ...]:
         properties = self.state_of(path)
         return tuple(
-            MemberPlan(one.name[len(path) :], self._unclaimed(one), guards_of_member(self.arrangement, one.name))
+            MemberPlan(
+                one.name[len(path) :], self._unclaimed(one), one.name, guards_of_member(self.arrangement, one.name)
+            )
             for one in properties
         )
 
@@ -279,7 +306,9 @@ class Layout:
             member = self.catalogue.properties.get(one.member)
             if member is not None:
                 guards = guards_of_member(self.arrangement, one.member)
-                found.append(MemberPlan(one.name, self._unclaimed(member), guards, one))
+                at = one.member if one.field is None else mapped.path + one.name
+                free = one.field is None or self._picked.get(at) is one
+                found.append(MemberPlan(one.name, self._unclaimed(member), at if free else None, guards, one))
         return tuple(found)
 
     def _derived_actions(self, path: str) -> tuple[ActionPlan, ...]:
@@ -295,14 +324,29 @@ class Layout:
         return LinkPlan(link.relation, link.target, _once((*link.available_when, *self.exists_when(link.target))))
 
     def _property(self, name: str) -> PropertyPlan | None:
-        found = self.catalogue.properties.get(name)
+        home = home_of(name)
+        mapped = self._picked.get(name) or self._as_mapped(home, name)
+        member = name if mapped is None else mapped.member
+        found = self.catalogue.properties.get(member)
         if found is None:
             return None
-        home = self.arrangement.resources.get(home_of(name))
-        mapped = next((one for one in home.properties if one.member == name and not one.field), None) if home else None
-        exists, guards = self.exists_when(home_of(name)), guards_of_member(self.arrangement, name)
-        found = self._unclaimed(found)
-        return PropertyPlan(found, exists, guards, mapped, self._reads((found,), (*exists, *guards)))
+        exists, guards = self.exists_when(home), guards_of_member(self.arrangement, member)
+        return PropertyPlan(
+            name, self._unclaimed(found), exists, guards, mapped, self._reads((found,), (*exists, *guards))
+        )
+
+    def _as_mapped(self, path: str, name: str) -> MappedProperty | None:
+        """How the mapping of a path has one of its own members."""
+        resource = self.arrangement.resources.get(path)
+        properties = resource.properties if resource is not None else ()
+        return next((one for one in properties if one.member == name and one.field is None), None)
+
+    def shown_of(self, name: str) -> Iterator[tuple[str, str | None]]:
+        """The names under which a property answers, each with the field that is shown there (None: all of it)."""
+        yield name, None
+        for at, mapped in self._picked.items():
+            if mapped.member == name:
+                yield at, mapped.field
 
     def _action(self, name: str) -> ActionPlan | None:
         action = self._named.get(name)

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rosld.adapters.base import Watch
 from rosld.adapters.model import Graph, Kind, Operation, Ref, RosError, Schema, TypeRef
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import in_words
+from rosld.server.events.watches import Signal, every, together
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, Reader, TopicSource, Writer
 from rosld.server.hypermedia.conditions import Verdicts, url_of
@@ -40,6 +42,8 @@ if TYPE_CHECKING:
     from rosld.server.robot import Robot
     from rosld.server.settings import Settings
 
+_LEAST_SECONDS = 0.1
+"""How often a getter is asked at most for somebody who follows its value."""
 _TYPES_SECONDS = 3.0
 """How long a layout waits for types that must be asked for; those that come later make another layout."""
 
@@ -61,6 +65,7 @@ class Offers:
         self._kept: tuple[Graph, int, Arrangement, Layout] | None = None
         self._making: asyncio.Lock = asyncio.Lock()
         self._turns: dict[str, asyncio.Lock] = {}
+        self._changes = Signal()
 
     # The layout
 
@@ -131,6 +136,12 @@ class Offers:
         found = await robot.readings.read(reads, deadline=deadline, anew=anew)
         return tuple(found[one.name] for one in reads)
 
+    async def require_there(self, layout: Layout, plan: ComplexPlan) -> None:
+        """Raise a 404 Problem where a complex resource is not there now. Nothing else of it is looked at."""
+        reads = layout.reads(plan.exists_when)
+        readings = self.known(reads) or await self.look(reads)
+        self.require(plan.exists_when, self.sight(layout, readings).verdicts, plan.path)
+
     def sight(self, layout: Layout, readings: Iterable[Reading]) -> Sight:
         """What follows from readings."""
         by_name = {reading.name: reading for reading in readings}
@@ -141,6 +152,15 @@ class Offers:
         if not readings or any(one.fresh_until is None for one in readings):
             return 0
         return int(self._robot.settings.freshness)
+
+    async def watch(self, reads: Sequence[Property], wake: Callable[[], None]) -> Watch:
+        """Call `wake` when one of these properties may have another value, or anything else has changed."""
+        robot, names = self._robot, {one.name for one in reads}
+        watches = [robot.changes.watch(wake), self._changes.watch(wake, lambda name: name in names)]
+        watches += [await robot.topics.watch(one.readers[0].name, wake) for one in reads if is_observable(one)]
+        if not all(map(is_observable, reads)):
+            watches.append(every(max(_LEAST_SECONDS, robot.settings.freshness), wake))
+        return together(*watches)
 
     # What is seen
 
@@ -157,7 +177,7 @@ class Offers:
                 Member(
                     self.member_affordance(one, verdicts.hold(one.guards)),
                     sight.readings[one.of.name],
-                    one.mapped.field if one.mapped else None,
+                    one.field,
                 )
                 for one in plan.members
             ),
@@ -177,7 +197,7 @@ class Offers:
         """A property by itself. Raises a 404 Problem where it is not there."""
         self.require(plan.exists_when, sight.verdicts, plan.of.name)
         own, space = plan.of, self._robot.space
-        affordance = self.property_affordance(plan, sight.verdicts.hold(plan.guards))
+        affordance = self.member_affordance(plan.member, sight.verdicts.hold(plan.guards))
         reading = sight.readings[own.name]
         return PropertyView(
             affordance,
@@ -185,6 +205,7 @@ class Offers:
             tuple(_source_url(way, space) for way in own.readers),
             tuple(_source_url(way, space) for way in own.writers),
             url_of(plan.home, space),
+            plan.member.field,
         )
 
     def action_view(self, plan: ActionPlan, sight: Sight) -> ActionView:
@@ -204,33 +225,26 @@ class Offers:
     # What can be done
 
     def member_affordance(self, plan: MemberPlan, write: bool) -> PropertyAffordance:
-        """A member of a complex resource as it can be used; `write`: its conditions hold."""
-        own, robot = plan.of, self._robot
-        url = url_of(own.name, robot.space)
-        mapped = plan.mapped
-        shape = value_shape(own.kind, robot.limits, url, mapped.measure if mapped else NO_MEASURE)
-        predicate = mapped.predicate if mapped else None
-        if mapped is not None and mapped.field is not None:  # it is read and patched as a part of its complex resource
-            shape = field_shape(shape, mapped.field, mapped.measure)
-            return PropertyAffordance(plan.name, url, shape, predicate, read=False)
+        """A property as it can be used; `write`: its conditions hold. What has no URL of its own affords nothing."""
+        own, mapped, robot = plan.of, plan.mapped, self._robot
+        url = url_of(plan.at or own.name, robot.space)
+        measure = mapped.measure if mapped else NO_MEASURE
+        shape = value_shape(own.kind, robot.limits, url, measure)
+        if plan.field is not None:
+            shape = field_shape(shape, plan.field, robot.limits.bounds_of_resource(url), measure)
         return PropertyAffordance(
             plan.name,
             url,
             shape,
-            predicate,
-            read=bool(own.readers),
-            write=write and self.is_writable(own),
-            observe=is_observable(own),
+            mapped.predicate if mapped else None,
+            read=plan.at is not None and bool(own.readers),
+            write=plan.at is not None and write and self.is_writable(own),
+            observe=plan.at is not None and is_observable(own),
         )
-
-    def property_affordance(self, plan: PropertyPlan, write: bool) -> PropertyAffordance:
-        """A property by itself as it can be used."""
-        key = plan.of.name.rpartition("/")[2]
-        return self.member_affordance(MemberPlan(key, plan.of, plan.guards, plan.mapped), write)
 
     def action_affordance(self, plan: ActionPlan) -> ActionAffordance:
         """An action as it can be used."""
-        request = plan.schema.request if plan.schema is not None else None
+        request = plan.schema.request if plan.schema is not None and self.is_callable(plan) else None
         url = url_of(plan.name, self._robot.space)
         return ActionAffordance(plan.name.rpartition("/")[2], url, request, plan.relation)
 
@@ -268,7 +282,10 @@ class Offers:
     def written(self, kind: Kind, name: str) -> None:
         """Something was written to a topic, service or parameter: values that may have changed are no longer fresh."""
         if self._kept is not None:
-            self._robot.readings.end(self._kept[3].affected(kind, name))
+            affected = self._kept[3].affected(kind, name)
+            self._robot.readings.end(affected)
+            for each in affected:
+                self._changes.give(each)
 
 
 def conventions_of(settings: Settings) -> Conventions:

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from rosld.adapters.model import Array, MessageSchema, Nested, Primitive
 from rosld.server.hypermedia.catalogue import MessageKind, ScalarKind, ValueKind
-from rosld.shapes.value import UNBOUNDED, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
+from rosld.shapes.bounds import narrowed
+from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
 
 if TYPE_CHECKING:
     from rosld.shapes.limits import Limits
@@ -25,12 +26,15 @@ def value_shape(kind: ValueKind, limits: Limits, url: str, measure: Measure) -> 
             return OpenShape(bounds, measure)
 
 
-def field_shape(shape: ValueShape, path: str, measure: Measure) -> ValueShape:
-    """What one field of a value is (`pose.position.x`); open where the type has no such scalar."""
-    if not isinstance(shape, MessageShape):
-        return OpenShape(measure=measure)
-    kind = _primitive(shape.schema, path)
-    return OpenShape(measure=measure) if kind is None else ScalarShape(kind, shape.bounds.get(path, UNBOUNDED), measure)
+def field_shape(shape: ValueShape, path: str, bounds: Bounds, measure: Measure) -> ValueShape:
+    """What one field of a value is (`pose.position.x`); open where the type has no such scalar.
+
+    `bounds` are those of the field's own resource; its type's hold as well.
+    """
+    kind = _primitive(shape.schema, path) if isinstance(shape, MessageShape) else None
+    if kind is None or not isinstance(shape, MessageShape):
+        return OpenShape(bounds, measure)
+    return ScalarShape(kind, narrowed(bounds, shape.bounds.get(path, UNBOUNDED)), measure)
 
 
 def _primitive(schema: MessageSchema, path: str) -> Primitive | None:

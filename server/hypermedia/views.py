@@ -65,7 +65,7 @@ class Member:
 class PropertyView:
     """A property by itself (`/resources/aircraft/power`). `reads_from` and `writes_to`: the URLs of the ROS topics,
 
-    services and parameters behind it; `part_of`: the URL of its complex resource.
+    services and parameters behind it; `part_of`: the URL of its complex resource; `field`: the one scalar it shows.
     """
 
     affordance: PropertyAffordance
@@ -73,6 +73,7 @@ class PropertyView:
     reads_from: tuple[str, ...]
     writes_to: tuple[str, ...]
     part_of: str
+    field: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -127,30 +127,31 @@ def _by_property(changes: Iterable[Change], readings: Mapping[str, Reading]) -> 
     for change in changes:
         member, own = change.member, change.member.of
         names, _, content = whole.get(own.name, ([], own, None))
-        field = member.mapped.field if member.mapped is not None else None
-        if field is not None:
-            content = _with_field(content if names else _all_of(readings[own.name], member.name), field, change.content)
+        if member.field is not None:
+            base = content if names else all_of(readings[own.name], member.name)
+            content = with_field(base, member.field, change.content)
         else:
             content = change.content
         whole[own.name] = ([*names, member.name], own, content)
     return [(", ".join(names), own, content) for names, own, content in whole.values()]
 
 
-def _all_of(reading: Reading, name: str) -> object:
+def all_of(reading: Reading, name: str) -> object:
+    """The whole value that `name` is a field of, as plain JSON; a 409 Problem where there is none now."""
     if reading.value is None:
         why = reading.failure or "it has no value yet"
         raise Problem(409, f"{name} is a field of {reading.name}, which must be known to be changed: {why}.")
     return parse_json(plain_json(reading.value, WHOLE))
 
 
-def _with_field(content: object, path: str, value: object) -> object:
+def with_field(content: object, path: str, value: object) -> object:
     """The content with another value at a dotted path."""
     step, _, rest = path.partition(".")
     if isinstance(content, list) and step.isdecimal() and int(step) < len(content):
-        inner = _with_field(content[int(step)], rest, value) if rest else _plain(value)
+        inner = with_field(content[int(step)], rest, value) if rest else _plain(value)
         return [*content[: int(step)], inner, *content[int(step) + 1 :]]
     if isinstance(content, dict) and step in content:
-        return {**content, step: _with_field(content[step], rest, value) if rest else _plain(value)}
+        return {**content, step: with_field(content[step], rest, value) if rest else _plain(value)}
     raise LoweringError(Violation(path, "there is no such field"))
 
 

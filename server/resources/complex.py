@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from starlette.responses import Response
 
+from rosld.adapters.base import Watch
 from rosld.ontology.lower import parse_json
 from rosld.server.html import Form, forms_of
 from rosld.server.http.link import Link
@@ -109,9 +110,14 @@ class ComplexResource(Resource):
     async def special(self, exchange: Exchange) -> Response | None:
         if not wants_thing(exchange):
             return None
-        _, plan = await self._plan()
-        await self.state()  # 404 where it is not there now
+        layout, plan = await self._plan()
+        await self.robot.offers.require_there(layout, plan)
         return thing_response(exchange, self.robot, complex_thing(self.robot, plan))
+
+    async def watch(self, wake: Callable[[], None]) -> Watch | None:
+        layout = await self.robot.offers.layout()
+        plan = layout.complex(self.path)
+        return None if plan is None else await self.robot.offers.watch(plan.reads, wake)
 
     async def forms(self) -> Sequence[Form]:
         view = (await self.state()).view

@@ -25,7 +25,6 @@ async def require_message(
     limits = robot.limits
     if not limits:
         return
-
     check = limits.message(schema)
     broken = list(check(message, url, node)) if check is not None else []
     shape = limits.resource(url)
@@ -61,18 +60,21 @@ async def _of_parameter(robot: Robot, name: str, value: ParameterValue) -> list[
 
 
 async def _of_property(robot: Robot, kind: Kind, name: str, value: Value) -> list[Violation]:
-    """What a value breaks of the limits on the property that is written by a topic, service or parameter."""
-    catalogue = (await robot.offers.layout()).catalogue
+    """What a value breaks of the limits on the property that a topic, service or parameter writes, by all its names."""
+    layout = await robot.offers.layout()
+    catalogue = layout.catalogue
     ways = {Kind.TOPIC: catalogue.by_topic, Kind.SERVICE: catalogue.by_service, Kind.PARAMETER: catalogue.by_parameter}
     found = ways[kind].get(name)
     if found is None or (kind is Kind.SERVICE and all(way.name != name for way in catalogue.properties[found].writers)):
         return []  # what a getter is asked with is no value
-    url = url_of(found, robot.space)
-    shape = robot.limits.resource(url)
-    if shape is None:
-        return []
-    return list(shape.violations(NamedNode(url), _triples(robot, url, rdf.value, value)))
+    broken: list[Violation] = []
+    for shown, field in layout.shown_of(found):
+        url = url_of(shown, robot.space)
+        shape = robot.limits.resource(url)
+        if shape is not None:
+            broken += shape.violations(NamedNode(url), _triples(robot, url, rdf.value, value, field))
+    return broken
 
 
-def _triples(robot: Robot, url: str, predicate: NamedNode, value: Value) -> list[Triple]:
-    return value_triples(NamedNode(url), predicate, Reading("value", value), None, robot.lifting)
+def _triples(robot: Robot, url: str, predicate: NamedNode, value: Value, field: str | None = None) -> list[Triple]:
+    return value_triples(NamedNode(url), predicate, Reading("value", value), field, robot.lifting)

@@ -5,12 +5,15 @@ A property is read with GET and written with PUT and PATCH, an action is invoked
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from pyoxigraph import NamedNode
+from starlette.responses import Response
 
+from rosld.adapters.base import Watch
 from rosld.adapters.model import Kind
 from rosld.ontology.body import RdfBody, parse_body
+from rosld.ontology.fields import field_bytes
 from rosld.ontology.lower import parse_json
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.calls import Outcome
@@ -22,6 +25,7 @@ from rosld.server.hypermedia.content import rdf_content
 from rosld.server.hypermedia.describe import action_document, property_document, property_json
 from rosld.server.hypermedia.layout import ActionPlan, Layout, PropertyPlan, parent_of
 from rosld.server.hypermedia.offers import Sight
+from rosld.server.hypermedia.value import MessageValue
 from rosld.server.hypermedia.views import PropertyView
 from rosld.server.hypermedia.writing import carry_out
 from rosld.server.hypermedia.writing import why_not as why_not_writable
@@ -39,6 +43,7 @@ from rosld.server.ldp.resource import (
     moved,
 )
 from rosld.server.ldp.state import State
+from rosld.server.resources.changes import all_of, with_field
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.guarding import require_offered, require_writable, seen_anew
 from rosld.server.resources.limits import require_message
@@ -98,7 +103,7 @@ class MemberResource(Resource):
         layout = self._layout
         action = layout.action(self.name) if layout is not None else None
         if action is None or action.schema is None:
-            return f"{self.url}#property.shape"
+            return f"{self.url}#property/shape"
         return self.robot.space.shape(action.schema.request.ref.name)
 
     # Reading
@@ -153,6 +158,25 @@ class MemberResource(Resource):
             return Problem(404, f"The service {self.name} is offered as {url_of(instead, self.robot.space)}")
         return Problem(404, f"There is no resource {self.name}.")
 
+    async def watch(self, wake: Callable[[], None]) -> Watch | None:
+        layout = await self.robot.offers.layout()
+        plan = layout.property(self.name) or layout.action(self.name)
+        return None if plan is None else await self.robot.offers.watch(plan.reads, wake)
+
+    async def special(self, exchange: Exchange) -> Response | None:
+        """`?field=PATH`: the bytes of one field of the value."""
+        if b"field=" not in exchange.request.scope["query_string"] or "field" not in exchange.query:
+            return None
+        view, path = (await self.state()).view, exchange.query["field"]
+        value = view.reading.value if isinstance(view, PropertyView) else None
+        if not isinstance(value, MessageValue):
+            raise Problem(404, f"{self.name} has no message, so no field {path!r}.")
+        try:
+            data, media_type = field_bytes(value.schema, value.message, path)
+        except ValueError as error:
+            raise Problem(404, str(error)) from error
+        return Response(data, media_type=media_type, headers={"Cache-Control": "no-cache"})
+
     async def forms(self) -> Sequence[Form]:
         """Whatever conditions say now: a form that was on offer when its page was drawn is told why it no longer is."""
         layout, offers = await self.robot.offers.layout(), self.robot.offers
@@ -171,8 +195,10 @@ class MemberResource(Resource):
         layout, plan = await self._property()
         content = self._content(exchange, plan, await exchange.body())
         async with self.robot.offers.turn(layout, self.name):
-            if plan.conditional:
-                require_writable(self.robot, plan, await seen_anew(self.robot, layout, plan.reads))
+            if plan.conditional or plan.member.field is not None:
+                sight = await seen_anew(self.robot, layout, plan.reads)
+                require_writable(self.robot, plan, sight)
+                content = self._whole(plan, sight, content)
             written = await planned(self.robot, plan.of, content)
             return told(written, await carry_out(self.robot, written), exchange.accept)
 
@@ -182,7 +208,7 @@ class MemberResource(Resource):
         async with self.robot.offers.turn(layout, self.name):
             sight = await seen_anew(self.robot, layout, plan.reads)
             require_writable(self.robot, plan, sight)
-            content = self._patched(exchange, plan, sight, data)
+            content = self._whole(plan, sight, self._patched(exchange, plan, sight, data))
             written = await planned(self.robot, plan.of, content)
             return told(written, await carry_out(self.robot, written), exchange.accept)
 
@@ -192,6 +218,11 @@ class MemberResource(Resource):
         if plan is None:
             raise self._missing(layout)
         return layout, plan
+
+    def _whole(self, plan: PropertyPlan, sight: Sight, content: object) -> object:
+        """The content of the whole property, where what is written is one field of it."""
+        field = plan.member.field
+        return content if field is None else with_field(all_of(sight.readings[plan.of.name], self.name), field, content)
 
     def _content(self, exchange: Exchange, plan: PropertyPlan, data: bytes) -> object:
         if exchange.media_type == JSON:

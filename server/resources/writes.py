@@ -5,10 +5,11 @@ from __future__ import annotations
 from starlette.responses import Response
 
 from rosld.adapters.model import Kind
-from rosld.server.http.problem import Problem, render
+from rosld.server.http.problem import render
 from rosld.server.hypermedia.catalogue import Property, Setter
 from rosld.server.hypermedia.value import MessageValue
 from rosld.server.hypermedia.writing import PlannedWrite, Written, plan_write
+from rosld.server.publication import unheard
 from rosld.server.resources.limits import require_message, require_parameter
 from rosld.server.robot import Robot
 
@@ -32,5 +33,4 @@ def told(plan: PlannedWrite, written: Written, accept: str | None) -> Response:
     """The answer to a write that was carried out: 204, or 202 where nobody was there to hear it."""
     if written is Written.DONE:
         return Response(status_code=204)
-    sentence = f"The message was published, but no subscriber of {plan.writer.name} was there to get it."
-    return render(Problem(202, sentence, title="Nobody is listening"), accept).response()
+    return render(unheard(plan.writer.name), accept).response()

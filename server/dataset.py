@@ -37,11 +37,10 @@ from rosld.server.resources.ontology import vocabulary
 from rosld.server.resources.parameters import ParameterResource
 from rosld.server.resources.services import CallResource
 from rosld.server.resources.topics import TopicResource
-from rosld.server.resources.types import MAPPING, known_types, names_below
+from rosld.server.resources.types import LIMITS, MAPPING, known_types, names_below, whole_shape
 from rosld.server.robot import Robot, Same
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.sync import GraphEntry
-from rosld.shapes.mapping import mapping_shape
 from rosld.shapes.message import shape_document
 
 _KEPT = 256
@@ -206,8 +205,8 @@ class Dataset:
             below = names_below(listed, room, path)
             describe = partial(type_container_document, room, path, below, space)
             yield _described(space.container(room, path), below, describe)
-        mapping = space.shape(MAPPING)
-        yield _described(mapping, 0, partial(mapping_shape, mapping))
+        for name in (LIMITS, MAPPING):
+            yield _described(space.shape(name), 0, partial(whole_shape, self._robot, name))
         for schema in self._robot.schemas.all():
             yield from self._type(schema)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace, dataclass
+from dataclasses import dataclass, replace
 from http import HTTPStatus
 
 import orjson

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from rosld.adapters.model import Schema, ServiceSchema, TypeRef
 from rosld.ontology.describe_containers import type_container_document
 from rosld.ontology.describe_types import type_document
+from rosld.ontology.document import Document
 from rosld.ontology.urls import Location
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
@@ -19,8 +20,8 @@ from rosld.server.robot import Robot, Same, used_types
 from rosld.shapes.mapping import mapping_shape
 from rosld.shapes.message import shape_document
 
-MAPPING = "mapping"
-"""The name of the shape of mapping documents, below `/shapes/`."""
+LIMITS, MAPPING = "limits", "mapping"
+"""What lies below `/shapes/` beside the shapes of types: the limits in force, the shape of mapping documents."""
 
 
 class TypeResource(Resource):
@@ -64,18 +65,24 @@ class ShapeResource(Resource):
         )
 
 
-class MappingShapeResource(Resource):
-    """`/shapes/mapping`: the shape of mapping documents."""
+class WholeShapeResource(Resource):
+    """`/shapes/limits` and `/shapes/mapping`: a shapes graph by itself."""
 
     kind = "Shape"
-    title = MAPPING
 
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(robot.space.shape(MAPPING))
+    def __init__(self, robot: Robot, name: str) -> None:
+        super().__init__(robot.space.shape(name))
         self.robot = robot
+        self.title = name
 
     async def state(self) -> State:
-        return self.robot.states.get(self.url, 0, lambda: State(lambda: mapping_shape(self.url)))
+        return self.robot.states.get(self.url, 0, lambda: State(lambda: whole_shape(self.robot, self.title)))
+
+
+def whole_shape(robot: Robot, name: str) -> Document:
+    """The shapes graph of LIMITS or MAPPING."""
+    url = robot.space.shape(name)
+    return mapping_shape(url) if name == MAPPING else Document(url, robot.limits.graph)
 
 
 class TypeContainer(Resource):
@@ -121,7 +128,7 @@ def names_below(listed: Sequence[str], room: str, namespace: tuple[str, ...]) ->
     """The names that a container of types or shapes shows, of those `listed` by the robot."""
     depth = len(namespace)
     below = tuple(name for name in listed if tuple(name.split("/"))[:depth] == namespace)
-    return (*below, MAPPING) if room == "shapes" and not namespace else below
+    return (*below, LIMITS, MAPPING) if room == "shapes" and not namespace else below
 
 
 def type_room(robot: Robot, location: Location) -> Resource:
@@ -133,8 +140,8 @@ def type_room(robot: Robot, location: Location) -> Resource:
 
 def shape_room(robot: Robot, location: Location) -> Resource:
     """`/shapes/` and below."""
-    if location.segments == (MAPPING,) and not location.is_container:
-        return MappingShapeResource(robot)
+    if location.segments in ((LIMITS,), (MAPPING,)) and not location.is_container:
+        return WholeShapeResource(robot, location.segments[0])
     if location.is_container or len(location.segments) < 3:
         return _container(robot, "shapes", location)
     return ShapeResource(robot, "/".join(location.segments))

@@ -1,7 +1,7 @@
 """Node for tests: the packages of package.json, installed once into `node_modules` beside this file.
 
-Where they come from is npm's own configuration. The W3C's JSON Schema of Thing Descriptions is
-`node_modules() / "wot-thing-description-types/schema/td-json-schema-validation.json"`.
+Where they come from is npm's own configuration; how they are installed, `.npmrc` says. The W3C's JSON Schema of Thing
+Descriptions is `node_modules() / "wot-thing-description-types/schema/td-json-schema-validation.json"`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ HERE = Path(__file__).parent
 PACKAGE = HERE / "package.json"
 FOLDER = HERE / "node_modules"
 DEBIAN = HERE.parent / "debian-node.txt"
-INSTALL = ("npm", "install", "--no-audit", "--no-fund", "--no-package-lock", "--ignore-scripts", "--no-update-notifier")
 OLDEST = 18
 PATIENCE = 300.0
 
@@ -43,7 +42,8 @@ def node_modules() -> Path:
         wanted, stamp = PACKAGE.read_text(), FOLDER / ".installed"
         if not stamp.exists() or stamp.read_text() != wanted:
             stamp.unlink(missing_ok=True)
-            done = subprocess.run(INSTALL, cwd=HERE, capture_output=True, text=True, timeout=PATIENCE, check=False)
+            command = ("npm", "install")
+            done = subprocess.run(command, cwd=HERE, capture_output=True, text=True, timeout=PATIENCE, check=False)
             if done.returncode != 0:
                 _missing(f"npm could not install {PACKAGE}: {done.stderr[-2000:]}")
             stamp.write_text(wanted)

@@ -12,9 +12,9 @@ def test_node_wot_reads_writes_and_invokes(aircraft: Any, run_node: Callable[...
     code, lines = run_node("wot.mjs", aircraft.url, str(CRUISE))
     assert code == 0, lines
     observed = next(line["observed"] for line in lines if "observed" in line)
-    if observed is not None:
-        assert CRUISE in observed
-        assert observed[-1] == 0
+    assert CRUISE in observed
+    assert observed[-1] == 0
+    assert any(0 < speed < CRUISE for speed in observed), observed
     assert [line for line in lines if "observed" not in line] == [
         {"power": "off"},
         {"refused": "stop", "error": "Client error: Conflict"},

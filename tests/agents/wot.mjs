@@ -71,22 +71,20 @@ tell({ started: await (await aircraft.invokeAction(start)).value() });
 await refused("start", () => aircraft.invokeAction(start));
 
 const { thing: engine, description: inside, name: speed } = await thingWith("properties", "map:predicate", "speed");
-const { minimum, maximum, observable } = inside.properties[speed];
+const { minimum, maximum } = inside.properties[speed];
 tell({ things: [about.title, inside.title], bounds: [minimum, maximum] });
 await refused("too fast", () => engine.writeProperty(speed, maximum + 1));
 
 const observed = [];
-const observing = observable
-    ? await engine.observeProperty(speed, async (output) => observed.push(await output.value()))
-    : undefined;
+const observing = await engine.observeProperty(speed, async (output) => observed.push(await output.value()));
 for (const wanted of [cruise, 0]) {
     await engine.writeProperty(speed, wanted);
     await until(async () => (await read(engine, speed)) === wanted, `speed ${wanted}`);
-    if (observing !== undefined) await until(() => observed.at(-1) === wanted, `speed ${wanted} observed`);
+    await until(() => observed.at(-1) === wanted, `speed ${wanted} observed`);
     tell({ speed: wanted });
 }
-await observing?.stop();
-tell({ observed: observing === undefined ? null : observed });
+await observing.stop();
+tell({ observed });
 
 tell({ stopped: await (await aircraft.invokeAction(stop)).value() });
 tell({ power: await read(aircraft, power) });

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Coroutine
+from collections.abc import Coroutine, Iterator
 from dataclasses import dataclass, field
 
 from starlette.types import Receive
@@ -13,7 +13,7 @@ from starlette.types import Receive
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
 from rosld.server.errors import problem_of
-from rosld.server.events.watches import Signal, every, together
+from rosld.server.events.watches import Signal, every
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.resource import Resource
 from rosld.server.ldp.state import State
@@ -22,7 +22,7 @@ MOST_READERS = 2000
 """Streams and waiting requests at a time; one more is answered 503."""
 RETRY_SECONDS = 2
 _LOOK_AGAIN_SECONDS = 5.0
-"""How often a resource with no watch of its own is looked at, beside each time that anything in general changed."""
+"""How often a resource with no watch of its own is looked at."""
 
 _log = logging.getLogger("rosld")
 
@@ -70,7 +70,8 @@ class Feed:
     """One resource as it changes.
 
     A reader takes note of `version`, looks, and sleeps in `wait` until there may be more. What changes while nobody
-    looks costs nothing but a number.
+    looks costs nothing but a number. Whenever anything in general has changed the resource is watched anew: what it
+    is made of may be something else now.
     """
 
     def __init__(self, resource: Resource, general: Signal) -> None:
@@ -78,25 +79,23 @@ class Feed:
         self.readers = 0
         self._resource = resource
         self._general = general
+        self._follows: Watch | None = None
         self._watch: Watch | None = None
+        self._is_outdated = True
         self._sleepers: dict[Sleeper, None] = {}
         self._turn = asyncio.Lock()
         self._moment: Moment | None = None
         self._seen = 0
 
-    async def begin(self) -> None:
-        """Watch the resource, unless it is watched. Raises what `Resource.watch` raises."""
-        async with self._turn:
-            if self._watch is None:
-                self._watch = await self._resource.watch(self._stir) or together(
-                    self._general.watch(self._stir), every(_LOOK_AGAIN_SECONDS, self._stir)
-                )
+    def begin(self) -> None:
+        """Follow the resource. Its own watch is made by the first look."""
+        self._follows = self._general.watch(self._outdate)
 
     def end(self) -> None:
-        """Watch no more."""
-        if self._watch is not None:
-            self._watch.close()
-            self._watch = None
+        """Follow it no more."""
+        for watch in (self._follows, self._watch):
+            if watch is not None:
+                watch.close()
 
     async def wait(self, sleeper: Sleeper, version: int) -> None:
         """Until there may be something newer than `version`, or somebody else wakes the sleeper."""
@@ -125,6 +124,8 @@ class Feed:
 
     async def _read(self) -> Moment:
         try:
+            if self._is_outdated:
+                await self._renew()
             await self._resource.ready()
             state = await self._resource.state()
             return Moment(state.tag, state)
@@ -136,6 +137,24 @@ class Feed:
             _log.exception("%s cannot be read for its changes", self._resource.url, exc_info=error)
             problem = Problem(500, "The server failed to read this resource; its log says more.")
         return Moment(f"{problem.status} {problem.detail}", problem)
+
+    async def _renew(self) -> None:
+        """Watch the resource as it is made now; where that fails, the next look tries again."""
+        self._is_outdated = False
+        watch: Watch | None = None
+        try:
+            watch = await self._resource.watch(self._stir)
+        except BaseException:
+            self._is_outdated = True
+            raise
+        finally:
+            old, self._watch = self._watch, watch or every(_LOOK_AGAIN_SECONDS, self._stir)
+            if old is not None:
+                old.close()
+
+    def _outdate(self) -> None:
+        self._is_outdated = True
+        self._stir()
 
     def _stir(self) -> None:
         self.version += 1
@@ -160,15 +179,15 @@ class Feeds:
             why = "The server is ending." if self._is_over else f"{MOST_READERS} readers of changes are here already."
             raise Problem(503, f"{why} Come back later, or read without a stream.", headers={"Retry-After": "10"})
 
-    @contextlib.asynccontextmanager
-    async def following(self, resource: Resource) -> AsyncIterator[Feed]:
+    @contextlib.contextmanager
+    def following(self, resource: Resource) -> Iterator[Feed]:
         """The feed of a resource, which is watched as long as somebody follows it."""
         feed = self._feeds.get(resource)
         if feed is None:
             feed = self._feeds[resource] = Feed(resource, self._general)
+            feed.begin()
         feed.readers += 1
         try:
-            await feed.begin()
             yield feed
         finally:
             feed.readers -= 1

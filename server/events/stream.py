@@ -12,8 +12,6 @@ from typing import TypeAlias
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from rosld.adapters.model import RosError
-from rosld.server.errors import problem_of
 from rosld.server.events import asked, frame
 from rosld.server.events.feed import RETRY_SECONDS, Feed, Feeds, Moment, Sleeper
 from rosld.server.events.pace import Pace
@@ -90,12 +88,8 @@ class EventStream(Response):
 
     async def _tell(self, send: Send) -> None:
         await self._send(send, frame.opening(RETRY_SECONDS))
-        try:
-            async with self._feeds.following(self._resource) as feed:
-                await self._follow(feed, send)
-        except (Problem, RosError) as error:
-            problem = problem_of(error) if isinstance(error, RosError) else error
-            await self._send(send, await self._telling.chunk(Moment("", problem)))
+        with self._feeds.following(self._resource) as feed:
+            await self._follow(feed, send)
 
     async def _follow(self, feed: Feed, send: Send) -> None:
         sleeper = Sleeper()

@@ -23,7 +23,7 @@ async def changed_since(
     feeds.require_room()
 
     async def changes() -> None:
-        async with feeds.following(resource) as feed:
+        with feeds.following(resource) as feed:
             await _until_other(feed, after, name)
 
     return await feeds.hold(changes(), receive, seconds)

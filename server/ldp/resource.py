@@ -65,8 +65,9 @@ class Resource:
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         """Call `wake` on the loop whenever its state may have changed, until the watch is closed.
 
-        It may wake for nothing: whoever is woken reads the state again. None where nothing in particular tells of it:
-        then it is looked at whenever anything in general has changed, and every few seconds.
+        It may wake for nothing: whoever is woken reads the state again. Whenever anything in general has changed (the
+        graph, the mappings) the state is read and the watch is made anew in any case. None where nothing in particular
+        tells of it: then it is looked at every few seconds as well.
         """
         return None
 

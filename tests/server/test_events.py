@@ -6,6 +6,7 @@ import importlib.util
 import json
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -15,6 +16,7 @@ from contextlib import ExitStack, contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, NamedTuple
+from urllib.parse import urlencode, urlsplit
 
 import httpx
 import pytest
@@ -317,15 +319,11 @@ def test_three_hundred_readers_get_every_value_in_time(aircraft: Any) -> None:
 def test_the_server_ends_at_once_with_streams_and_waits_open(serve: Callable[..., Any], number: signal.Signals) -> None:
     served = serve("aircraft")
     etag = served.http.get(NIGHT, headers=JSON).headers["etag"]
-    waited: list[int] = []
-
-    def wait() -> None:
-        with httpx.Client(base_url=served.url, timeout=20) as http:
-            waited.append(http.get(NIGHT, params={"after": etag}, headers=JSON).status_code)
-
-    waiting = threading.Thread(target=wait)
-    waiting.start()
-    with ExitStack() as stack:
+    url = urlsplit(served.url)
+    query = urlencode({"after": etag})
+    waiting = socket.create_connection((url.hostname, url.port), timeout=20)
+    waiting.sendall(f"GET {NIGHT}?{query} HTTP/1.1\r\nHost: {url.netloc}\r\nAccept: application/json\r\n\r\n".encode())
+    with waiting, ExitStack() as stack:
         paths = [SPEED, DISPLAY, "/topics/", "/", NIGHT, "/ontology"] * 5
         many = [stack.enter_context(streaming(served, path)) for path in paths]
         for found in many:
@@ -336,8 +334,7 @@ def test_the_server_ends_at_once_with_streams_and_waits_open(serve: Callable[...
         assert time.monotonic() - began < 2
         for found in many:
             assert all(event.name == "message" for event in found)  # each ends as a stream ends, not in the middle
-    waiting.join(10)
-    assert waited == [304]
+        assert waiting.recv(100).startswith(b"HTTP/1.1 304 ")
 
 
 PAGE = """<!doctype html><title>events</title><script>

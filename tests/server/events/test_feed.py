@@ -5,12 +5,19 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import Counter
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from rosld.adapters.model import TypeRef
+from rosld.adapters.base import Watch
+from rosld.adapters.model import TypeRef, Unreachable
+from rosld.ontology.document import Document
 from rosld.server.events import feed, frame, stream
+from rosld.server.events.watches import Signal
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.resource import Resource
+from rosld.server.ldp.state import State
 
 SPEED = "/topics/aircraft/engine/speed"
 DISPLAY = "/topics/cockpit/display"
@@ -233,3 +240,58 @@ def test_a_failure_nobody_foresaw_is_told_and_logged(
 
     asyncio.run(main())
     assert "the inside" in caplog.text
+
+
+class Made(Resource):
+    """A resource that is made of something else each time it is looked at."""
+
+    def __init__(self) -> None:
+        super().__init__("http://127.0.0.1/made")
+        self.sources: list[Signal] = []
+        self.fails = False
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        if self.fails:
+            raise Unreachable("its source is not there")
+        self.sources.append(Signal())
+        return self.sources[-1].watch(wake)
+
+    async def state(self) -> State:
+        return State(lambda: Document(self.url, ()), token=f"{len(self.sources)}")
+
+
+def test_what_a_resource_is_made_of_is_found_anew_whenever_anything_in_general_changed() -> None:
+    async def main() -> None:
+        general, resource = Signal(), Made()
+        with feed.Feeds(general).following(resource) as followed:
+            assert (await followed.look()).name == "1"
+            general.give()
+            assert (await followed.look()).name == "2"
+            seen = followed.version
+            resource.sources[0].give()
+            assert followed.version == seen
+            resource.sources[1].give()
+            assert followed.version == seen + 1
+        resource.sources[1].give()
+        general.give()
+        assert followed.version == seen + 1
+
+    asyncio.run(main())
+
+
+def test_what_cannot_be_watched_is_a_problem_until_it_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feed, "_LOOK_AGAIN_SECONDS", 0.01)
+
+    async def main() -> None:
+        resource = Made()
+        resource.fails = True
+        with feed.Feeds(Signal()).following(resource) as followed:
+            broken = (await followed.look()).state
+            assert isinstance(broken, Problem)
+            assert broken.status == 503
+            resource.fails = False
+            version, sleeper = followed.version, feed.Sleeper()
+            await asyncio.wait_for(followed.wait(sleeper, version), 5)
+            assert isinstance((await followed.look()).state, State)
+
+    asyncio.run(main())

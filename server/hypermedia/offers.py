@@ -39,6 +39,7 @@ from rosld.server.hypermedia.writing import writer_of
 from rosld.shapes.value import NO_MEASURE
 
 if TYPE_CHECKING:
+    from rosld.server.ldp.state import State
     from rosld.server.robot import Robot
     from rosld.server.settings import Settings
 
@@ -141,6 +142,14 @@ class Offers:
         reads = layout.reads(plan.exists_when)
         readings = self.known(reads) or await self.look(reads)
         self.require(plan.exists_when, self.sight(layout, readings).verdicts, plan.path)
+
+    async def state(self, url: str, layout: Layout, reads: Sequence[Property], make: Callable[[Sight], State]) -> State:
+        """The state of the resource at `url` that follows from some properties: kept while their readings are good."""
+        states = self._robot.states
+        readings = self.known(reads) or await self.look(reads)
+        version = (layout, readings)
+        found = states.known(url, version)
+        return found if found is not None else states.keep(url, version, make(self.sight(layout, readings)))
 
     def sight(self, layout: Layout, readings: Iterable[Reading]) -> Sight:
         """What follows from readings."""

@@ -76,13 +76,7 @@ class ComplexResource(Resource):
 
     async def state(self) -> State:
         layout, plan = await self._plan()
-        offers, states = self.robot.offers, self.robot.states
-        readings = offers.known(plan.reads) or await offers.look(plan.reads)
-        version = (layout, readings)
-        known = states.known(self.url, version)
-        if known is None:
-            known = states.keep(self.url, version, self._shown(plan, offers.sight(layout, readings)))
-        return known
+        return await self.robot.offers.state(self.url, layout, plan.reads, lambda sight: self._shown(plan, sight))
 
     def _shown(self, plan: ComplexPlan, sight: Sight) -> State:
         robot = self.robot

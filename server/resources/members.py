@@ -112,20 +112,13 @@ class MemberResource(Resource):
         layout = await self.robot.offers.layout()
         plan = layout.property(self.name)
         if plan is not None:
-            return await self._property_state(layout, plan)
+            return await self.robot.offers.state(self.url, layout, plan.reads, lambda sight: self._shown(plan, sight))
         action = layout.action(self.name)
         if action is not None:
-            return await self._action_state(layout, action)
+            return await self.robot.offers.state(
+                self.url, layout, action.reads, lambda sight: self._shown_action(action, sight)
+            )
         raise self._missing(layout)
-
-    async def _property_state(self, layout: Layout, plan: PropertyPlan) -> State:
-        offers, states = self.robot.offers, self.robot.states
-        readings = offers.known(plan.reads) or await offers.look(plan.reads)
-        version = (layout, readings)
-        known = states.known(self.url, version)
-        if known is None:
-            known = states.keep(self.url, version, self._shown(plan, offers.sight(layout, readings)))
-        return known
 
     def _shown(self, plan: PropertyPlan, sight: Sight) -> State:
         robot = self.robot
@@ -138,15 +131,10 @@ class MemberResource(Resource):
             view=view,
         )
 
-    async def _action_state(self, layout: Layout, plan: ActionPlan) -> State:
-        offers, robot = self.robot.offers, self.robot
-        readings = offers.known(plan.reads) or await offers.look(plan.reads)
-        view = offers.action_view(plan, offers.sight(layout, readings))
-        return robot.states.get(
-            self.url,
-            (layout, view),
-            lambda: State(lambda: action_document(view, robot.space, robot.lifting), view=view),
-        )
+    def _shown_action(self, plan: ActionPlan, sight: Sight) -> State:
+        robot = self.robot
+        view = robot.offers.action_view(plan, sight)
+        return State(lambda: action_document(view, robot.space, robot.lifting), view=view)
 
     def _missing(self, layout: Layout) -> Problem:
         """308 where the name is a complex resource, else 404."""

@@ -93,6 +93,7 @@ class MappingResource(_Mappings):
         before = self.robot.mappings.documents.get(self.url)
         document = await self._judged(before, lambda: read_mapping(data, media_type, self.url))
         self.robot.mappings.replace(document)
+        self.robot.changes.give()
         if before is None:
             return Created(self.url, self, self._shown(document))
         return Response(status_code=204)
@@ -102,6 +103,7 @@ class MappingResource(_Mappings):
         before = self._there()
         document = await self._judged(before, lambda: mapping_of(updated(data, before.triples, self.url), self.url))
         self.robot.mappings.replace(document)
+        self.robot.changes.give()
         return Response(status_code=204)
 
     async def _judged(self, before: MappingDocument | None, read: Callable[[], MappingDocument]) -> MappingDocument:
@@ -117,6 +119,7 @@ class MappingResource(_Mappings):
     async def delete(self, exchange: Exchange) -> Answer:
         self._there()
         self.robot.mappings.remove(self.url)
+        self.robot.changes.give()
         return Response(status_code=204)
 
 

@@ -77,8 +77,21 @@ def _changed(body: RdfBody, plan: MemberPlan, seen: Member, url: str, robot: Rob
         content = rdf_content(body, subject, predicate, plan.of, robot.lifting, node=fragment(plan.name))
     except LoweringError as error:
         raise _within(plan.name, error) from error
-    same = content == (_literal(seen) if isinstance(content, Literal) else _present(seen))
+    same = _says(content, seen) if isinstance(content, Literal) else content == _present(seen)
     return None if same else Change(plan, content)
+
+
+def _says(stated: Literal, seen: Member) -> bool:
+    """Whether a literal says what the value of a member is already: a store gives numbers back in other words."""
+    value = seen.reading.value
+    present = None if value is None else literal(value, seen.field)
+    if stated == present or present is None:
+        return stated == present
+    try:
+        one, other = lower_term(stated), lower_term(present)
+    except LoweringError:
+        return False
+    return type(one) is type(other) and one == other
 
 
 def _present(member: Member) -> object:
@@ -87,11 +100,6 @@ def _present(member: Member) -> object:
     if value is None:
         return None
     return parse_json(plain_json(value, WHOLE) if member.field is None else picked_json(value, member.field))
-
-
-def _literal(member: Member) -> Literal | None:
-    value = member.reading.value
-    return None if value is None else literal(value, member.field)
 
 
 # The plan

@@ -58,7 +58,7 @@ class ComplexResource(Resource):
         )
 
     async def ready(self) -> None:
-        await self.robot.offers.layout()
+        await self._plan()
 
     def methods(self) -> frozenset[str]:
         layout, robot = self.robot.offers.at_hand(), self.robot

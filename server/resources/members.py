@@ -69,7 +69,9 @@ class MemberResource(Resource):
         self.name = name
 
     async def ready(self) -> None:
-        await self.robot.offers.layout()
+        layout = await self.robot.offers.layout()
+        if layout.property(self.name) is None and layout.action(self.name) is None:
+            raise self._missing(layout)
 
     @property
     def _layout(self) -> Layout | None:

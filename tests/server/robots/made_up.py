@@ -1,0 +1,386 @@
+"""A robot made up by a test, and served: what it offers comes and goes, and every call of it is counted."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+import json
+import threading
+import time
+from collections import Counter
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, TypeAlias, TypeVar
+
+import httpx
+import pytest
+
+from rosld.adapters import parameters as trees
+from rosld.adapters.base import Adapter, Capabilities, ParameterValue, Published, Recording, Sink, Subscription
+from rosld.adapters.model import (
+    Encoding,
+    Endpoint,
+    Graph,
+    Kind,
+    MessageSchema,
+    Node,
+    NotFound,
+    Operation,
+    Parameter,
+    Ref,
+    Refused,
+    Sample,
+    Schema,
+    Sent,
+    Service,
+    ServiceSchema,
+    TimedOut,
+    Topic,
+    TypeRef,
+    Unreachable,
+    frozen,
+)
+from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.slots import Slot
+from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.lower import lowerer
+from rosld.server.app import create_app
+from rosld.server.commands import listening
+from rosld.server.commands.lifespan import lifespan
+from rosld.server.settings import Settings, address
+
+T = TypeVar("T")
+
+Act: TypeAlias = Callable[[dict[str, Any]], "Mapping[str, Any] | Awaitable[Mapping[str, Any]]"]
+"""What a service does: from its request to its response, both as plain JSON; what is left out is ROS's default."""
+
+ROBOT, LISTENER, ROSLD = "/robot", "/listener", "/rosld"
+PATIENCE = 20.0
+TYPES = {
+    "made_up/srv/GetByte": "---\nint8 value",
+    "made_up/srv/SetByte": "int8 value\n---\nbool success\nstring message",
+    "made_up/srv/GetWords": "---\nstring words",
+    "made_up/srv/SetWords": "string words\n---",
+    "made_up/srv/GetLabel": "---\nbool success\nstring message\nstring label",
+    "made_up/srv/GetRange": "---\nfloat64 low\nfloat64 high",
+    "made_up/srv/SetRange": "float64 low\nfloat64 high\n---\nbool success\nstring message",
+    "made_up/srv/GetCorners": "---\nint32[4] corners",
+    "made_up/srv/SetCorners": "int32[4] corners\n---",
+    "made_up/srv/GetPose": "---\ngeometry_msgs/Pose pose",
+    "made_up/srv/SetPose": "geometry_msgs/Pose pose\n---\nbool success\nstring message",
+    "made_up/srv/GetBlob": "---\nuint8[] data",
+    "made_up/srv/Aim": "float64 azimuth\nfloat64 elevation\n---\nbool hit",
+}
+_LIFTING = LiftSettings(inline_limit=1 << 62)
+
+
+@dataclass
+class _Topic:
+    type: TypeRef
+    published: bool
+    heard: bool
+    slot: Slot = field(default_factory=Slot)
+    sequence: int = 0
+
+
+class MadeUp:
+    """An `Adapter` of services that are functions, and of topics and parameters, all of which a test changes at will.
+
+    `calls` counts the calls of each service, `reads` those for the value of each parameter; `sent` is what was
+    published, as plain JSON. Everything may be called from the test's thread.
+    """
+
+    capabilities = Capabilities("made-up", Encoding.ROS1, writes=True, creates_topics=False, parameter_trees=True)
+    recordings: Mapping[str, Recording] = MappingProxyType({})
+
+    def __init__(self) -> None:
+        self.calls: Counter[str] = Counter()
+        self.reads: Counter[str] = Counter()
+        self.sent: dict[str, list[Any]] = {}
+        self.graph = Graph(0)
+        self._library = TypeLibrary(ros_version=1)
+        for name, text in TYPES.items():
+            self._library.learn_service(name, text)
+        self._services: dict[str, tuple[ServiceSchema, Act]] = {}
+        self._topics: dict[str, _Topic] = {}
+        self._parameters: trees.Tree = {}
+        self._held: dict[str, asyncio.Event] = {}
+        self._sink: Sink | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._happened = threading.Condition()
+
+    # What a test does
+
+    def offer(self, name: str, type: str, act: Act) -> None:
+        """A service of this name, from now on."""
+        schema = self._library.find(TypeRef(type))
+        assert isinstance(schema, ServiceSchema)
+        self._do(lambda: self._revised(self._services.__setitem__, name, (schema, act)))
+
+    def answer(self, name: str, type: str, **values: Any) -> None:
+        """A service that always answers the same."""
+        self.offer(name, type, lambda _: values)
+
+    def variable(
+        self, name: str, kind: str, *, get: str | None = "get_{}", set: str | None = "set_{}", **values: Any
+    ) -> dict[str, Any]:
+        """A getter and a setter of `made_up/srv/GetKIND` and `SetKIND`, and the values between them."""
+        namespace, _, own = name.rpartition("/")
+
+        def written(request: dict[str, Any]) -> Mapping[str, Any]:
+            values.update(request)
+            return {"success": True} if "success" in TYPES[f"made_up/srv/Set{kind}"] else {}
+
+        if get is not None:
+            self.offer(f"{namespace}/{get.format(own)}", f"made_up/srv/Get{kind}", lambda _: values)
+        if set is not None:
+            self.offer(f"{namespace}/{set.format(own)}", f"made_up/srv/Set{kind}", written)
+        return values
+
+    def withdraw(self, name: str) -> None:
+        """The service is gone, and is known to be."""
+        self._do(lambda: self._revised(self._services.pop, name))
+
+    def break_off(self, name: str) -> None:
+        """The service is gone, and nobody has noticed."""
+        self._do(lambda: self._services.pop(name))
+
+    def topic(self, name: str, type: str, value: Any = None, *, published: bool = True, heard: bool = False) -> None:
+        """A topic that the robot publishes, that a node listens to, or both; and its first message, if there is one."""
+        self._do(
+            lambda: self._revised(self._topics.__setitem__, name, _Topic(self._message(type).ref, published, heard))
+        )
+        if value is not None:
+            self.publishes(name, value)
+
+    def publishes(self, name: str, value: Any) -> None:
+        """The robot sends a message."""
+        self._do(lambda: self._put(name, ROBOT, self._encoded(name, value)))
+
+    def parameter(self, name: str, value: ParameterValue) -> None:
+        """A parameter has this value."""
+        self._do(lambda: self._parameters_are(trees.with_value(self._parameters, name, value)))
+
+    def hold(self, name: str) -> None:
+        """Calls of this service hang until `release`."""
+        self._do(lambda: self._held.__setitem__(name, asyncio.Event()))
+
+    def release(self, name: str) -> None:
+        """Those that hang get their answer."""
+        self._do(lambda: self._held.pop(name).set())
+
+    def until(self, true: Callable[[], object], what: str = "what was waited for") -> None:
+        """Wait for something about the calls."""
+        with self._happened:
+            assert self._happened.wait_for(true, PATIENCE), f"never came: {what}"
+
+    def _do(self, act: Callable[[], T]) -> T:
+        """Do it on the loop that serves the robot, or here before it is served."""
+        if self._loop is None or not self._loop.is_running():
+            return act()
+
+        async def on_the_loop() -> T:
+            return act()
+
+        return asyncio.run_coroutine_threadsafe(on_the_loop(), self._loop).result(PATIENCE)
+
+    # What an adapter does
+
+    async def open(self, sink: Sink, *, deadline: float) -> None:
+        self._sink, self._loop = sink, asyncio.get_running_loop()
+        self._revised(lambda: None)
+
+    async def close(self) -> None:
+        self._sink = None
+
+    def allows(self, ref: Ref) -> frozenset[Operation]:
+        graph = self.graph
+        if ref.kind is Kind.TOPIC and ref.name in graph.topics:
+            return frozenset({Operation.SUBSCRIBE, Operation.PUBLISH})
+        if ref.kind is Kind.SERVICE and ref.name in graph.services:
+            return frozenset({Operation.CALL})
+        if ref.kind is Kind.PARAMETER:
+            return frozenset({Operation.GET_PARAMETER, Operation.SET_PARAMETER, Operation.DELETE_PARAMETER})
+        return frozenset()
+
+    async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
+        return self._library.find(ref)
+
+    def known_types(self) -> Sequence[TypeRef]:
+        return [*(one.type for one in self._topics.values()), *(one.ref for one, _ in self._services.values())]
+
+    async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
+        return (self._topics[topic].slot if topic in self._topics else Slot()).subscribe(depth)
+
+    async def publish(
+        self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
+    ) -> Published:
+        there = self._topics[topic]
+        schema = self._message(there.type.name)
+        self.sent.setdefault(topic, []).append(_plain(schema, data))
+        self._put(topic, ROSLD, data)
+        return Published(int(there.heard))
+
+    async def unadvertise(self, topic: str) -> None:
+        raise NotFound(f"rosld does not advertise {topic}")
+
+    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        with self._happened:
+            self.calls[service] += 1
+            self._happened.notify_all()
+        held = self._held.get(service)
+        if held is not None:
+            try:
+                await asyncio.wait_for(held.wait(), deadline - asyncio.get_running_loop().time())
+            except (asyncio.TimeoutError, TimeoutError) as error:
+                raise TimedOut(f"{service} has not answered", sent=Sent.MAYBE) from error
+        if service not in self._services:
+            raise Unreachable(f"the node of {service} does not answer")
+        schema, act = self._services[service]
+        answered = act(_plain(schema.request, request))
+        values = await answered if inspect.isawaitable(answered) else answered
+        return schema.response.codec.encode(
+            lowerer(schema.response, _LIFTING).from_json(dict(values), defaults=True), Encoding.ROS1
+        )
+
+    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
+        self.reads.update(names)
+        found = {name: trees.read(self._parameters, name) for name in names}
+        return {name: trees.copied(value) for name, value in found.items() if value is not None}
+
+    async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
+        tree = self._parameters
+        for name, value in values.items():
+            if value == "refused":
+                raise Refused(f"{name} cannot be {value!r}")
+            tree = trees.with_value(tree, name, value)
+        self._parameters_are(tree)
+
+    async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
+        tree = self._parameters
+        for name in names:
+            tree = trees.without(tree, name)
+        self._parameters_are(tree)
+
+    # How it is done
+
+    def _message(self, type: str) -> MessageSchema:
+        schema = self._library.find(TypeRef(type))
+        assert isinstance(schema, MessageSchema)
+        return schema
+
+    def _encoded(self, topic: str, value: Any) -> bytes:
+        schema = self._message(self._topics[topic].type.name)
+        return schema.codec.encode(lowerer(schema, _LIFTING).from_json(value, defaults=True), Encoding.ROS1)
+
+    def _put(self, name: str, publisher: str, data: bytes) -> None:
+        topic = self._topics[name]
+        topic.sequence += 1
+        topic.slot.put(Sample(data, Encoding.ROS1, topic.type, publisher, time.time_ns(), topic.sequence))
+
+    def _parameters_are(self, tree: trees.Tree) -> None:
+        self._parameters = tree
+        self._revised(lambda: None)
+
+    def _revised(self, change: Callable[..., object], *arguments: object) -> None:
+        change(*arguments)
+        self.graph = Graph(
+            self.graph.revision + 1,
+            nodes=frozen({name: Node(name) for name in (ROBOT, LISTENER)}),
+            topics=frozen({name: _told(name, one) for name, one in self._topics.items()}),
+            services=frozen({name: Service(name, one.ref, (ROBOT,)) for name, (one, _) in self._services.items()}),
+            parameters=frozen({name: Parameter(name) for name in trees.leaves(self._parameters)}),
+        )
+        if self._sink is not None:
+            self._sink.graph_changed(self.graph)
+
+
+def _told(name: str, topic: _Topic) -> Topic:
+    publishers = (Endpoint(ROBOT, topic.type),) if topic.published else ()
+    return Topic(name, (topic.type,), publishers, (Endpoint(LISTENER, topic.type),) if topic.heard else ())
+
+
+def _plain(schema: MessageSchema, data: bytes) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(lifter(schema, _LIFTING).json(schema.codec.decode(data, Encoding.ROS1), ""))
+    return found
+
+
+class Counted:
+    """Any adapter, with the calls of its services counted."""
+
+    def __init__(self, adapter: Adapter) -> None:
+        self._adapter = adapter
+        self.calls: Counter[str] = Counter()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._adapter, name)
+
+    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        self.calls[service] += 1
+        await asyncio.sleep(0)  # as on a wire: others have their turn between the question and the answer
+        answer = await self._adapter.call(service, type, request, deadline=deadline)
+        await asyncio.sleep(0)
+        return answer
+
+
+@contextmanager
+def served(adapter: Adapter, **settings: Any) -> Iterator[httpx.Client]:
+    """A client of `rosld serve` on this adapter, on a free port and a thread of its own."""
+    sock = listening.bind("127.0.0.1", 0)
+    port = sock.getsockname()[1]
+    made = Settings(base_url=address("127.0.0.1", port), port=port, **settings)
+    listens, failed = threading.Event(), []
+    ending: list[Callable[[], None]] = []
+
+    async def serve() -> None:
+        app = create_app(adapter, made)
+        server = listening.Server(app, listens.set)
+        loop = asyncio.get_running_loop()
+
+        def end() -> None:
+            app.end_streams()
+            server.should_exit = True
+
+        ending.append(lambda: loop.call_soon_threadsafe(end))
+        async with lifespan(app):
+            await server.serve(sockets=[sock])
+
+    def run() -> None:
+        try:
+            asyncio.run(serve())
+        except BaseException as error:
+            failed.append(error)
+            listens.set()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        assert listens.wait(PATIENCE)
+        assert not failed, failed
+        with httpx.Client(base_url=made.base_url, timeout=PATIENCE) as client:
+            yield client
+    finally:
+        for one in ending:
+            one()
+        thread.join(PATIENCE)
+        sock.close()
+    assert not thread.is_alive(), "the server did not end"
+    assert not failed, failed
+
+
+Serving: TypeAlias = Callable[..., httpx.Client]
+
+
+@pytest.fixture
+def robot() -> MadeUp:
+    """A robot to be made up."""
+    return MadeUp()
+
+
+@pytest.fixture
+def serving(robot: MadeUp) -> Iterator[Serving]:
+    """`serving(SETTINGS)` serves that robot until the test ends."""
+    with ExitStack() as stack:
+        yield lambda **settings: stack.enter_context(served(robot, **settings))

@@ -1,0 +1,238 @@
+"""Members that cannot be read: the rest of a resource is whole, and what depends on them is not on offer."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import httpx
+import pytest
+
+from rosld.adapters.model import Refused
+
+
+def _sibling(name: str) -> Any:
+    """A module of `robots/`; tests are no package."""
+    full = f"server_tests_{name}"
+    if full not in sys.modules:
+        spec = importlib.util.spec_from_file_location(full, Path(__file__).parent / "robots" / f"{name}.py")
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[full] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[full])
+    return sys.modules[full]
+
+
+if TYPE_CHECKING:
+    from tests.server.robots import asking
+    from tests.server.robots.made_up import MadeUp, Serving, robot, serving
+else:
+    asking, _made_up = _sibling("asking"), _sibling("made_up")
+    MadeUp, Serving, robot, serving = _made_up.MadeUp, _made_up.Serving, _made_up.robot, _made_up.serving
+
+value, objects, detail, mapped = asking.value, asking.objects, asking.detail, asking.mapped
+ROS, LDP, JSON, MERGE = asking.ROS, asking.LDP, asking.JSON, asking.MERGE
+
+
+DOOR = """
+<#door> a map:ComplexResource ; map:path "/door/" ;
+  map:property [ map:predicate ex:lock ; map:member "lock" ; map:writableWhen <#unlocked> ] ;
+  map:action [ map:relation ex:open ; map:service "/door/open" ; map:availableWhen <#unlocked> ] ;
+  map:link [ map:relation ex:room ; map:target "/room/" ; map:availableWhen <#unlocked> ] .
+<#room> a map:ComplexResource ; map:path "/room/" ; map:existsWhen <#unlocked> ;
+  map:property [ map:predicate ex:light ; map:member "light" ] .
+<#unlocked> a sh:NodeShape ; map:about "/door/" ; sh:property [ sh:path ex:lock ; sh:hasValue "open" ] .
+"""
+
+
+def refuses(words: str | None) -> Any:
+    """What a service does that will not."""
+
+    def act(_: object) -> dict[str, Any]:
+        raise Refused("the service refused without a word", words=words)
+
+    return act
+
+
+def unreadable(http: httpx.Client, path: str, member: str) -> str:
+    """Why a member of a resource cannot be read, in its RDF."""
+    (why,) = objects(http.get(path), f"{ROS}unreadable", f"{http.base_url}resources{member}")
+    return why
+
+
+@pytest.fixture
+def arm(robot: MadeUp) -> MadeUp:
+    """An arm with one member that a test makes fail, and one that works."""
+    robot.variable("/arm/grip", "Byte", value=1)
+    robot.variable("/arm/label", "Label", set=None, success=True, label="red")
+    return robot
+
+
+def failing(http: httpx.Client, *words: str) -> None:
+    """The grip cannot be read, and everything says so; the label is as ever."""
+    assert value(http, "/resources/arm/") == {"grip": None, "label": "red"}
+    assert value(http, "/resources/arm/grip") is None
+    for path in ("/resources/arm/", "/resources/arm/grip"):
+        why = unreadable(http, path, "/arm/grip")
+        assert all(one in why for one in words), why
+    page = http.get("/resources/arm/", headers={"Accept": "text/html"})
+    assert page.status_code == 200
+    assert "red" in page.text
+
+
+def test_a_getter_that_hangs_is_waited_for_until_the_deadline(arm: MadeUp, serving: Serving) -> None:
+    arm.hold("/arm/get_grip")
+    http = serving(read_deadline=0.2, freshness=60)
+    failing(http, "/arm/get_grip has not answered within 0.2 s")
+    assert value(http, "/resources/arm/label") == "red"
+    assert arm.calls == {"/arm/get_grip": 1, "/arm/get_label": 1}
+    arm.release("/arm/get_grip")
+    assert value(http, "/resources/arm/") == {"grip": 1, "label": "red"}
+
+
+def test_a_call_that_hangs_for_ever_is_given_up(arm: MadeUp, serving: Serving) -> None:
+    arm.hold("/arm/get_grip")
+    http = serving(read_deadline=2, call_deadline=0.2, freshness=60)
+    failing(http, "/arm/get_grip has not answered within 0.2 s")
+    arm.release("/arm/get_grip")
+    assert value(http, "/resources/arm/grip") is None  # its failure is as fresh as a value would be
+    assert http.put("/resources/arm/grip", json=5).status_code == 204
+    assert value(http, "/resources/arm/grip") == 5
+
+
+def test_a_getter_that_refuses_is_told_in_its_words(arm: MadeUp, serving: Serving) -> None:
+    arm.offer("/arm/get_grip", "made_up/srv/GetByte", refuses("no <fingers> found"))
+    failing(serving(), "/arm/get_grip refused", "no <fingers> found")
+
+
+@pytest.mark.parametrize("words", ["", None])
+def test_a_getter_that_refuses_without_a_word_is_told_too(arm: MadeUp, serving: Serving, words: str | None) -> None:
+    arm.offer("/arm/get_grip", "made_up/srv/GetByte", refuses(words))
+    failing(serving(), "/arm/get_grip refused: the service refused without a word")
+
+
+def test_a_getter_that_answers_no_success_has_no_value(arm: MadeUp, serving: Serving) -> None:
+    arm.answer("/arm/get_label", "made_up/srv/GetLabel", success=False, message="it is dark", label="ignored")
+    http = serving()
+    assert value(http, "/resources/arm/") == {"grip": 1, "label": None}
+    assert "it is dark" in unreadable(http, "/resources/arm/label", "/arm/label")
+
+
+def test_a_getter_that_breaks_in_an_unforeseen_way_is_told_in_few_words(arm: MadeUp, serving: Serving) -> None:
+    def broken(_: object) -> dict[str, Any]:
+        raise RuntimeError("an inner secret")
+
+    arm.offer("/arm/get_grip", "made_up/srv/GetByte", broken)
+    http = serving()
+    failing(http, "/arm/get_grip cannot be read")
+    assert "secret" not in http.get("/resources/arm/").text
+
+
+def test_a_node_that_has_died_is_told_until_it_is_forgotten(arm: MadeUp, serving: Serving) -> None:
+    http = serving(freshness=0)
+    assert value(http, "/resources/arm/grip") == 1
+    arm.break_off("/arm/get_grip")
+    failing(http, "/arm/get_grip cannot be read", "does not answer")
+    arm.offer("/arm/get_grip", "made_up/srv/GetByte", lambda _: {"value": 7})
+    assert value(http, "/resources/arm/") == {"grip": 7, "label": "red"}
+    arm.withdraw("/arm/get_grip")
+    arm.withdraw("/arm/set_grip")
+    assert value(http, "/resources/arm/") == {"label": "red"}
+    assert "no resource /arm/grip" in detail(http.get("/resources/arm/grip"), 404)
+
+
+def test_what_can_only_be_written_has_no_value_and_no_failure(robot: MadeUp, serving: Serving) -> None:
+    robot.variable("/arm/grip", "Byte", get=None, value=1)
+    http = serving()
+    assert value(http, "/resources/arm/") == {"grip": None}
+    answer = http.get("/resources/arm/grip")
+    assert "unreadable" not in answer.text
+    assert "readProperty" not in answer.text
+    assert http.put("/resources/arm/grip", json=4).status_code == 204
+    assert "PUT a whole value" in detail(http.patch("/resources/arm/grip", json=5, headers=MERGE), 409)
+
+
+def test_a_parameter_that_has_gone_is_told(robot: MadeUp, serving: Serving) -> None:
+    robot.parameter("/arm/name", "Bob")
+    robot.parameter("/arm/size", 3)
+    http = serving(freshness=0)
+    robot._do(lambda: setattr(robot, "_parameters", {"arm": {"size": 3}}))  # and nobody has noticed
+    assert value(http, "/resources/arm/") == {"name": None, "size": 3}
+    assert "there is no parameter /arm/name any more" in unreadable(http, "/resources/arm/", "/arm/name")
+
+
+def test_a_setter_that_hangs_is_504_and_holds_up_no_reader(arm: MadeUp, serving: Serving) -> None:
+    arm.hold("/arm/set_grip")
+    http = serving(call_deadline=0.5)
+    with ThreadPoolExecutor() as pool:
+        late = pool.submit(http.put, "/resources/arm/grip", json=2)
+        arm.until(lambda: arm.calls["/arm/set_grip"])
+        assert value(http, "/resources/arm/") == {"grip": 1, "label": "red"}
+        answer = late.result()
+    assert "/arm/set_grip has not answered" in detail(answer, 504)
+    arm.release("/arm/set_grip")
+    assert http.put("/resources/arm/grip", json=2).status_code == 204
+    assert value(http, "/resources/arm/grip") == 2
+
+
+@pytest.mark.parametrize("failure", ["hangs", "refuses", "has died", "is not there"])
+def test_what_depends_on_a_state_that_cannot_be_read_is_not_on_offer(
+    robot: MadeUp, serving: Serving, failure: str
+) -> None:
+    lock = robot.variable("/door/lock", "Words", words="open")
+    robot.answer("/door/open", "std_srvs/srv/Trigger", success=True)
+    robot.parameter("/room/light", True)
+    http = serving(freshness=0, read_deadline=0.3)
+    mapped(http, DOOR)
+    here = f"{http.base_url}resources/"
+    assert objects(http.get("/resources/door/"), f"{LDP}contains") == {f"{here}door/lock", f"{here}door/open"}
+    assert value(http, "/resources/room/light") is True
+    if failure == "hangs":
+        robot.hold("/door/get_lock")
+    elif failure == "refuses":
+        robot.offer("/door/get_lock", "made_up/srv/GetWords", refuses("rusty"))
+    elif failure == "has died":
+        robot.break_off("/door/get_lock")
+    else:
+        robot.withdraw("/door/get_lock")
+        robot.withdraw("/door/set_lock")
+    why = {
+        "hangs": "has not answered",
+        "refuses": "rusty",
+        "has died": "cannot be read",
+        "is not there": "is not there",
+    }[failure]
+    whole = http.get("/resources/door/")
+    assert objects(whole, f"{LDP}contains") <= {f"{here}door/lock"}
+    assert objects(whole, "http://example.org/open") == objects(whole, "http://example.org/room") == set()
+    assert "door/open" not in whole.text
+    assert whole.headers["cache-control"] == "no-cache"
+    for answer in (http.post("/resources/door/open"), http.put("/resources/door/lock", json="shut")):
+        if failure != "is not there" or "lock" not in str(answer.url):
+            assert "cannot be read" in detail(answer, 409)
+            assert why in detail(answer, 409)
+    assert why in detail(http.get("/resources/door/open"), 404)
+    for path in ("room/", "room/light"):
+        assert why in detail(http.get(f"/resources/{path}"), 404)
+    assert robot.calls["/door/open"] == robot.calls["/door/set_lock"] == 0
+    if failure == "hangs":
+        robot.release("/door/get_lock")
+    else:
+        robot.offer("/door/get_lock", "made_up/srv/GetWords", lambda _: lock)
+    assert http.post("/resources/door/open", headers=JSON).json() == {"lock": "open"}
+    assert value(http, "/resources/room/light") is True
+
+
+def test_everything_may_fail_at_once(robot: MadeUp, serving: Serving) -> None:
+    for number in range(40):
+        robot.variable(f"/arm/m{number}", "Byte", value=number)
+        robot.hold(f"/arm/get_m{number}")
+    http = serving(read_deadline=0.4)
+    assert value(http, "/resources/arm/") == {f"m{number}": None for number in range(40)}
+    for number in range(40):
+        robot.release(f"/arm/get_m{number}")
+    assert value(http, "/resources/arm/") == {f"m{number}": number for number in range(40)}
+    assert all(count <= 2 for count in robot.calls.values())

@@ -1,0 +1,400 @@
+"""Resources as mappings arrange them, over HTTP: names that come later, guards, other namespaces, fields, changes."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import httpx
+import pytest
+
+
+def _sibling(name: str) -> Any:
+    """A module of `robots/`; tests are no package."""
+    full = f"server_tests_{name}"
+    if full not in sys.modules:
+        spec = importlib.util.spec_from_file_location(full, Path(__file__).parent / "robots" / f"{name}.py")
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[full] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[full])
+    return sys.modules[full]
+
+
+if TYPE_CHECKING:
+    from tests.server.robots import asking
+    from tests.server.robots.made_up import MadeUp, Serving, robot, serving
+else:
+    asking, _made_up = _sibling("asking"), _sibling("made_up")
+    MadeUp, Serving, robot, serving = _made_up.MadeUp, _made_up.Serving, _made_up.robot, _made_up.serving
+
+value, objects, detail, mapped = asking.value, asking.objects, asking.detail, asking.mapped
+ROS, RDF, LDP, EX, PREFIXES = asking.ROS, asking.RDF, asking.LDP, asking.EX, asking.PREFIXES
+JSON, TURTLE, MERGE, UPDATE = asking.JSON, asking.TURTLE, asking.MERGE, asking.UPDATE
+QUDT = "http://qudt.org/schema/qudt/"
+GRIPPER = """
+<#gripper> a map:ComplexResource ; map:path "/gripper/" ;
+  map:property [ map:predicate ex:force ; map:member "/arm/grip" ; map:name "force" ] ,
+    [ map:predicate ex:x ; map:member "/arm/pose" ; map:field "pose.position.x" ; map:unit unit:M ;
+      map:quantityKind quantitykind:Length ] ,
+    [ map:predicate ex:y ; map:member "/arm/pose" ; map:field "pose.position.y" ; map:unit unit:M ] ;
+  map:action [ map:relation ex:home ; map:name "fold" ; map:service "/arm/home" ] ;
+  map:link [ map:relation ex:arm ; map:target "/arm/" ] .
+"""
+SAFE = """
+<#arm> a map:ComplexResource ; map:path "/arm/" ;
+  map:property [ map:predicate ex:mode ; map:member "mode" ] ,
+    [ map:predicate ex:grip ; map:member "grip" ; map:writableWhen <#manual> ] ;
+  map:action [ map:relation ex:home ; map:service "/arm/home" ; map:availableWhen <#manual> ] .
+<#hand> a map:ComplexResource ; map:path "/arm/hand/" ; map:existsWhen <#manual> ;
+  map:property [ map:predicate ex:width ; map:member "width" ] .
+<#manual> a sh:NodeShape ; map:about "/arm/mode" ; sh:property [ sh:path rdf:value ; sh:hasValue "manual" ] .
+"""
+
+
+@pytest.fixture
+def arm(robot: MadeUp) -> MadeUp:
+    """An arm with a hand."""
+    robot.variable("/arm/grip", "Byte", value=1)
+    robot.variable("/arm/mode", "Words", words="manual")
+    robot.variable("/arm/pose", "Pose", pose={"position": {"x": 1, "y": 2, "z": 3}, "orientation": {"w": 1}})
+    robot.answer("/arm/home", "std_srvs/srv/Trigger", success=True)
+    robot.variable("/arm/hand/width", "Byte", value=9)
+    robot.variable("/arm/hand/finger/length", "Byte", value=8)
+    robot.answer("/arm/hand/wave", "std_srvs/srv/Trigger", success=True)
+    return robot
+
+
+def mode(http: httpx.Client, word: str) -> None:
+    """Set the mode of the arm."""
+    assert http.put("/resources/arm/mode", json=word).status_code == 204
+
+
+# Names that come later
+
+
+def test_a_mapping_may_speak_of_what_is_not_there_yet(robot: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(http, SAFE)
+    assert value(http, "/resources/") == {}
+    assert value(http, "/resources/arm/") == {}
+    assert http.get("/resources/arm/grip").status_code == 404
+    assert http.post("/resources/arm/home").status_code == 404
+    assert http.get("/resources/arm/hand/").status_code == 404
+    grip = robot.variable("/arm/grip", "Byte", value=1)
+    assert value(http, "/resources/arm/") == {"grip": 1}
+    assert "cannot be read" in detail(http.put("/resources/arm/grip", json=2), 409)
+    robot.variable("/arm/mode", "Words", words="manual")
+    robot.answer("/arm/home", "std_srvs/srv/Trigger", success=True)
+    assert http.put("/resources/arm/grip", json=2).status_code == 204
+    assert grip["value"] == 2
+    assert http.post("/resources/arm/home", headers=JSON).json() == {"grip": 2, "mode": "manual"}
+    assert value(http, "/resources/arm/hand/") == {}
+    robot.variable("/arm/hand/width", "Byte", value=9)
+    assert value(http, "/resources/arm/hand/") == {"width": 9}
+    robot.withdraw("/arm/get_mode")
+    robot.withdraw("/arm/set_mode")
+    assert value(http, "/resources/arm/") == {"grip": 2}
+    assert http.get("/resources/arm/hand/").status_code == 404
+
+
+# Replacing a mapping
+
+
+def test_a_mapping_that_is_replaced_takes_effect_at_once(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    assert value(http, "/resources/arm/hand/finger/") == {"length": 8}
+    mapped(
+        http,
+        '<#a> a map:ComplexResource ; map:path "/arm/" ; map:property [ map:predicate ex:a ; map:member "grip" ] .',
+    )
+    answer = http.get("/resources/arm/", headers=JSON)
+    assert answer.json() == {"grip": 1}
+    again = http.get("/resources/arm/", headers={"If-None-Match": answer.headers["etag"], **JSON})
+    assert again.status_code == 304
+    mapped(
+        http,
+        '<#a> a map:ComplexResource ; map:path "/arm/" ; map:property [ map:predicate ex:a ; map:member "mode" ] .',
+    )
+    again = http.get("/resources/arm/", headers={"If-None-Match": answer.headers["etag"], **JSON})
+    assert (again.status_code, again.json()) == (200, {"mode": "manual"})
+    assert value(http, "/resources/arm/grip") == 1  # not listed, and there
+    assert http.delete("/mappings/mine").status_code == 204
+    assert value(http, "/resources/arm/").keys() == {"grip", "mode", "pose"}
+
+
+def test_a_mapping_that_is_refused_leaves_the_old_one_in_force(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(http, SAFE)
+    mode(http, "automatic")
+    for bad in (
+        SAFE.replace('"/arm/"', '"arm"'),
+        SAFE.replace("sh:hasValue", "sh:hasValu"),
+        "<#x> a map:ComplexResource .",
+    ):
+        answer = http.put("/mappings/mine", content=PREFIXES + bad, headers={**TURTLE, **JSON})
+        assert answer.status_code == 422
+        report = http.put("/mappings/mine", content=PREFIXES + bad, headers={**TURTLE, "Accept": "text/turtle"})
+        assert "ValidationReport" in report.text
+        assert http.put("/mappings/other", content=PREFIXES + bad, headers=TURTLE).status_code == 422
+        assert http.put("/resources/arm/grip", json=2).status_code == 409
+        assert value(http, "/resources/arm/") == {"grip": 1, "mode": "automatic"}
+    second = http.put("/mappings/other", content=PREFIXES + SAFE, headers=TURTLE)
+    assert "/arm/" in detail(second, 422)  # a path has one mapping
+    assert http.get("/mappings/other").status_code == 404
+
+
+def test_readers_see_one_mapping_or_the_other_while_it_is_replaced(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    documents = [
+        f"""<#a> a map:ComplexResource ; map:path "/arm/" ;
+              map:property [ map:predicate ex:{name}1 ; map:member "grip" ; map:name "{name}1" ] ,
+                [ map:predicate ex:{name}2 ; map:member "mode" ; map:name "{name}2" ] ."""
+        for name in ("p", "q")
+    ]
+    mapped(http, documents[0])
+    seen: list[dict[str, Any]] = []
+
+    def read(_: int) -> None:
+        while len(seen) < 400:
+            seen.append(value(http, "/resources/arm/"))
+
+    with ThreadPoolExecutor(4) as pool:
+        reading = [pool.submit(read, each) for each in range(4)]
+        count = 0
+        while not all(one.done() for one in reading):
+            count += 1
+            mapped(http, documents[count % 2])
+        for one in reading:
+            one.result()
+    assert {tuple(sorted(one)) for one in seen} == {("p1", "p2"), ("q1", "q2")}
+
+
+# What a mapping can say
+
+
+def test_members_may_come_from_other_namespaces_and_be_fields_with_units(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(http, GRIPPER)
+    url = f"{http.base_url}resources/gripper/"
+    assert value(http, url) == {"force": 1, "x": 1.0, "y": 2.0}
+    whole = http.get(url)
+    assert objects(whole, f"{EX}force") == {"1"}
+    assert objects(whole, f"{EX}x") == {"1.0"}
+    assert objects(whole, f"{EX}arm") == {f"{http.base_url}resources/arm/"}
+    assert objects(whole, f"{EX}home") == {f"{url}fold"}
+    assert objects(whole, f"{QUDT}hasUnit", f"{url}#properties/x") == {"http://qudt.org/vocab/unit/M"}
+    assert objects(whole, f"{QUDT}hasQuantityKind", f"{url}#properties/x") == {
+        "http://qudt.org/vocab/quantitykind/Length"
+    }
+    thing = http.get(url, headers={"Accept": "application/td+json"}).json()
+    assert thing["properties"].keys() >= {"force"}
+    assert "http://qudt.org/vocab/unit/M" in str(thing) or "unit:M" in str(thing)
+    assert http.put("/resources/arm/grip", json=5).status_code == 204
+    assert value(http, url)["force"] == 5
+
+
+def test_a_service_that_a_mapping_offers_is_offered_there_only(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(http, GRIPPER)
+    fold = f"{http.base_url}resources/gripper/fold"
+    for answer in (http.get("/resources/arm/home"), http.post("/resources/arm/home")):
+        assert fold in detail(answer, 404)
+    assert arm.calls["/arm/home"] == 0
+    assert f"{http.base_url}resources/arm/home" not in objects(http.get("/resources/arm/"), f"{LDP}contains")
+    answer = http.post(fold, headers=JSON)
+    assert (answer.status_code, answer.headers["content-location"]) == (200, f"{http.base_url}resources/gripper/")
+    assert arm.calls["/arm/home"] == 1
+
+
+def test_a_setter_that_is_an_action_writes_no_property(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(
+        http,
+        """<#g> a map:ComplexResource ; map:path "/gripper/" ;
+             map:action [ map:relation ex:squeeze ; map:name "squeeze" ; map:service "/arm/set_grip" ] .""",
+    )
+    assert http.put("/resources/arm/grip", json=5).status_code == 405
+    assert http.patch("/resources/arm/", json={"grip": 5}, headers=MERGE).status_code in (405, 409)
+    assert arm.calls["/arm/set_grip"] == 0
+    assert http.post("/resources/gripper/squeeze", json={"value": 5}).status_code == 200
+    assert value(http, "/resources/arm/grip") == 5
+
+
+def test_guards_go_with_the_thing_wherever_it_is_written(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(http, SAFE)
+    mapped(
+        http,
+        """<#g> a map:ComplexResource ; map:path "/gripper/" ;
+             map:property [ map:predicate ex:force ; map:member "/arm/grip" ; map:name "force" ] .""",
+        "gripper",
+    )
+    assert http.patch("/resources/gripper/", json={"force": 2}, headers=MERGE).status_code == 204
+    mode(http, "automatic")
+    assert "writeProperty" not in http.get("/resources/gripper/").text
+    for answer in (
+        http.patch("/resources/gripper/", json={"force": 3}, headers=MERGE),
+        http.patch("/resources/arm/", json={"grip": 3}, headers=MERGE),
+        http.patch("/resources/arm/grip", json=3, headers=MERGE),
+        http.put("/resources/arm/grip", json=3),
+    ):
+        assert "must not be written now" in detail(answer, 409)
+        assert "manual" in answer.text
+    assert arm.calls["/arm/set_grip"] == 1
+    report = http.put("/resources/arm/grip", json=3, headers={"Accept": "text/turtle"})
+    assert "ValidationReport" in report.text
+    assert http.post("/services/arm/set_grip", json={"value": 4}).status_code == 201  # level one is not guarded
+
+
+def test_a_condition_that_does_not_hold_hides_all_that_lies_below(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(http, SAFE)
+    paths = [
+        f"/resources/arm/hand/{path}"
+        for path in ("", "width", "wave", "finger/", "finger/length", "?format=td", "finger/?format=td")
+    ]
+    assert all(http.get(path).status_code == 200 for path in paths)
+    assert value(http, "/resources/arm/hand/finger/") == {"length": 8}
+    mode(http, "automatic")
+    for path in paths:
+        assert "manual" in detail(http.get(path), 404), path
+        assert http.head(path).status_code == 404
+    for method, path, body in (
+        ("PUT", "width", 3), ("PUT", "finger/length", 3), ("POST", "wave", {}),
+    ):  # fmt: skip
+        assert "manual" in detail(http.request(method, f"/resources/arm/hand/{path}", json=body), 404)
+    assert http.patch("/resources/arm/hand/", json={"width": 3}, headers=MERGE).status_code == 404
+    assert http.patch("/resources/arm/hand/finger/", json={"length": 3}, headers=MERGE).status_code == 404
+    assert f"{http.base_url}resources/arm/hand/" not in objects(http.get("/resources/arm/"), f"{LDP}contains")
+    assert "hand" not in http.get("/resources/arm/").text
+    assert arm.calls["/arm/hand/set_width"] == arm.calls["/arm/hand/wave"] == 0
+    mode(http, "manual")
+    assert all(http.get(path).status_code == 200 for path in paths)
+
+
+def test_the_state_of_a_condition_is_never_older_than_a_write(arm: MadeUp, serving: Serving) -> None:
+    http = serving(freshness=60)
+    mapped(http, SAFE)
+    for word in ("automatic", "manual") * 3:
+        mode(http, word)
+        there = word == "manual"
+        assert http.get("/resources/arm/hand/width").status_code == (200 if there else 404)
+        assert bool(objects(http.get("/resources/arm/"), f"{EX}home")) is there
+        assert http.put("/resources/arm/grip", json=2).status_code == (204 if there else 409)
+
+
+def test_a_guard_looks_at_the_robot_and_not_at_what_was_read_before(arm: MadeUp, serving: Serving) -> None:
+    http = serving(freshness=60)
+    mapped(http, SAFE)
+    assert value(http, "/resources/arm/") == {"grip": 1, "mode": "manual"}
+    arm.answer("/arm/get_mode", "made_up/srv/GetWords", words="automatic")  # moved by somebody else than rosld
+    assert http.put("/resources/arm/grip", json=2).status_code == 409
+    assert http.post("/resources/arm/home").status_code == 409
+    assert value(http, "/resources/arm/") == {"grip": 1, "mode": "automatic"}
+
+
+def test_etags_change_when_links_come_and_go(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(http, SAFE.replace('map:property [ map:predicate ex:mode ; map:member "mode" ] ,', "map:property"))
+    first = http.get("/resources/arm/").headers["etag"]
+    assert http.get("/resources/arm/", headers={"If-None-Match": first}).status_code == 304
+    mode(http, "automatic")
+    answer = http.get("/resources/arm/", headers={"If-None-Match": first})
+    assert answer.status_code == 200
+    assert http.patch("/resources/arm/", json={"grip": 2}, headers={"If-Match": first, **MERGE}).status_code == 412
+    mode(http, "manual")
+    assert http.get("/resources/arm/").headers["etag"] == first
+
+
+# Several members at once
+
+
+def test_several_members_are_changed_by_one_patch(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    answer = http.patch("/resources/arm/", json={"grip": 5, "mode": "automatic"}, headers=MERGE)
+    assert answer.status_code == 204
+    assert value(http, "/resources/arm/") | {"pose": 0} == {"grip": 5, "mode": "automatic", "pose": 0}
+    here = f"{http.base_url}resources/arm/"
+    update = f"""DELETE {{ <{here}grip> <{RDF}value> ?g . <{here}mode> <{RDF}value> ?m }}
+                 INSERT {{ <{here}grip> <{RDF}value> 6 . <{here}mode> <{RDF}value> "manual" }}
+                 WHERE {{ <{here}grip> <{RDF}value> ?g . <{here}mode> <{RDF}value> ?m }}"""
+    answer = http.patch("/resources/arm/", content=update, headers=UPDATE)
+    assert answer.status_code == 204, answer.text
+    assert value(http, "/resources/arm/") | {"pose": 0} == {"grip": 6, "mode": "manual", "pose": 0}
+    assert arm.calls["/arm/set_pose"] == 0
+    shown = http.patch(here, json={"grip": 7}, headers={**MERGE, **JSON, "Prefer": "return=representation"})
+    assert (shown.status_code, shown.json()["grip"]) == (200, 7)
+
+
+@pytest.mark.parametrize(
+    ("patch", "words"),
+    [
+        ({"mode": "automatic", "grip": 1000}, "grip"),
+        ({"mode": "automatic", "grip": "tight"}, "grip"),
+        ({"mode": "automatic", "none": 1}, "no such member"),
+        ({"mode": "automatic", "grip": None}, "cannot be removed"),
+        ({"mode": "automatic", "pose": {"pose": {"position": {"w": 1}}}}, "pose"),
+        ([1], "expected an object"),
+    ],
+)
+def test_nothing_moves_where_one_of_several_values_is_wrong(
+    arm: MadeUp, serving: Serving, patch: object, words: str
+) -> None:
+    http = serving()
+    answer = http.patch("/resources/arm/", json=patch, headers=MERGE)
+    assert answer.status_code == 422
+    assert words in answer.text
+    assert not [name for name in arm.calls if "/set_" in name]
+
+
+def test_a_guard_of_one_member_keeps_all_from_being_written(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(http, SAFE)
+    mode(http, "automatic")
+    assert http.patch("/resources/arm/", json={"mode": "manual", "grip": 3}, headers=MERGE).status_code == 409
+    assert value(http, "/resources/arm/") == {"grip": 1, "mode": "automatic"}
+
+
+def test_what_became_of_each_member_is_told_where_one_fails(robot: MadeUp, serving: Serving) -> None:
+    robot.variable("/arm/a", "Byte", value=1)
+    robot.variable("/arm/b", "Byte", value=1)
+    robot.answer("/arm/set_b", "made_up/srv/SetByte", success=False, message="stuck")
+    robot.variable("/arm/c", "Byte", value=1)
+    http = serving(freshness=60)
+    assert value(http, "/resources/arm/") == {"a": 1, "b": 1, "c": 1}
+    answer = http.patch("/resources/arm/", json={"a": 2, "b": 2, "c": 2}, headers=MERGE)
+    assert answer.status_code == 422
+    told = {one["name"]: one["status"] for one in answer.json()["members"]}
+    assert told == {"a": 204, "b": 422, "c": 424}
+    assert "stuck" in answer.json()["detail"]
+    assert "Written before: a" in answer.json()["detail"]
+    assert value(http, "/resources/arm/") == {"a": 2, "b": 1, "c": 1}
+    assert robot.calls["/arm/set_c"] == 0
+
+
+def test_fields_of_one_message_are_changed_together(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(http, GRIPPER)
+    assert http.patch("/resources/gripper/", json={"x": 5, "y": 6}, headers=MERGE).status_code == 204
+    assert arm.calls["/arm/set_pose"] == 1
+    assert value(http, "/resources/arm/pose")["pose"]["position"] == {"x": 5.0, "y": 6.0, "z": 3.0}
+    url = f"{http.base_url}resources/gripper/"
+    update = f"DELETE {{ <{url}> <{EX}x> ?x }} INSERT {{ <{url}> <{EX}x> 7 }} WHERE {{ <{url}> <{EX}x> ?x }}"
+    assert http.patch(url, content=update, headers=UPDATE).status_code == 204
+    assert value(http, url) == {"force": 1, "x": 7.0, "y": 6.0}
+    assert http.patch(url, json={"x": "far", "force": 9}, headers=MERGE).status_code == 422
+    assert value(http, url) == {"force": 1, "x": 7.0, "y": 6.0}
+    assert http.patch(url, json={"x": 8, "force": 9}, headers=MERGE).status_code == 204
+    assert value(http, url) == {"force": 9, "x": 8.0, "y": 6.0}
+
+
+def test_a_patch_that_changes_nothing_moves_nothing(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    url = f"{http.base_url}resources/arm/"
+    assert http.patch(url, json={}, headers=MERGE).status_code == 204
+    assert http.patch(url, content=f"INSERT DATA {{ <{url}> <{EX}x> 1 }}", headers=UPDATE).status_code == 204
+    assert not [name for name in arm.calls if "/set_" in name]

@@ -38,6 +38,7 @@ else:
 value, triples, objects, detail = asking.value, asking.triples, asking.objects, asking.detail
 TYPES, ROS, RDF, LDP, XSD = asking.TYPES, asking.ROS, asking.RDF, asking.LDP, asking.XSD
 JSON, TURTLE, JSON_LD, MERGE, UPDATE = asking.JSON, asking.TURTLE, asking.JSON_LD, asking.MERGE, asking.UPDATE
+FORMATS = ("ttl", "jsonld", "nt", "rdf", "n3", "nq", "trig", "json", "html")
 
 
 def ways(robot: MadeUp) -> int:
@@ -519,3 +520,242 @@ def test_safe_methods_never_move_the_robot(robot: MadeUp, serving: Serving) -> N
             for accept in ("text/html", "text/turtle", "application/json", "application/td+json"):
                 http.request(method, f"/resources/{path}", headers={"Accept": accept})
     assert robot.calls.keys() <= {"/arm/get_grip"}
+
+
+# Names as they are
+
+
+HOSTILE = (
+    "/we ird/a b",
+    "/quo\"te/it's",
+    "/ünï/日本/🤖",
+    "/a//b",
+    "/dots/.",
+    "/dots/..",
+    "/til/~",
+    "/hash#tag/q?x=1&y=2",
+    "/per%cent/%2F",
+    "/<script>alert(1)</script>/{name}",
+    "/ns/a\\b|c^d`e",
+    "/ns/a.b",
+    "/ns/new\nline",
+    "/ns/get_",
+    "/ns/get_get_x",
+)
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_every_name_has_its_place(robot: MadeUp, serving: Serving, name: str) -> None:
+    namespace = name.rpartition("/")[0]
+    robot.topic(name, "std_msgs/msg/String", {"data": name}, published=False, heard=True)
+    robot.publishes(name, {"data": name})
+    robot.answer(f"{namespace}/do {name[-1]}", "std_srvs/srv/Trigger", success=True)
+    robot.variable(f"{namespace}/x{name[-1]}", "Range", low=0, high=1)
+    http = serving()
+    names = {name, *(name[:at] or "/" for at in range(len(name)))}
+    names |= {f"{namespace}/do {name[-1]}", f"{namespace}/x{name[-1]}"}
+    waiting, seen = [f"{http.base_url}resources/"], set()
+    while waiting:
+        url = waiting.pop()
+        if url not in seen:
+            seen.add(url)
+            for one in FORMATS:
+                answer = http.get(url, params={"format": one})
+                assert answer.status_code == 200, (url, one, answer.text)
+            answer = http.get(url)
+            assert objects(answer, f"{ROS}name") <= names
+            assert "<script>alert" not in http.get(url, headers={"Accept": "text/html"}).text
+            waiting += objects(answer, f"{LDP}contains")
+    (own,) = [url for url in seen if value(http, url) == name]
+    assert http.put(own, json="other").status_code == 204
+    assert robot.sent[name] == [{"data": "other"}]
+    (span,) = [url for url in seen if isinstance(value(http, url), dict) and "low" in value(http, url)]
+    home = span.rpartition("/")[0] + "/"
+    assert value(http, home) == {name.rpartition("/")[2]: "other", f"x{name[-1]}": {"low": 0.0, "high": 1.0}}
+    patch = {name.rpartition("/")[2]: "third"}
+    assert http.patch(home, json=patch, headers=MERGE).status_code == 204
+    assert value(http, own) == "third"
+    (act,) = [url for url in seen if "POST" in http.get(url).headers["allow"]]
+    assert http.post(act, headers=JSON).headers["content-location"] == home
+    thing = http.get(home, params={"format": "td"}).json()
+    assert thing["properties"].keys() == {name.rpartition("/")[2], f"x{name[-1]}"}
+
+
+def test_an_address_that_no_name_has_is_refused(robot: MadeUp, serving: Serving) -> None:
+    robot.parameter("/arm/name", "Bob")
+    http = serving()
+    for path in ("arm//name", "arm/%FF", "arm/%2Fname", "arm/%zz"):
+        assert http.get(f"/resources/{path}").status_code == 400, path
+    for path in ("none", "none/", "arm/none", "arm/name/none", "arm/name/none/", "~", "arm/~"):
+        for method in ("GET", "HEAD", "PUT", "POST", "PATCH", "DELETE"):
+            assert http.request(method, f"/resources/{path}", json=1).status_code in (404, 405), path
+
+
+# HTTP as it should be
+
+
+def test_a_slash_too_many_or_too_few_is_put_right(robot: MadeUp, serving: Serving) -> None:
+    robot.parameter("/arm/name", "Bob")
+    robot.answer("/arm/home", "std_srvs/srv/Trigger", success=True)
+    http = serving()
+    here = f"{http.base_url}resources"
+    for wrong, right in (("", "/"), ("/arm", "/arm/"), ("/arm/name/", "/arm/name"), ("/arm/home/", "/arm/home")):
+        for method in ("GET", "HEAD", "OPTIONS", "PUT", "POST"):
+            answer = http.request(method, here + wrong)
+            assert (answer.status_code, answer.headers["location"]) == (308, here + right), (method, wrong)
+
+
+@pytest.mark.parametrize("path", ["arm/", "arm/grip", "arm/home"])
+def test_head_is_get_without_the_body(robot: MadeUp, serving: Serving, path: str) -> None:
+    robot.variable("/arm/grip", "Byte", value=1)
+    robot.answer("/arm/home", "std_srvs/srv/Trigger", success=True)
+    http = serving(freshness=60)
+    for accept in ("text/turtle", "application/json", "application/td+json", "text/html"):
+        get, head = (http.request(one, f"/resources/{path}", headers={"Accept": accept}) for one in ("GET", "HEAD"))
+        assert head.content == b""
+        left_out = ("date", "age")
+        assert {k: v for k, v in head.headers.items() if k not in left_out} == {
+            k: v for k, v in get.headers.items() if k not in left_out
+        }
+        assert "accept" in get.headers["vary"].lower()
+
+
+def test_options_tells_what_can_be_done(robot: MadeUp, serving: Serving) -> None:
+    robot.variable("/arm/grip", "Byte", value=1)
+    robot.answer("/arm/home", "std_srvs/srv/Trigger", success=True)
+    http = serving()
+    for path, verbs in (
+        ("", {"GET", "HEAD", "OPTIONS"}),
+        ("arm/", {"GET", "HEAD", "OPTIONS", "PATCH"}),
+        ("arm/grip", {"GET", "HEAD", "OPTIONS", "PATCH", "PUT"}),
+        ("arm/home", {"GET", "HEAD", "OPTIONS", "POST"}),
+    ):
+        answer = http.options(f"/resources/{path}")
+        assert (answer.status_code, set(answer.headers["allow"].split(", "))) == (204, verbs)
+        assert ("accept-patch" in answer.headers) == ("PATCH" in verbs)
+        assert ("accept-put" in answer.headers) == ("PUT" in verbs)
+        assert ("accept-post" in answer.headers) == ("POST" in verbs)
+        assert f'<{LDP}Resource>; rel="type"' in answer.headers["link"]
+        assert (f"{LDP}BasicContainer" in answer.headers["link"]) == (path.endswith("/") or not path)
+    assert robot.calls == {}
+
+
+@pytest.mark.parametrize("path", ["", "arm/", "arm/grip", "arm/home", "arm/level"])
+@pytest.mark.parametrize("accept", ["text/turtle", "application/json", "application/td+json", "text/html"])
+def test_what_has_not_changed_is_not_sent_again(robot: MadeUp, serving: Serving, path: str, accept: str) -> None:
+    robot.variable("/arm/grip", "Byte", value=1)
+    robot.topic("/arm/level", "std_msgs/msg/Float64", {"data": 1})
+    robot.answer("/arm/home", "std_srvs/srv/Trigger", success=True)
+    http = serving(freshness=60 if accept == "text/html" else 0)  # a page tells when it was read
+    if accept == "application/td+json" and not path.endswith("/") and path:
+        assert http.get(f"/resources/{path}", headers={"Accept": accept}).status_code == 406
+        return
+    first = http.get(f"/resources/{path}", headers={"Accept": accept})
+    assert first.headers["content-type"].partition(";")[0] == accept
+    for tag in (first.headers["etag"], f"W/{first.headers['etag']}", f'"x", {first.headers["etag"]}', "*"):
+        again = http.get(f"/resources/{path}", headers={"Accept": accept, "If-None-Match": tag})
+        assert (again.status_code, again.content) == (304, b""), tag
+        assert again.headers["etag"] == first.headers["etag"]
+        assert "accept" in again.headers["vary"].lower()
+        assert again.headers["cache-control"] == first.headers["cache-control"]
+    assert http.get(f"/resources/{path}", headers={"Accept": accept, "If-None-Match": '"x"'}).status_code == 200
+
+
+def test_a_representation_is_chosen_by_accept_or_by_format(robot: MadeUp, serving: Serving) -> None:
+    robot.variable("/arm/span", "Range", low=0, high=1)
+    http = serving(freshness=60)
+    for path in ("/resources/arm/", "/resources/arm/span", "/resources/"):
+        same = [triples(http.get(path, params={"format": one})) for one in ("ttl", "jsonld", "nt", "rdf", "n3", "nq")]
+        assert all(one == same[0] for one in same)
+        plain = http.get(path, params={"format": "json"}, headers={"Accept": "text/html"})
+        assert plain.headers["content-type"] == "application/json"
+        assert (
+            http.get(path, headers={"Accept": "application/json;q=0.5, text/turtle"})
+            .headers["content-type"]
+            .startswith("text/turtle")
+        )
+    tags = {one: http.get("/resources/arm/", params={"format": one}).headers["etag"] for one in (*FORMATS, "td")}
+    assert len(set(tags.values())) == len(tags)
+    for accept in ("application/td+json", "application/td+json, application/json;q=0.9"):
+        thing = http.get("/resources/arm/", headers={"Accept": accept})
+        assert thing.headers["content-type"] == "application/td+json"
+        assert thing.json()["properties"].keys() == {"span"}
+    browser = "text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8"
+    assert "text/html" in http.get("/resources/arm/", headers={"Accept": browser}).headers["content-type"]
+
+
+# SPARQL
+
+
+def asked(http: httpx.Client, query: str) -> list[dict[str, str]]:
+    """The rows of a query."""
+    answer = http.post(
+        "/sparql",
+        content=query,
+        headers={"Content-Type": "application/sparql-query", "Accept": "application/sparql-results+json"},
+    )
+    assert answer.status_code == 200, answer.text
+    return [{k: v["value"] for k, v in row.items()} for row in answer.json()["results"]["bindings"]]
+
+
+def test_a_query_sees_the_resources_that_it_names_and_asks_no_other(robot: MadeUp, serving: Serving) -> None:
+    robot.variable("/arm/grip", "Byte", value=3)
+    robot.variable("/arm/span", "Range", low=0.5, high=1)
+    robot.variable("/leg/grip", "Byte", value=4)
+    robot.answer("/arm/home", "std_srvs/srv/Trigger", success=True)
+    http = serving(freshness=60)
+    here = f"{http.base_url}resources/"
+    assert asked(http, "SELECT (COUNT(*) AS ?n) { ?s ?p ?o }")
+    assert asked(http, "SELECT ?g (COUNT(*) AS ?n) { GRAPH ?g { ?s ?p ?o } } GROUP BY ?g")
+    assert asked(http, f"SELECT ?v {{ ?s <{ROS}value> ?v }}") == []
+    assert robot.calls == {}
+    found = asked(
+        http,
+        f"SELECT ?m ?v {{ GRAPH <{here}arm/> {{ ?arm <{LDP}contains> ?m OPTIONAL {{ ?m <{RDF}value> ?v }} }} }}",
+    )
+    assert sorted((one["m"].removeprefix(here), one.get("v")) for one in found) == [
+        ("arm/grip", "3"), ("arm/home", None), ("arm/span", f"{here}arm/#span")
+    ]  # fmt: skip
+    assert robot.calls == {"/arm/get_grip": 1, "/arm/get_span": 1}
+    assert asked(http, f"SELECT ?v {{ GRAPH <{here}arm/grip> {{ ?s <{RDF}value> ?v }} }}") == [{"v": "3"}]
+    assert http.put("/resources/arm/grip", json=9).status_code == 204
+    assert asked(http, f"SELECT ?v {{ GRAPH <{here}arm/grip> {{ ?s <{RDF}value> ?v }} }}") == [{"v": "9"}]
+    assert robot.calls["/leg/get_grip"] == 0
+    assert asked(http, f"SELECT ?v {{ GRAPH <{here}none/> {{ ?s ?p ?v }} }}") == []
+    low = f"<{TYPES}made_up/srv/GetRange_Response#low>"
+    assert asked(http, f"SELECT ?v FROM NAMED <{here}arm/span> {{ GRAPH ?g {{ ?s {low} ?v }} }}") == [{"v": "0.5"}]
+
+
+def test_a_query_waits_no_longer_than_it_may_for_a_getter_that_hangs(robot: MadeUp, serving: Serving) -> None:
+    robot.variable("/arm/grip", "Byte", value=3)
+    robot.variable("/arm/span", "Range", low=0.5, high=1)
+    robot.hold("/arm/get_grip")
+    http = serving(read_deadline=0.3)
+    here = f"{http.base_url}resources/"
+    (why,) = asked(http, f"SELECT ?why {{ GRAPH <{here}arm/> {{ <{here}arm/grip> <{ROS}unreadable> ?why }} }}")
+    assert "has not answered" in why["why"]
+    robot.release("/arm/get_grip")
+
+
+def test_mappings_are_graphs_and_what_they_say_of_resources_is_seen(robot: MadeUp, serving: Serving) -> None:
+    robot.variable("/arm/grip", "Byte", value=3)
+    robot.variable("/arm/mode", "Words", words="manual")
+    http = serving(freshness=60)
+    asking.mapped(
+        http,
+        """<#arm> a map:ComplexResource ; map:path "/arm/" ;
+             map:property [ map:predicate ex:grip ; map:member "grip" ] ;
+             map:property [ map:predicate ex:mode ; map:member "mode" ] ;
+             map:link [ map:relation ex:up ; map:target "/" ; map:availableWhen <#manual> ] .
+           <#manual> a sh:NodeShape ; map:about "/arm/" ; sh:property [ sh:path ex:mode ; sh:hasValue "manual" ] .""",
+    )
+    url, ex = f"{http.base_url}resources/arm/", asking.EX
+    path = "https://w3id.org/rosld/mapping#path"
+    assert asked(http, f"SELECT ?p {{ GRAPH <{http.base_url}mappings/mine> {{ ?c <{path}> ?p }} }}") == [{"p": "/arm/"}]
+    query = f"SELECT ?g ?up {{ GRAPH <{url}> {{ <{url}> <{ex}grip> ?g OPTIONAL {{ <{url}> <{ex}up> ?up }} }} }}"
+    assert asked(http, query) == [{"g": "3", "up": f"{http.base_url}resources/"}]
+    assert http.put("/resources/arm/mode", json="automatic").status_code == 204
+    assert asked(http, query) == [{"g": "3"}]
+    assert http.delete("/mappings/mine").status_code == 204
+    assert asked(http, query) == []
+    assert asked(http, f"SELECT ?p {{ GRAPH <{http.base_url}mappings/mine> {{ ?c <{path}> ?p }} }}") == []

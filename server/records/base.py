@@ -1,0 +1,60 @@
+"""The contract of records: `SqliteRecords` keeps it, in memory or in a folder."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from rosld.server.records.record import Blob, Changed, Member, Record, Write
+
+
+class Records(Protocol):
+    """All records of one server. Belongs to one loop; reading is quick (tens of microseconds) and never waits."""
+
+    @property
+    def version(self) -> int:
+        """The number of the last write that was done; it rises with each."""
+        ...
+
+    def get(self, path: str) -> Record | None:
+        """A record. The very same object comes back while nothing of it changes."""
+        ...
+
+    def was_there(self, path: str) -> bool:
+        """Whether a record of this path was removed."""
+        ...
+
+    def members(self, path: str, *, after: int = 0, most: int = 1000) -> Sequence[Member]:
+        """The members of a container in the order of their numbers, those after one of them."""
+        ...
+
+    def changed(self, after: int, *, most: int = 10_000) -> Sequence[Changed]:
+        """What has changed after a version, each path once, with its latest version, in the order of versions."""
+        ...
+
+    async def write(self, *writes: Write) -> Sequence[Record | None]:
+        """Do these writes, all or none, and durably where a folder is kept: when it returns, a crash loses nothing.
+
+        The records as they are then, None for what was removed. Raises Conflict.
+        """
+        ...
+
+    async def receive(self, chunks: AsyncIterator[bytes], media_type: str, *, most: int) -> Blob:
+        """Keep bytes as they come, until a write refers to them. Raises ValueError beyond `most` bytes.
+
+        What no write refers to within a while is thrown away.
+        """
+        ...
+
+    def file(self, blob: Blob) -> Path:
+        """The file that holds a blob. Raises FileNotFoundError for one that is no more."""
+        ...
+
+    def watch(self, wake: Callable[[Sequence[Changed]], None]) -> Callable[[], None]:
+        """Call `wake` on the loop after each write with what it changed; the function that ends it."""
+        ...
+
+    async def close(self) -> None:
+        """Finish what is under way. Idempotent."""
+        ...

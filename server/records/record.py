@@ -1,0 +1,125 @@
+"""A record: one resource that a client has made, as a value; and the writes that change records."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TypeAlias
+
+
+class Model(Enum):
+    """The interaction models of LDP 1.0; the values are local names of its vocabulary."""
+
+    RDF_SOURCE = "RDFSource"
+    NON_RDF_SOURCE = "NonRDFSource"
+    BASIC_CONTAINER = "BasicContainer"
+    DIRECT_CONTAINER = "DirectContainer"
+    INDIRECT_CONTAINER = "IndirectContainer"
+
+    @property
+    def is_container(self) -> bool:
+        """Whether resources are made in it."""
+        return self.value.endswith("Container")
+
+
+@dataclass(frozen=True, slots=True)
+class Blob:
+    """The bytes of a non-RDF source: the `id` under which they are kept, how many, and their exact media type."""
+
+    id: str
+    size: int
+    media_type: str
+
+
+@dataclass(frozen=True, slots=True)
+class Membership:
+    """What membership triples of a Direct or Indirect container are made of (LDP 5.4, 5.5), as IRIs.
+
+    `relation` is ldp:hasMemberRelation, or with `inverse` ldp:isMemberOfRelation; `content` is
+    ldp:insertedContentRelation, None for a Direct container.
+    """
+
+    resource: str
+    relation: str
+    inverse: bool = False
+    content: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A resource that is kept.
+
+    `path` is its URL without the base, encoded as in the URL (`data/rooms/kitchen`); that of a container ends in a
+    slash. `triples` are N-Triples of what clients say of it, spelt as they spelt them, without anything that the server
+    manages; for a non-RDF source they are its description's. `version` rises with each change of the record, `listed`
+    (of a container) with each change of its members; both are numbers of `Records.version`. `member` is what stands for
+    it in the membership triples of the container it was made in: its own URL as a rule.
+    """
+
+    path: str
+    model: Model
+    version: int
+    created_ns: int
+    modified_ns: int
+    triples: bytes = b""
+    blob: Blob | None = None
+    membership: Membership | None = None
+    member: str | None = None
+    listed: int = 0
+    count: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """A member of a container: `number` orders members by when they were made, and never changes."""
+
+    number: int
+    path: str
+    model: Model
+    member: str
+
+
+@dataclass(frozen=True, slots=True)
+class Put:
+    """Make or replace a record. `expected` is the version it must have, 0: it must not be there, None: whatever.
+
+    A new one is listed in its container, which is the path up to its last segment and must be there. Its model never
+    changes.
+    """
+
+    path: str
+    model: Model
+    triples: bytes = b""
+    blob: Blob | None = None
+    membership: Membership | None = None
+    member: str | None = None
+    expected: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Remove:
+    """Remove a record for good: its path is never used again. A container must be empty."""
+
+    path: str
+    expected: int | None = None
+
+
+Write: TypeAlias = Put | Remove
+
+
+class Conflict(Exception):
+    """A write that cannot be done as things are; nothing of its batch was done. `path` is whose."""
+
+    def __init__(self, path: str, words: str) -> None:
+        super().__init__(f"{path}: {words}")
+        self.path = path
+        self.words = words
+
+
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """A path whose record, or whose list of members, changed after some version; `gone`: it is no more."""
+
+    path: str
+    version: int
+    gone: bool

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import sys
-from collections.abc import Coroutine
+from collections.abc import AsyncIterator, Coroutine
 
 import anyio
 from starlette.requests import ClientDisconnect, Request
@@ -42,6 +42,34 @@ async def read_body(request: Request, *, limit: int, timeout: float = TIMEOUT) -
     if declared is not None and len(body) != declared:
         raise Problem(400, f"Content-Length says {declared} bytes, the body has {len(body)}.", headers=_CLOSE)
     return body
+
+
+async def read_chunks(request: Request, *, limit: int, timeout: float = TIMEOUT) -> AsyncIterator[bytes]:
+    """The body of a request as it comes, each chunk within `timeout` seconds; Problems as `read_body`'s."""
+    refuse_coding(request.headers.get("content-encoding"))
+    declared = declared_length(request.headers.get("content-length"))
+    if declared is not None and declared > limit:
+        await _let_finish(request)
+        raise _too_large(limit)
+    size, more = 0, True
+    while more:
+        try:
+            with anyio.fail_after(timeout):
+                message = await request.receive()
+        except TimeoutError as error:
+            raise Problem(408, f"Nothing of the body arrived for {timeout:g} s.", headers=_CLOSE) from error
+        if message["type"] != "http.request":
+            raise Problem(400, "The connection ended within the body.", headers=_CLOSE)
+        chunk: bytes = message.get("body", b"")
+        size += len(chunk)
+        if size > limit:
+            await _let_finish(request)
+            raise _too_large(limit)
+        if chunk:
+            yield chunk
+        more = message.get("more_body", False)
+    if declared is not None and size != declared:
+        raise Problem(400, f"Content-Length says {declared} bytes, the body has {size}.", headers=_CLOSE)
 
 
 def refuse_coding(coding: str | None) -> None:

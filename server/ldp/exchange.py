@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from functools import cached_property, lru_cache
 from types import MappingProxyType
 from urllib.parse import parse_qsl
@@ -10,7 +10,7 @@ from urllib.parse import parse_qsl
 from starlette.requests import Request
 
 from rosld.server.http import media, prefer
-from rosld.server.http.body import read_body
+from rosld.server.http.body import read_body, read_chunks
 from rosld.server.http.problem import Problem
 
 
@@ -83,6 +83,10 @@ class Exchange:
         if self._body is None:
             self._body = await read_body(self.request, limit=self._body_limit)
         return self._body
+
+    def chunks(self, *, limit: int) -> AsyncIterator[bytes]:
+        """The body as it comes, for a write that streams; raises the Problems of `body`."""
+        return read_chunks(self.request, limit=limit)
 
     def flag(self, name: str) -> bool:
         """Whether `?name=true` is asked for; raises a 400 Problem for anything but true and false."""

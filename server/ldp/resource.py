@@ -39,6 +39,8 @@ class Resource:
     links: tuple[Link, ...] = (RESOURCE, RDF_SOURCE)
     accepts: Mapping[str, Sequence[str]] = {}
     """The media types that PUT, POST and PATCH take, by method."""
+    lasting = True
+    """Whether the same path means the same kind of resource for ever."""
     takes_forms = True
     """Whether a posted form is one of our pages' (else the resource reads it itself)."""
     title = ""
@@ -107,8 +109,12 @@ class Resource:
         return ()
 
     async def narrowed(self, exchange: Exchange) -> Resource:
-        """The resource that the query asks for: a page of this one, a variant, itself."""
+        """The resource that query and preferences ask for: a page of this one, a variant, itself."""
         return self
+
+    def streams(self, exchange: Exchange) -> bool:
+        """Whether a write reads its body itself, as it comes, because it may be larger than memory."""
+        return False
 
     async def special(self, exchange: Exchange) -> Response | None:
         """An answer to a GET that is no representation of the whole, such as the bytes of one field."""
@@ -134,6 +140,7 @@ class Created:
     location: str
     resource: Resource
     state: State
+    links: tuple[Link, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

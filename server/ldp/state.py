@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -30,7 +30,8 @@ class State:
     `token` is the state part of its ETag; without one it is a digest of the RDF. `plain` returns ROS's own JSON or
     raises the Problem that says why there is none (406). `received_ns` is when its newest sample was received, for Age.
     `max_age`: seconds for which it may be shown without asking again (RFC 9111 5.2.2.1); 0: ask each time.
-    `view` is what its page is drawn from, where that is more than its RDF.
+    `view` is what its page is drawn from, where that is more than its RDF. `scope` names what `tag` is unique in, where
+    that outlives this run of the server. `headers` go with every representation.
     A state is kept as long as nothing changes, and its renderings with it.
     """
 
@@ -40,6 +41,8 @@ class State:
     received_ns: int | None = None
     max_age: int = 0
     view: View | None = None
+    scope: str | None = None
+    headers: Mapping[str, str] = field(default_factory=dict)
     renderings: dict[str, Rendering] = field(default_factory=dict)
 
     @cached_property

@@ -45,8 +45,7 @@ class Verbs:
     async def answer(self, exchange: Exchange, resource: Resource) -> Response:
         """The response to a request on a resource; raises Problems."""
         method = exchange.method
-        if exchange.request.scope["query_string"]:
-            resource = await resource.narrowed(exchange)
+        resource = await resource.narrowed(exchange)
         await resource.ready()
         if method in ("GET", "HEAD"):
             return await self.read(exchange, resource)
@@ -58,7 +57,7 @@ class Verbs:
             raise Problem(405, resource.why_not(method), headers={"Allow": allow(resource)})
         try:
             _check_media_type(exchange, resource)
-            if method != "DELETE":
+            if method != "DELETE" and not resource.streams(exchange):
                 await exchange.body()  # before the preconditions: nothing is to come between them and the write
             await self._check_preconditions(exchange, resource)
             answer = await _VERBS[method](resource, exchange)
@@ -119,6 +118,7 @@ class Verbs:
             "vary": "Accept",
             "cache-control": f"max-age={state.max_age}" if state.max_age else "no-cache",
             **standing_headers(resource),
+            **state.headers,
         }
         if media_type == HTML:
             headers |= self.pages.headers
@@ -126,7 +126,7 @@ class Verbs:
 
     def _name(self, state: State) -> str:
         """The state part of the ETags of a state's representations."""
-        return f"{self.boot}-{state.tag}"
+        return f"{state.scope or self.boot}-{state.tag}"
 
     async def _stream(self, exchange: Exchange, resource: Resource) -> Response:
         """The changes of a resource as an event stream. What can be refused is refused before it begins."""
@@ -187,11 +187,14 @@ class Verbs:
 
     async def _created(self, exchange: Exchange, created: Created) -> Response:
         """201 with the new resource as body (RFC 9110 15.3.2), or without where less is preferred."""
-        location = (b"location", link.uri(created.location).encode("ascii"))
+        headers = [(b"location", link.uri(created.location).encode("ascii"))]
+        if created.links:
+            headers.append((b"link", link.render(created.links).encode("latin-1")))
         if exchange.prefer.minimal:
-            return Prepared(201, b"", [location, (b"content-length", b"0")])
+            applied = (b"preference-applied", b"return=minimal")
+            return Prepared(201, b"", [*headers, applied, (b"content-length", b"0")])
         rendering = await self.rendering(exchange, created.resource, created.state)
-        return Prepared(201, rendering.body, [*rendering.headers, location, (b"content-location", location[1])])
+        return Prepared(201, rendering.body, [*rendering.headers, *headers, (b"content-location", headers[0][1])])
 
     async def _shown(self, exchange: Exchange, shown: Shown) -> Response:
         """200 with the representation of the resource that shows it (RFC 9110 8.7), or 204 where less is preferred."""
@@ -299,7 +302,7 @@ def _check_media_type(exchange: Exchange, resource: Resource) -> None:
         return
     if exchange.header("content-type") is None and exchange.header("content-length") in (None, "0"):
         return
-    if exchange.media_type not in accepted:
+    if exchange.media_type not in accepted and "*/*" not in accepted:
         headers = {_ACCEPT_FIELDS[exchange.method]: ", ".join(accepted)}
         raise Problem(
             415, f"{exchange.method} takes {', '.join(accepted)} here, not {exchange.media_type}.", headers=headers

@@ -138,6 +138,8 @@ class Router:
         resource = self._kept.get(raw)
         if resource is None:
             resource = self._find(raw)
+            if not resource.lasting:
+                return resource
             if len(self._kept) >= _MOST:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[raw] = resource

@@ -225,7 +225,15 @@ class ldp(Namespace, iri="http://www.w3.org/ns/ldp#"):
     NonRDFSource: NamedNode
     Container: NamedNode
     BasicContainer: NamedNode
+    DirectContainer: NamedNode
+    IndirectContainer: NamedNode
     contains: NamedNode
+    member: NamedNode
+    MemberSubject: NamedNode
+    membershipResource: NamedNode
+    hasMemberRelation: NamedNode
+    isMemberOfRelation: NamedNode
+    insertedContentRelation: NamedNode
     constrainedBy: NamedNode
     Page: NamedNode
     pageSequence: NamedNode
@@ -247,6 +255,9 @@ class dcterms(Namespace, iri="http://purl.org/dc/terms/"):
     description: NamedNode
     isPartOf: NamedNode
     hasPart: NamedNode
+    created: NamedNode
+    modified: NamedNode
+    format: NamedNode
 
 
 class foaf(Namespace, iri="http://xmlns.com/foaf/0.1/"):

@@ -1,0 +1,67 @@
+"""Records described: what a client said of a resource, and what the server adds to it (LDP 4.2, 5.2). Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from pyoxigraph import NamedNode, RdfFormat, Triple, parse
+
+from rosld.ontology.document import Document
+from rosld.ontology.triples import Statement, about, each, integer, moment, text
+from rosld.ontology.vocab import dcterms, ldp, rdf, ros
+from rosld.server.records.record import Model, Record
+
+_TYPES = {
+    Model.RDF_SOURCE: (ldp.Resource, ldp.RDFSource),
+    Model.NON_RDF_SOURCE: (ldp.Resource, ldp.NonRDFSource),
+    Model.BASIC_CONTAINER: (ldp.Resource, ldp.RDFSource, ldp.Container, ldp.BasicContainer),
+    Model.DIRECT_CONTAINER: (ldp.Resource, ldp.RDFSource, ldp.Container, ldp.DirectContainer),
+    Model.INDIRECT_CONTAINER: (ldp.Resource, ldp.RDFSource, ldp.Container, ldp.IndirectContainer),
+}
+MANAGED = frozenset({ldp.contains, dcterms.created, dcterms.modified, ros.length, dcterms.format})
+"""What the server says of a resource, and nobody else."""
+META = ".meta"
+"""What the URL of a non-RDF source's description ends in."""
+
+
+def record_document(record: Record, url: str, members: Sequence[str], membership: Sequence[Triple]) -> Document:
+    """What the resource at `url` says: `members` are the URLs of what it contains, `membership` its own triples.
+
+    Of a non-RDF source it is the description, at its URL and `.meta`.
+    """
+    subject = NamedNode(url)
+    document = url + META if record.model is Model.NON_RDF_SOURCE else url
+    managed = about(
+        subject,
+        *((rdf.type, kind) for kind in _TYPES[record.model]),
+        (dcterms.created, moment(record.created_ns)),
+        (dcterms.modified, moment(record.modified_ns)),
+        *_of_file(record),
+        *each(ldp.contains, map(NamedNode, members)),
+    )
+    return Document(document, (*managed, *said(record), *membership))
+
+
+def said(record: Record) -> tuple[Triple, ...]:
+    """What clients say of a resource, spelt as they did."""
+    return tuple(quad.triple for quad in parse(record.triples, RdfFormat.N_TRIPLES)) if record.triples else ()
+
+
+def _of_file(record: Record) -> Iterable[Statement]:
+    if record.blob is None:
+        return ()
+    return ((dcterms.format, text(record.blob.media_type)), (ros.length, integer(record.blob.size)))
+
+
+def is_managed(triple: Triple, url: str) -> bool:
+    """Whether a triple is the server's to say: the kind, the times and the members of the resource at `url`."""
+    if triple.subject != NamedNode(url):
+        return False
+    if triple.predicate == rdf.type:
+        return isinstance(triple.object, NamedNode) and triple.object.value.startswith(ldp.iri)
+    return triple.predicate in MANAGED
+
+
+def written(triples: Iterable[Triple]) -> bytes:
+    """Triples as they are kept."""
+    return "".join(f"{triple} .\n" for triple in dict.fromkeys(triples)).encode()

@@ -123,6 +123,9 @@ class Settings:
     host_map: tuple[tuple[str, str], ...] = setting(
         (), "ROS 1: the address of a host whose name does not resolve here. Repeatable.", option=True, metavar="NAME=IP"
     )
+    demand_if_match: bool = setting(
+        False, "Refuse to change what is kept under /data/ without If-Match (428).", option=True
+    )
     read_only: bool = setting(False, "Offer nothing that changes the robot.", option=True)
     rate: float = setting(
         1.0, "Recordings: how fast to play, 1 being as recorded.", option=True, least=0.000001, metavar="X"
@@ -146,6 +149,9 @@ class Settings:
     calls_kept: int = setting(1000, "The most calls kept under /calls/; the oldest goes first.", least=1)
     calls_age: float = setting(3600.0, "How long a call is kept under /calls/.", unit="s", least=1)
     body_limit: int = setting(10 * 1024 * 1024, "The largest request body.", unit="bytes", least=1024)
+    upload_limit: int = setting(
+        1024 * 1024 * 1024, "The largest file that is kept under /data/.", unit="bytes", least=1024
+    )
     inline_limit: int = setting(
         64 * 1024,
         "The largest array or string told inline; a larger one is elided, with a link to its bytes.",

@@ -271,12 +271,14 @@ class Offers:
         return Operation.CALL in robot.adapter.allows(Ref(Kind.SERVICE, plan.service))
 
     @asynccontextmanager
-    async def turn(self, layout: Layout, *names: str) -> AsyncIterator[None]:
-        """Within it, what hangs together with these names by conditions is written by nobody else through rosld.
+    async def turn(self, layout: Layout, *names: str, changed: Iterable[str] = ()) -> AsyncIterator[None]:
+        """Within it, what hangs together with these names by conditions is written by nobody else through rosld, and
 
-        Raises a 503 Problem where the others take too long.
+        the properties `changed`, whose new values are made of their old ones, are changed by nobody else. Raises a 503
+        Problem where the others take too long.
         """
-        locks = [self._turns.setdefault(key, asyncio.Lock()) for key in layout.turns(names)]
+        keys = sorted({*layout.turns(names), *changed})
+        locks = [self._turns.setdefault(key, asyncio.Lock()) for key in keys]
         if not locks:
             yield
             return

@@ -21,7 +21,7 @@ from rosld.server.hypermedia.content import rdf_content
 from rosld.server.hypermedia.describe import fragment
 from rosld.server.hypermedia.layout import ComplexPlan, MemberPlan
 from rosld.server.hypermedia.offers import Sight
-from rosld.server.hypermedia.value import WHOLE, Reading, literal, picked_json, plain_json
+from rosld.server.hypermedia.value import WHOLE, MessageValue, Reading, literal, picked_json, plain_json
 from rosld.server.hypermedia.views import ComplexView, Member
 from rosld.server.hypermedia.writing import PlannedWrite, Written, carry_out
 from rosld.server.ldp.patch import merge_patch
@@ -70,7 +70,7 @@ def _changed(body: RdfBody, plan: MemberPlan, seen: Member, url: str, robot: Rob
     predicate = relation or rdf.value
     stated = body.objects(subject, predicate)
     if not stated:
-        if seen.reading.value is None:
+        if not _is_said(seen):
             return None
         raise LoweringError(Violation(plan.name, f"a member cannot be removed: {subject} {predicate} is missing"))
     try:
@@ -83,8 +83,7 @@ def _changed(body: RdfBody, plan: MemberPlan, seen: Member, url: str, robot: Rob
 
 def _says(stated: Literal, seen: Member) -> bool:
     """Whether a literal says what the value of a member is already: a store gives numbers back in other words."""
-    value = seen.reading.value
-    present = None if value is None else literal(value, seen.field)
+    present = _literal(seen)
     if stated == present or present is None:
         return stated == present
     try:
@@ -94,12 +93,29 @@ def _says(stated: Literal, seen: Member) -> bool:
     return type(one) is type(other) and one == other
 
 
-def _present(member: Member) -> object:
-    """The value of a member as plain JSON; None where there is none."""
+def _is_said(member: Member) -> bool:
+    """Whether RDF states a value of the member."""
+    return (member.field is None and isinstance(member.reading.value, MessageValue)) or _literal(member) is not None
+
+
+def _literal(member: Member) -> Literal | None:
+    """The literal that is the value of a member, None where there is none."""
     value = member.reading.value
+    try:
+        return None if value is None else literal(value, member.field)
+    except ValueError:
+        return None
+
+
+def _present(member: Member) -> object:
+    """The value of a member as plain JSON, None where there is none."""
+    value, field = member.reading.value, member.field
     if value is None:
         return None
-    return parse_json(plain_json(value, WHOLE) if member.field is None else picked_json(value, member.field))
+    try:
+        return parse_json(plain_json(value, WHOLE) if field is None else picked_json(value, field))
+    except ValueError:
+        return None
 
 
 # The plan

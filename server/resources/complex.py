@@ -122,7 +122,7 @@ class ComplexResource(Resource):
         layout, plan = await self._plan()
         data = await exchange.body()
         named = tuple(member.of.name for member in plan.members)
-        async with self.robot.offers.turn(layout, self.path, *named):
+        async with self.robot.offers.turn(layout, self.path, *named, changed=named):
             sight = await seen_anew(self.robot, layout, plan.reads)
             changes = self._changes(exchange.media_type, plan, sight, data)
             return await carried_out(self.robot, await planned_changes(self.robot, plan, sight, changes))

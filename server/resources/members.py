@@ -184,7 +184,8 @@ class MemberResource(Resource):
     async def put(self, exchange: Exchange) -> Answer:
         layout, plan = await self._property()
         content = self._content(exchange, plan, await exchange.body())
-        async with self.robot.offers.turn(layout, self.name):
+        changed = () if plan.member.field is None else (plan.of.name,)
+        async with self.robot.offers.turn(layout, self.name, changed=changed):
             if plan.conditional or plan.member.field is not None:
                 sight = await seen_anew(self.robot, layout, plan.reads)
                 require_writable(self.robot, plan, sight)
@@ -195,7 +196,7 @@ class MemberResource(Resource):
     async def patch(self, exchange: Exchange) -> Answer:
         layout, plan = await self._property()
         data = await exchange.body()
-        async with self.robot.offers.turn(layout, self.name):
+        async with self.robot.offers.turn(layout, self.name, changed=(plan.of.name,)):
             sight = await seen_anew(self.robot, layout, plan.reads)
             require_writable(self.robot, plan, sight)
             content = self._whole(plan, sight, self._patched(exchange, plan, sight, data))

@@ -310,6 +310,55 @@ def test_etags_change_when_links_come_and_go(arm: MadeUp, serving: Serving) -> N
     assert http.get("/resources/arm/").headers["etag"] == first
 
 
+# Fields
+
+
+def test_a_field_is_read_and_written_at_an_address_of_its_own(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(http, GRIPPER)
+    url = f"{http.base_url}resources/gripper/"
+    assert f"{url}x" in objects(http.get(url), f"{LDP}contains")
+    assert value(http, f"{url}x") == 1.0
+    assert objects(http.get(f"{url}x"), f"{RDF}value") == {"1.0"}
+    assert http.put(f"{url}x", json=4).status_code == 204
+    assert value(http, "/resources/arm/pose")["pose"]["position"] == {"x": 4.0, "y": 2.0, "z": 3.0}
+    assert http.patch(f"{url}y", json=5, headers=MERGE).status_code == 204
+    turtle = f"<> <{RDF}value> 6 ."
+    assert http.put(f"{url}x", content=turtle, headers=TURTLE).status_code == 204
+    assert value(http, url) == {"force": 1, "x": 6.0, "y": 5.0}
+    for wrong in ("far", True, {"x": 1}, [1]):
+        assert http.put(f"{url}x", json=wrong).status_code == 422, wrong
+    assert arm.calls["/arm/set_pose"] == 3
+    assert http.get("/resources/arm/x").status_code == 404
+    # The whole of which it is a field must be known.
+    arm.break_off("/arm/get_pose")
+    assert "must be known" in detail(http.put(f"{url}x", json=7), 409)
+    assert arm.calls["/arm/set_pose"] == 3
+
+
+def test_fields_written_side_by_side_lose_nothing(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(http, GRIPPER)
+    with ThreadPoolExecutor(8) as pool:
+        for number in range(10, 15):
+            writes = [
+                pool.submit(http.put, f"/resources/gripper/{axis}", json=number + place)
+                for place, axis in enumerate(("x", "y"))
+            ]
+            assert [one.result().status_code for one in writes] == [204, 204]
+            assert value(http, "/resources/gripper/") == {"force": 1, "x": number, "y": number + 1}
+
+
+def test_a_field_that_is_not_there_is_told_and_harms_nobody(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(http, GRIPPER.replace("pose.position.y", "pose.position.q"))
+    url = f"{http.base_url}resources/gripper/"
+    assert value(http, url) == {"force": 1, "x": 1.0, "q": None}
+    assert "no" in "".join(objects(http.get(url), f"{ROS}unreadable", f"{url}q"))
+    assert http.patch(url, json={"q": 1}, headers=MERGE).status_code == 422
+    assert http.patch(url, json={"x": 2}, headers=MERGE).status_code == 204
+
+
 # Several members at once
 
 

@@ -67,11 +67,13 @@ class Client:
         self._writer.close()
         await self._writer.wait_closed()
 
-    async def ask(self, method: str, path: str, body: bytes = b"", accept: str = JSON) -> Answer:
+    async def ask(
+        self, method: str, path: str, body: bytes = b"", accept: str = JSON, media_type: str = JSON
+    ) -> Answer:
         """The answer to a request."""
         head = (
             f"{method} {path} HTTP/1.1\r\nHost: {self._host}:{self._port}\r\nAccept: {accept}\r\n"
-            f"Content-Type: {JSON}\r\nContent-Length: {len(body)}\r\n\r\n"
+            f"Content-Type: {media_type}\r\nContent-Length: {len(body)}\r\n\r\n"
         )
         self._writer.write(head.encode() + body)
         status, *fields = (await self._reader.readuntil(b"\r\n\r\n")).decode("latin-1").split("\r\n")
@@ -350,3 +352,23 @@ def test_what_hangs_holds_up_nobody_else() -> None:
     assert fast < min(slow)
     assert max(slow) - began < 5  # and not as long as the call may take
     assert robot.calls["/arm/get_grip"] == 1
+
+
+def test_changes_of_one_value_made_side_by_side_lose_nothing() -> None:
+    robot = _made_up().MadeUp()
+    values = robot.variable("/arm/span", "Range", low=0, high=0)
+    patch = "application/merge-patch+json"
+    with _made_up().served(robot, freshness=0) as http:
+
+        def changing(key: str, path: str) -> Callable[[Client], Coroutine[Any, Any, None]]:
+            async def change(client: Client) -> None:
+                for number in range(1, 11):
+                    body = {key: number} if path.endswith("span") else {"span": {key: number}}
+                    answer = await client.ask("PATCH", path, json.dumps(body).encode(), media_type=patch)
+                    assert answer.status == 204, answer
+                    assert values[key] == number
+
+            return change
+
+        at_once(http.base_url, changing("low", "/resources/arm/span"), changing("high", "/resources/arm/"))
+    assert values == {"low": 10, "high": 10}

@@ -1,0 +1,238 @@
+"""Resources of a real ROS 1 robot: a rospy node whose getters are counted, hang, raise, vanish and come back."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import httpx
+import pytest
+
+HERE = Path(__file__).parent
+DEFINITIONS = HERE / "robots" / "definitions"
+FRESHNESS = 1.0
+
+
+def _module(name: str, path: Path) -> Any:
+    """A module of the tests; they are no package."""
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+
+
+if TYPE_CHECKING:
+    from tests.adapters.ros1 import system
+    from tests.adapters.ros1.system import Running
+    from tests.server.robots import asking
+else:
+    system = _module("ros1_tests_system", HERE.parent / "adapters" / "ros1" / "system.py")
+    asking = _module("server_tests_asking", HERE / "robots" / "asking.py")
+    Running = system.Running
+
+value, objects, detail, mapped = asking.value, asking.objects, asking.detail, asking.mapped
+ROS, LDP, EX, JSON, MERGE = asking.ROS, asking.LDP, asking.EX, asking.JSON, asking.MERGE
+
+
+@pytest.fixture(scope="module")
+def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A rosmaster."""
+    system.require_ros()
+    found = system.RosSystem(tmp_path_factory.mktemp("ros"))
+    found.start_master()
+    yield found
+    found.close()
+
+
+@pytest.fixture(scope="module")
+def limb(ros: Any, tmp_path_factory: pytest.TempPathFactory) -> Running:
+    """The limb."""
+    started: Running = ros.node("limb_node.py", str(tmp_path_factory.mktemp("classes")), str(DEFINITIONS))
+    return started
+
+
+@pytest.fixture(scope="module")
+def http(ros: Any, limb: Running, start_server: Callable[..., Any]) -> Iterator[httpx.Client]:
+    """rosld on it, which hides the services that tell it what to do."""
+    settings = ("--setting", "read_deadline", "0.7", "--setting", "freshness", str(FRESHNESS))
+    served = start_server(ros.source, "--types", str(DEFINITIONS), "--exclude-service", "/limb_control/*", *settings)
+    until(lambda: value(served.http, "/resources/limb/")["awake"] is not None, "a first value")
+    yield served.http
+    assert served.stop() == 0
+
+
+def until(true: Callable[[], Any], what: str, timeout: float = 20.0) -> Any:
+    """Wait for what the master tells only when it is asked."""
+    end = time.monotonic() + timeout
+    while not (found := true()):
+        assert time.monotonic() < end, f"never came: {what}"
+        time.sleep(0.05)
+    return found
+
+
+def tell(http: httpx.Client, words: str) -> None:
+    """Tell the limb what to do."""
+    http.post("/services/limb_control/tell", json={"words": words}).raise_for_status()
+
+
+def counted(http: httpx.Client) -> dict[str, int]:
+    """How often each service of the limb was called."""
+    answer = http.post("/services/limb_control/count", headers=JSON)
+    found: dict[str, int] = json.loads(answer.json()["words"])
+    return found
+
+
+def grip_is(http: httpx.Client, expected: object) -> Any:
+    """Wait until the grip is read so, and nothing of before is fresh."""
+    return until(lambda: value(http, "/resources/limb/")["grip"] == expected, f"a grip of {expected}")
+
+
+def test_a_rospy_node_comes_to_resources_with_no_configuration(http: httpx.Client) -> None:
+    here = f"{http.base_url}resources/"
+    assert objects(http.get(here), f"{LDP}contains") >= {f"{here}limb/"}
+    found = value(http, "/resources/limb/")
+    found.pop("command")
+    assert found == {
+        "awake": False, "grip": 1, "level": 0.25, "mode": "manual", "name": "Bob", "span": {"low": 0.5, "high": 2.0}
+    }  # fmt: skip
+    names = {*found, "command", "get_ready", "get_map", "relax", "pid/"}
+    assert objects(http.get("/resources/limb/"), f"{LDP}contains") == {f"{here}limb/{name}" for name in names}
+    assert value(http, "/resources/limb/pid/") == {"i": 0, "p": 1.5}
+    assert counted(http).keys() == {"/limb/get_grip", "/limb/getMode", "/limb/span/get"}
+    assert http.get("/resources/limb/get_loggers").status_code == 404
+    assert http.get("/resources/limb_control/tell").status_code == 404
+
+
+def test_a_rospy_node_is_written_to(http: httpx.Client) -> None:
+    for name, body in (("grip", 5), ("mode", "automatic"), ("span", {"low": 1, "high": 3.5}), ("name", "Eve")):
+        assert http.put(f"/resources/limb/{name}", json=body).status_code == 204, name
+        assert value(http, f"/resources/limb/{name}") == body
+    assert http.put("/resources/limb/awake", json=True).status_code == 204
+    until(lambda: value(http, "/resources/limb/awake") is True, "the topic of the switch")
+    assert http.put("/resources/limb/command", json=0.75).status_code in (202, 204)
+    until(lambda: value(http, "/resources/limb/level") == 0.75, "what was commanded")
+    answer = http.patch("/resources/limb/", json={"grip": 1, "mode": "manual", "name": "Bob"}, headers=MERGE)
+    assert answer.status_code == 204
+    assert http.post("/resources/limb/relax", headers=JSON).json()["grip"] == 1
+    assert "not negative" in detail(http.put("/resources/limb/grip", json=-1), 422)
+    assert "it would break" in detail(http.put("/resources/limb/grip", json=101), 422)
+    assert http.put("/resources/limb/grip", json=128).status_code == 422
+    partly = http.patch("/resources/limb/", json={"grip": -1, "mode": "x", "span": {"low": 9}}, headers=MERGE).json()
+    assert [(one["name"], one["status"]) for one in partly["members"]] == [("grip", 422), ("mode", 424), ("span", 424)]
+
+
+def test_a_rospy_getter_is_called_once_in_a_freshness_period(http: httpx.Client) -> None:
+    tell(http, "forget")
+    until_ = time.monotonic() + 2 * FRESHNESS
+
+    def read(number: int) -> int:
+        times = 0
+        with httpx.Client(base_url=http.base_url) as client:
+            while time.monotonic() < until_:
+                assert value(client, ("/resources/limb/", "/resources/limb/grip")[number % 2])
+                times += 1
+        return times
+
+    began = time.monotonic()
+    with ThreadPoolExecutor(16) as pool:
+        reads = sum(pool.map(read, range(16)))
+    elapsed = time.monotonic() - began
+    calls = counted(http)
+    assert reads > 50
+    for name in ("/limb/get_grip", "/limb/getMode", "/limb/span/get"):
+        assert 1 <= calls[name] <= elapsed / FRESHNESS + 1
+
+
+def test_a_rospy_getter_that_raises_is_told_in_its_words(http: httpx.Client) -> None:
+    tell(http, "raise")
+    grip_is(http, None)
+    (why,) = objects(http.get("/resources/limb/"), f"{ROS}unreadable", f"{http.base_url}resources/limb/grip")
+    assert "the limb is <asleep>" in why
+    assert value(http, "/resources/limb/mode") == "manual"
+    page = http.get("/resources/limb/grip", headers={"Accept": "text/html"})
+    assert "the limb is &lt;asleep&gt;" in page.text
+    tell(http, "behave")
+    grip_is(http, 1)
+
+
+def test_a_rospy_node_that_hangs_leaves_what_needs_no_call(http: httpx.Client) -> None:
+    time_of_hanging = time.monotonic()
+    tell(http, "hang")
+    try:
+        grip_is(http, None)
+        assert time.monotonic() - time_of_hanging < 10
+        found = value(http, "/resources/limb/")
+        assert (found["mode"], found["span"], found["name"], found["level"]) == (None, None, "Bob", 0.75)
+        (why,) = objects(http.get("/resources/limb/grip"), f"{ROS}unreadable")
+        assert "has not answered within" in why
+    finally:
+        tell(http, "go on")
+    grip_is(http, 1)
+
+
+def test_a_service_that_vanishes_takes_its_offers_with_it(http: httpx.Client) -> None:
+    mapped(
+        http,
+        """<#limb> a map:ComplexResource ; map:path "/limb/" ;
+             map:property [ map:predicate ex:grip ; map:member "grip" ] ;
+             map:property [ map:predicate ex:mode ; map:member "mode" ] ;
+             map:action [ map:relation ex:relax ; map:service "/limb/relax" ; map:availableWhen <#gripping> ] .
+           <#gripping> a sh:NodeShape ; map:about "/limb/" ; sh:property [ sh:path ex:grip ; sh:minInclusive 1 ] .""",
+    )
+    try:
+        assert objects(http.get("/resources/limb/"), f"{EX}relax") == {f"{http.base_url}resources/limb/relax"}
+        assert http.post("/resources/limb/relax", headers=JSON).json() == {"grip": 1, "mode": "manual"}
+        tell(http, "vanish")
+        until(lambda: not objects(http.get("/resources/limb/"), f"{EX}relax"), "the end of the offer")
+        tell(http, "forget")
+        answer = http.post("/resources/limb/relax")
+        assert "cannot be read" in detail(answer, 409)
+        assert http.get("/resources/limb/relax").status_code == 404
+        assert value(http, "/resources/limb/mode") == "manual"
+        assert "/limb/relax" not in counted(http)
+        tell(http, "come back")
+        until(lambda: http.post("/resources/limb/relax").status_code == 200, "the offer again")
+    finally:
+        assert http.delete("/mappings/mine").status_code == 204
+
+
+def test_a_node_that_comes_later_is_arranged_as_a_mapping_has_it(http: httpx.Client) -> None:
+    mapped(
+        http,
+        """<#arm> a map:ComplexResource ; map:path "/arm/" ;
+             map:property [ map:predicate ex:grip ; map:member "grip" ; map:name "force" ] ;
+             map:action [ map:relation ex:home ; map:name "fold" ; map:service "/arm/home" ] .""",
+        "later",
+    )
+    assert value(http, "/resources/arm/") == {}
+    tell(http, "grow")
+    until(lambda: value(http, "/resources/arm/") == {"force": 7}, "the arm")
+    answer = until(lambda: objects(http.get("/resources/arm/"), f"{EX}home"), "its action")
+    assert answer == {f"{http.base_url}resources/arm/fold"}
+    assert http.post("/resources/arm/fold", headers=JSON).json() == {"force": 7}
+    assert f"{http.base_url}resources/arm/fold" in detail(http.get("/resources/arm/home"), 404)
+
+
+def test_a_node_that_dies_is_unreadable_and_one_that_returns_is_read(
+    http: httpx.Client, ros: Any, limb: Running, tmp_path: Path
+) -> None:
+    assert value(http, "/resources/limb/grip") == 1
+    limb.kill()  # the master is not told
+    grip_is(http, None)
+    (why,) = objects(http.get("/resources/limb/"), f"{ROS}unreadable", f"{http.base_url}resources/limb/grip")
+    assert "/limb/get_grip" in why
+    assert value(http, "/resources/limb/name") == "Bob"  # the master holds parameters
+    assert http.put("/resources/limb/grip", json=2).status_code in (502, 503, 504)
+    ros.node("limb_node.py", str(tmp_path), str(DEFINITIONS))
+    grip_is(http, 1)
+    assert http.put("/resources/limb/grip", json=2).status_code == 204
+    assert value(http, "/resources/limb/grip") == 2

@@ -79,8 +79,9 @@ class Verbs:
         state = await resource.state()
         unchanged = False
         if b"after=" in exchange.request.scope["query_string"] and "after" in exchange.query:
-            unchanged = not await self._is_other(exchange, resource, state)
+            await self._wait_for_another(exchange, resource, state)
             state = await resource.state()
+            unchanged = asked.is_state(exchange.query["after"], self._name(state))
         rendering = await self.rendering(exchange, resource, state)
         headers = rendering.headers
         if state.received_ns is not None:
@@ -144,12 +145,11 @@ class Verbs:
         telling = Telling(VARIANTS[media_type], render, self._name)
         return EventStream(self.feeds, resource, telling, rate, exchange.header("last-event-id"), headers)
 
-    async def _is_other(self, exchange: Exchange, resource: Resource, state: State) -> bool:
-        """Whether the state is another than `?after=`, now or within `?timeout=`."""
+    async def _wait_for_another(self, exchange: Exchange, resource: Resource, state: State) -> None:
+        """Until the state is another than `?after=`, at most `?timeout=`."""
         after, seconds = exchange.query["after"], asked.timeout(exchange.query)
-        if not asked.is_state(after, self._name(state)):
-            return True
-        return await changed_since(self.feeds, resource, after, self._name, exchange.request.receive, seconds)
+        if asked.is_state(after, self._name(state)):
+            await changed_since(self.feeds, resource, after, self._name, exchange.request.receive, seconds)
 
     async def _check_preconditions(self, exchange: Exchange, resource: Resource) -> None:
         """If-Match and If-None-Match of a write (RFC 9110 13.1), judged against the resource as it is now."""

@@ -156,7 +156,7 @@ def within_range(parameter: NamedNode, bound: Literal) -> OfValue:
         if limit is not None:
             found = number(value)
             if found is not None:
-                return compare(found, limit)
+                return not (isinstance(found, float) and isnan(found)) and compare(found, limit)
         order = compared(value, bound)
         return order is not None and accepts(order)
 

@@ -226,6 +226,25 @@ def test_what_depends_on_a_state_that_cannot_be_read_is_not_on_offer(
     assert value(http, "/resources/room/light") is True
 
 
+@pytest.mark.parametrize("bound", ["0.5", "1", "5.0e-1"])
+def test_what_is_no_number_is_within_no_bounds(robot: MadeUp, serving: Serving, bound: str) -> None:
+    robot.topic("/door/gap", "std_msgs/msg/Float64", {"data": 0.25})
+    robot.answer("/door/open", "std_srvs/srv/Trigger", success=True)
+    http = serving()
+    mapped(
+        http,
+        f"""<#door> a map:ComplexResource ; map:path "/door/" ;
+              map:property [ map:predicate ex:gap ; map:member "gap" ] ;
+              map:action [ map:relation ex:open ; map:service "/door/open" ; map:availableWhen <#narrow> ] .
+            <#narrow> a sh:NodeShape ; map:about "/door/" ;
+              sh:property [ sh:path ex:gap ; sh:maxInclusive {bound} ] .""",
+    )
+    for number, status in ((0.25, 200), ("NaN", 409), ("INF", 409), ("-INF", 200)):
+        robot.publishes("/door/gap", {"data": number})
+        assert value(http, "/resources/door/") == {"gap": number}
+        assert http.post("/resources/door/open").status_code == status
+
+
 def test_everything_may_fail_at_once(robot: MadeUp, serving: Serving) -> None:
     for number in range(40):
         robot.variable(f"/arm/m{number}", "Byte", value=number)

@@ -137,6 +137,21 @@ def test_an_action_answers_with_what_became_of_its_namespace(robot: MadeUp, serv
     assert robot.calls["/arm/aim"] == 1
 
 
+def test_an_action_is_invoked_with_a_request_in_rdf(robot: MadeUp, serving: Serving) -> None:
+    asked_with: list[dict[str, Any]] = []
+    robot.offer("/arm/aim", "made_up/srv/Aim", lambda one: asked_with.append(one) or {"hit": True})
+    http = serving()
+    cls = f"{TYPES}made_up/srv/Aim_Request"
+    for count, node in enumerate(("<#request>", "[]"), 1):
+        body = f"{node} a <{cls}> ; <{cls}#azimuth> {count} ; <{cls}#elevation> 2.5 ."
+        answer = http.post("/resources/arm/aim", content=body, headers=TURTLE)
+        assert answer.status_code == 200, answer.text
+        assert asked_with[-1] == {"azimuth": count, "elevation": 2.5}
+    body = f"<#request> a <{cls}> ; <{cls}#azimuth> 1 ."
+    assert "elevation" in http.post("/resources/arm/aim", content=body, headers=TURTLE).text
+    assert robot.calls["/arm/aim"] == 2
+
+
 def test_an_idempotency_key_invokes_an_action_once(robot: MadeUp, serving: Serving) -> None:
     robot.answer("/arm/aim", "made_up/srv/Aim", hit=True)
     http = serving()
@@ -509,6 +524,23 @@ def test_a_walk_along_ldp_contains_calls_no_getter_that_its_page_does_not_show(r
             waiting += objects(http.get(url), f"{LDP}contains")
     assert len(seen) == 4 + 3 * 3
     assert robot.calls == {"/arm/get_grip": 1, "/arm/hand/get_grip": 1, "/leg/get_grip": 1}
+
+
+def test_names_without_a_namespace_lie_in_the_root(robot: MadeUp, serving: Serving) -> None:
+    robot.variable("/grip", "Byte", value=1)
+    robot.answer("/home", "std_srvs/srv/Trigger", success=True)
+    robot.parameter("/arm/name", "Bob")
+    http = serving(freshness=60)
+    for path in ("/", "/services/", "/topics/", "/.well-known/wot", "/resources/arm/", "/resources/home"):
+        assert http.get(path).status_code == 200
+    assert robot.calls == {}
+    here = f"{http.base_url}resources/"
+    assert value(http, here) == {"grip": 1}
+    assert objects(http.get(here), f"{LDP}contains") == {f"{here}{name}" for name in ("grip", "home", "arm/")}
+    assert http.put(f"{here}grip", json=2).status_code == 204
+    assert http.post(f"{here}home", headers=JSON).json() == {"grip": 2}
+    assert http.patch(here, json={"grip": 3}, headers=MERGE).status_code == 204
+    assert value(http, f"{here}grip") == 3
 
 
 def test_safe_methods_never_move_the_robot(robot: MadeUp, serving: Serving) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -308,6 +309,42 @@ def test_etags_change_when_links_come_and_go(arm: MadeUp, serving: Serving) -> N
     assert http.patch("/resources/arm/", json={"grip": 2}, headers={"If-Match": first, **MERGE}).status_code == 412
     mode(http, "manual")
     assert http.get("/resources/arm/").headers["etag"] == first
+
+
+def test_an_action_that_ends_its_own_place_answers_with_the_one_above(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(
+        http,
+        SAFE
+        + """<#hand> map:action [ map:relation ex:release ; map:name "release" ; map:service "/arm/hand/wave" ] .""",
+    )
+    words = arm.variable("/arm/mode", "Words", words="manual")
+    arm.offer("/arm/hand/wave", "std_srvs/srv/Trigger", lambda _: words.update(words="automatic") or {"success": True})
+    answer = http.post("/resources/arm/hand/release", headers=JSON)
+    assert answer.headers["content-location"] == f"{http.base_url}resources/arm/"
+    assert (answer.status_code, answer.json()) == (200, {"grip": 1, "mode": "automatic"})
+    assert http.get("/resources/arm/hand/release").status_code == 404
+    assert http.get("/resources/arm/hand/").status_code == 404
+
+
+@pytest.mark.parametrize("change", ["a write", "a mapping", "a name"])
+def test_who_waits_is_told_when_links_come_and_go(arm: MadeUp, serving: Serving, change: str) -> None:
+    http = serving(freshness=60)
+    mapped(http, SAFE)
+    etag = http.get("/resources/arm/").headers["etag"]
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(http.get, "/resources/arm/", params={"after": etag, "timeout": "15"})
+        began = time.monotonic()
+        if change == "a write":
+            mode(http, "automatic")
+        elif change == "a mapping":
+            mapped(http, SAFE.replace("ex:home", "ex:fold"))
+        else:
+            arm.withdraw("/arm/home")
+        answer = waiting.result()
+    assert answer.status_code == 200
+    assert objects(answer, f"{EX}home") == set()
+    assert time.monotonic() - began < 4
 
 
 # Fields

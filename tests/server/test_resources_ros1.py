@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -203,6 +204,42 @@ def test_a_service_that_vanishes_takes_its_offers_with_it(http: httpx.Client) ->
         until(lambda: http.post("/resources/limb/relax").status_code == 200, "the offer again")
     finally:
         assert http.delete("/mappings/mine").status_code == 204
+
+
+def test_what_a_rospy_node_offers_fits_its_state_while_it_is_flown(http: httpx.Client) -> None:
+    mapped(
+        http,
+        """<#limb> a map:ComplexResource ; map:path "/limb/" ;
+             map:property [ map:predicate ex:mode ; map:member "mode" ] ;
+             map:action [ map:relation ex:relax ; map:service "/limb/relax" ; map:availableWhen <#manual> ] ;
+             map:link [ map:relation ex:pid ; map:target "/limb/pid/" ; map:availableWhen <#automatic> ] .
+           <#manual> a sh:NodeShape ; map:about "/limb/" ; sh:property [ sh:path ex:mode ; sh:hasValue "manual" ] .
+           <#automatic> a sh:NodeShape ; map:about "/limb/" ;
+             sh:property [ sh:path ex:mode ; sh:hasValue "automatic" ] .""",
+    )
+    over = threading.Event()
+    seen: set[tuple[str, bool, bool]] = set()
+
+    def read(_: int) -> None:
+        with httpx.Client(base_url=http.base_url, timeout=20) as client:
+            while not over.is_set():
+                answer = client.get("/resources/limb/")
+                (mode,) = objects(answer, f"{EX}mode")
+                seen.add((mode, bool(objects(answer, f"{EX}relax")), bool(objects(answer, f"{EX}pid"))))
+
+    with ThreadPoolExecutor(12) as pool:
+        reading = [pool.submit(read, number) for number in range(12)]
+        try:
+            for word in ("automatic", "manual") * 10:
+                assert http.put("/resources/limb/mode", json=word).status_code == 204
+                assert value(http, "/resources/limb/") == {"mode": word}
+                assert http.post("/resources/limb/relax").status_code == (200 if word == "manual" else 409)
+        finally:
+            over.set()
+        for one in reading:
+            one.result()
+    assert http.delete("/mappings/mine").status_code == 204
+    assert seen == {("automatic", False, True), ("manual", True, False)}
 
 
 def test_a_node_that_comes_later_is_arranged_as_a_mapping_has_it(http: httpx.Client) -> None:

@@ -237,7 +237,8 @@ class Layout:
     def affected(self, kind: Kind, name: str) -> frozenset[str]:
         """The properties whose values may be others after a write to a topic, service or parameter: those of its
 
-        complex resources and of every resource that has a condition about one of them.
+        complex resources, of every resource that has a condition about one of them, and what their conditions are
+        about: for what is guarded by a state is likely to change it.
         """
         found = self._affected.get((kind, name))
         if found is None:
@@ -253,7 +254,15 @@ class Layout:
         if kind is Kind.SERVICE:
             paths |= {resource.path for resource, _ in self._claimed.get(name, ())}
         paths |= {path for each in (*paths, own) for path in dependents(self.arrangement, each)}
-        return frozenset({own, *(one.name for path in paths for one in self.state_of(path))})
+        judged = {condition.about for path in paths for condition in self._conditions(path)}
+        return frozenset({own, *(one.name for each in (*paths, *judged) for one in self.state_of(each))})
+
+    def _conditions(self, path: str) -> Iterator[Condition]:
+        """What a complex resource, and what it offers, depends on."""
+        yield from self.exists_when(path)
+        mapped = self.arrangement.resources.get(path)
+        if mapped is not None:
+            yield from mapped.conditions()
 
     def _concerned(self, name: str) -> frozenset[str]:
         """The complex resources that a property or action belongs to, and those with conditions about it."""

@@ -327,6 +327,28 @@ def test_an_action_that_ends_its_own_place_answers_with_the_one_above(arm: MadeU
     assert http.get("/resources/arm/hand/").status_code == 404
 
 
+def test_an_answer_to_an_action_knows_what_became_of_the_state_it_depends_on(robot: MadeUp, serving: Serving) -> None:
+    holder = robot.variable("/dock/holder", "Words", set=None, words="")
+    robot.offer("/left/take", "std_srvs/srv/Trigger", lambda _: holder.update(words="left") or {"success": True})
+    robot.variable("/left/reach", "Byte", value=1)
+    http = serving(freshness=60)
+    mapped(
+        http,
+        """<#left> a map:ComplexResource ; map:path "/left/" ;
+             map:action [ map:relation ex:take ; map:service "/left/take" ; map:availableWhen <#free> ] .
+           <#free> a sh:NodeShape ; map:about "/dock/holder" ; sh:property [ sh:path rdf:value ; sh:hasValue "" ] .""",
+    )
+    url = f"{http.base_url}resources/left/"
+    assert objects(http.get(url), f"{EX}take") == {f"{url}take"}
+    answer = http.post(f"{url}take")
+    assert answer.status_code == 200
+    assert "take>" not in answer.text
+    assert value(http, "/resources/dock/holder") == "left"
+    holder["words"] = ""
+    assert http.put(f"{url}reach", json=2).status_code == 204
+    assert objects(http.get(url), f"{EX}take") == {f"{url}take"}
+
+
 @pytest.mark.parametrize("change", ["a write", "a mapping", "a name"])
 def test_who_waits_is_told_when_links_come_and_go(arm: MadeUp, serving: Serving, change: str) -> None:
     http = serving(freshness=60)

@@ -1,0 +1,154 @@
+"""Byte ranges (RFC 9110 13.1.5, 14, 15.3.7, 15.5.17)."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rosld.server.http.problem import Problem
+from rosld.server.http.ranges import GAP, MOST, Span, framing, is_unchanged, read_ranges, selected
+
+SIZE = 10_000
+TAG = '"a-1.any"'
+
+
+@pytest.mark.parametrize(
+    ("text", "span"),
+    [
+        ("bytes=0-499", Span(0, 500)),
+        ("bytes=500-999", Span(500, 1000)),
+        ("bytes=9500-", Span(9500, 10_000)),
+        ("bytes=-500", Span(9500, 10_000)),
+        ("bytes=0-0", Span(0, 1)),
+        ("bytes=-1", Span(9999, 10_000)),
+        ("bytes=9999-20000", Span(9999, 10_000)),
+        ("bytes=-20000", Span(0, 10_000)),
+        ("Bytes = 0 - 499 ", Span(0, 500)),
+        ("bytes=,0-499,,", Span(0, 500)),
+        ("bytes=20000-,0-499", Span(0, 500)),
+    ],
+)
+def test_one_range_is_one_span(text: str, span: Span) -> None:
+    assert read_ranges(text, SIZE) == (span,)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [None, "", "bytes", "bytes=", "bytes=-", "bytes=a-b", "bytes=5-4", "bytes=0-1;2-3", "items=0-5", "bytes=0-1,x",
+     "bytes=١-٢", "bytes=" + "9" * 30 + "-", "bytes=--5", "bytes 0-5"],
+)  # fmt: skip
+def test_what_cannot_be_read_is_ignored_and_all_is_sent(text: str | None) -> None:
+    assert read_ranges(text, SIZE) is None
+
+
+@pytest.mark.parametrize("text", ["bytes=10000-", "bytes=-0", "bytes=20000-30000,10000-10001", "bytes=99999999999-"])
+def test_what_no_byte_satisfies_is_416_and_tells_the_size(text: str) -> None:
+    with pytest.raises(Problem, match="from 0 to 9999") as refused:
+        read_ranges(text, SIZE)
+    assert refused.value.status == 416
+    assert refused.value.headers == {"Content-Range": "bytes */10000"}
+
+
+@pytest.mark.parametrize("text", ["bytes=0-", "bytes=-5", "bytes=5-9"])
+def test_of_nothing_all_is_sent_for_no_range_could_be_told(text: str) -> None:
+    assert read_ranges(text, 0) is None
+
+
+def test_several_ranges_keep_their_order() -> None:
+    assert read_ranges("bytes=5000-5009, 0-9, -10", SIZE) == (Span(5000, 5010), Span(0, 10), Span(9990, 10_000))
+
+
+def test_ranges_that_overlap_or_nearly_touch_become_one() -> None:
+    assert read_ranges("bytes=0-99, 50-149", SIZE) == (Span(0, 150),)
+    assert read_ranges("bytes=100-199, 0-99", SIZE) == (Span(0, 200),)
+    assert read_ranges(f"bytes=0-99, {100 + GAP}-299", SIZE) == (Span(0, 300),)
+    assert read_ranges(f"bytes=0-99, {101 + GAP}-299", SIZE) == (Span(0, 100), Span(101 + GAP, 300))
+    assert read_ranges("bytes=9000-, 0-9, 0-, 5-6", SIZE) == (Span(0, 10_000),)
+
+
+def test_too_many_ranges_are_ignored() -> None:
+    many = ",".join(f"{number * 200}-{number * 200}" for number in range(MOST))
+    assert len(read_ranges(f"bytes={many}", SIZE) or ()) == MOST
+    assert read_ranges(f"bytes={many},9999-9999", SIZE) is None
+    assert read_ranges("bytes=" + "0-0," * 1_000_000, SIZE) is None
+    assert read_ranges("bytes=" + "," * 1_000_000, SIZE) is None
+
+
+@pytest.mark.parametrize("if_range", [None, TAG, f" {TAG} "])
+def test_if_range_with_the_same_tag_lets_the_ranges_be_sent(if_range: str | None) -> None:
+    assert selected("bytes=0-9", if_range, TAG, SIZE) == (Span(0, 10),)
+
+
+@pytest.mark.parametrize(
+    "if_range", ['"a-2.any"', f"W/{TAG}", "Sat, 21 Nov 2026 05:00:00 GMT", "*", "", f'{TAG}, "b"', "a-1.any"]
+)
+def test_if_range_with_anything_else_has_all_sent(if_range: str) -> None:
+    assert selected("bytes=0-9", if_range, TAG, SIZE) is None
+    assert selected("bytes=20000-", if_range, TAG, SIZE) is None
+    assert not is_unchanged(if_range, TAG)
+
+
+def test_a_weak_tag_never_matches_even_itself() -> None:
+    assert not is_unchanged('W/"a"', 'W/"a"')
+
+
+def test_without_a_range_if_range_means_nothing() -> None:
+    assert selected(None, TAG, TAG, SIZE) is None
+
+
+def test_several_spans_are_framed_as_multipart_byteranges() -> None:
+    spans = (Span(0, 3), Span(7, 10))
+    frame = framing(spans, 10, "image/png")
+    data = b"0123456789"
+    body = b"".join(head + data[span.start : span.stop] for head, span in zip(frame.heads, spans, strict=True))
+    body += frame.tail
+    assert frame.content_type == f"multipart/byteranges; boundary={frame.boundary}"
+    assert len(body) == frame.length(spans)
+    assert body.decode() == (
+        f"--{frame.boundary}\r\nContent-Type: image/png\r\nContent-Range: bytes 0-2/10\r\n\r\n012\r\n"
+        f"--{frame.boundary}\r\nContent-Type: image/png\r\nContent-Range: bytes 7-9/10\r\n\r\n789\r\n"
+        f"--{frame.boundary}--\r\n"
+    )
+
+
+def test_nothing_is_injected_into_a_part_and_no_boundary_is_foreseen() -> None:
+    with pytest.raises(ValueError, match="control"):
+        framing((Span(0, 1),), 10, "text/plain\r\nX: y")
+    assert framing((), 0, "a/b").boundary != framing((), 0, "a/b").boundary
+
+
+_positions = st.none() | st.integers(0, 200)
+
+
+@given(st.lists(st.tuples(_positions, _positions), min_size=1, max_size=10), st.integers(1, 150))
+def test_spans_hold_every_byte_that_was_asked_for_and_none_twice(
+    asked: list[tuple[int | None, int | None]], size: int
+) -> None:
+    text = ",".join(f"{'' if first is None else first}-{'' if last is None else last}" for first, last in asked)
+    wanted: set[int] = set()
+    for first, last in asked:
+        if first is None:
+            wanted |= set(range(max(0, size - (last or 0)), size))
+        else:
+            wanted |= set(range(first, size if last is None else min(last + 1, size)))
+    try:
+        spans = read_ranges(f"bytes={text}", size)
+    except Problem:
+        assert not wanted
+        return
+    if spans is None:
+        assert any(first is None is last or (None not in (first, last) and first > last) for first, last in asked)  # type: ignore[operator]
+        return
+    told = [byte for span in spans for byte in range(span.start, span.stop)]
+    assert len(told) == len(set(told))
+    assert wanted <= set(told) <= set(range(size))
+
+
+@given(st.text(max_size=100) | st.from_regex(r"bytes=[0-9,\- ]{0,60}", fullmatch=True), st.integers(0, 1000))
+def test_no_text_whatever_makes_reading_fail(text: str, size: int) -> None:
+    try:
+        spans = read_ranges(text, size)
+    except Problem:
+        return
+    assert spans is None or all(0 <= span.start < span.stop <= size for span in spans)

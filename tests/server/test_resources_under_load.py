@@ -218,7 +218,7 @@ def test_a_getter_is_asked_once_in_a_freshness_period_however_many_read() -> Non
         began = time.monotonic()
         times = at_once(http.base_url, *[read] * CLIENTS)
         elapsed = time.monotonic() - began
-    assert sum(times) > CLIENTS * 2
+    assert sum(times) > CLIENTS
     assert 2 <= robot.calls["/aircraft/get_power"] <= elapsed / 0.5 + 1
 
 

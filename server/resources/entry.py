@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from rosld.ontology.describe_graph import ROOMS, entry_document
 from rosld.server.html import Count, Csrf, EntryPage, Form, Notice, Site, render_entry
+from rosld.server.http.link import Link
 from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.ldp.state import State
 from rosld.server.robot import Robot
@@ -18,11 +19,12 @@ class EntryResource(Resource):
     """Where every client begins."""
 
     kind = "Robot"
-    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot.space.base)
         self.robot = robot
+        described = Link(f"{robot.space.base}openapi.json", "service-desc", type="application/openapi+json")  # RFC 8631
+        self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, described)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         graph, space = self.robot.graph, self.robot.space

@@ -25,6 +25,7 @@ from rosld.server.resources.members import MemberResource
 from rosld.server.resources.namespaces import NamespaceContainer
 from rosld.server.resources.nodes import NodeResource
 from rosld.server.resources.ontology import OntologyResource
+from rosld.server.resources.openapi import OpenApiResource
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
 from rosld.server.resources.queries import query_room
 from rosld.server.resources.services import CallResource, ServiceResource
@@ -34,6 +35,7 @@ from rosld.server.resources.topics import TopicResource
 from rosld.server.resources.types import shape_room, type_room
 from rosld.server.robot import Robot
 from rosld.server.sparql.endpoint import QueryService
+from rosld.server.sparql.stored import StoredQuery as StoredQueryText
 from rosld.server.sparql.stored import shipped
 
 Room: TypeAlias = Callable[[Robot, Location], Resource]
@@ -112,9 +114,10 @@ ROOMS: Mapping[str, Room] = {
 } | {name: _single(make) for name, make in FILES.items()}
 
 
-def _sparql_rooms(robot: Robot, service: QueryService, pages: Pages) -> Mapping[str, Room]:
+def _sparql_rooms(
+    robot: Robot, service: QueryService, pages: Pages, queries: Mapping[str, StoredQueryText]
+) -> Mapping[str, Room]:
     """The rooms that ask queries."""
-    queries = shipped()
     examples = [StoredQuery(robot.space.query(one.name), one.name, one.purpose, one.text) for one in queries.values()]
     endpoint = SparqlResource(robot, service, pages, examples)
     return {
@@ -128,9 +131,19 @@ class Router:
 
     def __init__(self, robot: Robot, service: QueryService, pages: Pages) -> None:
         self._robot = robot
-        self._rooms = {**ROOMS, **_sparql_rooms(robot, service, pages)}
+        queries = shipped()
+        described = OpenApiResource(robot, queries, self.at)
+        self._rooms = {
+            **ROOMS,
+            **_sparql_rooms(robot, service, pages, queries),
+            "openapi.json": _single(lambda robot: described),
+        }
         self._base = robot.space.path.rstrip("/")
         self._kept: dict[bytes, Resource] = {}
+
+    def add(self, rooms: Mapping[str, Room]) -> None:
+        """Add rooms, in place of those of the same names."""
+        self._rooms.update(rooms)
 
     def resolve(self, scope: Scope) -> Resource:
         """The resource at the path of a request; raises Problems: 400 malformed, 404 no such room, 308 moved."""
@@ -147,13 +160,16 @@ class Router:
 
     def _find(self, raw: bytes) -> Resource:
         try:
-            path = raw.decode("ascii")
-            location = locate(path.removeprefix(self._base))
-            room = self._rooms.get(location.kind)
-            if room is None:
-                raise Problem(404, f"There is nothing at {path}; begin at {self._robot.space.base}")
-            return room(self._robot, location)
+            return self.at(raw.decode("ascii").removeprefix(self._base))
         except UnicodeDecodeError as error:
             raise Problem(400, "The path is not ASCII: percent-encode it.") from error
         except ValueError as error:
             raise Problem(400, f"{error}.") from error
+
+    def at(self, path: str) -> Resource:
+        """The resource at a path below the base; raises Problems (404, 308), ValueError where it is malformed."""
+        location = locate(path)
+        room = self._rooms.get(location.kind)
+        if room is None:
+            raise Problem(404, f"There is nothing at {path}; begin at {self._robot.space.base}")
+        return room(self._robot, location)

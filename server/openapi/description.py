@@ -1,0 +1,204 @@
+"""The description: an OpenAPI Object (OpenAPI 3.1.1, 4.8.1) of places. The same places give the same bytes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from http import HTTPStatus
+
+import orjson
+
+from rosld.server.events.asked import EVENT_STREAM
+from rosld.server.hypermedia.schema import Json
+from rosld.server.openapi.components import (
+    READING,
+    WRITING,
+    components,
+    content,
+    document,
+    headers,
+    reference,
+    refusals,
+    representation,
+    schema_of,
+)
+from rosld.server.openapi.json_schema import ANYTHING, Schema
+from rosld.server.openapi.place import Place, Query
+
+VERSION = "3.1.1"
+_ORDER = ("GET", "HEAD", "OPTIONS", "PUT", "POST", "PATCH", "DELETE")
+_SHORT = frozenset({"HEAD", "OPTIONS"})
+_TEMPLATE = re.compile(r"\{([^{}]+)\}")
+_BY_SCHEMA = frozenset({"application/json", "application/merge-patch+json", "application/x-www-form-urlencoded"})
+"""Media types of bodies that have the schema of their place."""
+_NOT_IN_A_NAME = re.compile(r"[^A-Za-z0-9]+")
+_VERBS = {
+    "GET": "Read", "PUT": "Write", "POST": "Post to", "PATCH": "Change", "DELETE": "Delete",
+}  # fmt: skip
+
+
+def description(
+    title: str,
+    base: str,
+    version: str,
+    about: str,
+    places: Iterable[Place],
+    schemas: Mapping[str, Schema],
+) -> bytes:
+    """The description of a server at `base`, as JSON; `schemas` are those that places refer to by name."""
+    ordered = sorted({place.path: place for place in places}.values(), key=lambda place: place.path)
+    names, shared = _Names(), _Shared()
+    paths = {place.path: _path_item(place, names) if place.alike is None else shared.item(place) for place in ordered}
+    return orjson.dumps(
+        {
+            "openapi": VERSION,
+            "info": {
+                "title": title,
+                "version": version,
+                "description": about,
+                "license": {"name": "Apache-2.0", "identifier": "Apache-2.0"},
+            },
+            "servers": [{"url": base.rstrip("/")}],
+            "tags": [{"name": tag} for tag in dict.fromkeys(place.tag for place in ordered)],
+            "paths": paths,
+            "components": {**components(schemas), "pathItems": shared.items},
+        }
+    )
+
+
+class _Names:
+    """Names of operations: made from method and path, no two alike."""
+
+    def __init__(self) -> None:
+        self._given: set[str] = set()
+
+    def of(self, method: str, path: str) -> str:
+        """The name of an operation (`operationId`), such as `put_topics_cockpit_display`."""
+        name = wanted = f"{method.lower()}_{_NOT_IN_A_NAME.sub('_', path).strip('_') or 'entry'}"
+        number = 2
+        while name in self._given:
+            name = f"{wanted}_{number}"
+            number += 1
+        self._given.add(name)
+        return name
+
+
+class _Shared:
+    """Path Items of places that are alike: one for each way in which they answer, referred to by its name."""
+
+    def __init__(self) -> None:
+        self.items: dict[str, Json] = {}
+        self._names: dict[bytes, str] = {}
+
+    def item(self, place: Place) -> dict[str, Json]:
+        """A reference to the Path Item of a place."""
+        item = _path_item(replace(place, summary=f"A {place.alike}"), None)
+        key = orjson.dumps(item)
+        name = self._names.get(key)
+        if name is None:
+            name = self._names[key] = f"{place.alike}.{len(self._names) + 1}"
+            self.items[name] = item
+        return reference("pathItems", name)
+
+
+def _path_item(place: Place, names: _Names | None) -> dict[str, Json]:
+    """The Path Item Object (4.8.9): an operation for each method, without names where they would occur twice."""
+    segments: list[Json] = [_segment(name, place.segments[name]) for name in _TEMPLATE.findall(place.path)]
+    item: dict[str, Json] = {"summary": place.summary}
+    if segments:
+        item["parameters"] = segments
+    for method in _ORDER:
+        if method in place.methods:
+            item[method.lower()] = _operation(place, method, names)
+    return item
+
+
+def _segment(name: str, about: str) -> Json:
+    return {
+        "name": name,
+        "in": "path",
+        "required": True,
+        "description": about,
+        "schema": {"type": "string", "minLength": 1},
+    }
+
+
+def _operation(place: Place, method: str, names: _Names | None) -> dict[str, Json]:
+    """The Operation Object (4.8.10). Those that tell only of the others are told in short."""
+    operation: dict[str, Json] = {"tags": [place.tag]}
+    if names is not None:
+        operation["operationId"] = names.of(method, place.path)
+    about = place.notes.get(method)
+    if about is not None:
+        operation["description"] = about
+    if method not in _SHORT:
+        operation["summary"] = f"{_VERBS[method]}: {place.summary}"
+        operation["parameters"] = [*_parameters(place, method)]
+    body = _body(place, method)
+    if body is not None:
+        operation["requestBody"] = body
+    operation["responses"] = _answers(place, method)
+    return operation
+
+
+def _parameters(place: Place, method: str) -> Iterator[Json]:
+    if method == "GET":
+        yield from (_query(one) for one in place.query)
+        yield reference("parameters", "If-None-Match")
+        if place.streams:
+            yield from (reference("parameters", name) for name in ("after", "timeout", "rate"))
+    else:
+        yield from (reference("parameters", name) for name in ("If-Match", "If-None-Match", "Prefer"))
+        yield from (_query(one) for one in place.query if method in one.of)
+
+
+def _query(one: Query) -> Json:
+    found: dict[str, Json] = {"name": one.name, "in": "query", "description": one.about, "schema": one.schema}
+    return {**found, "required": True} if one.required else found
+
+
+def _body(place: Place, method: str) -> Json:
+    accepted = place.accepts.get(method, ())
+    if not accepted:
+        return None
+    sent = place.sends.get(method)
+    told: dict[str, Json] = {"content": {kind: {"schema": _sent(kind, sent)} for kind in accepted}}
+    return told if method in place.optional else {"required": True, **told}
+
+
+def _sent(media_type: str, sent: Schema | None) -> Schema:
+    if media_type in _BY_SCHEMA:
+        return ANYTHING if sent is None else sent
+    return schema_of(media_type)
+
+
+def _answers(place: Place, method: str) -> dict[str, Json]:
+    """The Responses Object (4.8.16)."""
+    if method == "OPTIONS":
+        return {"204": reference("responses", "options"), **refusals((308, 400, 404, 503, *place.also))}
+    if method == "HEAD":
+        return {"200": reference("responses", "head"), **refusals((*READING, *place.also), body=False)}
+    if method == "GET":
+        return {"200": _read(place), **refusals((*READING, *place.also))}
+    done = {str(status): _done(place, method, status) for status in place.done[method]}
+    return {**done, **refusals((*WRITING, *place.also))}
+
+
+def _read(place: Place) -> dict[str, Json]:
+    if place.is_document:
+        return document()
+    return representation((*place.reads, EVENT_STREAM) if place.streams else place.reads, place.plain)
+
+
+def _done(place: Place, method: str, status: int) -> dict[str, Json]:
+    """The answer to a write that was done."""
+    if status in (202, 204):
+        return reference("responses", str(status))
+    answer: dict[str, Json] = {"description": f"{HTTPStatus(status).phrase}."}
+    if status == 201:
+        answer["headers"] = headers("Location", "ETag", "Link", "Content-Location", certain=["Location"])
+    else:
+        answer["headers"] = headers("ETag", "Link", "Content-Location", "Preference-Applied")
+    answer["content"] = content(place.reads, place.shows.get(method, place.plain))
+    return answer

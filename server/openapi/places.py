@@ -1,0 +1,401 @@
+"""The places of a robot: every URL that it has now, and templates of those that come and go."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
+
+from rosld.adapters.model import MessageSchema, RosError, Schema, ServiceSchema, TypeRef
+from rosld.ontology.namespaces import Members
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.conditions import url_of
+from rosld.server.hypermedia.layout import Layout
+from rosld.server.hypermedia.schema import DataSchema, Json, message_schema, value_schema
+from rosld.server.hypermedia.thing import MEDIA_TYPE as THING
+from rosld.server.ldp.resource import MERGE_PATCH, RDF_BODIES, READ, SPARQL_UPDATE, Resource
+from rosld.server.ldp.verbs import FORMATS, HTML, OFFERS
+from rosld.server.openapi import json_schema
+from rosld.server.openapi.components import reference
+from rosld.server.openapi.json_schema import ANYTHING, OBJECT, TEXT, or_null
+from rosld.server.openapi.place import Place, Query
+from rosld.server.resources.namespaces import namespaces
+from rosld.server.resources.sparql import FORMATS as RESULT_FORMATS
+from rosld.server.robot import Robot, used_types
+from rosld.server.sparql.protocol import DIRECT
+from rosld.server.sparql.results import GRAPHS, SOLUTIONS
+from rosld.server.sparql.stored import StoredQuery, Type
+
+Resolve: TypeAlias = Callable[[str], Resource]
+"""The resource at a path below the base."""
+
+OPENAPI = ("application/json", "application/openapi+json", "application/vnd.oai.openapi+json")
+"""What the description itself is called: its registered names come after the one that every tool knows."""
+_PATIENCE = 3.0
+"""How long to wait for types that must be asked for; those that come later are in the next description."""
+
+_FORMAT = Query("format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS]})
+_THING_FORMAT = replace(_FORMAT, schema={"type": "string", "enum": [*FORMATS, "td"]})
+_FIELD = Query("field", "The path of one field, such as `pose.position.x`: its bytes are the answer.")
+N3_PATCH = "text/n3"
+_HASH = Query("hash", "Which of several definitions of one name.")
+_PAGE = Query("page", "A page of members, from 0.", {"type": "integer", "minimum": 0})
+_DEFAULTS = Query(
+    "defaults", "Whether fields that JSON leaves out are ROS's defaults.", {"type": "boolean"}, of=frozenset({"PUT"})
+)
+_LATCH = Query(
+    "latch", "Whether subscribers that come later get the message.", {"type": "boolean"}, of=frozenset({"PUT", "PATCH"})
+)
+_BYTES = "application/octet-stream"
+_FIELD_READS = (*OFFERS, _BYTES, "text/plain")
+_RESULTS = tuple(dict.fromkeys((*SOLUTIONS, *GRAPHS, HTML)))
+_PARAMETER: Mapping[str, Json] = {"type": ["string", "number", "boolean", "array"]}
+_RESULT_FORMAT = replace(_FORMAT, schema={"type": "string", "enum": [*RESULT_FORMATS]})
+_TYPES: Mapping[Type, DataSchema] = {
+    Type.IRI: TEXT,
+    Type.STRING: TEXT,
+    Type.INTEGER: {"type": "integer"},
+    Type.DOUBLE: {"type": "number"},
+}
+_NOT_IN_A_KEY = re.compile(r"[^A-Za-z0-9._-]")
+
+
+async def learn(robot: Robot) -> None:
+    """See to it that the types in use are at hand, as far as the robot tells them in time."""
+    unknown = [ref for ref in used_types(robot.graph) if _at_hand(robot, ref) is None]
+    if not unknown:
+        return
+
+    async def find(ref: TypeRef) -> None:
+        try:
+            await robot.schemas.find(ref)
+        except (RosError, asyncio.TimeoutError):
+            pass
+
+    tasks = [asyncio.ensure_future(find(ref)) for ref in unknown]
+    _, late = await asyncio.wait(tasks, timeout=_PATIENCE)
+    for task in late:
+        task.cancel()
+
+
+def _at_hand(robot: Robot, ref: TypeRef) -> Schema | None:
+    return robot.schemas.at_hand(ref) or robot.schemas.named(ref.name)
+
+
+@dataclass
+class Places:
+    """Finds the places. `resolve` gives the resources, which say what they answer; nothing is waited for."""
+
+    robot: Robot
+    layout: Layout
+    queries: Mapping[str, StoredQuery]
+    resolve: Resolve
+    schemas: dict[str, DataSchema] = field(default_factory=dict)
+    """The schemas that places refer to by name."""
+    _named: dict[TypeRef, str] = field(default_factory=dict)
+
+    def all(self) -> Iterator[Place]:
+        """Every place."""
+        yield self._place("/", "entry", "The robot, with links to everything")
+        for room in ("nodes", "topics", "services"):
+            yield from self._namespaces(room)
+        yield from self._nodes()
+        yield from self._topics()
+        yield from self._services()
+        yield from self._calls()
+        yield from self._parameters()
+        yield from self._resources()
+        yield from self._types()
+        yield from self._bags()
+        yield from self._mappings()
+        yield from self._data()
+        yield from self._stored_queries()
+        yield self._sparql()
+        yield from self._rest()
+
+    # What all have in common
+
+    def _place(self, path: str, tag: str, summary: str, *, at: str | None = None) -> Place:
+        """A place as its resource has it; `at` is a path that a template stands for."""
+        resource = self.resolve(at or path)
+        methods = resource.methods()
+        accepts = {method: tuple(kinds) for method, kinds in resource.accepts.items() if method in methods}
+        return Place(path, tag, summary, methods, OFFERS, accepts, query=(_FORMAT,))
+
+    def _path(self, url: str) -> str:
+        return url[len(self.robot.space.base) - 1 :]
+
+    def _namespaces(self, room: str) -> Iterator[Place]:
+        for namespace in namespaces(self.robot.graph, room):
+            path = self._path(self.robot.space.container(room, namespace))
+            yield replace(self._place(path, room, room.capitalize()), alike=f"namespace-of-{room}")
+
+    def _message(self, ref: TypeRef | None) -> MessageSchema | None:
+        found = None if ref is None else _at_hand(self.robot, ref)
+        return found if isinstance(found, MessageSchema) else None
+
+    def _service(self, ref: TypeRef | None) -> ServiceSchema | None:
+        found = None if ref is None else _at_hand(self.robot, ref)
+        return found if isinstance(found, ServiceSchema) else None
+
+    def _read(self, schema: MessageSchema | None) -> DataSchema:
+        """What a message is when it is read: a reference to its schema."""
+        return OBJECT if schema is None else self._shared(schema, "", json_schema.as_read)
+
+    def _sent(self, schema: MessageSchema | None) -> DataSchema:
+        """What a message must be when it is sent: a schema of its own only where that is another."""
+        return OBJECT if schema is None else self._shared(schema, ".sent", json_schema.as_sent)
+
+    def _shared(self, schema: MessageSchema, suffix: str, adapted: Callable[[DataSchema], DataSchema]) -> DataSchema:
+        made = adapted(message_schema(schema, self.robot.lifting))
+        key = self._key(schema.ref)
+        if suffix and self.schemas.get(key, made) != made:
+            key += suffix
+        self.schemas.setdefault(key, made)
+        return reference("schemas", key)
+
+    def _key(self, ref: TypeRef) -> str:
+        """The name of the schema of a type; variants of one type have their hash in it."""
+        key = self._named.get(ref)
+        if key is None:
+            key = _NOT_IN_A_KEY.sub(".", ref.name)
+            if key in self._named.values():
+                key = f"{key}.{_NOT_IN_A_KEY.sub('.', ref.hash or '')}.{len(self._named)}"
+            self._named[ref] = key
+        return key
+
+    # The computation graph
+
+    def _nodes(self) -> Iterator[Place]:
+        for name in self.robot.graph.nodes:
+            yield replace(self._place(self._path(self.robot.space.node(name)), "nodes", "A node"), alike="node")
+
+    def _topics(self) -> Iterator[Place]:
+        for name, topic in self.robot.graph.topics.items():
+            path = self._path(self.robot.space.topic(name))
+            yield self._topic(self._place(path, "topics", f"The topic {name}"), self._message(topic.type))
+        new = self._place("/topics/{name}", "topics", "A topic that may be made", at="/topics/new")
+        about = "A name; those of several parts have slashes, as in the URL."
+        note = "Makes a topic that is not there yet: RDF that states the type of the message."
+        yield replace(self._topic(new, None), segments={"name": about}, notes={"PUT": note})
+
+    def _topic(self, place: Place, schema: MessageSchema | None) -> Place:
+        sent = self._sent(schema)
+        patch: DataSchema = json_schema.as_patch(message_schema(schema)) if schema is not None else OBJECT
+        return replace(
+            place,
+            reads=_FIELD_READS,
+            plain=or_null(self._read(schema)) if schema is not None else ANYTHING,
+            sends={"PUT": sent, "PATCH": patch},
+            done={"PUT": (200, 201, 202, 204), "PATCH": (200, 202, 204), "DELETE": (204,)},
+            query=(_FORMAT, _FIELD, _DEFAULTS, _LATCH),
+            notes={"PUT": "Publishes a message.", "PATCH": "Publishes the latest message with changes."},
+        )
+
+    def _services(self) -> Iterator[Place]:
+        for name, service in self.robot.graph.services.items():
+            place = self._place(self._path(self.robot.space.service(name)), "services", f"The service {name}")
+            schema = self._service(service.type)
+            yield replace(
+                place,
+                sends={"POST": self._sent(schema.request if schema else None)},
+                optional=frozenset({"POST"}),
+                done={"POST": (201,)},
+                shows={"POST": ANYTHING if schema is None else or_null(self._read(schema.response))},
+                query=(_FORMAT, replace(_DEFAULTS, of=frozenset({"POST"}))),
+                notes={"POST": "Calls the service; the call is a resource, and `Idempotency-Key` makes it once only."},
+            )
+
+    def _calls(self) -> Iterator[Place]:
+        yield self._place("/calls/", "calls", "The calls that are kept")
+        call = self._place("/calls/{id}", "calls", "A call of a service", at="/calls/any")
+        segments = {"id": "As in the URL of the call."}
+        yield replace(call, plain=ANYTHING, done={"DELETE": (204,)}, segments=segments, also=(410,))
+
+    def _parameters(self) -> Iterator[Place]:
+        graph, space = self.robot.graph, self.robot.space
+        trees: dict[tuple[str, ...], Members | None] = {(): None, **namespaces(graph, "parameters")}
+        for namespace in trees:
+            path = self._path(space.container("parameters", namespace))
+            tree = self._place(path, "parameters", "A tree of parameters")
+            yield replace(
+                tree,
+                plain=OBJECT,
+                sends={"POST": ANYTHING, "PATCH": OBJECT},
+                done={"POST": (200, 201, 204), "PATCH": (200, 204), "DELETE": (204,)},
+                notes={"POST": "Makes a parameter, named by `Slug` where that is free."},
+                alike="tree-of-parameters",
+            )
+        for name in graph.parameters:
+            place = self._place(self._path(space.parameter(name)), "parameters", "A parameter")
+            yield replace(self._parameter(place), alike="parameter")
+        new = self._place("/parameters/{name}", "parameters", "A parameter that may be made", at="/parameters/new")
+        about = "A name; those of several parts have slashes, as in the URL."
+        yield replace(self._parameter(new), segments={"name": about})
+
+    def _parameter(self, place: Place) -> Place:
+        return replace(
+            place,
+            plain=dict(_PARAMETER),
+            sends={"PUT": ANYTHING, "PATCH": ANYTHING},
+            done={"PUT": (200, 201, 204), "PATCH": (200, 204), "DELETE": (204,)},
+        )
+
+    # Levels two and three
+
+    def _resources(self) -> Iterator[Place]:
+        for path in self.layout.paths:
+            yield from self._complex(path)
+
+    def _complex(self, path: str) -> Iterator[Place]:
+        """A complex resource and what lies in it: properties, actions, names that are both."""
+        plan = self.layout.complex(path)
+        if plan is None:
+            return
+        offers, lifting = self.robot.offers, self.robot.lifting
+        shown = {one: offers.member_affordance(one, write=True) for one in plan.members}
+        values = {one: value_schema(each.shape, lifting) for one, each in shown.items()}
+        place = self._place(self._path(url_of(path, self.robot.space)), "resources", f"The resource {path}")
+        read = {one.name: or_null(json_schema.as_read(value)) for one, value in values.items()}
+        sent = {one.name: json_schema.as_patch(each) for one, each in values.items() if offers.is_writable(one.of)}
+        yield replace(
+            place,
+            reads=(*OFFERS, THING),
+            plain={"type": "object", "properties": dict[str, Json](read)},
+            sends={
+                "PATCH": {"type": "object", "properties": dict[str, Json](sent), "additionalProperties": False},
+            },
+            done={"PATCH": (200, 204)},
+            query=(_THING_FORMAT,),
+        )
+        properties = {one.at: value for one, value in values.items() if one.at is not None}
+        actions = {one.name: one.schema for one in plan.actions}
+        for name in dict.fromkeys((*properties, *actions)):
+            yield self._member(name, properties.get(name), actions.get(name))
+
+    def _member(self, name: str, value: DataSchema | None, action: ServiceSchema | None) -> Place:
+        path = self._path(url_of(name, self.robot.space))
+        place = self._place(path, "resources", f"The {'action' if value is None else 'property'} {name}")
+        sent = ANYTHING if value is None else json_schema.as_sent(value)
+        return replace(
+            place,
+            reads=_FIELD_READS,
+            plain=None if value is None else or_null(json_schema.as_read(value)),
+            sends={
+                "PUT": sent,
+                "PATCH": ANYTHING if value is None else json_schema.as_patch(value),
+                "POST": self._sent(action.request if action else None),
+            },
+            optional=frozenset({"POST"}),
+            done={"PUT": (200, 202, 204), "PATCH": (200, 202, 204), "POST": (200, 204)},
+            shows={"POST": OBJECT},
+            query=(_FORMAT, _FIELD, replace(_DEFAULTS, of=frozenset({"POST"}))),
+            notes={"POST": "Invokes the action; what is shown then is the resource that it belongs to."},
+        )
+
+    # Everything else
+
+    def _types(self) -> Iterator[Place]:
+        names = {"package": "A package.", "kind": "`msg` or `srv`.", "name": "The name of a type."}
+        for room in ("types", "shapes"):
+            said, query = room.capitalize(), (_FORMAT, _HASH) if room == "types" else (_FORMAT,)
+            yield self._place(f"/{room}/", room, said)
+            package = self._place(f"/{room}/{{package}}/", room, f"{said} of a package", at=f"/{room}/a/")
+            kind = self._place(f"{package.path}{{kind}}/", room, f"{said} of a kind", at=f"/{room}/a/msg/")
+            one = self._place(f"{kind.path}{{name}}", room, f"One of the {room}", at=f"/{room}/a/msg/B")
+            yield from (replace(package, segments=names), replace(kind, segments=names))
+            yield replace(one, segments=names, query=query)
+        yield self._place("/shapes/limits", "shapes", "The limits in force")
+        yield self._place("/shapes/mapping", "shapes", "The shape of mapping documents")
+
+    def _bags(self) -> Iterator[Place]:
+        space = self.robot.space
+        yield self._place("/bags/", "bags", "The recordings")
+        for name, recording in self.robot.adapter.recordings.items():
+            yield self._place(self._path(space.bag(name)), "bags", f"The recording {name}")
+            path = self._path(space.bag_messages(name))
+            yield replace(self._place(path, "bags", f"The messages of {name}"), query=(_FORMAT, _PAGE))
+            if recording.count:
+                message = self._place(f"{path}{{index}}", "bags", f"A message of {name}", at=f"{path}0")
+                index = f"From 0 to {recording.count - 1}."
+                yield replace(
+                    message, reads=_FIELD_READS, plain=ANYTHING, query=(_FORMAT, _FIELD), segments={"index": index}
+                )
+
+    def _mappings(self) -> Iterator[Place]:
+        container = self._place("/mappings/", "mappings", "The mapping documents in force")
+        note = "Makes a mapping document, named by `Slug` where that is free."
+        yield replace(container, done={"POST": (200, 201, 204)}, notes={"POST": note})
+        document = self._place("/mappings/{name}", "mappings", "A mapping document", at="/mappings/any")
+        done = {"PUT": (200, 201, 204), "PATCH": (200, 204), "DELETE": (204,)}
+        yield replace(document, done=done, segments={"name": "The name of a document."})
+
+    def _data(self) -> Iterator[Place]:
+        """What clients keep. What one URL answers depends on what is there: the template tells of all of it."""
+        try:
+            root = self._place("/data/", "data", "Data that clients keep")
+        except Problem:
+            return
+        made = {"POST": (201,), "PUT": (200, 201, 204), "PATCH": (200, 201, 204), "DELETE": (204,)}
+        also = (303, 410, 507)
+        yield replace(root, done=made, also=also, query=(_FORMAT, _PAGE))
+        methods = READ if self.robot.settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
+        anything = (*RDF_BODIES, "*/*")
+        yield Place(
+            "/data/{path}",
+            "data",
+            "What a client keeps there: RDF, a file, or a container if the path ends in a slash",
+            methods,
+            (*OFFERS, "*/*"),
+            {"PUT": anything, "POST": anything, "PATCH": (SPARQL_UPDATE, N3_PATCH, MERGE_PATCH)}
+            if "PUT" in methods
+            else {},
+            done=made,
+            query=(_FORMAT, _PAGE),
+            segments={"path": "One segment or several, with slashes between them."},
+            also=also,
+        )
+
+    def _stored_queries(self) -> Iterator[Place]:
+        yield self._place("/queries/", "queries", "The stored queries")
+        for name, query in self.queries.items():
+            place = self._place(self._path(self.robot.space.query(name)), "queries", query.purpose)
+            given = (Query(one.name, one.about, _TYPES[one.type], one.default is None) for one in query.parameters)
+            yield replace(
+                place, reads=(*_RESULTS, DIRECT), plain=ANYTHING, query=(_RESULT_FORMAT, *given), streams=False
+            )
+
+    def _sparql(self) -> Place:
+        graphs: DataSchema = {"type": "array", "items": {"type": "string", "format": "uri"}}
+        form: DataSchema = {
+            "type": "object",
+            "properties": {"query": TEXT, "default-graph-uri": graphs, "named-graph-uri": graphs},
+            "required": ["query"],
+        }
+        both = frozenset({"POST"})
+        return replace(
+            self._place("/sparql", "queries", "The SPARQL endpoint"),
+            reads=_RESULTS,
+            plain=ANYTHING,
+            sends={"POST": form},
+            done={"POST": (200,)},
+            query=(
+                Query("query", "A query (SPARQL 1.1 Protocol 2.1); without one the endpoint describes itself."),
+                Query("default-graph-uri", "The graphs that are the default graph together.", graphs, of=both),
+                Query("named-graph-uri", "The named graphs.", graphs, of=both),
+                replace(_RESULT_FORMAT, of=both),
+            ),
+        )
+
+    def _rest(self) -> Iterator[Place]:
+        yield self._place("/ontology", "entry", "The vocabulary")
+        yield self._file("/.well-known/wot", "The Thing Description of the whole robot", (THING,))
+        yield self._file("/openapi.json", "This description", OPENAPI)
+        yield self._file("/style.css", "The style of pages", ("text/css",))
+        yield self._file("/icon.svg", "The icon of pages", ("image/svg+xml",))
+        yield self._file("/favicon.ico", "The icon of pages, where browsers look for it", ("image/svg+xml",))
+
+    def _file(self, path: str, summary: str, reads: tuple[str, ...]) -> Place:
+        return replace(self._place(path, "entry", summary), reads=reads, plain=OBJECT, query=(), streams=False)

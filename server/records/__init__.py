@@ -1,7 +1,9 @@
 """Records: what clients have put, kept whole and durably. The RDF dataset is its index, never its only copy."""
 
+from rosld.server.records.base import Records
 from rosld.server.records.record import (
     Blob,
+    Cause,
     Changed,
     Conflict,
     Member,
@@ -10,7 +12,25 @@ from rosld.server.records.record import (
     Put,
     Record,
     Remove,
+    StorageError,
     Write,
 )
+from rosld.server.records.sqlite import SqliteRecords, open_records
 
-__all__ = ["Blob", "Changed", "Conflict", "Member", "Membership", "Model", "Put", "Record", "Remove", "Write"]
+__all__ = [
+    "Blob",
+    "Cause",
+    "Changed",
+    "Conflict",
+    "Member",
+    "Membership",
+    "Model",
+    "Put",
+    "Record",
+    "Records",
+    "Remove",
+    "SqliteRecords",
+    "StorageError",
+    "Write",
+    "open_records",
+]

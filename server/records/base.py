@@ -10,15 +10,23 @@ from rosld.server.records.record import Blob, Changed, Member, Record, Write
 
 
 class Records(Protocol):
-    """All records of one server. Belongs to one loop; reading is quick (tens of microseconds) and never waits."""
+    """All records of one server. Belongs to one loop; reading is quick (tens of microseconds) and never waits.
+
+    Whatever reads or writes raises StorageError where the disk or the database fails, and can be asked again.
+    """
+
+    @property
+    def identity(self) -> str:
+        """A random name of these records, made once and kept with them: versions are only of one identity."""
+        ...
 
     @property
     def version(self) -> int:
-        """The number of the last write that was done; it rises with each."""
+        """The number of the last change; it rises with each, by more than one where a container lists anew."""
         ...
 
     def get(self, path: str) -> Record | None:
-        """A record. The very same object comes back while nothing of it changes."""
+        """A record. The very same object comes back while nothing of it changes (and it is asked for now and then)."""
         ...
 
     def was_there(self, path: str) -> bool:
@@ -30,21 +38,29 @@ class Records(Protocol):
         ...
 
     def changed(self, after: int, *, most: int = 10_000) -> Sequence[Changed]:
-        """What has changed after a version, each path once, with its latest version, in the order of versions."""
+        """What has changed after a version, each path once, with its latest version, in the order of versions.
+
+        No two changes have one version: after as many as `most`, ask again after the last.
+        """
         ...
 
     async def write(self, *writes: Write) -> Sequence[Record | None]:
         """Do these writes, all or none, and durably where a folder is kept: when it returns, a crash loses nothing.
 
-        The records as they are then, None for what was removed. Raises Conflict.
+        The records as they are then, None for what was removed. Raises Conflict; ValueError for a write that makes no
+        sense whatever is there. They are done even if nobody waits for the end any more.
         """
         ...
 
     async def receive(self, chunks: AsyncIterator[bytes], media_type: str, *, most: int) -> Blob:
         """Keep bytes as they come, until a write refers to them. Raises ValueError beyond `most` bytes.
 
-        What no write refers to within a while is thrown away.
+        What no write refers to within ten minutes is thrown away; what was refused in a write may be tried in another.
         """
+        ...
+
+    def discard(self, blob: Blob) -> None:
+        """Throw away received bytes that no write refers to; of other blobs it leaves everything as it is."""
         ...
 
     def file(self, blob: Blob) -> Path:
@@ -52,7 +68,10 @@ class Records(Protocol):
         ...
 
     def watch(self, wake: Callable[[Sequence[Changed]], None]) -> Callable[[], None]:
-        """Call `wake` on the loop after each write with what it changed; the function that ends it."""
+        """Call `wake` on the loop after each write with what it changed; the function that ends it.
+
+        Changes by `rosld load` are told too, within a second.
+        """
         ...
 
     async def close(self) -> None:

@@ -52,8 +52,9 @@ class Record:
     `path` is its URL without the base, encoded as in the URL (`data/rooms/kitchen`); that of a container ends in a
     slash. `triples` are N-Triples of what clients say of it, spelt as they spelt them, without anything that the server
     manages; for a non-RDF source they are its description's. `version` rises with each change of the record, `listed`
-    (of a container) with each change of its members; both are numbers of `Records.version`. `member` is what stands for
-    it in the membership triples of the container it was made in: its own URL as a rule.
+    (of a container) with each change of its members; both are numbers of `Records.version`. `modified_ns` is when the
+    later of the two was. `member` is the IRI that stands for it in the membership triples of the container it was made
+    in; None: its own URL, as it is as a rule. `count` is how many members a container has.
     """
 
     path: str
@@ -71,12 +72,15 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A member of a container: `number` orders members by when they were made, and never changes."""
+    """A member of a container: `number` orders members by when they were made, and never changes.
+
+    `member` is that of its record: None stands for its own URL.
+    """
 
     number: int
     path: str
     model: Model
-    member: str
+    member: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +88,8 @@ class Put:
     """Make or replace a record. `expected` is the version it must have, 0: it must not be there, None: whatever.
 
     A new one is listed in its container, which is the path up to its last segment and must be there. Its model never
-    changes.
+    changes. `member` None leaves what a record that is there has; everything else is replaced: a non-RDF source that
+    keeps its bytes says so with the blob it has.
     """
 
     path: str
@@ -107,13 +112,45 @@ class Remove:
 Write: TypeAlias = Put | Remove
 
 
+class Cause(Enum):
+    """Why a write cannot be done as things are."""
+
+    THERE = "there"
+    """It is there, and was expected not to be."""
+    MISSING = "missing"
+    """It is not there, and was expected to be."""
+    GONE = "gone"
+    """It was removed, and its path is never used again."""
+    CHANGED = "changed"
+    """It has another version than expected."""
+    MODEL = "model"
+    """It has another interaction model, which never changes."""
+    CONTAINER = "container"
+    """Its container is not there."""
+    NOT_EMPTY = "not empty"
+    """It is a container that has members."""
+    ROOT = "root"
+    """It is a container that is always there."""
+    BLOB = "blob"
+    """The bytes it refers to are not kept, or belong to another record."""
+
+
 class Conflict(Exception):
     """A write that cannot be done as things are; nothing of its batch was done. `path` is whose."""
 
-    def __init__(self, path: str, words: str) -> None:
+    def __init__(self, path: str, words: str, cause: Cause) -> None:
         super().__init__(f"{path}: {words}")
         self.path = path
         self.words = words
+        self.cause = cause
+
+
+class StorageError(Exception):
+    """The disk or the database failed: nothing was done, in a sentence. `full`: there is no space left."""
+
+    def __init__(self, sentence: str, *, full: bool = False) -> None:
+        super().__init__(sentence)
+        self.full = full
 
 
 @dataclass(frozen=True, slots=True)

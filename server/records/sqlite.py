@@ -1,0 +1,302 @@
+"""Records in SQLite: in memory, or durably in a folder.
+
+Everything is read and written on the loop, which takes tens of microseconds. In a folder SQLite writes to its log
+without waiting for the disk; a thread does that wait, and a write is acknowledged after it (`durability.py`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import sqlite3
+import tempfile
+import time
+from collections.abc import AsyncIterator, Callable, Iterable, Sequence
+from pathlib import Path
+
+from rosld.server.records.blobs import Blobs, sync_folder
+from rosld.server.records.cache import Cache
+from rosld.server.records.durability import Durability
+from rosld.server.records.ledger import Applied, Busy, Ledger, relisted
+from rosld.server.records.paths import check
+from rosld.server.records.record import Blob, Changed, Member, Put, Record, StorageError, Write
+from rosld.server.records.schema import prepare
+
+_log = logging.getLogger("rosld")
+
+DATABASE = "records.sqlite"
+BLOBS = "blobs"
+ROOT = "data/"
+KEEP_SECONDS = 600.0
+"""How long received bytes are kept that no write refers to."""
+LOOK_SECONDS = 0.5
+"""Between two looks at whether another process has changed the records."""
+_BUSY_SECONDS = 0.005
+_OPEN_SECONDS = 10.0
+_CHANGES = 10_000
+
+
+def open_records(
+    folder: Path | None, *, roots: Sequence[str] = (), keep_seconds: float = KEEP_SECONDS
+) -> SqliteRecords:
+    """The records in a folder, made where they are missing; in memory without one.
+
+    `data/` and the `roots` are containers that are always there. Raises ValueError for a database that cannot be used,
+    OSError where the folder cannot be.
+    """
+    return SqliteRecords(folder, (ROOT, *roots), keep_seconds)
+
+
+def connect(folder: Path | None) -> sqlite3.Connection:
+    """A connection to the database of a folder, made where it is missing. Raises ValueError where it cannot be used."""
+    path = ":memory:" if folder is None else str(folder / DATABASE)
+    connection = sqlite3.connect(path, timeout=_OPEN_SECONDS, isolation_level=None, check_same_thread=False)
+    try:
+        for pragma in ("journal_mode = WAL", "synchronous = NORMAL", "wal_autocheckpoint = 0", "temp_store = MEMORY"):
+            connection.execute(f"PRAGMA {pragma}").fetchall()
+        prepare(connection, path)
+    except sqlite3.DatabaseError as error:
+        connection.close()
+        raise ValueError(unusable(path, error)) from error
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def unusable(path: str, error: sqlite3.Error) -> str:
+    """What to tell of a database that cannot be opened."""
+    words = f"{path} cannot be used as the database of records: {error}"
+    if isinstance(error, sqlite3.OperationalError):
+        return words
+    return f"{words}. Bring a dump back into a new folder with `rosld load`"
+
+
+class SqliteRecords:
+    """The `Records` that rosld brings along; `open_records` makes them."""
+
+    def __init__(self, folder: Path | None, roots: Sequence[str], keep_seconds: float) -> None:
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self._blobs: Blobs | None = None
+        self._cache = Cache()
+        self._watchers: dict[object, Callable[[Sequence[Changed]], None]] = {}
+        self._waiting: dict[str, asyncio.TimerHandle] = {}
+        self._keep_seconds = keep_seconds
+        self._look: asyncio.TimerHandle | None = None
+        self._durability: Durability | None = None
+        self._closed = False
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+        self._connection = connect(folder)
+        try:
+            self._ledger = Ledger(self._connection)
+            self._make_roots(roots)
+            if folder is not None:
+                self._keep_in(folder)
+        except sqlite3.DatabaseError as error:
+            self._connection.close()
+            raise ValueError(unusable(str(folder), error)) from error
+        except BaseException:
+            self._connection.close()
+            raise
+        self._told = self._ledger.version
+
+    def _make_roots(self, roots: Sequence[str]) -> None:
+        self._ledger.begin()
+        for root in roots:
+            self._ledger.root(root, time.time_ns())
+        self._ledger.commit()
+
+    def _keep_in(self, folder: Path) -> None:
+        self._connection.execute("PRAGMA busy_timeout = 0")  # from now on the loop waits, not SQLite
+        self._blobs = Blobs(folder / BLOBS, durable=True)
+        self._blobs.sweep(self._ledger.blobs)
+        sync_folder(folder)
+        self._durability = Durability(folder / DATABASE, self._blobs)
+
+    @property
+    def identity(self) -> str:
+        return self._ledger.identity
+
+    @property
+    def version(self) -> int:
+        return self._ledger.version
+
+    def get(self, path: str) -> Record | None:
+        found = self._cache.get(path)
+        if found is None:
+            self._attach()
+            found = self._ledger.find(path)
+            if found is not None:
+                self._cache.keep(found)
+        return found
+
+    def was_there(self, path: str) -> bool:
+        return self._ledger.was_there(path)
+
+    def members(self, path: str, *, after: int = 0, most: int = 1000) -> Sequence[Member]:
+        return self._ledger.members(path, after, most)
+
+    def changed(self, after: int, *, most: int = _CHANGES) -> Sequence[Changed]:
+        return self._ledger.changed(after, most)
+
+    async def write(self, *writes: Write) -> Sequence[Record | None]:
+        for write in writes:
+            check(write)
+        received = self._take(writes)
+        try:
+            # Another process tells of its end by nothing that could be waited for.
+            while (applied := self._done(writes, received)) is None:  # noqa: ASYNC110
+                await asyncio.sleep(_BUSY_SECONDS)
+        except BaseException:
+            self._keep(received)
+            raise
+        self._keep(applied.unused)
+        if self._durability is not None:
+            # Asked for before anything is awaited: what is written is so whoever waits for it.
+            reached = self._durability.reached(applied.freed)
+            self._tell(applied)
+            await reached
+        else:
+            if applied.freed:
+                self._folder().remove(applied.freed)
+            self._tell(applied)
+        return [applied.records.get(write.path) for write in writes]
+
+    def _done(self, writes: Sequence[Write], received: Sequence[str]) -> Applied | None:
+        """Write all in one transaction; None while another process writes. Raises Conflict with nothing done."""
+        self._attach()
+        ledger = self._ledger
+        try:
+            if ledger.begin():
+                self._notice()
+            applied, now = Applied(received), time.time_ns()
+            for write in writes:
+                ledger.apply(write, applied, now)
+            ledger.commit()
+        except BaseException as error:
+            ledger.rollback()
+            if isinstance(error, Busy):
+                return None
+            raise
+        self._renew(applied)
+        return applied
+
+    def _renew(self, applied: Applied) -> None:
+        """Bring the cache up to date."""
+        cache = self._cache
+        for record in applied.records.values():
+            cache.keep(record)
+        for path in applied.gone:
+            cache.drop(path)
+        for path, listed in applied.lists.items():
+            if path not in applied.records:
+                container = cache.get(path)
+                if container is not None:
+                    cache.keep(relisted(container, listed))
+
+    async def receive(self, chunks: AsyncIterator[bytes], media_type: str, *, most: int) -> Blob:
+        self._attach()
+        id, size = await self._folder().receive(chunks, most)
+        self._keep((id,))
+        return Blob(id, size, media_type)
+
+    def discard(self, blob: Blob) -> None:
+        timer = self._waiting.pop(blob.id, None)
+        if timer is not None:
+            timer.cancel()
+            self._folder().discard(blob.id)
+
+    def file(self, blob: Blob) -> Path:
+        path = self._folder().path(blob.id)
+        path.stat()
+        return path
+
+    def _folder(self) -> Blobs:
+        """The folder of blobs; in memory a private one, made when it is first needed."""
+        if self._blobs is None:
+            if self._closed:
+                raise StorageError("The records are closed.")
+            self._temporary = tempfile.TemporaryDirectory(prefix="rosld-", ignore_cleanup_errors=True)
+            self._blobs = Blobs(Path(self._temporary.name) / BLOBS, durable=False)
+        return self._blobs
+
+    def _keep(self, ids: Iterable[str]) -> None:
+        """Keep received blobs for a while, until a write refers to them."""
+        for id in ids:
+            blob = Blob(id, 0, "")
+            self._waiting[id] = asyncio.get_running_loop().call_later(self._keep_seconds, self.discard, blob)
+
+    def _take(self, writes: Sequence[Write]) -> list[str]:
+        """The received blobs that writes refer to: they are not thrown away meanwhile."""
+        taken = []
+        for write in writes:
+            if isinstance(write, Put) and write.blob is not None:
+                timer = self._waiting.pop(write.blob.id, None)
+                if timer is not None:
+                    timer.cancel()
+                    taken.append(write.blob.id)
+        return taken
+
+    def watch(self, wake: Callable[[Sequence[Changed]], None]) -> Callable[[], None]:
+        self._attach()
+        watcher = object()
+        self._watchers[watcher] = wake
+
+        def end() -> None:
+            self._watchers.pop(watcher, None)
+
+        return end
+
+    def _tell(self, applied: Applied) -> None:
+        self._told = max(self._told, self._ledger.version)
+        if self._watchers:
+            self._wake(applied.changed())
+
+    def _wake(self, changed: Sequence[Changed]) -> None:
+        for wake in tuple(self._watchers.values()):
+            try:
+                wake(changed)
+            except Exception:
+                _log.exception("a watcher of records failed")
+
+    def _attach(self) -> None:
+        """Look from now on, on this loop, at whether another process has changed something."""
+        if self._look is None and self._durability is not None and not self._closed:
+            try:
+                loop = asyncio.get_running_loop()
+            except RuntimeError:
+                return  # not on a loop yet
+            self._look = loop.call_later(LOOK_SECONDS, self._look_again)
+
+    def _look_again(self) -> None:
+        self._look = asyncio.get_running_loop().call_later(LOOK_SECONDS, self._look_again)
+        try:
+            if self._ledger.foreign():
+                self._notice()
+        except (sqlite3.Error, StorageError) as error:
+            _log.error("the records cannot be read: %s", error)
+
+    def _notice(self) -> None:
+        """Another process has changed something: forget what was read, tell what has changed."""
+        self._cache.clear()
+        while changed := self._ledger.changed(self._told, _CHANGES):
+            self._told = changed[-1].version
+            self._wake(changed)
+
+    async def close(self) -> None:
+        if self._closed:
+            return
+        self._closed = True
+        if self._look is not None:
+            self._look.cancel()
+        for id in tuple(self._waiting):
+            self.discard(Blob(id, 0, ""))
+        if self._durability is not None:
+            await self._durability.close()
+        await asyncio.to_thread(self._connection.close)  # carries the log over
+        self._cache.clear()
+        if self._blobs is not None:
+            self._blobs.close()
+        if self._temporary is not None:
+            self._temporary.cleanup()

@@ -19,6 +19,7 @@ from rosld.server.errors import problem_of, problem_of_body
 from rosld.server.events.feed import Feeds
 from rosld.server.http.origin import Site, check_host, check_origin, sharing, site
 from rosld.server.http.problem import Problem, render
+from rosld.server.ldp.alone import Alone
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import Pages
 from rosld.server.ldp.resource import Resource
@@ -43,7 +44,8 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     service = query_service(robot)
     names = site(settings.base_url, settings.host, settings.port, settings.cors_origins)
     feeds = Feeds(robot.changes)
-    return Application(robot, Router(robot, service, pages), Verbs(robot.boot, pages, feeds), pages, names)
+    verbs = Verbs(robot.boot, pages, feeds, Alone(settings.call_deadline))
+    return Application(robot, Router(robot, service, pages), verbs, pages, names)
 
 
 def query_service(robot: Robot) -> QueryService:

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import gc
 import secrets
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
@@ -26,6 +26,8 @@ from rosld.server.ldp.state import State
 from rosld.server.limiter import PublishLimiter
 from rosld.server.live.schemas import Schemas
 from rosld.server.live.topics import LiveSettings, LiveTopics
+from rosld.server.records import Changed
+from rosld.server.records.sqlite import open_records
 from rosld.server.settings import Settings
 from rosld.shapes.limits import Limits, read_limits
 
@@ -58,6 +60,8 @@ class Robot:
         self.changes = Signal()
         self.parameter_changes = Signal()
         self.limits = limits_of(settings, adapter, self.space)
+        self.records = open_records(settings.data, roots=("mappings/",))
+        self.kept_changes = Signal()
         self.mappings = Mappings()
         for document in documents_of(settings, adapter, self.space):
             self.mappings.replace(document)
@@ -114,6 +118,7 @@ class Robot:
         self._loop = asyncio.get_running_loop()
         await self.adapter.open(self, deadline=self.deadline(OPEN_SECONDS))
         self.topics.start()
+        self.records.watch(self._kept)
         self._changed.set()
         gc.collect()
         gc.freeze()  # what is loaded now stays: looking through it again and again would hold everybody up
@@ -129,6 +134,7 @@ class Robot:
         await self.readings.stop()
         await self.topics.stop()
         await self.adapter.close()
+        await self.records.close()
 
     def graph_changed(self, graph: Graph) -> None:
         """`Sink`: look at what the graph now holds."""
@@ -145,6 +151,10 @@ class Robot:
     def _moved(self) -> None:
         self._changed.set()
         self.changes.give()
+
+    def _kept(self, changes: Sequence[Changed]) -> None:
+        for each in changes:
+            self.kept_changes.give(each.path)
 
     async def _follow(self) -> None:
         """After each change: subscribe to what is to be eager, and learn the types in use, so that they are listed."""

@@ -137,12 +137,6 @@ class Offers:
         found = await robot.readings.read(reads, deadline=deadline, anew=anew)
         return tuple(found[one.name] for one in reads)
 
-    async def require_there(self, layout: Layout, plan: ComplexPlan) -> None:
-        """Raise a 404 Problem where a complex resource is not there now. Nothing else of it is looked at."""
-        reads = layout.reads(plan.exists_when)
-        readings = self.known(reads) or await self.look(reads)
-        self.require(plan.exists_when, self.sight(layout, readings).verdicts, plan.path)
-
     async def state(self, url: str, layout: Layout, reads: Sequence[Property], make: Callable[[Sight], State]) -> State:
         """The state of the resource at `url` that follows from some properties: kept while their readings are good."""
         states = self._robot.states

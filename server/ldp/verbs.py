@@ -20,10 +20,12 @@ from rosld.server.events.waiting import changed_since
 from rosld.server.http import link, negotiation
 from rosld.server.http.conditional import ETag, guard
 from rosld.server.http.problem import Problem
+from rosld.server.ldp.alone import Alone
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import FORM, FormRefused, Pages
 from rosld.server.ldp.prepared import Prepared
 from rosld.server.ldp.resource import JSON, LDP, RDF_BODIES, Answer, Created, Resource, Shown, allow
+from rosld.server.ldp.standing import ACCEPT_FIELDS, standing_headers
 from rosld.server.ldp.state import Rendering, State, digest
 
 HTML = "text/html"
@@ -41,6 +43,7 @@ class Verbs:
     boot: str
     pages: Pages
     feeds: Feeds
+    alone: Alone
 
     async def answer(self, exchange: Exchange, resource: Resource) -> Response:
         """The response to a request on a resource; raises Problems."""
@@ -59,8 +62,7 @@ class Verbs:
             _check_media_type(exchange, resource)
             if method != "DELETE" and not resource.streams(exchange):
                 await exchange.body()  # before the preconditions: nothing is to come between them and the write
-            await self._check_preconditions(exchange, resource)
-            answer = await _VERBS[method](resource, exchange)
+            answer = await self._written(exchange, resource)
         except (BodyError, LoweringError, Problem) as error:
             raise _constrained(resource, error) from error
         if isinstance(answer, Created):
@@ -68,6 +70,15 @@ class Verbs:
         if isinstance(answer, Shown):
             return await self._shown(exchange, answer)
         return await self._as_preferred(exchange, resource, answer)
+
+    async def _written(self, exchange: Exchange, resource: Resource) -> Answer:
+        """What a write comes to; what is conditional is judged and carried out alone."""
+        write = _VERBS[exchange.method]
+        if exchange.header("if-match") is None and exchange.header("if-none-match") is None:
+            return await write(resource, exchange)
+        async with self.alone.at(resource.url):
+            await self._check_preconditions(exchange, resource)
+            return await write(resource, exchange)
 
     async def read(self, exchange: Exchange, resource: Resource) -> Response:
         """GET and HEAD."""
@@ -154,8 +165,6 @@ class Verbs:
     async def _check_preconditions(self, exchange: Exchange, resource: Resource) -> None:
         """If-Match and If-None-Match of a write (RFC 9110 13.1), judged against the resource as it is now."""
         if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
-        if if_match is None and if_none_match is None:
-            return
         try:
             state: State | None = await resource.state()
         except Problem as problem:
@@ -269,9 +278,8 @@ def chosen(exchange: Exchange) -> str:
 def _told_as(exchange: Exchange) -> str:
     """The media type of an event's data: plain JSON, or what `?format=` says. Raises a 406 Problem."""
     wanted = exchange.query.get("format", "json")
-    if wanted not in FORMATS or FORMATS[wanted] == HTML:
-        offered = ", ".join(one for one, media_type in FORMATS.items() if media_type != HTML)
-        raise Problem(406, f"?format={wanted} cannot be streamed; there are {offered}.")
+    if wanted not in FORMATS:
+        raise Problem(406, f"?format={wanted} cannot be streamed; there are {', '.join(FORMATS)}.")
     return FORMATS[wanted]
 
 
@@ -303,26 +311,10 @@ def _check_media_type(exchange: Exchange, resource: Resource) -> None:
     if exchange.header("content-type") is None and exchange.header("content-length") in (None, "0"):
         return
     if exchange.media_type not in accepted and "*/*" not in accepted:
-        headers = {_ACCEPT_FIELDS[exchange.method]: ", ".join(accepted)}
+        headers = {ACCEPT_FIELDS[exchange.method]: ", ".join(accepted)}
         raise Problem(
             415, f"{exchange.method} takes {', '.join(accepted)} here, not {exchange.media_type}.", headers=headers
         )
-
-
-_ACCEPT_FIELDS = {"PUT": "Accept-Put", "POST": "Accept-Post", "PATCH": "Accept-Patch"}
-
-
-def standing_headers(resource: Resource) -> dict[str, str]:
-    """The headers every answer about a resource has: Allow, Link, and Accept-* for the writes it takes."""
-    methods = resource.methods()
-    links = resource.links
-    if resource.constrained_by is not None:
-        links = (*links, link.Link(resource.constrained_by, f"{LDP}constrainedBy"))
-    headers = {"allow": ", ".join(sorted(methods)), "link": link.render(links)}
-    for method, accepted in resource.accepts.items():
-        if method in methods:
-            headers[_ACCEPT_FIELDS[method].lower()] = ", ".join(accepted)
-    return headers
 
 
 def options(resource: Resource) -> dict[str, str]:

@@ -20,6 +20,10 @@ _TYPES = {
 }
 MANAGED = frozenset({ldp.contains, dcterms.created, dcterms.modified, ros.length, dcterms.format})
 """What the server says of a resource, and nobody else."""
+MEMBERSHIP = frozenset(
+    {ldp.membershipResource, ldp.hasMemberRelation, ldp.isMemberOfRelation, ldp.insertedContentRelation}
+)
+"""What a container says its membership triples are made of: a client says it once, the server from then on."""
 META = ".meta"
 """What the URL of a non-RDF source's description ends in."""
 
@@ -59,7 +63,7 @@ def is_managed(triple: Triple, url: str) -> bool:
         return False
     if triple.predicate == rdf.type:
         return isinstance(triple.object, NamedNode) and triple.object.value.startswith(ldp.iri)
-    return triple.predicate in MANAGED
+    return triple.predicate in MANAGED or triple.predicate in MEMBERSHIP
 
 
 def written(triples: Iterable[Triple]) -> bytes:

@@ -104,8 +104,7 @@ class ComplexResource(Resource):
     async def special(self, exchange: Exchange) -> Response | None:
         if not wants_thing(exchange):
             return None
-        layout, plan = await self._plan()
-        await self.robot.offers.require_there(layout, plan)
+        _, plan = await self._plan()  # it tells what there ever is, also while the resource is not there
         return thing_response(exchange, self.robot, complex_thing(self.robot, plan))
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:

@@ -20,6 +20,7 @@ from rosld.server.resources.calls import CallContainer
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.entry import EntryResource
 from rosld.server.resources.files import FILES
+from rosld.server.resources.kept import kept_room
 from rosld.server.resources.mappings import mapping_room
 from rosld.server.resources.members import MemberResource
 from rosld.server.resources.namespaces import NamespaceContainer
@@ -108,6 +109,7 @@ ROOMS: Mapping[str, Room] = {
     "shapes": shape_room,
     "bags": bag_room,
     "resources": _resources,
+    "data": kept_room,
     "mappings": mapping_room,
     ".well-known": _well_known,
     "ontology": _single(OntologyResource),

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import importlib.util
+import json
 import sys
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -255,3 +258,26 @@ def test_everything_may_fail_at_once(robot: MadeUp, serving: Serving) -> None:
         robot.release(f"/arm/get_m{number}")
     assert value(http, "/resources/arm/") == {f"m{number}": number for number in range(40)}
     assert all(count <= 2 for count in robot.calls.values())
+
+
+@pytest.mark.parametrize("path", ["/resources/arm/grip", "/resources/arm/"])
+def test_of_several_writes_that_change_one_state_one_is_done(arm: MadeUp, serving: Serving, path: str) -> None:
+    held = arm.variable("/arm/grip", "Byte", value=1)
+
+    async def slow(request: Mapping[str, object]) -> Mapping[str, object]:
+        await asyncio.sleep(0.05)
+        held.update(request)
+        return {"success": True}
+
+    arm.offer("/arm/set_grip", "made_up/srv/SetByte", slow)
+    http = serving(freshness=60)
+    tag = http.get(path).headers["etag"]
+    is_whole = path.endswith("grip")
+
+    def write(number: int) -> int:
+        headers = {"If-Match": tag, "Content-Type": "application/json" if is_whole else "application/merge-patch+json"}
+        body = json.dumps(number if is_whole else {"grip": number})
+        return http.request("PUT" if is_whole else "PATCH", path, content=body, headers=headers).status_code
+
+    with ThreadPoolExecutor(4) as pool:
+        assert sorted(pool.map(write, range(2, 6))) == [204, 412, 412, 412]

@@ -1,0 +1,21 @@
+"""What every answer about a resource says of it, whatever state it is in: Allow, Link, Accept-*."""
+
+from __future__ import annotations
+
+from rosld.server.http.link import Link, render
+from rosld.server.ldp.resource import LDP, Resource
+
+ACCEPT_FIELDS = {"PUT": "Accept-Put", "POST": "Accept-Post", "PATCH": "Accept-Patch"}
+
+
+def standing_headers(resource: Resource) -> dict[str, str]:
+    """The headers every answer about a resource has: Allow, Link, and Accept-* for the writes it takes."""
+    methods = resource.methods()
+    links = resource.links
+    if resource.constrained_by is not None:
+        links = (*links, Link(resource.constrained_by, f"{LDP}constrainedBy"))
+    headers = {"allow": ", ".join(sorted(methods)), "link": render(links)}
+    for method, accepted in resource.accepts.items():
+        if method in methods:
+            headers[ACCEPT_FIELDS[method].lower()] = ", ".join(accepted)
+    return headers

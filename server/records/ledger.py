@@ -170,6 +170,7 @@ class Ledger:
             self._execute("BEGIN IMMEDIATE")
             foreign = self.foreign()
         except sqlite3.Error as error:
+            self.rollback()
             raise failure(error) from error
         self._next = self.version
         return foreign
@@ -192,15 +193,36 @@ class Ledger:
         if self._present(path) is None:
             self._insert(Put(path, Model.BASIC_CONTAINER), 0, now)
 
-    def apply(self, write: Write, applied: Applied, now: int) -> None:
-        """Do one write between `begin` and `commit`. Raises Conflict, with this write not done, not even in part."""
+    def attempt(self, writes: Sequence[Write], received: Sequence[str], now: int) -> Applied | Conflict:
+        """Do these writes between `begin` and `commit`, all or none: what they did, or why they cannot be done.
+
+        `received` are blobs that no record refers to yet. After a StorageError nothing but `rollback` is possible.
+        """
+        applied, several, version = Applied(received), len(writes) > 1, self._next
         try:
-            if isinstance(write, Put):
-                self._put(write, applied, now)
-            else:
-                self._remove(write, applied, now)
+            if several:
+                self._execute("SAVEPOINT attempt")
+            try:
+                for write in writes:
+                    self._apply(write, applied, now)
+            except Conflict as conflict:
+                if several:  # else nothing has been done yet
+                    self._execute("ROLLBACK TO attempt")
+                    self._next = version
+                return conflict
+            finally:
+                if several and self._connection.in_transaction:
+                    self._execute("RELEASE attempt")
         except sqlite3.Error as error:
             raise failure(error) from error
+        return applied
+
+    def _apply(self, write: Write, applied: Applied, now: int) -> None:
+        """Do one write; where it raises Conflict, not even in part."""
+        if isinstance(write, Put):
+            self._put(write, applied, now)
+        else:
+            self._remove(write, applied, now)
 
     def _data_version(self) -> int:
         return int(self._execute("PRAGMA data_version").fetchone()[0])

@@ -1,7 +1,8 @@
 """Records in SQLite: in memory, or durably in a folder.
 
 Everything is read and written on the loop, which takes tens of microseconds. In a folder SQLite writes to its log
-without waiting for the disk; a thread does that wait, and a write is acknowledged after it (`durability.py`).
+without waiting for the disk; a thread does that wait (`durability.py`), for all writes that come meanwhile at once
+(`group.py`), and they are acknowledged after it.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from pathlib import Path
 from rosld.server.records.blobs import Blobs, sync_folder
 from rosld.server.records.cache import Cache
 from rosld.server.records.durability import Durability
+from rosld.server.records.group import Group, Job
 from rosld.server.records.ledger import Applied, Busy, Ledger, relisted
 from rosld.server.records.paths import check
-from rosld.server.records.record import Blob, Changed, Member, Put, Record, StorageError, Write
+from rosld.server.records.record import Blob, Changed, Conflict, Member, Put, Record, StorageError, Write
 from rosld.server.records.schema import prepare
 
 _log = logging.getLogger("rosld")
@@ -31,7 +33,6 @@ KEEP_SECONDS = 600.0
 """How long received bytes are kept that no write refers to."""
 LOOK_SECONDS = 0.5
 """Between two looks at whether another process has changed the records."""
-_BUSY_SECONDS = 0.005
 _OPEN_SECONDS = 10.0
 _CHANGES = 10_000
 
@@ -84,6 +85,7 @@ class SqliteRecords:
         self._keep_seconds = keep_seconds
         self._look: asyncio.TimerHandle | None = None
         self._durability: Durability | None = None
+        self._group: Group | None = None
         self._closed = False
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
@@ -113,6 +115,7 @@ class SqliteRecords:
         self._blobs.sweep(self._ledger.blobs)
         sync_folder(folder)
         self._durability = Durability(folder / DATABASE, self._blobs)
+        self._group = Group(self._transact, self._durability)
 
     @property
     def identity(self) -> str:
@@ -131,6 +134,10 @@ class SqliteRecords:
                 self._cache.keep(found)
         return found
 
+    def forget(self) -> None:
+        """Read everything anew from now on."""
+        self._cache.clear()
+
     def was_there(self, path: str) -> bool:
         return self._ledger.was_there(path)
 
@@ -141,46 +148,54 @@ class SqliteRecords:
         return self._ledger.changed(after, most)
 
     async def write(self, *writes: Write) -> Sequence[Record | None]:
+        if self._closed:
+            raise StorageError("The records are closed.")
         for write in writes:
             check(write)
-        received = self._take(writes)
-        try:
-            # Another process tells of its end by nothing that could be waited for.
-            while (applied := self._done(writes, received)) is None:  # noqa: ASYNC110
-                await asyncio.sleep(_BUSY_SECONDS)
-        except BaseException:
-            self._keep(received)
-            raise
-        self._keep(applied.unused)
-        if self._durability is not None:
-            # Asked for before anything is awaited: what is written is so whoever waits for it.
-            reached = self._durability.reached(applied.freed)
-            self._tell(applied)
-            await reached
+        self._attach()
+        job = Job(writes, self._take(writes))
+        if self._group is not None:
+            applied = await self._group.do(job)
         else:
+            outcome = self._transact((job,))[0]
+            if isinstance(outcome, Conflict):
+                raise outcome
+            applied = outcome
             if applied.freed:
                 self._folder().remove(applied.freed)
-            self._tell(applied)
         return [applied.records.get(write.path) for write in writes]
 
-    def _done(self, writes: Sequence[Write], received: Sequence[str]) -> Applied | None:
-        """Write all in one transaction; None while another process writes. Raises Conflict with nothing done."""
-        self._attach()
-        ledger = self._ledger
+    def _transact(self, jobs: Sequence[Job]) -> Sequence[Applied | Conflict]:
+        """Do jobs in one transaction: what came of each. Raises Busy, StorageError, with none of them done."""
         try:
-            if ledger.begin():
-                self._notice()
-            applied, now = Applied(received), time.time_ns()
-            for write in writes:
-                ledger.apply(write, applied, now)
-            ledger.commit()
+            outcomes = self._committed(jobs)
         except BaseException as error:
-            ledger.rollback()
-            if isinstance(error, Busy):
-                return None
+            if not isinstance(error, Busy):
+                for job in jobs:
+                    self._keep(job.received)
             raise
-        self._renew(applied)
-        return applied
+        for job, outcome in zip(jobs, outcomes, strict=True):
+            if isinstance(outcome, Applied):
+                self._keep(outcome.unused)
+                self._renew(outcome)
+                self._tell(outcome)
+            else:
+                self._keep(job.received)
+        return outcomes
+
+    def _committed(self, jobs: Sequence[Job]) -> Sequence[Applied | Conflict]:
+        ledger = self._ledger
+        foreign = ledger.begin()
+        try:
+            if foreign:
+                self._notice()
+            now = time.time_ns()
+            outcomes = [ledger.attempt(job.writes, job.received, now) for job in jobs]
+            ledger.commit()
+        except BaseException:
+            ledger.rollback()
+            raise
+        return outcomes
 
     def _renew(self, applied: Applied) -> None:
         """Bring the cache up to date."""
@@ -214,9 +229,9 @@ class SqliteRecords:
 
     def _folder(self) -> Blobs:
         """The folder of blobs; in memory a private one, made when it is first needed."""
+        if self._closed:
+            raise StorageError("The records are closed.")
         if self._blobs is None:
-            if self._closed:
-                raise StorageError("The records are closed.")
             self._temporary = tempfile.TemporaryDirectory(prefix="rosld-", ignore_cleanup_errors=True)
             self._blobs = Blobs(Path(self._temporary.name) / BLOBS, durable=False)
         return self._blobs
@@ -279,7 +294,7 @@ class SqliteRecords:
 
     def _notice(self) -> None:
         """Another process has changed something: forget what was read, tell what has changed."""
-        self._cache.clear()
+        self.forget()
         while changed := self._ledger.changed(self._told, _CHANGES):
             self._told = changed[-1].version
             self._wake(changed)
@@ -287,11 +302,13 @@ class SqliteRecords:
     async def close(self) -> None:
         if self._closed:
             return
+        for id in tuple(self._waiting):
+            self.discard(Blob(id, 0, ""))
         self._closed = True
         if self._look is not None:
             self._look.cancel()
-        for id in tuple(self._waiting):
-            self.discard(Blob(id, 0, ""))
+        if self._group is not None:
+            await self._group.idle()
         if self._durability is not None:
             await self._durability.close()
         await asyncio.to_thread(self._connection.close)  # carries the log over

@@ -25,6 +25,7 @@ ROOMS: Mapping[str, str] = {
     "shapes": "Shapes",
     "bags": "Recordings",
     "mappings": "Mappings",
+    "data": "Data",
     "queries": "Queries",
 }
 """The containers at the top, with their titles."""

@@ -37,7 +37,7 @@ from rosld.server.resources.ontology import vocabulary
 from rosld.server.resources.parameters import ParameterResource
 from rosld.server.resources.services import CallResource
 from rosld.server.resources.topics import TopicResource
-from rosld.server.resources.types import LIMITS, MAPPING, known_types, names_below, whole_shape
+from rosld.server.resources.types import WHOLE, known_types, names_below, whole_shape
 from rosld.server.robot import Robot, Same
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.sync import GraphEntry
@@ -205,7 +205,7 @@ class Dataset:
             below = names_below(listed, room, path)
             describe = partial(type_container_document, room, path, below, space)
             yield _described(space.container(room, path), below, describe)
-        for name in (LIMITS, MAPPING):
+        for name in WHOLE:
             yield _described(space.shape(name), 0, partial(whole_shape, self._robot, name))
         for schema in self._robot.schemas.all():
             yield from self._type(schema)

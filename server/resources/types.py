@@ -17,11 +17,13 @@ from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
 from rosld.server.ldp.state import State
 from rosld.server.robot import Robot, Same, used_types
+from rosld.shapes.data import data_shape
 from rosld.shapes.mapping import mapping_shape
 from rosld.shapes.message import shape_document
 
-LIMITS, MAPPING = "limits", "mapping"
-"""What lies below `/shapes/` beside the shapes of types: the limits in force, the shape of mapping documents."""
+DATA, LIMITS, MAPPING = "data", "limits", "mapping"
+"""What lies below `/shapes/` beside the shapes of types: what constrains kept data, limits, mapping documents."""
+WHOLE = (DATA, LIMITS, MAPPING)
 
 
 class TypeResource(Resource):
@@ -66,7 +68,7 @@ class ShapeResource(Resource):
 
 
 class WholeShapeResource(Resource):
-    """`/shapes/limits` and `/shapes/mapping`: a shapes graph by itself."""
+    """`/shapes/data`, `/shapes/limits` and `/shapes/mapping`: a shapes graph by itself."""
 
     kind = "Shape"
 
@@ -80,9 +82,11 @@ class WholeShapeResource(Resource):
 
 
 def whole_shape(robot: Robot, name: str) -> Document:
-    """The shapes graph of LIMITS or MAPPING."""
+    """One of the shapes graphs of WHOLE."""
     url = robot.space.shape(name)
-    return mapping_shape(url) if name == MAPPING else Document(url, robot.limits.graph)
+    if name == LIMITS:
+        return Document(url, robot.limits.graph)
+    return mapping_shape(url) if name == MAPPING else data_shape(url)
 
 
 class TypeContainer(Resource):
@@ -128,7 +132,7 @@ def names_below(listed: Sequence[str], room: str, namespace: tuple[str, ...]) ->
     """The names that a container of types or shapes shows, of those `listed` by the robot."""
     depth = len(namespace)
     below = tuple(name for name in listed if tuple(name.split("/"))[:depth] == namespace)
-    return (*below, LIMITS, MAPPING) if room == "shapes" and not namespace else below
+    return (*below, *WHOLE) if room == "shapes" and not namespace else below
 
 
 def type_room(robot: Robot, location: Location) -> Resource:
@@ -140,7 +144,7 @@ def type_room(robot: Robot, location: Location) -> Resource:
 
 def shape_room(robot: Robot, location: Location) -> Resource:
     """`/shapes/` and below."""
-    if location.segments in ((LIMITS,), (MAPPING,)) and not location.is_container:
+    if len(location.segments) == 1 and location.segments[0] in WHOLE and not location.is_container:
         return WholeShapeResource(robot, location.segments[0])
     if location.is_container or len(location.segments) < 3:
         return _container(robot, "shapes", location)

@@ -20,7 +20,7 @@ from rosld.server.resources.calls import CallContainer
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.entry import EntryResource
 from rosld.server.resources.files import FILES
-from rosld.server.resources.kept import kept_room
+from rosld.server.resources.kept.room import kept_room
 from rosld.server.resources.mappings import mapping_room
 from rosld.server.resources.members import MemberResource
 from rosld.server.resources.namespaces import NamespaceContainer

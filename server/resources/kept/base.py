@@ -1,0 +1,85 @@
+"""What everything that is kept has in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import ClassVar
+
+from starlette.responses import Response
+
+from rosld.adapters.base import Watch
+from rosld.server.http.conditional import require_if_match
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.resource import (
+    READ,
+    Answer,
+    Resource,
+    moved,
+)
+from rosld.server.records import Conflict, Record, Remove, Write
+from rosld.server.robot import Robot
+
+
+class Kept(Resource):
+    """What all of them have in common. `path` is the URL without the base."""
+
+    lasting = False
+
+    def __init__(self, robot: Robot, path: str) -> None:
+        super().__init__(robot.space.base + path)
+        self.robot = robot
+        self.path = path
+        self.title = "/" + path
+
+    writes: ClassVar[frozenset[str]] = frozenset()
+
+    def methods(self) -> frozenset[str]:
+        return READ if self.robot.settings.read_only else READ | self.writes
+
+    def why_not(self, method: str) -> str:
+        if self.robot.settings.read_only:
+            return "This server is read-only."
+        return f"{self.kind} resources do not answer {method}."
+
+    @property
+    def constrained_by(self) -> str | None:
+        return self.robot.space.shape("data")
+
+    def there(self) -> Record:
+        """The record; a 404 or 410 Problem where there is none."""
+        found = self.robot.records.get(self.path)
+        if found is None:
+            raise missing(self.robot, self.path)
+        return found
+
+    async def watch(self, wake: Callable[[], None]) -> Watch | None:
+        return self.robot.kept_changes.watch(wake, lambda path: path == self.path)
+
+    def require_guard(self, exchange: Exchange) -> None:
+        """Raise a 428 Problem where writes must say what they change, and this one does not."""
+        if self.robot.settings.demand_if_match:
+            require_if_match(exchange.header("if-match"), "What is kept is changed by those who have read it.")
+
+    async def do(self, *writes: Write) -> Sequence[Record | None]:
+        """Do these writes; a 409 Problem where that is not possible as things are."""
+        try:
+            return await self.robot.records.write(*writes)
+        except Conflict as error:
+            raise Problem(409, f"{self.robot.space.base}{error.path}: {error.words}.") from error
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        self.require_guard(exchange)
+        record = self.there()
+        await self.do(Remove(self.path, record.version))
+        return Response(status_code=204)
+
+
+def missing(robot: Robot, path: str) -> Problem:
+    """410 where something was removed (LDP leaves no room for another thing there), 308 to a container, else 404."""
+    if robot.records.was_there(path):
+        return Problem(410, f"/{path} was deleted; its URL is not used again.")
+    other = path[:-1] if path.endswith("/") else path + "/"
+    if robot.records.get(other) is not None:
+        return moved(robot.space.base + other)
+    return Problem(404, f"There is nothing at /{path}; PUT makes it.")

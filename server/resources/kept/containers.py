@@ -1,0 +1,111 @@
+"""Containers, in which resources are made (LDP 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from rosld.server.http.link import Link
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.interaction import (
+    model_links,
+)
+from rosld.server.ldp.parts import ALL, Parts, wanted
+from rosld.server.ldp.resource import (
+    RDF_BODIES,
+    SPARQL_UPDATE,
+    Answer,
+    Created,
+    Resource,
+)
+from rosld.server.ldp.slug import free_name
+from rosld.server.ldp.state import State
+from rosld.server.records import Model
+from rosld.server.records.describe import META
+from rosld.server.resources.kept.base import Kept
+from rosld.server.resources.kept.bodies import asked_model
+from rosld.server.resources.kept.files import ANYTHING, KeptFile
+from rosld.server.resources.kept.making import made
+from rosld.server.resources.kept.showing import PAGE, after_page, page_shown, shown
+from rosld.server.resources.kept.sources import N3_PATCH, SourceResource
+from rosld.server.robot import Robot
+
+
+class ContainerResource(SourceResource):
+    """A container (LDP 5): POST makes a member, its members are told with it, in pages where there are many."""
+
+    kind = "Container"
+    accepts: Mapping[str, Sequence[str]] = {
+        "POST": (*RDF_BODIES, ANYTHING),
+        "PUT": RDF_BODIES,
+        "PATCH": (SPARQL_UPDATE, N3_PATCH),
+    }
+    writes = frozenset({"PUT", "PATCH", "POST", "DELETE"})
+    takes_forms = False
+
+    def __init__(self, robot: Robot, path: str, parts: Parts = ALL, after: int | None = None) -> None:
+        super().__init__(robot, path)
+        self._parts = parts
+        self._after = after
+        record = robot.records.get(path)
+        self.links = model_links(record.model if record is not None else Model.BASIC_CONTAINER)
+
+    def methods(self) -> frozenset[str]:
+        is_root = self.path.count("/") == 1
+        return super().methods() - ({"DELETE"} if is_root else frozenset())
+
+    async def narrowed(self, exchange: Exchange) -> Resource:
+        """The parts that Prefer asks for (LDP 7.2), the page that `?page=` does, the first of many pages (303)."""
+        if exchange.method not in ("GET", "HEAD"):
+            return self
+        parts = wanted(exchange.prefer) if exchange.header("prefer") is not None else ALL
+        page = exchange.query.get("page")
+        if page is not None:
+            return ContainerResource(self.robot, self.path, parts, after_page(page))
+        if self.there().count > PAGE and (parts.containment or parts.membership):
+            raise Problem(
+                303, "It comes in pages.", title="See its first page", headers={"Location": f"{self.url}?page=0"}
+            )
+        return self if parts is ALL else ContainerResource(self.robot, self.path, parts)
+
+    async def state(self) -> State:
+        record = self.there()
+        if self._after is None:
+            return shown(self.robot, record, self._parts)
+        return page_shown(self.robot, record, self._parts, self._after)
+
+    def streams(self, exchange: Exchange) -> bool:
+        return exchange.method == "POST" and self._model(exchange) is Model.NON_RDF_SOURCE
+
+    def _model(self, exchange: Exchange) -> Model:
+        return asked_model(exchange, self.url, container=False)
+
+    async def post(self, exchange: Exchange) -> Answer:
+        """A member, named by Slug where that is free (LDP 5.2.3)."""
+        self.there()
+        model = self._model(exchange)
+        records = self.robot.records
+
+        def taken(name: str) -> bool:
+            paths = (self.path + name, f"{self.path}{name}/")
+            return any(records.get(path) is not None or records.was_there(path) for path in paths)
+
+        name = free_name(exchange.header("slug"), taken)
+        path = f"{self.path}{name}/" if model.is_container else self.path + name
+        return await creation(self.robot, path, model, exchange)
+
+
+def resource_of(robot: Robot, path: str, model: Model) -> Kept:
+    """The resource of a model."""
+    if model is Model.NON_RDF_SOURCE:
+        return KeptFile(robot, path)
+    return ContainerResource(robot, path) if model.is_container else SourceResource(robot, path)
+
+
+async def creation(robot: Robot, path: str, model: Model, exchange: Exchange) -> Created:
+    """A new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3)."""
+    resource = resource_of(robot, path, model)
+    record = await made(resource, model, exchange)
+    described = Link(resource.url + META, "describedby", anchor=resource.url)
+    links = (described,) if model is Model.NON_RDF_SOURCE else ()
+    return Created(resource.url, resource, shown(robot, record), links)

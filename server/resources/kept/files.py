@@ -1,0 +1,100 @@
+"""Files: non-RDF sources, bytes as they were sent (LDP 4.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import orjson
+from starlette.responses import Response
+
+from rosld.ontology.lower import parse_json
+from rosld.server.http.conditional import ETag, guard
+from rosld.server.http.link import Link
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.files import file_response
+from rosld.server.ldp.interaction import (
+    model_links,
+)
+from rosld.server.ldp.patch import merge_patch
+from rosld.server.ldp.resource import (
+    JSON,
+    MERGE_PATCH,
+    Answer,
+)
+from rosld.server.ldp.standing import standing_headers
+from rosld.server.ldp.state import State
+from rosld.server.records import Blob, Model, Put, Record
+from rosld.server.records.describe import META
+from rosld.server.resources.kept.base import Kept
+from rosld.server.resources.kept.bodies import one_chunk, received, require_model
+from rosld.server.resources.kept.showing import shown
+from rosld.server.robot import Robot
+
+ANYTHING = "*/*"
+
+
+class KeptFile(Kept):
+    """A non-RDF source: bytes as they were sent."""
+
+    kind = "File"
+    writes = frozenset({"PUT", "PATCH", "DELETE"})
+    accepts: Mapping[str, Sequence[str]] = {"PUT": (ANYTHING,), "PATCH": (MERGE_PATCH,)}
+
+    def __init__(self, robot: Robot, path: str) -> None:
+        super().__init__(robot, path)
+        self.links = (*model_links(Model.NON_RDF_SOURCE), Link(self.url + META, "describedby"))
+
+    def streams(self, exchange: Exchange) -> bool:
+        return exchange.method == "PUT"
+
+    async def state(self) -> State:
+        return shown(self.robot, self.there())
+
+    async def special(self, exchange: Exchange) -> Response | None:
+        record = self.there()
+        assert record.blob is not None
+        etag = ETag(f"{self.robot.records.identity}-{record.version}", "bin")
+        if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
+        headers = {**standing_headers(self), "vary": "Accept", "cache-control": "no-cache"}
+        if guard(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
+            return Response(status_code=304, headers={**headers, "etag": str(etag)})
+        return await file_response(
+            self.robot.records.file(record.blob),
+            record.blob.size,
+            record.blob.media_type,
+            str(etag),
+            headers=headers,
+            name=self.title.rpartition("/")[2],
+            range_=exchange.header("range"),
+            if_range=exchange.header("if-range"),
+            head=exchange.method == "HEAD",
+        )
+
+    async def put(self, exchange: Exchange) -> Answer:
+        self.require_guard(exchange)
+        record = self.there()
+        require_model(exchange, record.model, self.url)
+        blob = await received(self.robot, exchange)
+        await self._replace(record, blob)
+        return Response(status_code=204)
+
+    async def patch(self, exchange: Exchange) -> Answer:
+        """JSON merge patch of a JSON file (RFC 7396)."""
+        self.require_guard(exchange)
+        record = self.there()
+        assert record.blob is not None
+        if record.blob.media_type.partition(";")[0].strip() != JSON:
+            raise Problem(415, f"{MERGE_PATCH} changes {JSON}, and this is {record.blob.media_type}.")
+        if record.blob.size > self.robot.settings.body_limit:
+            raise Problem(413, f"A file of {record.blob.size} bytes is too large to be patched; PUT it whole.")
+        before = parse_json(self.robot.records.file(record.blob).read_bytes())
+        data = orjson.dumps(merge_patch(before, parse_json(await exchange.body())))
+        blob = await self.robot.records.receive(one_chunk(data), record.blob.media_type, most=len(data))
+        await self._replace(record, blob)
+        return Response(status_code=204)
+
+    async def _replace(self, record: Record, blob: Blob) -> None:
+        await self.do(
+            Put(record.path, record.model, record.triples, blob, None, record.member, expected=record.version)
+        )

@@ -1,0 +1,69 @@
+"""Making resources: a record with what leads to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pyoxigraph import NamedNode, Triple
+
+from rosld.ontology.body import RdfBody, parse_body
+from rosld.ontology.vocab import ldp
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.interaction import (
+    member_of,
+    membership_of,
+)
+from rosld.server.records import Membership, Model, Put, Record
+from rosld.server.records.describe import is_managed, written
+from rosld.server.resources.kept.base import Kept
+from rosld.server.resources.kept.bodies import received, triples_of
+from rosld.server.robot import Robot
+
+
+async def made(kept: Kept, model: Model, exchange: Exchange) -> Record:
+    """Make the resource that `kept` stands for, and the containers on the way to it that are missing."""
+    robot, path, url = kept.robot, kept.path, kept.url
+    if model is Model.NON_RDF_SOURCE:
+        put = Put(path, model, blob=await received(robot, exchange), expected=0)
+        body = RdfBody({}, 0)
+    else:
+        body = parse_body(await exchange.body(), exchange.media_type, url)
+        triples = triples_of(body)
+        if any(each.subject == NamedNode(url) and each.predicate == ldp.contains for each in triples):
+            raise Problem(409, "A new container contains nothing: leave ldp:contains away, and POST its members to it.")
+        own = written(each for each in triples if not is_managed(each, url))
+        put = Put(path, model, own, membership=membership_asked(model, triples, url), expected=0)
+    records = await kept.do(*_ways_to(robot, path), _as_member(robot, put, body, url))
+    record = records[-1]
+    assert record is not None
+    return record
+
+
+def _as_member(robot: Robot, put: Put, body: RdfBody, url: str) -> Put:
+    """With what stands for it in the membership triples of its container (LDP 5.5.1.2)."""
+    container = robot.records.get(container_of(put.path))
+    if container is None or container.membership is None:
+        return put
+    member = member_of(container.membership, body, url)
+    return Put(put.path, put.model, put.triples, put.blob, put.membership, member, put.expected)
+
+
+def _ways_to(robot: Robot, path: str) -> list[Put]:
+    """The containers to be made first."""
+    found: list[Put] = []
+    above = container_of(path)
+    while robot.records.get(above) is None:
+        found.insert(0, Put(above, Model.BASIC_CONTAINER, expected=0))
+        above = container_of(above)
+    return found
+
+
+def container_of(path: str) -> str:
+    """The path of the container that a path lies in."""
+    return path.rstrip("/").rpartition("/")[0] + "/"
+
+
+def membership_asked(model: Model, triples: Sequence[Triple], url: str) -> Membership | None:
+    """The membership of a Direct or Indirect container, as its body says."""
+    return membership_of(triples, url, model) if model in (Model.DIRECT_CONTAINER, Model.INDIRECT_CONTAINER) else None

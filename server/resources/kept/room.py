@@ -1,0 +1,60 @@
+"""`/data/` and below: which resource a path is, as what is recorded now has it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from rosld.ontology.urls import Location
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.resource import (
+    RDF_BODIES,
+    Answer,
+    Resource,
+)
+from rosld.server.ldp.state import State
+from rosld.server.records import Model
+from rosld.server.records.describe import META
+from rosld.server.resources.kept.base import Kept, missing
+from rosld.server.resources.kept.bodies import asked_model
+from rosld.server.resources.kept.containers import creation, resource_of
+from rosld.server.resources.kept.files import ANYTHING
+from rosld.server.resources.kept.sources import DescriptionResource
+from rosld.server.robot import Robot
+
+
+class AbsentResource(Kept):
+    """Nothing yet: PUT makes it."""
+
+    kind = "Absent"
+    writes = frozenset({"PUT"})
+    accepts: Mapping[str, Sequence[str]] = {"PUT": (*RDF_BODIES, ANYTHING)}
+    links = ()
+
+    async def state(self) -> State:
+        raise missing(self.robot, self.path)
+
+    def streams(self, exchange: Exchange) -> bool:
+        return self._model(exchange) is Model.NON_RDF_SOURCE
+
+    def _model(self, exchange: Exchange) -> Model:
+        return asked_model(exchange, self.url, container=self.url.endswith("/"))
+
+    async def put(self, exchange: Exchange) -> Answer:
+        if self.robot.records.was_there(self.path):
+            raise missing(self.robot, self.path)
+        return await creation(self.robot, self.path, self._model(exchange), exchange)
+
+
+def kept_room(robot: Robot, location: Location) -> Resource:
+    """`/data/` and below: as what is recorded now has it."""
+    path = robot.space.url(location.kind, location.segments)[len(robot.space.base) :]
+    if location.is_container:
+        path += "/"
+    record = robot.records.get(path)
+    if record is not None:
+        return resource_of(robot, path, record.model)
+    if path.endswith(META):
+        described = robot.records.get(path.removesuffix(META))
+        if described is not None and described.model is Model.NON_RDF_SOURCE:
+            return DescriptionResource(robot, path)
+    return AbsentResource(robot, path)

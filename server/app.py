@@ -16,7 +16,10 @@ from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.server.dataset import Dataset
 from rosld.server.errors import problem_of, problem_of_body
+from rosld.server.events import websocket
+from rosld.server.events.channels import Channels
 from rosld.server.events.feed import Feeds
+from rosld.server.http import link
 from rosld.server.http.origin import Site, check_host, check_origin, sharing, site
 from rosld.server.http.problem import Problem, render
 from rosld.server.ldp.alone import Alone
@@ -24,7 +27,8 @@ from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import Pages
 from rosld.server.ldp.resource import Resource
 from rosld.server.ldp.verbs import Verbs, options
-from rosld.server.resources.router import Router
+from rosld.server.resources.channels import Notifications, rooms
+from rosld.server.resources.router import ROOMS, Router
 from rosld.server.robot import Robot
 from rosld.server.settings import Settings
 from rosld.server.sparql.analysis import Analyser
@@ -44,8 +48,12 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     service = query_service(robot)
     names = site(settings.base_url, settings.host, settings.port, settings.cors_origins)
     feeds = Feeds(robot.changes)
-    verbs = Verbs(robot.boot, pages, feeds, Alone(settings.call_deadline))
-    return Application(robot, Router(robot, service, pages), verbs, pages, names)
+    router = Router(robot, service, pages)
+    notifications = Notifications(robot, Channels(robot.boot), feeds, names, router.resolve)
+    router.add(rooms(notifications, ROOMS[".well-known"]))
+    return Application(
+        robot, router, Verbs(robot.boot, pages, feeds, Alone(settings.call_deadline)), pages, names, notifications
+    )
 
 
 def query_service(robot: Robot) -> QueryService:
@@ -62,12 +70,16 @@ def query_service(robot: Robot) -> QueryService:
 class Application:
     """One robot on the web."""
 
-    def __init__(self, robot: Robot, router: Router, verbs: Verbs, pages: Pages, names: Site) -> None:
+    def __init__(
+        self, robot: Robot, router: Router, verbs: Verbs, pages: Pages, names: Site, notifications: Notifications
+    ) -> None:
         self.robot = robot
         self._router = router
         self._verbs = verbs
         self._pages = pages
         self._site = names
+        self._notifications = notifications
+        self._standing = (b"link", link.render([notifications.link]).encode("latin-1"))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http":
@@ -75,7 +87,7 @@ class Application:
         elif scope["type"] == "lifespan":
             await self._lifespan(receive, send)
         else:
-            await send({"type": "websocket.close", "code": 1008, "reason": "no WebSocket is offered here"})
+            await self._websocket(scope, receive, send)
 
     def end_streams(self) -> None:
         """End what would go on for ever: to be called when the server is told to end, before it waits for requests."""
@@ -98,7 +110,17 @@ class Application:
             response = self._failure(exchange, error)
         if origin is not None or self._site.shared or self._site.anybody:
             _share(response, sharing(self._site, exchange.method, origin))
+        response.raw_headers = [*response.raw_headers, self._standing]
         await response(scope, receive, send)
+
+    async def _websocket(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            websocket.check_request(self._site, scope)
+            receiver = self._notifications.receiver(scope)
+        except Problem as problem:
+            await websocket.refuse(scope, send, problem)
+            return
+        await receiver(scope, receive, send)
 
     async def _answer(self, exchange: Exchange, origin: str | None) -> Response:
         check_host(self._site, exchange.hosts)

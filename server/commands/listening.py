@@ -19,6 +19,9 @@ GRACE_SECONDS = 2
 CONNECTIONS = 3000
 """Connections at a time; one more is answered 503. There are more than `feed.MOST_READERS`, so that all can be had."""
 
+MESSAGE_BYTES = 4096
+"""The most a WebSocket's client may send at once: it has nothing to say."""
+
 
 def bind(host: str, port: int) -> socket.socket:
     """A bound socket that does not listen yet. Raises ValueError saying why it is refused, and what to do."""
@@ -53,7 +56,9 @@ class Server(uvicorn.Server):
             uvicorn.Config(
                 app,
                 http=Connection,
-                ws="none",
+                ws="websockets-sansio",
+                ws_max_size=MESSAGE_BYTES,
+                ws_per_message_deflate=False,
                 lifespan="off",
                 interface="asgi3",
                 log_config=None,

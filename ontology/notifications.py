@@ -1,0 +1,213 @@
+"""Notifications (Solid Notifications Protocol 0.3): its terms, and what services, channels and messages say.
+
+Everything is said twice, by triples for every syntax and by the compact JSON-LD that clients without RDF read.
+"""
+
+# The attributes are spelt as the vocabularies spell them.
+# ruff: noqa: N801, N815
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.ontology.document import Document
+from rosld.ontology.literals import date_time
+from rosld.ontology.triples import RDF_SOURCE, Value, about, each, moment, text
+from rosld.ontology.vocab import Namespace, rdf, xsd
+
+Json: TypeAlias = Mapping[str, object]
+
+CONTEXT = "https://www.w3.org/ns/solid/notifications-context/v1"
+ACTIVITY_CONTEXT = "https://www.w3.org/ns/activitystreams"
+KNOWN_CONTEXTS = frozenset({CONTEXT, "https://www.w3.org/ns/solid/notification/v1"})
+"""The context of the protocol, and the name it has in the drafts of the channel types."""
+
+
+class notify(Namespace, iri="http://www.w3.org/ns/solid/notifications#"):
+    """Solid Notifications."""
+
+    subscription: NamedNode
+    channelType: NamedNode
+    feature: NamedNode
+    topic: NamedNode
+    receiveFrom: NamedNode
+    accept: NamedNode
+    endAt: NamedNode
+    rate: NamedNode
+    startAt: NamedNode
+    state: NamedNode
+    WebSocketChannel2023: NamedNode
+    StreamingHTTPChannel2023: NamedNode
+
+
+class activity(Namespace, iri="https://www.w3.org/ns/activitystreams#"):
+    """Activity Streams 2.0."""
+
+    Create: NamedNode
+    Update: NamedNode
+    Delete: NamedNode
+    Add: NamedNode
+    Remove: NamedNode
+    object: NamedNode
+    target: NamedNode
+    published: NamedNode
+
+
+DURATION = NamedNode(xsd.iri + "duration")
+FEATURES = (notify.accept, notify.endAt, notify.rate, notify.startAt, notify.state)
+CHANNEL_TYPES = ("WebSocketChannel2023", "StreamingHTTPChannel2023")
+_OLD = "http://www.w3.org/ns/solid/notification#"
+
+DEFINITIONS: Json = {
+    "id": "@id",
+    "type": "@type",
+    "notify": notify.iri,
+    **{name: notify.iri + name for name in (*CHANNEL_TYPES, "accept", "state")},
+    **{name: {"@id": notify.iri + name, "@type": "@id"} for name in ("subscription", "channel", "topic")},
+    **{name: {"@id": notify.iri + name, "@type": "@id"} for name in ("receiveFrom", "sendTo", "sender")},
+    **{name: {"@id": notify.iri + name, "@type": "@vocab"} for name in ("channelType", "feature")},
+    **{name: {"@id": notify.iri + name, "@type": xsd.dateTime.value} for name in ("startAt", "endAt")},
+    "rate": {"@id": notify.iri + "rate", "@type": DURATION.value},
+}
+"""What the context of the protocol means by its terms: nothing is fetched, so it is known here."""
+
+
+def channel_type(name: str) -> NamedNode:
+    """The IRI of a channel type."""
+    return NamedNode(notify.iri + name)
+
+
+def type_named(iri: str) -> str | None:
+    """The channel type that an IRI means, None for a stranger; the drafts spell the namespace in the singular."""
+    name = iri.removeprefix(_OLD).removeprefix(notify.iri)
+    return name if name in CHANNEL_TYPES and name != iri else None
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """A subscription service: its URL, and the name of the type of channel it makes."""
+
+    url: str
+    type: str
+
+    def document(self) -> Document:
+        """What it says of itself (protocol 3.2)."""
+        return Document(self.url, tuple(about(NamedNode(self.url), *RDF_SOURCE, *self._statements())))
+
+    def triples(self) -> list[Triple]:
+        """What others say of it."""
+        return about(NamedNode(self.url), *self._statements())
+
+    def _statements(self) -> list[tuple[NamedNode, Value | None]]:
+        return [(notify.channelType, channel_type(self.type)), *each(notify.feature, FEATURES)]
+
+    def members(self) -> Json:
+        """The same as members of a JSON-LD object."""
+        features = [feature.value for feature in FEATURES]
+        return {"id": self.url, "channelType": channel_type(self.type).value, "feature": features}
+
+
+def description_document(url: str, storage: str, services: Iterable[Service]) -> Document:
+    """The description resource of a whole server (protocol 3.1): said of itself, and of the storage it describes."""
+    found = tuple(services)
+    offers = each(notify.subscription, [NamedNode(service.url) for service in found])
+    said = [triple for service in found for triple in service.triples()]
+    return Document(url, (*about(NamedNode(url), *RDF_SOURCE, *offers), *about(NamedNode(storage), *offers), *said))
+
+
+def description_members(url: str, services: Iterable[Service]) -> Json:
+    """The same as members of a JSON-LD object."""
+    return {"id": url, "subscription": [service.members() for service in services]}
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """What a channel was made for and is (protocol 3.3): `interval` is its rate in seconds, times are ns since 1970."""
+
+    url: str
+    type: str
+    topic: str
+    receive_from: str
+    accept: str
+    interval: float
+    start_at: int | None = None
+    end_at: int | None = None
+    state: str | None = None
+
+    def document(self) -> Document:
+        """The channel as RDF."""
+        triples = about(
+            NamedNode(self.url),
+            (rdf.type, channel_type(self.type)),
+            *RDF_SOURCE,
+            (notify.topic, NamedNode(self.topic)),
+            (notify.receiveFrom, NamedNode(self.receive_from)),
+            (notify.accept, text(self.accept)),
+            (notify.rate, Literal(duration(self.interval), datatype=DURATION)),
+            (notify.startAt, moment(self.start_at)),
+            (notify.endAt, moment(self.end_at)),
+            (notify.state, text(self.state)),
+        )
+        return Document(self.url, tuple(triples))
+
+    def members(self) -> Json:
+        """The same as members of a JSON-LD object."""
+        found = {
+            "id": self.url,
+            "type": channel_type(self.type).value,
+            "topic": self.topic,
+            "receiveFrom": self.receive_from,
+            "accept": self.accept,
+            "rate": duration(self.interval),
+            "startAt": None if self.start_at is None else date_time(0, self.start_at),
+            "endAt": None if self.end_at is None else date_time(0, self.end_at),
+            "state": self.state,
+        }
+        return {name: value for name, value in found.items() if value is not None}
+
+
+class Activity(NamedTuple):
+    """What happened (protocol 3.4): `type` is an activity type, `state` the state of the topic after it."""
+
+    type: str
+    object: str
+    target: str | None = None
+    state: str | None = None
+
+    def document(self, id: str, published: int) -> Document:
+        """The notification as RDF: told with this id, published so many ns after 1970."""
+        triples = about(
+            NamedNode(id),
+            (rdf.type, NamedNode(activity.iri + self.type)),
+            (activity.object, NamedNode(self.object)),
+            (activity.target, None if self.target is None else NamedNode(self.target)),
+            (notify.state, text(self.state)),
+            (activity.published, moment(published)),
+        )
+        return Document(id, tuple(triples))
+
+    def members(self, id: str, published: int) -> Json:
+        """The same as members of a JSON-LD object."""
+        found = {
+            "id": id,
+            "type": self.type,
+            "object": self.object,
+            "target": self.target,
+            "state": self.state,
+            "published": date_time(0, published),
+        }
+        return {name: value for name, value in found.items() if value is not None}
+
+
+def duration(seconds: float) -> str:
+    """The xsd:duration of so many seconds, down to the microsecond."""
+    return f"PT{seconds:.6f}".rstrip("0").rstrip(".") + "S"
+
+
+def with_context(members: Json, *contexts: str) -> dict[str, object]:
+    """A JSON-LD object with the contexts by which it is to be read."""
+    return {"@context": list(contexts or (CONTEXT,)), **members}

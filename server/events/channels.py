@@ -1,0 +1,199 @@
+"""Notification channels (Solid Notifications Protocol 2.3): those that clients made, for as long as they use them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import secrets
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+from pyoxigraph import NamedNode
+
+from rosld.ontology.notifications import Activity, Terms
+from rosld.ontology.vocab import ldp
+from rosld.server.events import asked
+from rosld.server.events.feed import Moment
+from rosld.server.events.subscriptions import Subscription
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.resource import Resource
+from rosld.server.ldp.state import State
+
+MOST_CHANNELS = 4000
+"""Channels at a time. One more takes the place of the one that has been without a receiver longest."""
+IDLE_SECONDS = 300.0
+"""How long a channel without a receiver is kept: so long may a client take to connect, and to come back."""
+_SECOND = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What the receiver of a channel knows of its topic: the name of its state, None where it was not there.
+
+    `container` is that state while somebody receives, where it tells of members: to say which one came or went.
+    """
+
+    name: str | None
+    container: State | None = None
+
+
+@dataclass(eq=False, slots=True)
+class Channel:
+    """A channel: what it was made for, the resource it tells of, what it has told, and who receives."""
+
+    token: str
+    terms: Terms
+    resource: Resource
+    told: Told
+    since: float
+    """Since when (monotonic, s) nobody receives."""
+    receiver: asyncio.Task[None] | None = None
+    due: float = float("-inf")
+    """When (monotonic, s) the next notification may be sent."""
+
+    @property
+    def is_over(self) -> bool:
+        """Whether its time has passed."""
+        if self.terms.end_at is not None and time.time_ns() >= self.terms.end_at:
+            return True
+        return self.receiver is None and time.monotonic() - self.since >= IDLE_SECONDS
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Seconds until it ends by itself, None where no end is set."""
+        end = self.terms.end_at
+        return None if end is None else max(0.0, (end - time.time_ns()) / _SECOND)
+
+    @property
+    def seconds_to_start(self) -> float:
+        """Seconds until it begins to tell."""
+        start = self.terms.start_at
+        return 0.0 if start is None else max(0.0, (start - time.time_ns()) / _SECOND)
+
+
+class Channels:
+    """The channels of one server. `boot` tells this run of the server from others in the names of states."""
+
+    def __init__(self, boot: str, most: int = MOST_CHANNELS) -> None:
+        self._boot = boot
+        self._most = most
+        self._kept: dict[str, Channel] = {}
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def open(
+        self, wish: Subscription, type: str, resource: Resource, state: State, place: Callable[[str], tuple[str, str]]
+    ) -> Channel:
+        """A new channel; `place` gives the URLs of the channel and of its source by its token. A 503 Problem if full.
+
+        It will tell at once where the topic is in another state than the wish says that its client knows.
+        """
+        self._make_room()
+        token = secrets.token_urlsafe(24)
+        url, source = place(token)
+        times = (wish.interval, wish.start_at, wish.end_at)
+        terms = Terms(url, type, resource.url, source, wish.accept, *times, wish.state)
+        known = wish.state if wish.state is not None else self.name(state)
+        channel = Channel(token, terms, resource, Told(known), time.monotonic())
+        self._kept[token] = channel
+        return channel
+
+    def find(self, token: str) -> Channel:
+        """The channel with a token. A 404 Problem where there is none, or none any more."""
+        channel = self._kept.get(token)
+        if channel is None or channel.is_over:
+            self._kept.pop(token, None)
+            raise Problem(404, "There is no such channel, or its time has passed: subscribe again.")
+        return channel
+
+    def close(self, channel: Channel) -> None:
+        """End a channel, and whoever receives from it, unless that is the task at hand."""
+        self._kept.pop(channel.token, None)
+        if channel.receiver is not None and channel.receiver is not asyncio.current_task():
+            channel.receiver.cancel()
+
+    def has(self, channel: Channel) -> bool:
+        """Whether the channel is still there."""
+        return self._kept.get(channel.token) is channel
+
+    @contextlib.contextmanager
+    def receiving(self, channel: Channel) -> Iterator[None]:
+        """The task at hand receives from a channel: whoever did before is ended, being most often the same client."""
+        task = asyncio.current_task()
+        if channel.receiver is not None:
+            channel.receiver.cancel()
+        channel.receiver = task
+        try:
+            yield
+        finally:
+            if channel.receiver is task:
+                channel.receiver = None
+                channel.since = time.monotonic()
+                channel.told = replace(channel.told, container=None)
+
+    def name(self, state: State) -> str:
+        """The name of a state: the state part of the entity tags of its representations."""
+        return f"{state.scope or self._boot}-{state.tag}"
+
+    def news(self, channel: Channel, moment: Moment) -> tuple[Activity | None, Told]:
+        """What is to be told of a moment, None where it is nothing new, and what is known then.
+
+        A state that cannot be read (the robot does not answer) is no news: it is told when it can be read again.
+        """
+        told, topic = channel.told, channel.terms.topic
+        if isinstance(moment.state, Problem):
+            if not _is_absent(moment.state) or told.name is None:
+                return None, told
+            return Activity("Delete", topic), Told(None)
+        name = self.name(moment.state)
+        now = Told(name, moment.state if _tells_members(channel.resource, moment.state) else None)
+        if told.name is None:
+            return Activity("Create", topic, state=name), now
+        if asked.is_state(told.name, name):
+            return None, now
+        return _changed(topic, told.container, now), now
+
+    def _make_room(self) -> None:
+        if len(self._kept) < self._most:
+            return
+        for channel in [one for one in self._kept.values() if one.is_over]:
+            self.close(channel)
+        waiting = [one for one in self._kept.values() if one.receiver is None]
+        if len(self._kept) >= self._most:
+            if not waiting:
+                raise Problem(
+                    503,
+                    f"{self._most} channels have receivers already. Come back later.",
+                    headers={"Retry-After": "60"},
+                )
+            self.close(min(waiting, key=lambda one: one.since))
+
+
+def _is_absent(problem: Problem) -> bool:
+    """Whether there is nothing where the topic was: deleted, or moved."""
+    return problem.status in (404, 410) or problem.status < 400
+
+
+def _changed(topic: str, before: State | None, now: Told) -> Activity:
+    """Which member came or went, where it is one; else that the topic changed."""
+    if before is not None and now.container is not None:
+        old, new = _members(before), _members(now.container)
+        if len(old ^ new) == 1:
+            (member,) = old ^ new
+            return Activity("Add" if member in new else "Remove", member, topic, now.name)
+    return Activity("Update", topic, state=now.name)
+
+
+def _tells_members(resource: Resource, state: State) -> bool:
+    """Whether a state is about members. That of a complex resource is about values as well, and has a view."""
+    return state.view is None and any(link.target.endswith("Container") for link in resource.links)
+
+
+@lru_cache(maxsize=8)
+def _members(state: State) -> frozenset[str]:
+    """The URLs that a state of a container contains: found once, however many are told."""
+    found = [triple.object for triple in state.document.triples if triple.predicate == ldp.contains]
+    return frozenset(one.value for one in found if isinstance(one, NamedNode))

@@ -1,0 +1,109 @@
+"""Delivery: the notifications of a channel sent one after another, no faster than its rate and its receiver allow.
+
+Nothing is queued. A receiver that is slow, away, or wants few notifications gets one that tells of the latest state.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+import uuid
+from collections.abc import Awaitable, Callable
+from typing import TypeAlias
+
+import orjson
+
+from rosld.ontology.notifications import ACTIVITY_CONTEXT, CONTEXT, Activity, with_context
+from rosld.ontology.serialize import Syntax, serialize
+from rosld.server.events.channels import Channel, Channels
+from rosld.server.events.feed import Feed, Feeds, Moment, Sleeper
+
+Send: TypeAlias = Callable[[bytes], Awaitable[None]]
+KEEP_ALIVE_SECONDS = 15.0
+_RDF = {"text/turtle": Syntax.TURTLE, "application/n-triples": Syntax.N_TRIPLES}
+
+
+class Delivery:
+    """Sends what a channel tells: each notification to `send`, and to `idle` whenever nothing was sent for a while."""
+
+    def __init__(self, channels: Channels, feeds: Feeds, channel: Channel, send: Send, idle: Send | None) -> None:
+        self._channels = channels
+        self._feeds = feeds
+        self._channel = channel
+        self._send = send
+        self._idle = idle
+
+    async def run(self) -> None:
+        """Deliver until the topic is gone for good, or this is cancelled."""
+        with self._channels.receiving(self._channel):
+            await self._pause(self._channel.seconds_to_start)
+            with self._feeds.following(self._channel.resource) as feed:
+                await self._follow(feed)
+
+    async def _follow(self, feed: Feed) -> None:
+        sleeper = Sleeper()
+        version = 0
+        while True:
+            if feed.version == version:
+                await self._wait(feed, sleeper, version)
+                if feed.version == version:
+                    await self._still_here()
+                    continue
+            await self._pause(self._channel.due - time.monotonic())
+            version = feed.version
+            moment = feed.at_hand() or await feed.look()
+            await self._tell(moment)
+            if moment.is_final:
+                self._channels.close(self._channel)
+                return
+
+    async def _tell(self, moment: Moment) -> None:
+        channel = self._channel
+        news, told = self._channels.news(channel, moment)
+        if news is None:
+            channel.told = told
+            return
+        chunk = message(moment, news, channel.terms.accept)
+        channel.due = time.monotonic() + channel.terms.interval
+        await self._send(chunk)
+        channel.told = told
+
+    async def _wait(self, feed: Feed, sleeper: Sleeper, version: int) -> None:
+        """Until the topic may have changed, or it has been quiet for a while."""
+        if self._idle is None:
+            await feed.wait(sleeper, version)
+            return
+        timer = asyncio.get_running_loop().call_later(KEEP_ALIVE_SECONDS, sleeper.wake)
+        try:
+            await feed.wait(sleeper, version)
+        finally:
+            timer.cancel()
+
+    async def _pause(self, seconds: float) -> None:
+        """Sleep, giving signs of life."""
+        until = time.monotonic() + seconds
+        while (left := until - time.monotonic()) > 0:
+            await asyncio.sleep(min(left, KEEP_ALIVE_SECONDS))
+            if left > KEEP_ALIVE_SECONDS:
+                await self._still_here()
+
+    async def _still_here(self) -> None:
+        if self._idle is not None:
+            await self._idle(b"\n")
+
+
+def message(moment: Moment, news: Activity, media_type: str) -> bytes:
+    """The notification that tells the news of a moment: made once for all channels that tell the same."""
+    key = f"{media_type} {news}"
+    found = moment.chunks.get(key)
+    if found is None:
+        found = moment.chunks[key] = _written(news, media_type)
+    return found
+
+
+def _written(news: Activity, media_type: str) -> bytes:
+    id, published = uuid.uuid4().urn, time.time_ns() // 1_000_000 * 1_000_000
+    syntax = _RDF.get(media_type)
+    if syntax is not None:
+        return serialize(news.document(id, published), syntax)
+    return orjson.dumps(with_context(news.members(id, published), ACTIVITY_CONTEXT, CONTEXT))

@@ -1,0 +1,226 @@
+"""Subscription requests (Solid Notifications Protocol 2.2): the channel that a client wishes, read with care. Pure."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from decimal import Decimal
+from urllib.parse import urlsplit
+
+import orjson
+from pyoxigraph import Literal, NamedNode
+
+from rosld.ontology.body import BodyError, RdfBody, Subject, check_json_depth, parse_body
+from rosld.ontology.notifications import DEFINITIONS, KNOWN_CONTEXTS, notify, type_named
+from rosld.ontology.vocab import rdf
+from rosld.server.http import media, negotiation
+from rosld.server.http.problem import Problem
+
+MOST_BYTES = 16 * 1024
+"""A request names a topic and a few features: more is not read."""
+JSON_LD = "application/ld+json"
+MEDIA_TYPES = (JSON_LD, "application/json", "text/turtle", "application/n-triples")
+"""What a request may be written in."""
+MESSAGE_TYPES = (JSON_LD, "application/json", "application/activity+json", "text/turtle", "application/n-triples")
+"""What notifications can be written in, the default first."""
+LEAST_INTERVAL, DEFAULT_INTERVAL, MOST_INTERVAL = 0.01, 0.1, 86_400.0
+"""Seconds between two notifications of a channel."""
+
+_DURATION = re.compile(
+    r"P(?:(\d{1,9})D)?(?:T(?=\d)(?:(\d{1,9})H)?(?:(\d{1,9})M)?(?:(\d{1,9}(?:\.\d{1,9})?)S)?)?", re.ASCII
+)
+_DATE_TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)(?:\.(\d{1,18}))?(Z|[+-]\d\d:\d\d)?", re.ASCII)
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+_LONGEST = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Subscription:
+    """A channel as it is wished: `interval` in seconds, times in ns since 1970, `accept` the media type agreed on."""
+
+    topic: str
+    accept: str = JSON_LD
+    interval: float = DEFAULT_INTERVAL
+    start_at: int | None = None
+    end_at: int | None = None
+    state: str | None = None
+
+
+def check_profile(content_type: str | None) -> None:
+    """Raises a 415 Problem for a profile of JSON-LD that is not the protocol's (2.2)."""
+    if content_type is None:
+        return
+    try:
+        profile = media.parse(content_type).parameter("profile")
+    except ValueError as error:
+        raise Problem(415, f"Content-Type: {error}.") from error
+    for one in (profile or "").split():
+        if one not in KNOWN_CONTEXTS:
+            raise Problem(415, f"The profile {one[:_LONGEST]!r} is unknown here: leave it out.")
+
+
+def read_subscription(data: bytes, media_type: str, service: str, channel_type: str, now: int) -> Subscription:
+    """The channel that a request to `service`, which makes channels of one type, wishes; `now` in ns since 1970.
+
+    Raises BodyError for what cannot be read, Problems (422) for what cannot be had, each naming the value.
+    """
+    if media_type in (JSON_LD, "application/json"):
+        data, media_type = with_known_contexts(data), JSON_LD
+    body = parse_body(data, media_type, service)
+    channel = _channel(body)
+    _check_type(body, channel, channel_type)
+    start_at, end_at = (_date_time(_text(body, channel, term)) for term in (notify.startAt, notify.endAt))
+    if end_at is not None and end_at <= max(now, start_at or now):
+        raise _refused(f"endAt {_text(body, channel, notify.endAt)} is over before anything begins: name a later time.")
+    return Subscription(
+        topic=_topic(body, channel),
+        accept=_accept(_text(body, channel, notify.accept)),
+        interval=_interval(_text(body, channel, notify.rate)),
+        start_at=start_at,
+        end_at=end_at,
+        state=_text(body, channel, notify.state),
+    )
+
+
+def with_known_contexts(data: bytes) -> bytes:
+    """JSON-LD with the protocol's context put in place of its URL, as nothing is fetched, and where none is named.
+
+    Raises BodyError for what is no JSON, a 422 Problem naming a context that is unknown.
+    """
+    check_json_depth(data)
+    try:
+        root = orjson.loads(data)
+    except orjson.JSONDecodeError as error:
+        raise BodyError(f"this is no JSON: {error.msg}", error.lineno, error.colno) from error
+    if not isinstance(root, dict | list):
+        raise _refused("A subscription is a JSON object.")
+    if isinstance(root, dict):
+        root.setdefault("@context", DEFINITIONS)
+    for part in _objects(root):
+        if "@import" in part:
+            raise _unknown_context(part["@import"])
+        if "@context" in part:
+            part["@context"] = _known(part["@context"])
+    return orjson.dumps(root)
+
+
+def _objects(root: object) -> Iterator[dict[str, object]]:
+    waiting = [root]
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, dict):
+            yield value
+            waiting += value.values()
+        elif isinstance(value, list):
+            waiting += value
+
+
+def _known(context: object) -> object:
+    if isinstance(context, list):
+        return [_known(one) for one in context]
+    if not isinstance(context, str):
+        return context
+    if context not in KNOWN_CONTEXTS:
+        raise _unknown_context(context)
+    return DEFINITIONS
+
+
+def _unknown_context(context: object) -> Problem:
+    return _refused(
+        f"The JSON-LD context {str(context)[:_LONGEST]!r} is unknown, and nothing is fetched here: send "
+        f"{sorted(KNOWN_CONTEXTS)[0]} or write the context itself in its place."
+    )
+
+
+def _channel(body: RdfBody) -> Subject:
+    found = [subject for subject, properties in body.subjects.items() if notify.topic in properties]
+    if len(found) != 1:
+        raise _refused(f"A subscription has one channel with a {notify.topic.value}; this has {len(found)}.")
+    return found[0]
+
+
+def _check_type(body: RdfBody, channel: Subject, wanted: str) -> None:
+    types = [one.value for one in body.objects(channel, rdf.type) if isinstance(one, NamedNode)]
+    if not types:
+        raise _refused(f"A subscription has a type: {notify.iri}{wanted} here.")
+    for one in types:
+        if type_named(one) != wanted:
+            raise _refused(f"The type {one[:_LONGEST]!r} is not made here: this service makes {notify.iri}{wanted}")
+
+
+def _topic(body: RdfBody, channel: Subject) -> str:
+    found = body.objects(channel, notify.topic)
+    if len(found) > 1:
+        raise _refused(f"A channel has one topic here; this has {len(found)}: subscribe once for each.")
+    topic = found[0]
+    if not isinstance(topic, NamedNode):
+        raise _refused(f"The topic {str(topic)[:_LONGEST]} is no URL: send it as an IRI.")
+    try:
+        fragment = urlsplit(topic.value).fragment
+    except ValueError as error:
+        raise _refused(f"The topic {topic.value[:_LONGEST]!r} is no URL: {error}.") from error
+    if fragment or topic.value.endswith("#"):
+        raise _refused(f"The topic {topic.value[:_LONGEST]!r} is a part of a resource: name the resource, without #.")
+    return topic.value
+
+
+def _text(body: RdfBody, channel: Subject, term: NamedNode) -> str | None:
+    found = body.objects(channel, term)
+    name = term.value.removeprefix(notify.iri)
+    if len(found) > 1:
+        raise _refused(f"{name} is given {len(found)} times: once is enough.")
+    if not found:
+        return None
+    value = found[0]
+    if not isinstance(value, Literal):
+        raise _refused(f"{name} {str(value)[:_LONGEST]} is no literal.")
+    if len(value.value) > _LONGEST:
+        raise _refused(f"{name} {value.value[:_LONGEST]!r}... is longer than {_LONGEST} characters.")
+    return value.value
+
+
+def _accept(accept: str | None) -> str:
+    found = negotiation.choose(accept, MESSAGE_TYPES)
+    if found is None:
+        raise _refused(f"accept {accept!r}: notifications are written in {', '.join(MESSAGE_TYPES)}.")
+    return found
+
+
+def _interval(rate: str | None) -> float:
+    """The seconds in an xsd:duration, no less than can be had; capitals do not matter, as the drafts write `PT10s`."""
+    if rate is None:
+        return DEFAULT_INTERVAL
+    match = _DURATION.fullmatch(rate.strip().upper())
+    if match is None or not any(part is not None for part in match.groups()):
+        raise _refused(
+            f"rate {rate!r} is no xsd:duration of days, hours, minutes and seconds, such as PT10S or PT0.5S."
+        )
+    days, hours, minutes, seconds = (Decimal(part or 0) for part in match.groups())
+    wanted = float(((days * 24 + hours) * 60 + minutes) * 60 + seconds)
+    if wanted > MOST_INTERVAL:
+        raise _refused(f"rate {rate!r} is longer than a day ({MOST_INTERVAL:g} s), the longest here.")
+    return max(wanted, LEAST_INTERVAL)
+
+
+def _date_time(text: str | None) -> int | None:
+    """The ns since 1970 of an xsd:dateTime; without a time zone it is UTC."""
+    if text is None:
+        return None
+    match = _DATE_TIME.fullmatch(text.strip())
+    if match is None:
+        raise _refused(f"{text!r} is no xsd:dateTime such as 2030-01-31T12:00:00Z.")
+    *parts, fraction, zone = match.groups()
+    try:
+        year, month, day, hour, minute, second = map(int, parts)
+        offset = "+00:00" if zone in (None, "Z") else zone
+        whole = datetime.fromisoformat(f"{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}{offset}")
+        since = whole - _EPOCH
+    except (ValueError, OverflowError) as error:
+        raise _refused(f"{text!r} is no moment that there is: {error}.") from error
+    return (since.days * 86_400 + since.seconds) * 1_000_000_000 + int((fraction or "0").ljust(9, "0")[:9])
+
+
+def _refused(words: str) -> Problem:
+    return Problem(422, words)

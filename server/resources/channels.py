@@ -1,0 +1,339 @@
+"""Notifications as resources (Solid Notifications Protocol 2): where clients find out, subscribe, and listen."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TypeAlias
+from urllib.parse import quote, unquote, urlsplit
+
+import orjson
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.types import Scope
+
+from rosld.adapters.model import RosError
+from rosld.ontology.describe_containers import container_document
+from rosld.ontology.document import Document
+from rosld.ontology.notifications import (
+    CHANNEL_TYPES,
+    Json,
+    Service,
+    description_document,
+    description_members,
+    with_context,
+)
+from rosld.ontology.urls import Location, locate
+from rosld.server.errors import problem_of
+from rosld.server.events.channels import Channel, Channels
+from rosld.server.events.feed import Feeds
+from rosld.server.events.source import Source, headers_of
+from rosld.server.events.subscriptions import JSON_LD, MEDIA_TYPES, MOST_BYTES, check_profile, read_subscription
+from rosld.server.events.websocket import Receiver
+from rosld.server.http import negotiation
+from rosld.server.http.body import read_body
+from rosld.server.http.conditional import ETag, guard
+from rosld.server.http.link import Link
+from rosld.server.http.origin import Site, normal_authority
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.prepared import Prepared
+from rosld.server.ldp.resource import (
+    BASIC_CONTAINER,
+    JSON,
+    RDF_SOURCE,
+    READ,
+    RESOURCE,
+    Answer,
+    Created,
+    Resource,
+    moved,
+)
+from rosld.server.ldp.standing import standing_headers
+from rosld.server.ldp.state import State, digest
+from rosld.server.ldp.verbs import OFFERS
+from rosld.server.robot import Robot
+
+WEBSOCKET, STREAMING_HTTP = CHANNEL_TYPES
+ROOM, SOURCE = "channels", "messages"
+STORAGE_DESCRIPTION = "http://www.w3.org/ns/solid/terms#storageDescription"
+Resolve: TypeAlias = Callable[[Scope], Resource]
+Room: TypeAlias = Callable[[Robot, Location], Resource]
+
+
+class Notifications:
+    """The notifications of one server: its subscription services, the channels they made, the resources they tell of.
+
+    `resolve` finds the resource that a request is about.
+    """
+
+    def __init__(self, robot: Robot, channels: Channels, feeds: Feeds, site: Site, resolve: Resolve) -> None:
+        self.robot = robot
+        self.channels = channels
+        self.feeds = feeds
+        self._site = site
+        self._resolve = resolve
+        self.services = tuple(Service(robot.space.url(ROOM, (kind,)), kind) for kind in CHANNEL_TYPES)
+        self.description = f"{robot.space.base}.well-known/solid"
+        self.link = Link(self.description, STORAGE_DESCRIPTION)
+        """What every answer links to (2.1)."""
+
+    def service(self, kind: str) -> Service | None:
+        """The service that makes channels of a type."""
+        return next((service for service in self.services if service.type == kind), None)
+
+    def place(self, kind: str, token: str) -> tuple[str, str]:
+        """The URLs of a channel, and of what is received from."""
+        url = self.robot.space.url(ROOM, (kind, token))
+        source = f"{url}/{SOURCE}"
+        return url, source.replace("http", "ws", 1) if kind == WEBSOCKET else source
+
+    async def subscribe(self, exchange: Exchange, service: Service) -> Channel:
+        """The channel that a request asks for. Raises Problems, and BodyError for what cannot be read."""
+        check_profile(exchange.header("content-type"))
+        media_type = exchange.media_type
+        data = await read_body(exchange.request, limit=MOST_BYTES)
+        wish = read_subscription(data, media_type, service.url, service.type, time.time_ns())
+        resource, state = await self._topic(wish.topic)
+        return self.channels.open(wish, service.type, resource, state, partial(self.place, service.type))
+
+    def receiver(self, scope: Scope) -> Receiver:
+        """Who receives over the WebSocket that is to be opened. Raises Problems: 404 for every other path, 503."""
+        try:
+            path = scope["raw_path"].decode("ascii").removeprefix(self.robot.space.path.rstrip("/"))
+            location = locate(path)
+        except ValueError as error:
+            raise Problem(400, f"{error}.") from error
+        match location.segments:
+            case (kind, token, name) if location.kind == ROOM and kind == WEBSOCKET and name == SOURCE:
+                self.feeds.require_room()
+                return Receiver(self.channels, self.feeds, channel_of(self, kind, token))
+        raise Problem(404, f"No WebSocket is there: subscribe at {self.robot.space.url(ROOM, (WEBSOCKET,))} first.")
+
+    async def _topic(self, url: str) -> tuple[Resource, State]:
+        """The resource to tell of, and what it is like now. Raises a 422 Problem where nothing can be told of it."""
+        scope = self._scope(url)
+        exchange = Exchange(Request(scope), 0)
+        try:
+            resource = await self._resolve(scope).narrowed(exchange)
+            await resource.ready()
+            return resource, await resource.state()
+        except NotImplementedError as error:
+            raise Problem(422, f"The topic {url} has no state that could change.") from error
+        except (Problem, RosError) as error:
+            problem = error if isinstance(error, Problem) else problem_of(error)
+            if problem.status >= 500:
+                raise problem from error
+            raise Problem(422, f"There is nothing to tell of the topic {url}: {problem.detail}") from error
+
+    def _scope(self, url: str) -> Scope:
+        """The GET request for a URL of this server, by whichever of its names. Raises a 422 Problem for all others."""
+        try:
+            parts = urlsplit(url)
+            origin = f"{parts.scheme}://{normal_authority(parts.netloc, parts.scheme)}"
+            raw_path, query = (quote(part, safe="/%:@!$&'()*+,;=~?-._").encode() for part in (parts.path, parts.query))
+        except ValueError as error:
+            raise Problem(422, f"The topic {url[:200]!r} is no URL: {error}.") from error
+        if origin not in self._site.origins or not raw_path.decode().startswith(self.robot.space.path):
+            raise Problem(
+                422, f"The topic {url[:200]} lies elsewhere: this server tells of what is under {self.robot.space.base}"
+            )
+        return {
+            "type": "http",
+            "method": "GET",
+            "path": unquote(parts.path),
+            "raw_path": raw_path,
+            "query_string": query,
+            "headers": [],
+        }
+
+
+def prefers_json(exchange: Exchange, offers: tuple[str, ...] = OFFERS) -> bool:
+    """Whether JSON(-LD) is asked for: it is written for clients without RDF, then."""
+    if exchange.request.scope["query_string"] and (wanted := exchange.query.get("format")):
+        return wanted in ("jsonld", "json")
+    return negotiation.choose(exchange.accept, offers) in (JSON_LD, JSON)
+
+
+class _Described(Resource):
+    """What all these have in common: a document, and the same as compact JSON-LD."""
+
+    def __init__(self, notifications: Notifications, url: str) -> None:
+        super().__init__(url)
+        self.notifications = notifications
+
+    def document(self) -> Document:
+        """What it says."""
+        raise NotImplementedError
+
+    def members(self) -> Json | None:
+        """The same as members of a JSON-LD object, None where any JSON-LD will do."""
+        return None
+
+    async def state(self) -> State:
+        return State(self.document)
+
+    async def special(self, exchange: Exchange) -> Response | None:
+        members = self.members()
+        if members is None or not prefers_json(exchange):
+            return None
+        body = orjson.dumps(with_context(members))
+        etag = ETag(f"{self.notifications.robot.boot}-{digest(body)}", "jsonld")
+        asked = {name: exchange.header(name.replace("_", "-")) for name in ("if_match", "if_none_match")}
+        headers = [*self._headers(), (b"etag", str(etag).encode()), (b"cache-control", b"no-cache")]
+        if guard(exchange.method, etag, if_match=asked["if_match"], if_none_match=asked["if_none_match"]):
+            return Prepared(304, b"", headers)
+        return Prepared(200, body, [*headers, *_content(body)])
+
+    def _headers(self) -> list[tuple[bytes, bytes]]:
+        standing = {**standing_headers(self), "vary": "Accept"}
+        return [(name.encode("latin-1"), value.encode("latin-1")) for name, value in standing.items()]
+
+
+def _content(body: bytes) -> list[tuple[bytes, bytes]]:
+    return [(b"content-type", JSON_LD.encode()), (b"content-length", b"%d" % len(body))]
+
+
+class StorageDescription(_Described):
+    """`/.well-known/solid`: which subscription services there are."""
+
+    kind = "Storage description"
+    title = "Notifications"
+
+    def document(self) -> Document:
+        return description_document(self.url, self.notifications.robot.space.base, self.notifications.services)
+
+    def members(self) -> Json:
+        return description_members(self.url, self.notifications.services)
+
+
+class ServiceContainer(_Described):
+    """`/channels/`: the subscription services. The channels are listed nowhere: who knows one may use it."""
+
+    kind = "Subscription services"
+    title = "Subscription services"
+    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+
+    def document(self) -> Document:
+        return container_document(self.url, [one.url for one in self.notifications.services], self.title)
+
+
+class SubscriptionService(_Described):
+    """`/channels/TYPE`: makes channels of one type."""
+
+    kind = "Subscription service"
+    accepts = {"POST": MEDIA_TYPES}  # noqa: RUF012
+    takes_forms = False
+
+    def __init__(self, notifications: Notifications, service: Service) -> None:
+        super().__init__(notifications, service.url)
+        self.title = service.type
+        self._service = service
+
+    def methods(self) -> frozenset[str]:
+        return READ | {"POST"}
+
+    def document(self) -> Document:
+        return self._service.document()
+
+    def members(self) -> Json:
+        return self._service.members()
+
+    def streams(self, exchange: Exchange) -> bool:
+        return True
+
+    async def post(self, exchange: Exchange) -> Answer:
+        channel = await self.notifications.subscribe(exchange, self._service)
+        made = ChannelResource(self.notifications, channel)
+        if not prefers_json(exchange, (JSON_LD, *OFFERS)):
+            return Created(made.url, made, await made.state())
+        body = orjson.dumps(with_context(channel.terms.members()))
+        headers = [*made._headers(), (b"location", made.url.encode("ascii")), (b"cache-control", b"no-store")]
+        return Prepared(201, body, [*headers, *_content(body)])
+
+
+class ChannelResource(_Described):
+    """`/channels/TYPE/TOKEN`: one channel. Deleting it ends it."""
+
+    kind = "Notification channel"
+    title = "Notification channel"
+    lasting = False
+
+    def __init__(self, notifications: Notifications, channel: Channel) -> None:
+        super().__init__(notifications, channel.terms.url)
+        self._channel = channel
+
+    def methods(self) -> frozenset[str]:
+        return READ | {"DELETE"}
+
+    def document(self) -> Document:
+        return self._channel.terms.document()
+
+    def members(self) -> Json:
+        return self._channel.terms.members()
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        self.notifications.channels.close(self._channel)
+        return Response(status_code=204)
+
+
+class SourceResource(_Described):
+    """`/channels/TYPE/TOKEN/messages`: what is received from."""
+
+    kind = "Notification source"
+    links = (RESOURCE,)
+    lasting = False
+
+    def __init__(self, notifications: Notifications, channel: Channel) -> None:
+        super().__init__(notifications, f"{channel.terms.url}/{SOURCE}")
+        self._channel = channel
+
+    async def special(self, exchange: Exchange) -> Response:
+        if self._channel.terms.type == WEBSOCKET:
+            upgrade = {"Upgrade": "websocket", "Connection": "Upgrade"}
+            raise Problem(426, f"Open a WebSocket at {self._channel.terms.receive_from}", headers=upgrade)
+        headers = self._headers()
+        if exchange.method == "HEAD":
+            return Prepared(200, b"", [*headers_of(self._channel), *headers])
+        self.notifications.feeds.require_room()
+        return Source(self.notifications.channels, self.notifications.feeds, self._channel, headers)
+
+
+def channel_room(robot: Robot, location: Location, *, notifications: Notifications) -> Resource:
+    """`/channels/` and below."""
+    if not location.segments:
+        url = robot.space.container(ROOM)
+        if not location.is_container:
+            raise moved(url)
+        return ServiceContainer(notifications, url)
+    kind, *rest = location.segments
+    service = notifications.service(kind)
+    if service is not None and not location.is_container:
+        match rest:
+            case []:
+                return SubscriptionService(notifications, service)
+            case [token]:
+                return ChannelResource(notifications, channel_of(notifications, kind, token))
+            case [token, name] if name == SOURCE:
+                return SourceResource(notifications, channel_of(notifications, kind, token))
+    raise Problem(404, f"There is no subscription service there; {robot.space.container(ROOM)} lists them.")
+
+
+def channel_of(notifications: Notifications, kind: str, token: str) -> Channel:
+    """The channel of a type with a token. Raises a 404 Problem."""
+    channel = notifications.channels.find(token)
+    if channel.terms.type != kind:
+        raise Problem(404, f"There is no such channel of type {kind}.")
+    return channel
+
+
+def rooms(notifications: Notifications, well_known: Room) -> Mapping[str, Room]:
+    """The rooms of notifications; `well_known` is the room of whatever else is well known."""
+
+    def known(robot: Robot, location: Location) -> Resource:
+        if location.segments == ("solid",) and not location.is_container:
+            return StorageDescription(notifications, notifications.description)
+        return well_known(robot, location)
+
+    return {ROOM: partial(channel_room, notifications=notifications), ".well-known": known}

@@ -1,0 +1,194 @@
+"""Subscription requests: what is wished is read, and what cannot be had is refused with its value."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rosld.ontology.body import BodyError
+from rosld.ontology.notifications import CONTEXT, DEFINITIONS, duration
+from rosld.server.events.subscriptions import (
+    LEAST_INTERVAL,
+    MOST_INTERVAL,
+    Subscription,
+    check_profile,
+    read_subscription,
+)
+from rosld.server.http.problem import Problem
+
+SERVICE = "http://robot.example/channels/WebSocketChannel2023"
+TYPE = "http://www.w3.org/ns/solid/notifications#WebSocketChannel2023"
+TOPIC = "http://robot.example/topics/speed"
+WISH = {"@context": [CONTEXT], "type": TYPE, "topic": TOPIC}
+NOW = 1_800_000_000 * 10**9
+LATER = NOW + 3600 * 10**9
+
+
+def read(wish: Any, media_type: str = "application/ld+json") -> Subscription:
+    data = wish if isinstance(wish, bytes) else json.dumps(wish).encode()
+    return read_subscription(data, media_type, SERVICE, "WebSocketChannel2023", NOW)
+
+
+def refusal(wish: Any) -> Problem:
+    with pytest.raises(Problem) as caught:
+        read(wish)
+    return caught.value
+
+
+def test_type_and_topic_are_enough() -> None:
+    assert read(WISH) == Subscription(TOPIC)
+
+
+@pytest.mark.parametrize(
+    "type_",
+    [
+        "WebSocketChannel2023",
+        "notify:WebSocketChannel2023",
+        "http://www.w3.org/ns/solid/notification#WebSocketChannel2023",
+    ],
+)
+def test_the_type_may_be_spelt_as_the_drafts_do(type_: str) -> None:
+    assert read(WISH | {"type": type_}) == Subscription(TOPIC)
+
+
+@pytest.mark.parametrize(
+    "context",
+    [
+        CONTEXT,
+        [CONTEXT, {"extra": "http://example.org/extra"}],
+        DEFINITIONS,
+        "https://www.w3.org/ns/solid/notification/v1",
+        {"@vocab": "http://www.w3.org/ns/solid/notifications#", "topic": {"@type": "@id"}, "type": "@type"},
+    ],
+)
+def test_the_context_may_be_named_or_written_out(context: object) -> None:
+    assert read(WISH | {"@context": context, "extra": 1}).topic == TOPIC
+
+
+def test_json_without_a_context_is_read_by_the_protocols() -> None:
+    wish = {"type": "WebSocketChannel2023", "topic": TOPIC, "state": "x"}
+    assert read(wish, "application/json") == Subscription(TOPIC, state="x")
+
+
+def test_expanded_jsonld_and_turtle_say_the_same() -> None:
+    ns = "http://www.w3.org/ns/solid/notifications#"
+    assert read([{"@type": [TYPE], f"{ns}topic": [{"@id": TOPIC}]}]) == Subscription(TOPIC)
+    turtle = f'[] a <{TYPE}> ; <{ns}topic> </topics/speed> ; <{ns}rate> "PT1S" .'
+    assert read(turtle.encode(), "text/turtle") == Subscription(TOPIC, interval=1.0)
+
+
+def test_all_features_are_read() -> None:
+    wish = read(
+        WISH
+        | {
+            "rate": "PT10s",
+            "state": 'W/"abc"',
+            "startAt": "2027-01-15T08:00:00Z",
+            "endAt": "2027-01-15T10:30:00.25+01:00",
+            "accept": "text/turtle, application/ld+json;q=0.5",
+        }
+    )
+    assert wish.interval == 10
+    assert wish.state == 'W/"abc"'
+    assert wish.start_at == NOW
+    assert wish.end_at == NOW + 5_400_250_000_000
+    assert wish.accept == "text/turtle"
+
+
+@given(st.integers(0, 86_399), st.integers(0, 999_999))
+def test_a_rate_is_read_as_it_is_written(seconds: int, micros: int) -> None:
+    wanted = seconds + micros / 1_000_000
+    assert read(WISH | {"rate": duration(wanted)}).interval == pytest.approx(max(wanted, LEAST_INTERVAL), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("rate", "seconds"), [("PT1M", 60), ("P1D", MOST_INTERVAL), ("PT1H1M1.5S", 3661.5), ("PT0S", 0.01)]
+)
+def test_rates_have_all_units_and_a_least(rate: str, seconds: float) -> None:
+    assert read(WISH | {"rate": rate}).interval == seconds
+
+
+@pytest.mark.parametrize(
+    ("wish", "said"),
+    [
+        ({"type": TYPE}, "topic"),
+        (WISH | {"topic": [TOPIC, TOPIC + "2"]}, "subscribe once for each"),
+        (WISH | {"topic": TOPIC + "#here"}, "without #"),
+        (WISH | {"topic": {"@value": TOPIC}}, "no URL"),
+        (WISH | {"type": "StreamingHTTPChannel2023"}, "StreamingHTTPChannel2023"),
+        (WISH | {"type": "http://example.org/Pigeon"}, "Pigeon"),
+        ({"@context": CONTEXT, "topic": TOPIC}, "type"),
+        (WISH | {"@context": "https://evil.example/context"}, "https://evil.example/context"),
+        (WISH | {"@context": [CONTEXT, "http://127.0.0.1:1/"]}, "http://127.0.0.1:1/"),
+        (WISH | {"x": {"@context": "file:///etc/passwd"}}, "/etc/passwd"),
+        (WISH | {"@context": {"@import": CONTEXT}}, "unknown"),
+        (WISH | {"@context": {"x": {"@id": "http://x/y", "@context": "http://evil.example/"}}}, "evil.example"),
+        (WISH | {"rate": "10"}, "PT10S"),
+        (WISH | {"rate": "-PT1S"}, "-PT1S"),
+        (WISH | {"rate": "P"}, "'P'"),
+        (WISH | {"rate": "PT"}, "'PT'"),
+        (WISH | {"rate": "P1Y"}, "P1Y"),
+        (WISH | {"rate": "P2D"}, "longer than a day"),
+        (WISH | {"rate": "PT٣S"}, "xsd:duration"),
+        (WISH | {"rate": ["PT1S", "PT2S"]}, "2 times"),
+        (WISH | {"rate": {"@id": "http://x/"}}, "literal"),
+        (WISH | {"endAt": "tomorrow"}, "tomorrow"),
+        (WISH | {"endAt": "2026-02-30T00:00:00Z"}, "no moment"),
+        (WISH | {"endAt": "2020-01-01T00:00:00Z"}, "over before"),
+        (WISH | {"startAt": "2030-01-02T00:00:00Z", "endAt": "2030-01-01T00:00:00Z"}, "over before"),
+        (WISH | {"startAt": "0000-01-01T00:00:00Z"}, "no moment"),
+        (WISH | {"endAt": "2030-01-01T00:00:00+99:99"}, "no moment"),
+        (WISH | {"accept": "image/png"}, "image/png"),
+        (WISH | {"state": "x" * 1000}, "longer than"),
+        ("subscribe", "JSON object"),
+    ],
+)
+def test_what_cannot_be_had_is_refused_with_its_value(wish: object, said: str) -> None:
+    problem = refusal(wish)
+    assert problem.status == 422
+    assert said in problem.detail
+
+
+@pytest.mark.parametrize("data", [b"", b"{", b"\xff", b"nul", b'{"@context": ' + b"[" * 5000 + b"]" * 5000 + b"}"])
+def test_what_is_no_json_is_malformed(data: bytes) -> None:
+    with pytest.raises(BodyError):
+        read(data)
+
+
+KEYS = st.sampled_from(["@context", "@id", "@graph", "@import", "type", "topic", "rate", "x"])
+LEAVES = st.none() | st.booleans() | st.integers() | st.text(max_size=8)
+VALUES = st.recursive(LEAVES, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(KEYS, inner, max_size=4))
+
+
+def outcome(wish: object) -> int:
+    """The status that a request comes to."""
+    try:
+        read(wish)
+    except Problem as problem:
+        return problem.status
+    except BodyError:
+        return 400
+    return 201
+
+
+@given(VALUES)
+def test_any_json_is_read_or_refused(value: Any) -> None:
+    assert outcome(value) in (201, 400, 422)
+    assert outcome(WISH | (value if isinstance(value, dict) else {"rate": value})) in (201, 400, 422)
+
+
+@pytest.mark.parametrize("profile", [CONTEXT, "https://www.w3.org/ns/solid/notification/v1"])
+def test_the_profile_of_the_protocol_is_known(profile: str) -> None:
+    check_profile(f'application/ld+json; profile="{profile}"')
+    check_profile(None)
+
+
+def test_an_unknown_profile_is_an_unsupported_media_type() -> None:
+    with pytest.raises(Problem) as caught:
+        check_profile('application/ld+json; profile="http://example.org/other"')
+    assert caught.value.status == 415
+    assert "http://example.org/other" in caught.value.detail

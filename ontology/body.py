@@ -157,6 +157,12 @@ def check_json_depth(data: bytes) -> None:
     _check_depth(data, _JSON_TOKENS, b"[{")
 
 
+def check_turtle_depth(data: bytes) -> None:
+    """Raise BodyError for what is not UTF-8, and for Turtle or N3 nested deeper than `DEEPEST`."""
+    _check_utf8(data)
+    _check_depth(data, _TURTLE_TOKENS, b"[({<")
+
+
 def _check_depth(data: bytes, tokens: re.Pattern[bytes], openers: bytes) -> None:
     """Raise BodyError for text nested too deep. With few enough brackets in all there is nothing to look at."""
     if sum([data.count(opener) for opener in openers]) <= DEEPEST:

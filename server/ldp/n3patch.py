@@ -1,0 +1,262 @@
+"""N3 patches (Solid Protocol 5.3.1): what to find, what to delete, what to insert. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+
+from rosld.ontology.body import BodyError
+from rosld.ontology.vocab import rdf
+from rosld.server.errors import problem_of_body
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.n3 import Formula, Node, Statement, Variable, read_n3
+
+MEDIA_TYPE = "text/n3"
+MOST_BYTES = 256 * 1024
+"""Bytes of a patch; what changes more is put whole."""
+MOST_PATTERNS = 64
+"""Patterns with variables in one solid:where."""
+MOST_STEPS = 100_000
+"""Steps of looking for what solid:where describes: a hostile one could go on for ever."""
+_SOLID = "http://www.w3.org/ns/solid/terms#"
+_PATCH = NamedNode(f"{_SOLID}InsertDeletePatch")
+_WHERE, _DELETES, _INSERTS = (NamedNode(_SOLID + name) for name in ("where", "deletes", "inserts"))
+
+Term: TypeAlias = "NamedNode | BlankNode | Literal | Triple"
+Bindings: TypeAlias = Mapping[Variable, Term]
+
+
+class Pattern(NamedTuple):
+    """A triple, or with variables a pattern of triples."""
+
+    subject: Term | Variable
+    predicate: Term | Variable
+    object: Term | Variable
+
+    @property
+    def variables(self) -> frozenset[Variable]:
+        """Its variables."""
+        return frozenset(each for each in self if isinstance(each, Variable))
+
+    def bound(self, bindings: Bindings) -> Pattern:
+        """With variables replaced by what they are bound to."""
+        return Pattern(*(bindings.get(each, each) if isinstance(each, Variable) else each for each in self))
+
+    def __str__(self) -> str:
+        return " ".join(map(str, self))
+
+
+@dataclass(frozen=True, slots=True)
+class N3Patch:
+    """A patch. `where` may hold variables of its own for what it calls by no name (blank nodes)."""
+
+    where: tuple[Pattern, ...] = ()
+    deletes: tuple[Pattern, ...] = ()
+    inserts: tuple[Pattern, ...] = ()
+    unnamed: frozenset[Variable] = frozenset()
+
+
+# Reading
+
+
+def read_patch(data: bytes, base: str) -> N3Patch:
+    """The patch in a text/n3 body, its relative IRIs resolved against `base`, literals spelt as they are there.
+
+    Raises Problems: 413 for more than `MOST_BYTES`, 400 for what is no N3, 422 for N3 that is no patch as Solid
+    Protocol 5.3.1 has it.
+    """
+    if len(data) > MOST_BYTES:
+        raise Problem(413, f"A patch has at most {MOST_BYTES} bytes here: put the whole resource instead.")
+    try:
+        document = read_n3(data, base)
+    except BodyError as error:
+        raise problem_of_body(error) from error
+    patch = _subject(document)
+    where, deletes, inserts = (_formula(document, patch, name) for name in (_WHERE, _DELETES, _INSERTS))
+    unnamed: dict[BlankNode, Variable] = {}
+    found = N3Patch(
+        tuple(_pattern(one, _WHERE, unnamed) for one in where),
+        tuple(_pattern(one, _DELETES, None) for one in deletes),
+        tuple(_pattern(one, _INSERTS, None) for one in inserts),
+        frozenset(unnamed.values()),
+    )
+    _check_variables(found)
+    return found
+
+
+def _subject(document: Formula) -> Node:
+    """The one patch resource of a document."""
+    subjects = {
+        one.subject: None
+        for one in document.statements
+        if one.predicate in (_WHERE, _DELETES, _INSERTS) or (one.predicate == rdf.type and one.object == _PATCH)
+    }
+    if len(subjects) != 1:
+        raise _malformed(
+            f"A patch document has one patch, not {len(subjects)}: write `_:patch a solid:InsertDeletePatch`"
+        )
+    subject = next(iter(subjects))
+    if not isinstance(subject, NamedNode | BlankNode):
+        raise _malformed(f"A patch is named by an IRI or a blank node, not by {_shown(subject)}")
+    if Statement(subject, rdf.type, _PATCH) not in document.statements:
+        raise _malformed(f"The patch {subject} does not say its type: add `a solid:InsertDeletePatch`")
+    return subject
+
+
+def _formula(document: Formula, patch: Node, predicate: NamedNode) -> Sequence[Statement]:
+    """The statements of the formula that the patch has by a predicate; none where it has none."""
+    objects = [one.object for one in document.statements if one.subject == patch and one.predicate == predicate]
+    if len(objects) > 1:
+        raise _malformed(f"A patch has {_name(predicate)} at most once, not {len(objects)} times")
+    if not objects:
+        return ()
+    if not isinstance(objects[0], Formula):
+        raise _malformed(f"What {_name(predicate)} names is a formula in braces, not {_shown(objects[0])}")
+    return objects[0].statements
+
+
+def _pattern(one: Statement, place: NamedNode, unnamed: dict[BlankNode, Variable] | None) -> Pattern:
+    """A statement as a pattern; blank nodes become variables kept in `unnamed`, or are refused without it."""
+    found: list[Term | Variable] = []
+    for node in one:
+        if isinstance(node, Formula):
+            raise _malformed(f"The formula of {_name(place)} holds another: it may hold triples only")
+        if isinstance(node, BlankNode):
+            if unnamed is None:
+                raise _malformed(f"The formula of {_name(place)} holds a blank node: write IRIs and ?variables")
+            node = unnamed.setdefault(node, Variable(f"[{len(unnamed)}]"))
+        found.append(node)
+    subject, predicate, _ = found
+    if isinstance(subject, Literal):
+        raise _malformed(f"{_shown(subject)} is the subject of a triple in {_name(place)}, and no literal can be")
+    if not isinstance(predicate, NamedNode | Variable):
+        raise _malformed(f"{_shown(predicate)} is the predicate of a triple in {_name(place)}, and only an IRI can be")
+    return Pattern(*found)
+
+
+def _check_variables(patch: N3Patch) -> None:
+    known = {each for pattern in patch.where for each in pattern.variables}
+    for place, patterns in ((_DELETES, patch.deletes), (_INSERTS, patch.inserts)):
+        for pattern in patterns:
+            if stray := sorted(map(str, pattern.variables - known)):
+                raise _malformed(f"The variable {stray[0]} of {_name(place)} does not occur in solid:where")
+    if sum(1 for pattern in patch.where if pattern.variables) > MOST_PATTERNS:
+        raise _malformed(f"solid:where has more than {MOST_PATTERNS} patterns with variables: send several patches")
+
+
+def _malformed(words: str) -> Problem:
+    return Problem(422, f"{words} (Solid Protocol 5.3.1).")
+
+
+def _name(predicate: NamedNode) -> str:
+    return predicate.value.replace(_SOLID, "solid:")
+
+
+def _shown(node: Node | Term) -> str:
+    return "a formula" if isinstance(node, Formula) else str(node)[:200]
+
+
+# Applying
+
+
+def applied(patch: N3Patch, before: Iterable[Triple]) -> list[Triple]:
+    """The triples after a patch: what it deletes is gone, what it inserts comes last, all else is untouched.
+
+    Terms match as they are spelt. Raises 409 Problems where solid:where does not match in exactly one way, where what
+    is to be deleted is not there, and where what is to be inserted would be no triple; then nothing is changed.
+    """
+    there = dict.fromkeys(before)
+    bindings = _match(patch, list(there))
+    deletes = [_triple(pattern.bound(bindings)) for pattern in patch.deletes]
+    for triple in deletes:
+        if triple not in there:
+            raise Problem(409, f"What is to be deleted is not there: {triple} . Read the resource again.")
+    inserts = [_triple(pattern.bound(bindings)) for pattern in patch.inserts]
+    gone = frozenset(deletes)
+    return list(dict.fromkeys([*(triple for triple in there if triple not in gone), *inserts]))
+
+
+def _triple(pattern: Pattern) -> Triple:
+    subject, predicate, object_ = pattern
+    assert not isinstance(object_, Variable)
+    if not isinstance(subject, NamedNode | BlankNode | Triple) or not isinstance(predicate, NamedNode):
+        raise Problem(409, f"With what solid:where found, {pattern} would be no triple.")
+    return Triple(subject, predicate, object_)
+
+
+def _match(patch: N3Patch, triples: Sequence[Triple]) -> Bindings:
+    """The one way in which solid:where matches; its unnamed variables may match in many."""
+    if not patch.where:
+        return {}
+    found: Bindings | None = None
+    for bindings in _Search(triples).solutions(patch.where, {}):
+        named = {variable: term for variable, term in bindings.items() if variable not in patch.unnamed}
+        if found is not None and named != found:
+            raise Problem(409, "solid:where matches in more than one way: say more of what is to be changed.")
+        found = named
+    if found is None:
+        raise Problem(409, "solid:where matches nothing in this resource: read it again.")
+    return found
+
+
+class _Search:
+    """Looks for patterns in triples, by indexes made when they are first needed, within `MOST_STEPS`."""
+
+    def __init__(self, triples: Sequence[Triple]) -> None:
+        self._triples = triples
+        self._indexes: dict[tuple[int, ...], dict[tuple[object, ...], list[Triple]]] = {}
+        self._steps = 0
+
+    def solutions(self, patterns: Sequence[Pattern], bindings: Bindings) -> Iterator[Bindings]:
+        """The ways to bind the variables so that all patterns are there; one may come more than once."""
+        rest = [pattern.bound(bindings) for pattern in patterns]
+        fewest: Sequence[Triple] = ()
+        chosen: Pattern | None = None
+        open_: list[Pattern] = []
+        for pattern in rest:
+            candidates = self._candidates(pattern)
+            if not candidates:
+                return
+            if not pattern.variables:
+                continue
+            open_.append(pattern)
+            if chosen is None or len(candidates) < len(fewest):
+                chosen, fewest = pattern, candidates
+        if chosen is None:
+            yield bindings
+            return
+        open_.remove(chosen)
+        for triple in fewest:
+            self._step()
+            more = _bound(chosen, triple)
+            if more is not None:
+                yield from self.solutions(open_, {**bindings, **more})
+
+    def _candidates(self, pattern: Pattern) -> Sequence[Triple]:
+        """The triples that have the terms of a pattern in their places."""
+        self._step()
+        places = tuple(place for place, each in enumerate(pattern) if not isinstance(each, Variable))
+        index = self._indexes.get(places)
+        if index is None:
+            index = self._indexes[places] = {}
+            for triple in self._triples:
+                terms = tuple(triple)
+                index.setdefault(tuple(terms[place] for place in places), []).append(triple)
+        return index.get(tuple(pattern[place] for place in places), ())
+
+    def _step(self) -> None:
+        self._steps += 1
+        if self._steps > MOST_STEPS:
+            raise Problem(422, "To find what solid:where describes takes too long: say more of what is to be changed.")
+
+
+def _bound(pattern: Pattern, triple: Triple) -> Bindings | None:
+    """What the variables of a pattern are in a triple, None where one would be two things."""
+    found: dict[Variable, Term] = {}
+    for each, term in zip(pattern, tuple(triple), strict=True):
+        if isinstance(each, Variable) and found.setdefault(each, term) != term:
+            return None
+    return found

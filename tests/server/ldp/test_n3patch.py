@@ -1,0 +1,352 @@
+"""N3 patches (Solid Protocol 5.3.1)."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
+
+from rosld.ontology.vocab import xsd
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.n3patch import MOST_BYTES, MOST_PATTERNS, N3Patch, applied, read_patch
+
+BASE = "http://host/data/kitchen"
+PREFIXES = "@prefix solid: <http://www.w3.org/ns/solid/terms#> . @prefix ex: <http://example.org/> . "
+
+
+def patch(text: str, base: str = BASE) -> N3Patch:
+    return read_patch((PREFIXES + text).encode(), base)
+
+
+def insert_delete(where: str = "", deletes: str = "", inserts: str = "") -> N3Patch:
+    return patch(
+        f"_:p a solid:InsertDeletePatch ; solid:where {{ {where} }} ; solid:deletes {{ {deletes} }} ; "
+        f"solid:inserts {{ {inserts} }} ."
+    )
+
+
+def triples(turtle: str) -> list[Triple]:
+    text = f"@prefix ex: <http://example.org/> . {turtle}"
+    return [quad.triple for quad in parse(text.encode(), RdfFormat.TURTLE, base_iri=BASE)]
+
+
+def refusal(text: str) -> Problem:
+    with pytest.raises(Problem) as refused:
+        patch(text)
+    return refused.value
+
+
+def conflict(found: N3Patch, before: list[Triple]) -> str:
+    with pytest.raises(Problem) as refused:
+        applied(found, before)
+    assert refused.value.status == 409
+    return refused.value.detail
+
+
+# What a patch does
+
+
+def test_what_is_inserted_comes_after_what_is_there() -> None:
+    before = triples("<> ex:name 'kitchen' .")
+    assert applied(insert_delete(inserts="<> ex:floor 2 ."), before) == triples("<> ex:name 'kitchen' ; ex:floor 2 .")
+
+
+def test_what_is_deleted_is_gone_and_all_else_stays_in_order() -> None:
+    before = triples("<> ex:a 1, 2, 3 .")
+    assert applied(insert_delete(deletes="<> ex:a 2"), before) == triples("<> ex:a 1, 3 .")
+
+
+def test_variables_stand_for_what_where_found() -> None:
+    before = triples("<#a> ex:name 'Claudia' ; ex:family 'Garcia' . <#b> ex:name 'Alex' ; ex:family 'Garcia' .")
+    changed = insert_delete(
+        "?person ex:family 'Garcia' ; ex:name 'Claudia' .", "?person ex:name 'Claudia' .", "?person ex:name 'Alexa' ."
+    )
+    assert set(applied(changed, before)) == set(
+        triples("<#a> ex:name 'Alexa' ; ex:family 'Garcia' . <#b> ex:name 'Alex' ; ex:family 'Garcia' .")
+    )
+
+
+def test_what_is_deleted_and_inserted_is_there_afterwards() -> None:
+    before = triples("<> ex:a 1 .")
+    assert applied(insert_delete(deletes="<> ex:a 1 .", inserts="<> ex:a 1 ."), before) == before
+
+
+def test_what_is_there_already_is_inserted_without_a_trace() -> None:
+    before = triples("<> ex:a 1 .")
+    assert applied(insert_delete(inserts="<> ex:a 1 ."), before) == before
+
+
+def test_a_patch_that_says_nothing_changes_nothing() -> None:
+    before = triples("<> ex:a 1 .")
+    assert applied(patch("<#p> a solid:InsertDeletePatch ."), before) == before
+    assert applied(insert_delete(), before) == before
+
+
+def test_a_resource_that_is_not_there_yet_is_empty() -> None:
+    assert applied(insert_delete(inserts="<> ex:a 1 ."), []) == triples("<> ex:a 1 .")
+
+
+def test_where_may_hold_no_variables_and_must_be_there_then() -> None:
+    found = insert_delete("<> ex:a 1 .", inserts="<> ex:b 2 .")
+    assert applied(found, triples("<> ex:a 1 .")) == triples("<> ex:a 1 ; ex:b 2 .")
+    assert "matches nothing" in conflict(found, triples("<> ex:a 2 ."))
+
+
+def test_where_that_matches_nothing_or_more_than_once_is_a_conflict() -> None:
+    found = insert_delete("?a ex:kind ex:Robot .", inserts="?a ex:seen true .")
+    assert "matches nothing" in conflict(found, triples("<> ex:a 1 ."))
+    assert "more than one way" in conflict(found, triples("<#a> ex:kind ex:Robot . <#b> ex:kind ex:Robot ."))
+
+
+def test_a_variable_that_occurs_twice_is_one_thing() -> None:
+    found = insert_delete("?a ex:knows ?a .", "?a ex:knows ?a .")
+    assert applied(found, triples("<#a> ex:knows <#b> . <#b> ex:knows <#b> .")) == triples("<#a> ex:knows <#b> .")
+
+
+def test_blank_nodes_in_where_match_anything_and_in_any_number() -> None:
+    before = triples("<#a> ex:part [], [], 'x' .")
+    found = insert_delete("?a ex:part [] .", inserts="?a ex:whole true .")
+    assert len(applied(found, before)) == 4
+
+
+def test_blank_nodes_of_the_resource_are_reached_by_variables() -> None:
+    before = triples("<> ex:part [ ex:name 'arm' ], [ ex:name 'leg' ] .")
+    after = applied(insert_delete("?p ex:name 'leg' .", "?p ex:name 'leg' .", "?p ex:name 'wheel' ."), before)
+    part = next(each.subject for each in before if each.object == Literal("leg"))
+    assert isinstance(part, BlankNode)
+    assert Triple(part, NamedNode("http://example.org/name"), Literal("wheel")) in after
+
+
+def test_a_deletion_that_is_absent_is_a_conflict_and_names_it() -> None:
+    words = conflict(insert_delete(deletes="<> ex:a 1, 2 ."), triples("<> ex:a 1 ."))
+    assert '"2"^^<http://www.w3.org/2001/XMLSchema#integer>' in words
+
+
+def test_what_would_be_no_triple_is_a_conflict() -> None:
+    found = insert_delete("<> ex:a ?a .", inserts="?a ex:b 1 .")
+    assert "would be no triple" in conflict(found, triples("<> ex:a 'text' ."))
+
+
+# How it is spelt
+
+
+def test_literals_keep_their_spelling_touched_and_untouched() -> None:
+    before = triples("""<> ex:a "01"^^<http://www.w3.org/2001/XMLSchema#integer>, 1, "1.50"^^ex:mine .""")
+    after = applied(insert_delete(deletes="<> ex:a 1 .", inserts="<> ex:b +007, 1.50, 1E3, -.5e-1, true, 1 ."), before)
+    objects = [each.object for each in after if isinstance(each.object, Literal)]
+    assert [(each.value, each.datatype) for each in objects] == [
+        ("01", xsd.integer),
+        ("1.50", NamedNode("http://example.org/mine")),
+        ("+007", xsd.integer),
+        ("1.50", xsd.decimal),
+        ("1E3", xsd.double),
+        ("-.5e-1", xsd.double),
+        ("true", xsd.boolean),
+        ("1", xsd.integer),
+    ]
+
+
+@given(st.text(max_size=30))
+def test_what_is_inserted_can_be_kept_and_read_again(text: str) -> None:
+    literal = str(Literal(text))
+    (after,) = applied(insert_delete(inserts=f"<> ex:a {literal} ."), [])
+    assert after.object == Literal(text)
+    assert [quad.triple for quad in parse(f"{after} .", RdfFormat.N_TRIPLES)] == [after]
+
+
+def test_terms_match_as_they_are_spelt() -> None:
+    assert "not there" in conflict(insert_delete(deletes="<> ex:a 01 ."), triples("<> ex:a 1 ."))
+
+
+def test_a_variable_is_not_the_fragment_of_its_name() -> None:
+    after = applied(insert_delete("?a ex:b ?b .", inserts="<#a> ex:c <#b> ."), triples("<#x> ex:b <#y> ."))
+    assert after == triples("<#x> ex:b <#y> . <#a> ex:c <#b> .")
+
+
+@pytest.mark.parametrize(
+    "reference",
+    ["", "#it", "#", "?q", "?q=1#it", "other", "./", "../up", "a/../b", "//h/x", "/top", "\\u0041", "höhe", "urn:a"],
+)
+def test_relative_iris_are_resolved_as_in_turtle(reference: str) -> None:
+    assert applied(insert_delete(inserts=f"<{reference}> ex:a <> ."), []) == triples(f"<{reference}> ex:a <> .")
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "<> ex:a 'single', \"double\", '''long\n'one''', \"\"\"long \"one\"\"\" .",
+        "<> ex:a 'tagged'@en-GB, 'q\\\"\\t\\u00e9'@fr, '1'^^ex:x .",
+        "<> a ex:Thing ; ex:p ex:o ; .",
+        "<> ex:empty () .",
+    ],
+)
+def test_whatever_turtle_writes_can_be_inserted(statement: str) -> None:
+    assert set(applied(insert_delete(inserts=statement), [])) == set(triples(statement))
+
+
+def test_prefixes_are_written_as_in_sparql_too() -> None:
+    found = read_patch(
+        b"PREFIX s: <http://www.w3.org/ns/solid/terms#>\nBASE <http://other/>\n<#p> a s:InsertDeletePatch ; "
+        b"s:inserts { <> <b> <c> . } .",
+        BASE,
+    )
+    assert found.inserts[0].predicate == NamedNode("http://other/b")
+
+
+# What is no patch (422) and no N3 (400)
+
+PATCH = "_:p a solid:InsertDeletePatch ; "
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "not 0"),
+        ("<> ex:a 1 .", "not 0"),
+        ("_:p solid:inserts { <> ex:a 1 } .", "does not say its type"),
+        ("_:p a solid:Patch ; solid:inserts { <> ex:a 1 } .", "does not say its type"),
+        (f"{PATCH} solid:inserts {{ }} . _:q a solid:InsertDeletePatch .", "not 2"),
+        (f"{PATCH} solid:inserts {{ }} . _:q solid:deletes {{ }} .", "not 2"),
+        ("'p' a solid:InsertDeletePatch .", "IRI or a blank node"),
+        (f"{PATCH} solid:inserts {{ }}, {{ <> ex:a 1 }} .", "solid:inserts at most once"),
+        (f"{PATCH} solid:deletes {{ }} ; solid:deletes {{ }} .", "solid:deletes at most once"),
+        (f"{PATCH} solid:where {{ }}, {{ }} .", "solid:where at most once"),
+        (f"{PATCH} solid:inserts <#a> .", "formula in braces"),
+        (f"{PATCH} solid:inserts 'x' .", "formula in braces"),
+        (f"{PATCH} solid:where {{ <> ex:a {{ <> ex:b 1 }} }} .", "holds another"),
+        (f"{PATCH} solid:inserts {{ {{ <> ex:b 1 }} ex:a 1 }} .", "holds another"),
+        (f"{PATCH} solid:inserts {{ <> ex:a [] }} .", "blank node"),
+        (f"{PATCH} solid:inserts {{ _:x ex:a 1 }} .", "blank node"),
+        (f"{PATCH} solid:inserts {{ <> ex:a (1 2) }} .", "blank node"),
+        (f"{PATCH} solid:deletes {{ <> ex:a _:x }} .", "blank node"),
+        (f"{PATCH} solid:inserts {{ 'x' ex:a 1 }} .", "no literal can be"),
+        (f"{PATCH} solid:where {{ ?a 'x' 1 }} .", "only an IRI can be"),
+        (f"{PATCH} solid:inserts {{ ?a ex:a 1 }} .", "variable ?a of solid:inserts"),
+        (f"{PATCH} solid:where {{ ?a ex:a 1 }} ; solid:deletes {{ ?b ex:a 1 }} .", "variable ?b of solid:deletes"),
+    ],
+)
+def test_what_is_n3_but_no_patch_is_422_and_says_why(text: str, words: str) -> None:
+    problem = refusal(text)
+    assert problem.status == 422
+    assert words in problem.detail
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{", "}", "_:p a", f"{PATCH} solid:inserts {{ <> ex:a }} .", f"{PATCH} solid:inserts {{ <> none:a 1 }} .",
+        f"{PATCH} solid:inserts {{ <> ex:a 'x }} .", f"{PATCH} solid:inserts {{ <a b> ex:a 1 }} .",
+        f"{PATCH} solid:inserts {{ <> ex:a '\\uD800' }} .", f"{PATCH} solid:inserts {{ <> ex:a 'x'@1-1 }} .",
+        f"{PATCH} solid:inserts {{ <> ex:a '\\U00110000' }} .", f"{PATCH} solid:inserts {{ <> ex:a ?1 }} .",
+        f"{PATCH} solid:inserts {{ <> ex:a 'x'^^<http://www.w3.org/1999/02/22-rdf-syntax-ns#langString> }} .",
+        f"{PATCH} solid:inserts {{ <> ex:a 'x'^^?y }} .", f"{PATCH} solid:where {{$ ex:a $}} .",
+        f"@forAll <#a> . {PATCH} solid:where {{ <#a> ex:a 1 }} .", f"@forSome <#a> . {PATCH} solid:where {{ }} .",
+        "@prefix : <\x00> .", "<> ex:a <http://[> .", "\ud800",
+    ],
+)  # fmt: skip
+def test_what_is_no_n3_is_400(text: str) -> None:
+    with pytest.raises(Problem) as refused:
+        read_patch((PREFIXES + text).encode("utf-8", "surrogatepass"), BASE)
+    assert refused.value.status == 400
+
+
+def test_the_place_of_an_error_is_told() -> None:
+    assert refusal(f"\n\n  {PATCH} solid:inserts {{ <> none:a 1 }} .").detail.startswith("line 3, column ")
+
+
+# What is hostile
+
+
+def test_a_patch_that_is_too_large_is_refused_unread() -> None:
+    with pytest.raises(Problem) as refused:
+        read_patch(b"{" * (MOST_BYTES + 1), BASE)
+    assert refused.value.status == 413
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"{" * 200_000, b"[ :p " * 100, b"(" * 120, b"<a> <b> " + b"[ <c> " * 127, b":a!:b" * 40_000, b"'" * 200_001,
+     b"\\" * 200_000, b":a :b :c" + b";" * 200_000, b"<" * 100_000, b"_:a" * 80_000, b"\n#" * 100_000],
+)  # fmt: skip
+def test_a_hostile_text_is_refused_soon(data: bytes) -> None:
+    began = time.monotonic()
+    with pytest.raises(Problem) as refused:
+        read_patch(data, BASE)
+    assert refused.value.status in (400, 422)
+    assert time.monotonic() - began < 10
+
+
+def test_an_xml_literal_is_not_looked_into() -> None:
+    bomb = '<!DOCTYPE a [<!ENTITY b \\"x\\">' + "".join(
+        f'<!ENTITY c{number} \\"{"&b;" * 10}\\">' for number in range(10)
+    )
+    datatype = "<http://www.w3.org/1999/02/22-rdf-syntax-ns#XMLLiteral>"
+    (after,) = applied(insert_delete(inserts=f'<> ex:a "{bomb}"^^{datatype} .'), [])
+    assert isinstance(after.object, Literal)
+    assert after.object.value.startswith("<!DOCTYPE a")
+
+
+def test_a_search_without_end_is_given_up() -> None:
+    before = triples(" ".join(f"<#{one}> ex:to <#{other}> ." for one in range(30) for other in range(30)))
+    path = " ".join(f"?v{number} ex:to ?v{number + 1} ." for number in range(20))
+    with pytest.raises(Problem) as refused:
+        applied(insert_delete(f"{path} ?v20 ex:never ex:there ."), before)
+    assert refused.value.status in (409, 422)
+    cycle = " ".join(f"[] ex:to [] . _:v{number} ex:to _:v{number + 1} ." for number in range(20))
+    began = time.monotonic()
+    with pytest.raises(Problem) as refused:
+        applied(insert_delete(f"{cycle} _:v20 ex:to _:none ."), before)
+    assert refused.value.status == 422
+    assert time.monotonic() - began < 10
+
+
+def test_too_many_patterns_are_refused() -> None:
+    where = " ".join(f"?a{number} ex:a 1 ." for number in range(MOST_PATTERNS + 1))
+    assert refusal(f"{PATCH} solid:where {{ {where} }} .").status == 422
+
+
+def test_a_large_patch_of_a_large_resource_is_carried_out_soon() -> None:
+    before = triples(" ".join(f"<#{number}> ex:is {number} ." for number in range(5000)))
+    found = insert_delete(
+        "?a ex:is 4711 .", " ".join(f"<#{number}> ex:is {number} ." for number in range(3000)), "?a ex:was 4711 ."
+    )
+    began = time.monotonic()
+    assert len(applied(found, before)) == 2001
+    assert time.monotonic() - began < 5
+
+
+_nodes = st.sampled_from(["<#a>", "<#b>", "<#c>"])
+_statements = st.lists(st.tuples(_nodes, _nodes, _nodes | st.sampled_from(["1", "01", "'x'"])), max_size=8)
+
+
+def _text(statements: list[tuple[str, str, str]]) -> str:
+    return " ".join(" ".join(each) + " ." for each in statements)
+
+
+@given(_statements, _statements, _statements)
+def test_deletions_go_and_insertions_come_or_nothing_is_done(
+    before: list[tuple[str, str, str]], deletes: list[tuple[str, str, str]], inserts: list[tuple[str, str, str]]
+) -> None:
+    there, gone, new = (set(triples(_text(each))) for each in (before, deletes, inserts))
+    found = insert_delete(deletes=_text(deletes), inserts=_text(inserts))
+    if gone <= there:
+        assert set(applied(found, triples(_text(before)))) == (there - gone) | new
+    else:
+        assert "not there" in conflict(found, triples(_text(before)))
+
+
+_beginnings = st.text(max_size=200).map(lambda text: (PREFIXES + PATCH + text).encode("utf-8", "replace"))
+
+
+@given(st.binary(max_size=200) | _beginnings)
+def test_no_bytes_whatever_are_worse_than_a_refusal(data: bytes) -> None:
+    try:
+        read_patch(data, BASE)
+    except Problem as problem:
+        status = problem.status
+    else:
+        status = 200
+    assert status in (200, 400, 422)

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Iterator, Sequence
 
 from pyoxigraph import NamedNode, Triple
 
-from rosld.ontology.body import RdfBody
+from rosld.ontology.body import RdfBody, parse_body
 from rosld.ontology.vocab import ldp
 from rosld.server.http.link import parse as parse_links
 from rosld.server.http.problem import Problem
@@ -35,6 +35,14 @@ def require_model(exchange: Exchange, model: Model, url: str) -> None:
     asked = any(link.rel == "type" for link in links)
     if asked and asked_model(exchange, url, container=url.endswith("/")) is not model:
         raise Problem(409, f"This is an ldp:{model.value}, and stays one: make another resource for another model.")
+
+
+async def statements(exchange: Exchange, url: str) -> RdfBody:
+    """The RDF of a body, resolved against `url`. No body at all, of no type, states nothing."""
+    data = await exchange.body()
+    if not data and exchange.header("content-type") is None:
+        return RdfBody({}, 0)
+    return parse_body(data, exchange.media_type, url)
 
 
 def triples_of(body: RdfBody) -> tuple[Triple, ...]:

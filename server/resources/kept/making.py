@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from pyoxigraph import NamedNode, Triple
 
-from rosld.ontology.body import RdfBody, parse_body
+from rosld.ontology.body import RdfBody
 from rosld.ontology.vocab import ldp
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
@@ -17,7 +17,7 @@ from rosld.server.ldp.interaction import (
 from rosld.server.records import Membership, Model, Put, Record
 from rosld.server.records.describe import is_managed, written
 from rosld.server.resources.kept.base import Kept
-from rosld.server.resources.kept.bodies import received, triples_of
+from rosld.server.resources.kept.bodies import received, statements, triples_of
 from rosld.server.robot import Robot
 
 
@@ -28,7 +28,7 @@ async def made(kept: Kept, model: Model, exchange: Exchange) -> Record:
         put = Put(path, model, blob=await received(robot, exchange), expected=0)
         body = RdfBody({}, 0)
     else:
-        body = parse_body(await exchange.body(), exchange.media_type, url)
+        body = await statements(exchange, url)
         triples = triples_of(body)
         if any(each.subject == NamedNode(url) and each.predicate == ldp.contains for each in triples):
             raise Problem(409, "A new container contains nothing: leave ldp:contains away, and POST its members to it.")

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pyoxigraph import Triple
 from starlette.responses import Response
 
-from rosld.ontology.body import parse_body
 from rosld.server.html import DeleteForm, Form
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.n3patch import applied, read_patch
@@ -26,6 +25,7 @@ from rosld.server.resources.kept.bodies import (
     require_contained,
     require_membership,
     require_model,
+    statements,
     triples_of,
 )
 from rosld.server.resources.kept.showing import shown
@@ -51,7 +51,7 @@ class SourceResource(Kept):
         self.require_guard(exchange)
         record = self.there()
         require_model(exchange, record.model, self.url)
-        body = parse_body(await exchange.body(), exchange.media_type, self.document_url)
+        body = await statements(exchange, self.document_url)
         await self.replace(record, triples_of(body))
         return Response(status_code=204)
 

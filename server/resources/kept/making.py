@@ -53,7 +53,7 @@ def _ways_to(robot: Robot, path: str) -> list[Put]:
     """The containers to be made first."""
     found: list[Put] = []
     above = container_of(path)
-    while robot.records.get(above) is None:
+    while above != "/" and robot.records.get(above) is None:
         found.insert(0, Put(above, Model.BASIC_CONTAINER, expected=0))
         above = container_of(above)
     return found

@@ -10,6 +10,7 @@ from rosld.server.ldp.resource import (
     RDF_BODIES,
     Answer,
     Resource,
+    moved,
 )
 from rosld.server.ldp.state import State
 from rosld.server.records import Model
@@ -47,6 +48,8 @@ class AbsentResource(Kept):
 
 def kept_room(robot: Robot, location: Location) -> Resource:
     """`/data/` and below: as what is recorded now has it."""
+    if not location.segments and not location.is_container:
+        raise moved(robot.space.container(location.kind))
     path = robot.space.url(location.kind, location.segments)[len(robot.space.base) :]
     if location.is_container:
         path += "/"

@@ -1,7 +1,8 @@
 """Pages for people: every resource as HTML, drawn on the server, with forms where something can be done.
 
 Nothing here knows a robot or a store: a `Page` (or one of its kin) goes in, bytes come out. Whatever came from a robot
-is text to these pages, never markup, and `HEADERS` tells the browser to run nothing at all.
+is text to these pages, never markup, and `HEADERS` tells the browser to run nothing but `live.js`, which keeps a page
+up to date while it is looked at. Without it every page is as whole.
 """
 
 from rosld.server.html.affordances import action_form, forms_of, property_form
@@ -35,6 +36,7 @@ from rosld.server.html.render import (
     CONTENT_SECURITY_POLICY,
     HEADERS,
     ICON,
+    SCRIPT,
     STYLESHEET,
     render_entry,
     render_page,
@@ -49,6 +51,7 @@ __all__ = [
     "CONTENT_SECURITY_POLICY",
     "HEADERS",
     "ICON",
+    "SCRIPT",
     "STYLESHEET",
     "Alternate",
     "Count",

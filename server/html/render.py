@@ -1,4 +1,4 @@
-"""Rendering: pages to bytes. The templates and the stylesheet are read once; nothing is ever run in the browser."""
+"""Rendering: pages to bytes. The templates, the stylesheet and the script are read once."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from rosld.server.html.description import Section, describe, first_text
 from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD, Form, ValueForm
 from rosld.server.html.labels import sentence
 from rosld.server.html.listing import contents
+from rosld.server.html.liveness import RATE, is_live
 from rosld.server.html.offer import Posted, draw, posted_forms
 from rosld.server.html.page import THING, EntryPage, Notice, Page, ProblemPage, QueryPage, SparqlPage, Tone
 from rosld.server.html.site import Anchor, Site
@@ -29,13 +30,15 @@ CONTENT_SECURITY_POLICY = "; ".join(
     (
         "default-src 'none'",
         "style-src 'self'",
+        "script-src 'self'",
+        "connect-src 'self'",
         "img-src 'self'",
         "form-action 'self'",
         "base-uri 'none'",
         "frame-ancestors 'none'",
     )
 )
-"""Nothing but our own stylesheet and pictures is loaded, nothing is run, and forms go nowhere else."""
+"""Nothing but our own files is loaded and run, nothing of a page itself is run, and all goes nowhere else."""
 
 HEADERS: Mapping[str, str] = {
     "content-security-policy": CONTENT_SECURITY_POLICY,
@@ -49,7 +52,9 @@ STYLESHEET = (_HERE / "style.css").read_bytes()
 """Served at `style.css` below the base."""
 ICON = (_HERE / "icon.svg").read_bytes()
 """Served at `icon.svg` below the base."""
-_VERSION = hashlib.blake2b(STYLESHEET + ICON, digest_size=4).hexdigest()
+SCRIPT = (_HERE / "live.js").read_bytes()
+"""Served at `live.js` below the base: opens the event stream of a page that is live, and shows what comes."""
+_VERSION = hashlib.blake2b(STYLESHEET + ICON + SCRIPT, digest_size=4).hexdigest()
 
 _NOTICED = ((ros.unreachable, "Unreachable"), (ros.unreadable, "Unreadable"), (ros.uncallable, "Cannot be called"))
 _LOUDEST_FIRST = (Tone.ERROR, Tone.WARNING, Tone.GOOD, Tone.INFO)
@@ -82,10 +87,16 @@ class _Frame:
     crumbs: tuple[Anchor, ...]
     url: str
     notices: tuple[Notice, ...]
+    live: bool = False
+    """Whether it follows its resource while it is looked at."""
 
     @property
     def stylesheet(self) -> str:
         return f"{self.site.root}style.css?v={_VERSION}"
+
+    @property
+    def script(self) -> str:
+        return f"{self.site.root}live.js?v={_VERSION}"
 
     @property
     def icon(self) -> str:
@@ -115,7 +126,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["grouped"] = lambda number: f"{number:,}"
-    environment.globals |= {"csrf_field": CSRF_FIELD, "method_field": METHOD_FIELD}
+    environment.globals |= {"csrf_field": CSRF_FIELD, "method_field": METHOD_FIELD, "live_rate": RATE}
     return environment
 
 
@@ -129,10 +140,10 @@ def _render(template: str, frame: _Frame, **values: object) -> bytes:
     return text.encode("utf-8", "replace")
 
 
-def _frame(site: Site, title: str, url: str, notices: tuple[Notice, ...]) -> _Frame:
+def _frame(site: Site, title: str, url: str, notices: tuple[Notice, ...], live: bool = False) -> _Frame:
     stale = (Notice(f"The robot cannot be seen: {site.stale}", Tone.WARNING),) if site.stale else ()
     ordered = sorted(stale + notices, key=lambda notice: _LOUDEST_FIRST.index(notice.tone))
-    return _Frame(site, visible(title), breadcrumb(site, url), url, tuple(ordered))
+    return _Frame(site, visible(title), breadcrumb(site, url), url, tuple(ordered), live)
 
 
 def render_page(page: Page) -> bytes:
@@ -144,7 +155,7 @@ def render_page(page: Page) -> bytes:
     sections = describe(page.document, page.site, without=(ldp.contains,) if page.offer is None else ())
     return _render(
         "page.html",
-        _frame(page.site, page.title, page.document.url, page.notices + _own_notices(page)),
+        _frame(page.site, page.title, page.document.url, page.notices + _own_notices(page), is_live(page)),
         page=page,
         forms=[each for each in posted if not (isinstance(page.offer, ComplexView) and each.form.action)],
         formats=(*page.alternates, *((THING,) if isinstance(page.offer, ComplexView) else ())),
@@ -207,7 +218,7 @@ def render_entry(page: EntryPage) -> bytes:
     )
     return _render(
         "entry.html",
-        _frame(page.site, page.site.name, page.site.base, page.notices),
+        _frame(page.site, page.site.name, page.site.base, page.notices, is_live(page)),
         page=page,
         counts=[(count, page.site.href(count.url)) for count in page.counts],
         sections=describe(page.document, page.site, without=(ldp.contains,)),

@@ -1,4 +1,4 @@
-"""The files that pages are drawn with: their style and their icon."""
+"""The files that pages are drawn with: their style, their icon, and the script that keeps them up to date."""
 
 from __future__ import annotations
 
@@ -36,9 +36,19 @@ def style(robot: Robot) -> FileResource:
     return FileResource(robot, "style.css", html.STYLESHEET, "text/css; charset=utf-8")
 
 
+def script(robot: Robot) -> FileResource:
+    """`/live.js`."""
+    return FileResource(robot, "live.js", html.SCRIPT, "text/javascript; charset=utf-8")
+
+
 def icon(robot: Robot) -> FileResource:
     """`/icon.svg`."""
     return FileResource(robot, "icon.svg", html.ICON, "image/svg+xml")
 
 
-FILES: dict[str, Callable[[Robot], FileResource]] = {"style.css": style, "icon.svg": icon, "favicon.ico": icon}
+FILES: dict[str, Callable[[Robot], FileResource]] = {
+    "style.css": style,
+    "live.js": script,
+    "icon.svg": icon,
+    "favicon.ico": icon,
+}

@@ -35,7 +35,7 @@ def test_every_url_is_a_page_for_a_browser(http: httpx.Client, path: str) -> Non
     assert page.status_code == 200, page.text[:300]
     assert page.headers["content-type"] == "text/html; charset=utf-8"
     assert "default-src 'none'" in page.headers["content-security-policy"]
-    assert "<script" not in page.text
+    assert page.text.count("<script") == page.text.count('<script src="/live.js?')
     assert "<nav" in page.text
 
 
@@ -48,7 +48,8 @@ def test_every_link_of_the_site_leads_somewhere(http: httpx.Client) -> None:
             continue
         seen.add(path)
         page = http.get(path, headers=HTML)
-        assert page.status_code in (200, 303, 308), (path, page.status_code)
+        hidden_now = page.status_code == 404 and "is not on offer now" in page.text  # a limit may name it all the same
+        assert page.status_code in (200, 303, 308) or hidden_now, (path, page.status_code)
         for href in re.findall(r'<a [^>]*?href="([^"]+)"', page.text):
             target = href.replace("&amp;", "&").partition("#")[0]
             if target.startswith("/") and not target.startswith("//"):
@@ -116,6 +117,6 @@ def test_a_token_is_for_one_resource_only(http: httpx.Client) -> None:
 def test_what_a_robot_says_is_text_and_never_markup(http: httpx.Client) -> None:
     http.put(DISPLAY, json={"data": "<script>alert(1)</script><img src=x onerror=alert(1)>"})
     page = http.get(DISPLAY, headers=HTML).text
-    assert "<script" not in page
+    assert page.count("<script") == page.count('<script src="/live.js?') == 1
     assert "<img src=x" not in page
     assert "&lt;script&gt;" in page

@@ -82,8 +82,17 @@ def test_ids_are_unique_and_hold_no_space(page: Reader) -> None:
 
 def test_nothing_is_run_and_nothing_is_styled_in_place(page: Reader) -> None:
     for tag, attributes, _ in page.elements:
-        assert tag not in ("script", "style", "iframe", "object", "embed", "base", "svg", "math")
+        assert tag not in ("style", "iframe", "object", "embed", "base", "svg", "math")
         assert not [name for name in attributes if name.startswith("on") or name in ("style", "srcdoc", "formaction")]
+
+
+def test_the_one_script_is_our_own_file_and_waits_for_the_page(page: Reader) -> None:
+    live = [each for each in page.all("main") if "data-live" in each]
+    scripts = page.all("script")
+    assert len(scripts) == len(live)
+    for each in scripts:
+        assert each.keys() == {"src", "defer"}
+        assert re.fullmatch(r"/live\.js\?v=[0-9a-f]{8}", each["src"] or "")
 
 
 def test_only_http_and_local_references_are_links(page: Reader) -> None:
@@ -163,10 +172,10 @@ def test_direction_overrides_stay_within_their_value(pages: Mapping[str, bytes])
     assert not [place for place in loose if place[-1] not in blocks]
 
 
-def test_the_policy_allows_no_script_and_no_foreign_place() -> None:
+def test_the_policy_allows_no_foreign_script_and_no_foreign_place() -> None:
     policy = dict(each.split(" ", 1) for each in CONTENT_SECURITY_POLICY.split("; "))
     assert policy["default-src"] == "'none'"
-    assert {policy[name] for name in ("style-src", "img-src", "form-action")} == {"'self'"}
+    own = ("style-src", "img-src", "form-action", "script-src", "connect-src")
+    assert {policy[name] for name in own} == {"'self'"}
     assert policy["base-uri"] == policy["frame-ancestors"] == "'none'"
     assert "unsafe" not in CONTENT_SECURITY_POLICY
-    assert "script-src" not in policy

@@ -110,7 +110,9 @@ def test_what_is_wrong_with_a_resource_comes_first(pages: Mapping[str, bytes]) -
 def test_a_container_lists_members_with_their_columns_and_namespaces_apart(pages: Mapping[str, bytes]) -> None:
     body = pages["topics"].decode()
     assert re.search(r'<a href="/topics/front_laser_scan"><bdi>front_laser_scan</bdi></a>', body)
-    assert re.search(r'<li><a href="/topics/aircraft/"><bdi>aircraft/</bdi></a></li>', body)
+    assert re.search(
+        r'<li data-key="/topics/aircraft/"><a href="/topics/aircraft/"><bdi>aircraft/</bdi></a></li>', body
+    )
     assert '<a class="below" href="/topics/image_raw/">' in body
     assert 'href="/types/sensor_msgs/msg/LaserScan"' in body
 

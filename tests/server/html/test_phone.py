@@ -19,7 +19,7 @@ addEventListener("load", () => {
     const page = frame.contentDocument.documentElement;
     const styled = getComputedStyle(page.querySelector("main")).maxWidth !== "none";
     const small = [...page.querySelectorAll("button, input:not([type=hidden]), select")].filter(
-      (each) => each.getBoundingClientRect().height < 18).length;
+      (each) => each.checkVisibility() && each.getBoundingClientRect().height < 18).length;
     found[frame.title] = {width: page.scrollWidth, styled, small};
   }
   document.body.textContent = JSON.stringify(found);

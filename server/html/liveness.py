@@ -1,0 +1,22 @@
+"""Which pages follow their resource while they are looked at: those of what changes by itself. Pure."""
+
+from __future__ import annotations
+
+from rosld.ontology.vocab import ros
+from rosld.server.html.description import values_of
+from rosld.server.html.page import EntryPage, Page
+
+RATE = 3
+"""At most so many times a second a page is brought up to date."""
+
+_ROOMS = frozenset({"", "resources", "nodes", "topics", "services", "parameters", "mappings", "calls", "data"})
+
+
+def is_live(page: Page | EntryPage) -> bool:
+    """Whether a page follows its resource. One that answers a form stays as it is: its reader is in the midst of it."""
+    if page.notices or not page.document.url.startswith(page.site.base):
+        return False
+    room, _, name = page.document.url.removeprefix(page.site.base).partition("/")
+    if room == "calls" and name:
+        return ros.Running in values_of(page.document, ros.state)
+    return room in _ROOMS and not any(form.violations for form in getattr(page, "forms", ()))

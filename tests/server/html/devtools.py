@@ -1,0 +1,184 @@
+"""A real browser led by the DevTools protocol over a pipe: nothing but the standard library, and no port."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+SECONDS = 30.0
+_QUIET = "--headless --no-sandbox --disable-gpu --no-first-run --disable-background-networking --disable-sync"
+_UNTIL = """new Promise((resolve, reject) => {
+  const end = performance.now() + %d;
+  const look = () => {
+    let found;
+    try { found = (() => (%s))(); } catch (error) { found = false; }
+    if (found) resolve(found);
+    else if (performance.now() > end) reject(new Error("it never came to be"));
+    else setTimeout(look, 15);
+  };
+  look();
+})"""
+
+
+class Tab:
+    """One page of the browser. `faults` are exceptions nobody caught, and what a policy forbade."""
+
+    def __init__(self, window: Window, target: str, session: str) -> None:
+        self._window = window
+        self._target = target
+        self._session = session
+        self._loaded = threading.Event()
+        self.faults: list[str] = []
+
+    def send(self, method: str, **params: object) -> Any:
+        """One command of the protocol; its result."""
+        return self._window.send(method, self._session, **params)
+
+    def open(self, url: str) -> None:
+        """Go to a page, until it is loaded."""
+        self._loaded.clear()
+        self.send("Page.navigate", url=url)
+        assert self._loaded.wait(SECONDS), f"{url} was not loaded"
+
+    def leave(self, expression: str) -> None:
+        """Run what leads to another page, until that is loaded."""
+        self._loaded.clear()
+        self.run(f"void ({expression})")
+        assert self._loaded.wait(SECONDS), f"{expression} led nowhere"
+
+    def run(self, expression: str) -> Any:
+        """The value of a JavaScript expression in the page; of a promise, what it comes to."""
+        found = self.send("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
+        assert "exceptionDetails" not in found, (expression, found["exceptionDetails"])
+        return found["result"].get("value")
+
+    def until(self, condition: str, seconds: float = SECONDS) -> Any:
+        """Wait until a JavaScript expression is true in the page; its value."""
+        return self.run(_UNTIL % (seconds * 1000, condition))
+
+    def type(self, text: str) -> None:
+        """Type where the focus is."""
+        self.send("Input.insertText", text=text)
+
+    def press(self, x: float, y: float) -> None:
+        """Press and let go of the mouse at a place of the window."""
+        for kind in ("mousePressed", "mouseReleased"):
+            self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def photograph(self, target: Path, width: int, height: int, **features: str) -> None:
+        """The page as a PNG file; `features` are of the media, such as prefers_color_scheme."""
+        media = [{"name": name.replace("_", "-"), "value": value} for name, value in features.items()]
+        self.send("Emulation.setEmulatedMedia", features=media)
+        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.send("Emulation.setDeviceMetricsOverride", **metrics)
+        target.write_bytes(base64.b64decode(self.send("Page.captureScreenshot", format="png")["data"]))
+
+    def take(self, method: str, params: dict[str, Any]) -> None:
+        """An event of the protocol."""
+        if method == "Page.loadEventFired":
+            self._loaded.set()
+        elif method == "Runtime.exceptionThrown":
+            self.faults.append(json.dumps(params["exceptionDetails"]))
+        elif method == "Log.entryAdded" and params["entry"]["source"] in ("security", "violation", "other"):
+            self.faults.append(params["entry"]["text"])
+
+
+class Window:
+    """The running browser."""
+
+    def __init__(self, write: int, read: int) -> None:
+        self._write = write
+        self._replies: dict[int, Future[Any]] = {}
+        self._tabs: dict[str, Tab] = {}
+        self._count = 0
+        self._reader = threading.Thread(target=self._listen, args=(read,), daemon=True)
+        self._reader.start()
+
+    def send(self, method: str, session: str | None = None, **params: object) -> Any:
+        """One command; its result."""
+        self._count += 1
+        number, reply = self._count, Future[Any]()
+        self._replies[number] = reply
+        message = {"id": number, "method": method, "params": params} | ({"sessionId": session} if session else {})
+        os.write(self._write, json.dumps(message).encode() + b"\0")
+        return reply.result(SECONDS * 2)
+
+    def _listen(self, read: int) -> None:
+        waiting = b""
+        while chunk := os.read(read, 1 << 16):
+            *whole, waiting = (waiting + chunk).split(b"\0")
+            for each in whole:
+                self._take(json.loads(each))
+
+    def _take(self, message: dict[str, Any]) -> None:
+        if "id" in message:
+            reply = self._replies.pop(message["id"])
+            if "error" in message:
+                reply.set_exception(RuntimeError(str(message["error"])))
+            else:
+                reply.set_result(message["result"])
+        elif message.get("sessionId") in self._tabs:
+            self._tabs[message["sessionId"]].take(message["method"], message["params"])
+
+    @contextmanager
+    def tab(self) -> Iterator[Tab]:
+        """A new tab, closed in the end."""
+        target = self.send("Target.createTarget", url="about:blank")["targetId"]
+        session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        tab = self._tabs[session] = Tab(self, target, session)
+        for domain in ("Page", "Runtime", "Log"):
+            tab.send(f"{domain}.enable")
+        try:
+            yield tab
+        finally:
+            self.send("Target.closeTarget", targetId=target)
+            del self._tabs[session]
+
+
+def _program() -> str:
+    found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    assert found is not None, "chromium is not installed; tests/debian-browser.txt lists what is needed"
+    return found
+
+
+def _as_3_and_4(read: int, write: int) -> Callable[[], None]:
+    """Where the browser looks for its pipe."""
+
+    def place() -> None:
+        one, other = os.dup(read), os.dup(write)
+        os.dup2(one, 3)
+        os.dup2(other, 4)
+
+    return place
+
+
+@contextmanager
+def browser(profile: Path) -> Iterator[Window]:
+    """A browser without a window, in a profile of its own; ended by its own handle."""
+    command_read, command_write = os.pipe()
+    reply_read, reply_write = os.pipe()
+    arguments = [*_QUIET.split(), "--hide-scrollbars", f"--user-data-dir={profile}", "--remote-debugging-pipe"]
+    with subprocess.Popen(
+        [_program(), *arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        close_fds=False,
+        preexec_fn=_as_3_and_4(command_read, reply_write),  # no thread runs yet
+    ) as process:
+        os.close(command_read)
+        os.close(reply_write)
+        try:
+            yield Window(command_write, reply_read)
+        finally:
+            process.terminate()
+            process.wait(20)
+            os.close(command_write)

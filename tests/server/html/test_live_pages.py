@@ -1,0 +1,167 @@
+"""The aircraft watched in a real browser while others fly it: pages follow without being loaded again."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+AIRCRAFT, ENGINE = "resources/aircraft/", "resources/aircraft/engine/"
+DISPLAY = "topics/cockpit/display"
+LIVE = "document.querySelector('.liveness').dataset.state === 'live'"
+SPEED = "parseFloat(document.querySelector('tr[data-key$=\"/engine/speed\"] .told .value').textContent)"
+
+
+@pytest.fixture
+def served(serve: Callable[..., Any]) -> Any:
+    """An aircraft that has not been started."""
+    return serve("aircraft")
+
+
+def watch(tab: Any, url: str) -> None:
+    """Open a page until it is live, with a sign that only loading it again takes away."""
+    tab.open(url)
+    tab.until(LIVE)
+    tab.run("void (window.sameLoad = true)")
+
+
+def start(served: Any) -> None:
+    served.http.post(f"{AIRCRAFT}start").raise_for_status()
+
+
+def test_the_speed_rises_on_the_page_of_the_engine(tab: Any, served: Any) -> None:
+    start(served)
+    watch(tab, served.url + ENGINE)
+    before = tab.run(SPEED)
+    served.http.put(f"{ENGINE}speed", json=500).raise_for_status()
+    tab.until(f"{SPEED} > {before} + 20")
+    tab.until(f"{SPEED} > {before} + 60")
+    assert tab.run("sameLoad")
+
+
+def test_start_is_replaced_by_stop_when_another_client_starts(tab: Any, served: Any) -> None:
+    buttons = "[...document.querySelectorAll('.acts button')].map((each) => each.textContent).join()"
+    watch(tab, served.url + AIRCRAFT)
+    assert tab.run(buttons) == "Start"
+    assert not tab.run("document.querySelector('.way')")
+    start(served)
+    tab.until(f"{buttons} === 'Stop'")
+    assert tab.run("document.querySelector('.way').pathname") == f"/{ENGINE}"
+    assert tab.run("document.querySelector('.told').innerText.trim()") == "on"
+    assert tab.run("sameLoad")
+    tab.until("!document.querySelector('[inert]')")
+    tab.leave("document.querySelector('.acts button').click()")  # its token is good: the form is carried out
+    tab.until(f"{buttons} === 'Start'")
+
+
+def test_what_is_typed_survives_the_values_that_come(tab: Any, served: Any) -> None:
+    start(served)
+    watch(tab, served.url + ENGINE)
+    tab.run("document.querySelector('form[action$=speed] input[type=number]').select()")
+    tab.type("12")
+    served.http.put(f"{ENGINE}speed", json=500).raise_for_status()
+    tab.until(f"{SPEED} > 40")
+    assert tab.run("document.activeElement.value") == "12"
+    tab.type("3")
+    assert tab.run("document.activeElement.value") == "123"
+    served.http.put(f"{ENGINE}speed", json=0).raise_for_status()
+    tab.until(f"{SPEED} === 0")
+    served.http.post(f"{AIRCRAFT}stop").raise_for_status()
+    tab.until("document.querySelector('#live-notice')")
+    assert "not on offer now" in tab.run("document.querySelector('#live-notice').textContent")
+    assert tab.run("document.activeElement.value") == "123"
+    start(served)
+    tab.until("!document.querySelector('#live-notice')")
+    assert tab.run("document.activeElement.value") == "123"
+    assert tab.run("sameLoad")
+
+
+def test_a_topic_shows_each_message_as_text(tab: Any, served: Any) -> None:
+    watch(tab, served.url + DISPLAY)
+    hostile = "</main><script>window.broken = 1</script><img src=x onerror='window.broken = 1'>"
+    for words in ("climb", hostile, "two\nlines", "level"):
+        served.http.put(DISPLAY, json={"data": words}).raise_for_status()
+        field = "document.querySelector('#message dd')?.innerText"
+        begins = words.partition("\n")[0]
+        shown = tab.until(f"{field}.includes({json.dumps(begins)}) && {field}")
+        assert words in shown
+    assert tab.run("document.querySelectorAll('main script, main img').length") == 0
+    assert tab.run("typeof broken") == "undefined"
+    assert tab.run("sameLoad")
+
+
+def test_a_parameter_that_another_sets_and_deletes(tab: Any, served: Any) -> None:
+    path = "parameters/cockpit/brightness"
+    watch(tab, served.url + path)
+    served.http.put(path, json=0.125).raise_for_status()
+    tab.until("document.querySelector('main').innerText.includes('0.125')")
+    assert tab.run("document.querySelector('[name=value]').value") == "0.125"
+    served.http.delete(path).raise_for_status()
+    tab.until("document.querySelector('#live-notice')")
+    assert tab.run("sameLoad")
+
+
+def test_counts_and_lists_follow_the_graph(tab: Any, served: Any) -> None:
+    watch(tab, served.url)
+    count = "Number(document.querySelector('li[data-key=\"/topics/\"] .number').textContent)"
+    before = tab.run(count)
+    body = (
+        "<#message> a <https://w3id.org/rosld/types/std_msgs/msg/String> ; "
+        '<https://w3id.org/rosld/types/std_msgs/msg/String#data> "by" .'
+    )
+    made = served.http.put("topics/passing", content=body, headers={"Content-Type": "text/turtle"})
+    assert made.is_success, made.text
+    tab.until(f"{count} === {before + 1}")
+    watch(tab, served.url + "topics/")
+    tab.until("document.querySelector('tr[data-key=\"/topics/passing\"]')")
+    served.http.delete("topics/passing").raise_for_status()
+    tab.until("!document.querySelector('tr[data-key=\"/topics/passing\"]')")
+    assert tab.run("sameLoad")
+
+
+def test_a_fast_topic_costs_a_page_few_updates(tab: Any, served: Any) -> None:
+    watch(tab, served.url + "topics/aircraft/engine/speed")
+    tab.run("void (window.updates = 0, new MutationObserver(() => updates += 1).observe("
+            "document.querySelector('#message'), {subtree: true, characterData: true}))")  # fmt: skip
+    began = time.monotonic()
+    tab.until("updates >= 6")
+    assert time.monotonic() - began >= 5 / 3 * 0.9
+
+
+def test_without_scripts_every_page_is_whole(tab: Any, served: Any) -> None:
+    start(served)
+    for path in ("", AIRCRAFT, ENGINE, DISPLAY, "topics/", "nodes/", "parameters/cockpit/", "calls/"):
+        tab.send("Emulation.setScriptExecutionDisabled", value=True)
+        tab.open(served.url + path)
+        tab.send("Emulation.setScriptExecutionDisabled", value=False)
+        assert tab.run("document.querySelector('.liveness').checkVisibility()") is False
+        assert tab.run("[...document.querySelectorAll('button')].every((each) => each.form || !each.checkVisibility())")
+        assert tab.run("document.querySelector('h1').checkVisibility()")
+        assert len(tab.run("document.querySelector('main').innerText")) > 40
+
+
+@pytest.mark.parametrize("path", ["types/std_msgs/msg/String", "ontology", "sparql", "queries/", "shapes/"])
+def test_what_does_not_change_is_not_followed(tab: Any, aircraft: Any, path: str) -> None:
+    tab.open(aircraft.url + path)
+    assert tab.run("document.scripts.length") == 0
+
+
+def test_a_page_that_answers_a_form_stays_as_it_is(tab: Any, served: Any) -> None:
+    start(served)
+    watch(tab, served.url + ENGINE)
+    tab.run("document.querySelector('form[action$=speed]').noValidate = true")
+    tab.run("document.querySelector('form[action$=speed] input[type=number]').select()")
+    tab.type("5000")
+    tab.leave("document.querySelector('form[action$=speed] button').click()")
+    assert tab.run("document.querySelector('.notice.error').checkVisibility()")
+    assert tab.run("document.scripts.length") == 0
+    assert tab.run("document.querySelector('[aria-invalid]').value") == "5000"
+
+
+def test_a_call_that_was_answered_is_not_followed(tab: Any, served: Any) -> None:
+    tab.open(served.http.post("services/aircraft/start", json={}).headers["location"])
+    assert "Succeeded" in tab.run("document.querySelector('main').innerText")
+    assert tab.run("document.scripts.length") == 0

@@ -46,10 +46,19 @@ class Verbs:
     alone: Alone
 
     async def answer(self, exchange: Exchange, resource: Resource) -> Response:
-        """The response to a request on a resource; raises Problems."""
+        """The response to a request on a resource; raises Problems. Either says what it is (LDP 4.2.1.4)."""
+        try:
+            resource = await resource.narrowed(exchange)
+            await resource.ready()
+            response = await self._answered(exchange, resource)
+        except (BodyError, LoweringError, RosError, Problem) as error:
+            raise _linked(resource, _problem(error)) from error
+        if response.status_code == 204 and "link" not in response.headers:
+            response.headers["link"] = link.render(resource.links)
+        return response
+
+    async def _answered(self, exchange: Exchange, resource: Resource) -> Response:
         method = exchange.method
-        resource = await resource.narrowed(exchange)
-        await resource.ready()
         if method in ("GET", "HEAD"):
             return await self.read(exchange, resource)
         if method == "OPTIONS":
@@ -237,7 +246,7 @@ _VERBS: Mapping[str, Callable[[Resource, Exchange], Awaitable[Answer]]] = {
 }
 
 
-def _problem(error: LoweringError | RosError | Problem) -> Problem:
+def _problem(error: BodyError | LoweringError | RosError | Problem) -> Problem:
     """The problem that an error comes to."""
     if isinstance(error, Problem):
         return error
@@ -260,6 +269,14 @@ def _constrained(resource: Resource, error: BodyError | LoweringError | Problem)
     problem = error if isinstance(error, Problem) else problem_of_body(error)
     if problem.status in _REFUSED_BODIES and resource.constrained_by is not None:
         problem.headers["Link"] = link.render([link.Link(resource.constrained_by, f"{LDP}constrainedBy")])
+    return problem
+
+
+def _linked(resource: Resource, problem: Problem) -> Problem:
+    """A refusal, with links to the types of the resource that refuses; what is not there has none."""
+    if problem.status not in (404, 410) and resource.links:
+        there = problem.headers.get("Link")
+        problem.headers["Link"] = ", ".join([link.render(resource.links), *([there] if there else ())])
     return problem
 
 

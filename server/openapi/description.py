@@ -28,6 +28,8 @@ from rosld.server.openapi.place import Place, Query
 
 VERSION = "3.1.1"
 _ORDER = ("GET", "HEAD", "OPTIONS", "PUT", "POST", "PATCH", "DELETE")
+_DONE = {"PUT": (200, 201, 204), "POST": (200, 201, 204), "PATCH": (200, 201, 204), "DELETE": (204,)}
+"""Statuses of what was done, where a place says nothing else."""
 _SHORT = frozenset({"HEAD", "OPTIONS"})
 _TEMPLATE = re.compile(r"\{([^{}]+)\}")
 _BY_SCHEMA = frozenset({"application/json", "application/merge-patch+json", "application/x-www-form-urlencoded"})
@@ -181,7 +183,7 @@ def _answers(place: Place, method: str) -> dict[str, Json]:
         return {"200": reference("responses", "head"), **refusals((*READING, *place.also), body=False)}
     if method == "GET":
         return {"200": _read(place), **refusals((*READING, *place.also))}
-    done = {str(status): _done(place, method, status) for status in place.done[method]}
+    done = {str(status): _done(place, method, status) for status in place.done.get(method, _DONE[method])}
     return {**done, **refusals((*WRITING, *place.also))}
 
 

@@ -29,9 +29,9 @@ class Place:
     segments, each told of in `segments`. `accepts` are the media types that a method takes, `sends` the schemas of its
     JSON; methods in `optional` do without a body, too. `reads` are the media types that GET answers with; `plain` is
     the schema of `application/json` among them (JSON-LD where there is none). `done` are the statuses of what a method
-    has done, `shows` what then comes as `application/json`. `streams`: its changes can be had as an event stream.
-    `also` are statuses of refusals that most places do not have. Places `alike` (a
-    name such as "parameter") are described once: robots have thousands of them.
+    has done, where they are not the usual ones; `shows` is what then comes as `application/json`. `streams`: its
+    changes can be had as an event stream. `also` are statuses of refusals that most places do not have. Places `alike`
+    (a name such as "parameter") are described once: robots have thousands of them.
     """
 
     path: str

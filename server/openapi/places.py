@@ -10,7 +10,6 @@ from typing import TypeAlias
 
 from rosld.adapters.model import MessageSchema, RosError, Schema, ServiceSchema, TypeRef
 from rosld.ontology.namespaces import Members
-from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.layout import Layout
 from rosld.server.hypermedia.schema import DataSchema, Json, message_schema, value_schema
@@ -21,6 +20,7 @@ from rosld.server.openapi import json_schema
 from rosld.server.openapi.components import reference
 from rosld.server.openapi.json_schema import ANYTHING, OBJECT, TEXT, or_null
 from rosld.server.openapi.place import Place, Query
+from rosld.server.resources.kept.sources import N3_PATCH
 from rosld.server.resources.namespaces import namespaces
 from rosld.server.resources.sparql import FORMATS as RESULT_FORMATS
 from rosld.server.robot import Robot, used_types
@@ -39,7 +39,6 @@ _PATIENCE = 3.0
 _FORMAT = Query("format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS]})
 _THING_FORMAT = replace(_FORMAT, schema={"type": "string", "enum": [*FORMATS, "td"]})
 _FIELD = Query("field", "The path of one field, such as `pose.position.x`: its bytes are the answer.")
-N3_PATCH = "text/n3"
 _HASH = Query("hash", "Which of several definitions of one name.")
 _PAGE = Query("page", "A page of members, from 0.", {"type": "integer", "minimum": 0})
 _DEFAULTS = Query(
@@ -48,6 +47,8 @@ _DEFAULTS = Query(
 _LATCH = Query(
     "latch", "Whether subscribers that come later get the message.", {"type": "boolean"}, of=frozenset({"PUT", "PATCH"})
 )
+_KEPT_ALSO = (303, 410, 507)
+_ANY_TYPE = "*/*"
 _BYTES = "application/octet-stream"
 _FIELD_READS = (*OFFERS, _BYTES, "text/plain")
 _RESULTS = tuple(dict.fromkeys((*SOLUTIONS, *GRAPHS, HTML)))
@@ -325,37 +326,31 @@ class Places:
                 )
 
     def _mappings(self) -> Iterator[Place]:
-        container = self._place("/mappings/", "mappings", "The mapping documents in force")
-        note = "Makes a mapping document, named by `Slug` where that is free."
-        yield replace(container, done={"POST": (200, 201, 204)}, notes={"POST": note})
-        document = self._place("/mappings/{name}", "mappings", "A mapping document", at="/mappings/any")
-        done = {"PUT": (200, 201, 204), "PATCH": (200, 204), "DELETE": (204,)}
-        yield replace(document, done=done, segments={"name": "The name of a document."})
+        """The mapping documents in force, which are kept as data is."""
+        yield from self._kept("mappings", "Mapping documents")
 
     def _data(self) -> Iterator[Place]:
+        yield from self._kept("data", "Data that clients keep")
+
+    def _kept(self, room: str, about: str) -> Iterator[Place]:
         """What clients keep. What one URL answers depends on what is there: the template tells of all of it."""
-        try:
-            root = self._place("/data/", "data", "Data that clients keep")
-        except Problem:
-            return
-        made = {"POST": (201,), "PUT": (200, 201, 204), "PATCH": (200, 201, 204), "DELETE": (204,)}
-        also = (303, 410, 507)
-        yield replace(root, done=made, also=also, query=(_FORMAT, _PAGE))
+        root = replace(self._place(f"/{room}/", room, about), also=_KEPT_ALSO, query=(_FORMAT, _PAGE))
         methods = READ if self.robot.settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
-        anything = (*RDF_BODIES, "*/*")
-        yield Place(
-            "/data/{path}",
-            "data",
-            "What a client keeps there: RDF, a file, or a container if the path ends in a slash",
-            methods,
-            (*OFFERS, "*/*"),
-            {"PUT": anything, "POST": anything, "PATCH": (SPARQL_UPDATE, N3_PATCH, MERGE_PATCH)}
-            if "PUT" in methods
-            else {},
-            done=made,
-            query=(_FORMAT, _PAGE),
+        accepts = {
+            "PUT": (*RDF_BODIES, _ANY_TYPE),
+            "POST": (*RDF_BODIES, _ANY_TYPE),
+            "PATCH": (SPARQL_UPDATE, N3_PATCH, MERGE_PATCH),
+        }
+        yield root
+        yield replace(
+            root,
+            path=f"/{room}/{{path}}",
+            summary="What a client keeps there: RDF, a file, or a container if the path ends in a slash",
+            methods=methods,
+            reads=(*OFFERS, _ANY_TYPE),
+            plain=ANYTHING,
+            accepts={method: kinds for method, kinds in accepts.items() if method in methods},
             segments={"path": "One segment or several, with slashes between them."},
-            also=also,
         )
 
     def _stored_queries(self) -> Iterator[Place]:

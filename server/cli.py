@@ -1,4 +1,4 @@
-"""The command line: `rosld serve`, `rosld lift`, `rosld types`. What they do is in `commands/`."""
+"""The command line: `rosld serve`, `lift`, `types`, `dump`, `load`. What they do is in `commands/`."""
 
 from __future__ import annotations
 
@@ -39,6 +39,7 @@ def main() -> None:
       rosld serve ros1://localhost:11311   a live ROS 1 system
       rosld lift run.bag -o run.nq.gz      a whole recording as RDF
       rosld types run.bag                  the message types in it
+      rosld dump DIR -o data.tar.gz        a copy of what clients have put; rosld load brings it back
 
     A SOURCE is `aircraft`, the path of a recording (.bag, .mcap, .db3, a rosbag2 folder), or `ros1://HOST:PORT`
     (`ros1:` takes ROS_MASTER_URI).
@@ -174,3 +175,52 @@ def types(source: str, types: tuple[Path, ...]) -> None:
     from rosld.server.commands.types import types as run
 
     run(source, AdapterOptions(types=types))
+
+
+@main.command(short_help="Copy what clients have put in DIR into a file.")
+@click.argument("folder", metavar="DIR", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Where to write: a .tar.gz.",
+)
+def dump(folder: Path, output: Path) -> None:
+    """Copy what clients have put in DIR (`rosld serve --data DIR`) into FILE, RDF and files.
+
+    It is as it was at one moment, whether a server runs on DIR or not. FILE is there when it is whole, not before.
+
+    \b
+    Examples:
+      rosld dump /var/lib/rosld -o monday.tar.gz
+    """
+    from rosld.server.commands.dump import dump as run
+
+    run(folder, output)
+
+
+@main.command(short_help="Bring back into DIR what a dump holds.")
+@click.argument("file", type=_FILE)
+@click.argument("folder", metavar="DIR", type=_FOLDER)
+@click.option(
+    "--base-url", default=None, metavar="URL", help="What IRIs of the dump's own base begin with from now on."
+)
+def load(file: Path, folder: Path, base_url: str | None) -> None:
+    """Put what FILE holds in place of everything that clients have put in DIR, at once or not at all.
+
+    A server may run on DIR: it goes on with what FILE holds. What is not in FILE is deleted; what was deleted and is in
+    FILE comes back. DIR belongs to the base URL of the dump, unless --base-url rewrites its IRIs (those in RDF; files
+    stay as they are).
+
+    \b
+    Examples:
+      rosld load monday.tar.gz /var/lib/rosld
+      rosld load monday.tar.gz new --base-url https://data.example/
+    """
+    from rosld.server.commands.load import load as run
+
+    with told():
+        base = None if base_url is None else declared.canonical_base(base_url)
+    run(file, folder, base)

@@ -1,11 +1,43 @@
-"""The folder of `--data`: it belongs to one base URL, because its data is full of that URL."""
+"""The folder of `--data`: it belongs to one base URL, because its data is full of that URL, and to one server."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+from rosld.server.records.lock import Lock
+
 NAME = "base-url"
+LOCK = "lock"
+
+
+@contextmanager
+def hold(folder: Path) -> Iterator[None]:
+    """Within it no other process serves the folder, which is made where it is missing.
+
+    Raises ValueError where another process does, OSError where the folder cannot be written. What a process that died
+    left behind is no obstacle.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = Lock(folder / LOCK)
+    try:
+        if not lock.take():
+            raise ValueError(
+                f"{folder} is served by another rosld (process {lock.read() or 'unknown'}): "
+                "end that one first, or give this one another folder with --data"
+            )
+        lock.write(f"{os.getpid()}\n")
+        yield
+    finally:
+        lock.close()
+
+
+def owner(folder: Path) -> str | None:
+    """The base that a folder belongs to, None for one that belongs to none yet."""
+    note = folder / NAME
+    return note.read_text("utf-8").strip() if note.exists() else None
 
 
 def claim(folder: Path, base: str) -> None:
@@ -14,13 +46,16 @@ def claim(folder: Path, base: str) -> None:
     Raises ValueError where it belongs to another base, OSError where it cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    note = folder / NAME
-    if not note.exists():
-        return _write(note, base)
-    owner = note.read_text("utf-8").strip()
-    if owner != base:
-        raise ValueError(f"the data in {folder} belongs to {owner}, not {base}: start with --base-url {owner}")
-    return None
+    found = owner(folder)
+    if found is None:
+        _write(folder / NAME, base)
+    elif found != base:
+        raise ValueError(f"the data in {folder} belongs to {found}, not {base}: start with --base-url {found}")
+
+
+def disown(folder: Path) -> None:
+    """The folder, which holds nothing, belongs to no base any more."""
+    (folder / NAME).unlink(missing_ok=True)
 
 
 def _write(note: Path, base: str) -> None:

@@ -37,9 +37,10 @@ def serve(source: str, settings: Settings, *, base_given: bool) -> None:
     with told():
         adapter = adapter_for(source, settings.adapter_options)
         sock = listening.bind(settings.host, settings.port)
-    with contextlib.closing(sock), told():
+    with contextlib.closing(sock), told(), contextlib.ExitStack() as lasting:
         settings = settings_module.bound(settings, sock.getsockname()[1], base_given=base_given)
         if settings.data is not None:
+            lasting.enter_context(data_folder.hold(settings.data))
             data_folder.claim(settings.data, settings.base_url)
         _warn(settings)
         from rosld.server.app import create_app

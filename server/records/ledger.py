@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from rosld.server.records.paths import container_of
@@ -45,6 +45,9 @@ _CHANGED = """
         WHERE l.version > ?1 AND l.version > r.version
     UNION ALL SELECT path, version, 1 FROM gone WHERE version > ?1
     ORDER BY at LIMIT ?2"""
+_ENTRIES = """SELECT r.id, r.path, r.model, r.version, r.created, r.modified, r.triples, r.blob, r.size, r.media_type,
+    r.membership, r.member, l.version, l.modified, l.count FROM record r LEFT JOIN list l ON l.container = r.id
+    ORDER BY r.id"""
 _LATEST = """SELECT max(coalesce((SELECT max(version) FROM record), 0), coalesce((SELECT max(version) FROM list), 0),
     coalesce((SELECT max(version) FROM gone), 0), coalesce((SELECT max(id) FROM record), 0))"""
 _INSERT = """INSERT INTO record (id, path, container, model, version, created, modified, member, blob, size, media_type,
@@ -71,6 +74,13 @@ class Present(NamedTuple):
     listed: int | None
     list_modified: int | None
     members: int | None
+
+
+class Entry(NamedTuple):
+    """A record with its number among the members of its container, by which entries are ordered."""
+
+    number: int
+    record: Record
 
 
 class Listed(NamedTuple):
@@ -156,6 +166,14 @@ class Ledger:
         """The ids of all blobs that records refer to."""
         return {row[0] for row in self._execute("SELECT blob FROM record WHERE blob IS NOT NULL")}
 
+    def entries(self) -> Iterator[Entry]:
+        """All records, containers before their members."""
+        return (Entry(row[0], _record(row[1], row[2:])) for row in self._execute(_ENTRIES))
+
+    def gone(self) -> Iterator[str]:
+        """The paths of all records that were removed."""
+        return (row[0] for row in self._execute("SELECT path FROM gone ORDER BY path"))
+
     def foreign(self) -> bool:
         """Whether another process has changed something since this was asked last."""
         seen, self._seen = self._seen, self._data_version()
@@ -217,6 +235,46 @@ class Ledger:
             raise failure(error) from error
         return applied
 
+    def restore(self, entries: Iterable[Entry], gone: Iterable[str], now: int) -> list[str]:
+        """Put these in place of all records, with new versions, between `begin` and `commit`; the blobs set free.
+
+        Records that are there and not among them are removed; those among them come back even where they were removed.
+        Entries come as `entries` tells them. Raises ValueError where a container is missing.
+        """
+        freed = list(self.blobs())
+        before = [row[0] for row in self._execute("SELECT path FROM record ORDER BY id")]
+        self._execute("DELETE FROM record")
+        self._execute("DELETE FROM list")
+        counts, numbers, there = dict[int, int](), {"": 0}, set[str]()
+        last = 0
+        for number, record in entries:
+            container = numbers.get(container_of(record.path))
+            if container is None or number <= last or record.path in there:
+                raise ValueError(f"{record.path} comes without its container, or twice")
+            last = number
+            self._next = max(self._next, number) + 1
+            self._row(number, self._next, container, record)
+            self._execute("DELETE FROM gone WHERE path = ?", (record.path,))
+            there.add(record.path)
+            counts[container] = counts.get(container, 0) + 1
+            if record.model.is_container:
+                numbers[record.path] = number
+                self._execute("INSERT INTO list VALUES (?, 0, ?, 0)", (number, record.modified_ns))
+        for container, count in counts.items():
+            self._next += 1
+            self._execute("UPDATE list SET version = ?, count = ? WHERE container = ?", (self._next, count, container))
+        for path in before:
+            if path not in there and not container_of(path):
+                self._insert(Put(path, Model.BASIC_CONTAINER), 0, now)
+            elif path not in there:
+                self._next += 1
+                self._execute("INSERT OR REPLACE INTO gone VALUES (?, ?)", (path, self._next))
+        for path in gone:
+            if path not in there:
+                self._next += 1
+                self._execute("INSERT OR IGNORE INTO gone VALUES (?, ?)", (path, self._next))
+        return freed
+
     def _apply(self, write: Write, applied: Applied, now: int) -> None:
         """Do one write; where it raises Conflict, not even in part."""
         if isinstance(write, Put):
@@ -258,16 +316,15 @@ class Ledger:
 
     def _insert(self, put: Put, container: int, now: int) -> Record:
         self._next = version = self._next + 1
-        model, blob, triples = put.model, put.blob, put.triples
-        blob_row = (None, None, None) if blob is None else (blob.id, blob.size, blob.media_type)
-        membership = None if put.membership is None else _membership_text(put.membership)
-        self._execute(
-            _INSERT,
-            (version, put.path, container, model.value, version, now, now, put.member, *blob_row, membership, triples),
-        )
-        if model.is_container:
+        record = Record(put.path, put.model, version, now, now, put.triples, put.blob, put.membership, put.member)
+        self._row(version, version, container, record)
+        if put.model.is_container:
             self._execute("INSERT INTO list VALUES (?, 0, ?, 0)", (version, now))
-        return Record(put.path, model, version, now, now, triples, blob, put.membership, put.member)
+        return record
+
+    def _row(self, number: int, version: int, container: int, record: Record) -> None:
+        head = (number, record.path, container, record.model.value, version, record.created_ns, record.modified_ns)
+        self._execute(_INSERT, (*head, record.member, *_texts(record.blob, record.membership), record.triples))
 
     def _replace(self, put: Put, present: Present, applied: Applied, now: int) -> None:
         path, blob, triples = put.path, put.blob, put.triples
@@ -279,9 +336,7 @@ class Ledger:
         member = present.member if put.member is None else put.member
         now = max(now, present.modified)
         self._next = version = self._next + 1
-        blob_row = (None, None, None) if blob is None else (blob.id, blob.size, blob.media_type)
-        membership = None if put.membership is None else _membership_text(put.membership)
-        self._execute(_UPDATE, (version, now, member, *blob_row, membership, triples, present.id))
+        self._execute(_UPDATE, (version, now, member, *_texts(blob, put.membership), triples, present.id))
         modified = max(now, present.list_modified or 0)
         applied.records[path] = Record(
             path,
@@ -400,8 +455,12 @@ def _take(put: Put, present: str | None, applied: Applied) -> None:
         applied.freed.append(present)
 
 
-def _membership_text(membership: Membership) -> str:
-    return json.dumps([membership.resource, membership.relation, membership.inverse, membership.content])
+def _texts(blob: Blob | None, membership: Membership | None) -> tuple[str | None, int | None, str | None, str | None]:
+    """A blob and a membership as they stand in a row."""
+    text = None
+    if membership is not None:
+        text = json.dumps([membership.resource, membership.relation, membership.inverse, membership.content])
+    return (None, None, None, text) if blob is None else (blob.id, blob.size, blob.media_type, text)
 
 
 def _record(path: str, row: tuple[Any, ...]) -> Record:

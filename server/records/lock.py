@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import weakref
 from pathlib import Path
 
 if sys.platform != "win32":
@@ -15,8 +16,7 @@ class Lock:
 
     def __init__(self, path: Path) -> None:
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        # A child that was forked would hold the lock for as long as it lives.
-        os.register_at_fork(after_in_child=self.close)
+        _open.add(self)
 
     def take(self, *, shared: bool = False, wait: bool = False) -> bool:
         """Lock it, against all others or with others who share; whether that was possible."""
@@ -48,3 +48,16 @@ class Lock:
         file, self._file = self._file, -1
         if file >= 0:
             os.close(file)
+
+
+_open: weakref.WeakSet[Lock] = weakref.WeakSet()
+
+
+def _close_all() -> None:
+    for lock in tuple(_open):
+        lock.close()
+
+
+if sys.platform != "win32":
+    # A child that was forked would hold the locks for as long as it lives.
+    os.register_at_fork(after_in_child=_close_all)

@@ -65,12 +65,11 @@ def connect(folder: Path | None) -> sqlite3.Connection:
     return connection
 
 
-def unusable(path: str, error: sqlite3.Error) -> str:
+def unusable(path: str, error: Exception) -> str:
     """What to tell of a database that cannot be opened."""
     words = f"{path} cannot be used as the database of records: {error}"
-    if isinstance(error, sqlite3.OperationalError):
-        return words
-    return f"{words}. Bring a dump back into a new folder with `rosld load`"
+    broken = any(word in str(error) for word in ("malformed", "not a database", "corrupt"))
+    return f"{words}. Bring a dump back into a new folder with `rosld load`" if broken else words
 
 
 class SqliteRecords:
@@ -95,7 +94,7 @@ class SqliteRecords:
             self._make_roots(roots)
             if folder is not None:
                 self._keep_in(folder)
-        except sqlite3.DatabaseError as error:
+        except (sqlite3.DatabaseError, StorageError, Busy) as error:
             self._connection.close()
             raise ValueError(unusable(str(folder), error)) from error
         except BaseException:

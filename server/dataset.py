@@ -38,7 +38,7 @@ from rosld.server.resources.parameters import ParameterResource
 from rosld.server.resources.services import CallResource
 from rosld.server.resources.topics import TopicResource
 from rosld.server.resources.types import WHOLE, known_types, names_below, whole_shape
-from rosld.server.robot import Robot, Same
+from rosld.server.robot import Robot
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.sync import GraphEntry
 from rosld.shapes.message import shape_document
@@ -61,7 +61,7 @@ class Dataset:
     def revision(self) -> Hashable:
         """Changes whenever a description may have changed."""
         robot = self._robot
-        return (robot.graph.revision, robot.schemas.count, robot.calls.revision, robot.mappings.arrangement.revision)
+        return (robot.graph.revision, robot.schemas.count, robot.calls.revision)
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
         """Every graph without live values, by IRI."""
@@ -182,7 +182,6 @@ class Dataset:
         yield from self._containers()
         yield from self._types()
         yield from self._records()
-        yield from self._mappings()
         ontology = Document(f"{space.base}ontology", vocabulary())
         yield _described(ontology.url, 0, lambda: ontology)
 
@@ -216,13 +215,6 @@ class Dataset:
         halves = (schema.request, schema.response) if isinstance(schema, ServiceSchema) else (schema,)
         for half in halves:
             yield _described(space.shape(half.ref.name), schema.ref, partial(shape_document, half, space))
-
-    def _mappings(self) -> Iterator[GraphEntry]:
-        space, documents = self._robot.space, self._robot.mappings.documents
-        listed = partial(container_document, space.container("mappings"), tuple(documents), "Mappings")
-        yield _described(space.container("mappings"), tuple(documents), listed)
-        for url, mapping in documents.items():
-            yield _described(url, Same(mapping), partial(Document, url, mapping.triples))
 
     def _records(self) -> Iterator[GraphEntry]:
         space = self._robot.space

@@ -5,19 +5,23 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import logging
 import secrets
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
+from pyoxigraph import RdfFormat, parse
+
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import Graph, Kind, RosError, TypeRef
+from rosld.ontology.body import indexed
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.urls import Space
 from rosld.server.calls import Calls
 from rosld.server.events.watches import Signal
 from rosld.server.http.csrf import FormKey
-from rosld.server.hypermedia.documents import MappingDocument, load_mapping
+from rosld.server.hypermedia.documents import MappingDocument, load_mapping, mapping_of
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.hypermedia.offers import Offers
 from rosld.server.hypermedia.readings import Readings
@@ -26,12 +30,14 @@ from rosld.server.ldp.state import State
 from rosld.server.limiter import PublishLimiter
 from rosld.server.live.schemas import Schemas
 from rosld.server.live.topics import LiveSettings, LiveTopics
-from rosld.server.records import Changed
+from rosld.server.records import Changed, Model, Put, Record
+from rosld.server.records.describe import written
 from rosld.server.records.sqlite import open_records
 from rosld.server.settings import Settings
 from rosld.shapes.limits import Limits, read_limits
 
 OPEN_SECONDS = 5.0
+_log = logging.getLogger("rosld")
 
 
 class Robot:
@@ -63,7 +69,9 @@ class Robot:
         self.records = open_records(settings.data, roots=("mappings/",))
         self.kept_changes = Signal()
         self.mappings = Mappings()
-        for document in documents_of(settings, adapter, self.space):
+        self.mapping_turn = asyncio.Lock()
+        self._given = tuple(documents_of(settings, adapter, self.space))
+        for document in self._given:
             self.mappings.replace(document)
         self.readings = Readings(
             adapter,
@@ -119,6 +127,7 @@ class Robot:
         await self.adapter.open(self, deadline=self.deadline(OPEN_SECONDS))
         self.topics.start()
         self.records.watch(self._kept)
+        await self._keep_mappings()
         self._changed.set()
         gc.collect()
         gc.freeze()  # what is loaded now stays: looking through it again and again would hold everybody up
@@ -151,6 +160,29 @@ class Robot:
     def _moved(self) -> None:
         self._changed.set()
         self.changes.give()
+
+    async def _keep_mappings(self) -> None:
+        """Keep the mappings to begin with, and put those into force that were kept by an earlier run.
+
+        What the robot comes with gives way to what clients made of it; what the settings name does not.
+        """
+        named = {self.space.url("mappings", (path.stem,)) for path in self.settings.mapping}
+        for document in self._given:
+            path = document.url[len(self.space.base) :]
+            if self.records.was_there(path):
+                self.mappings.remove(document.url)
+            elif self.records.get(path) is None or document.url in named:
+                await self.records.write(Put(path, Model.RDF_SOURCE, written(document.triples)))
+        for member in self.records.members("mappings/"):
+            record, url = self.records.get(member.path), self.space.base + member.path
+            if record is not None and (url not in self.mappings.documents or url not in named):
+                self._put_into_force(record, url)
+
+    def _put_into_force(self, record: Record, url: str) -> None:
+        try:
+            self.mappings.replace(mapping_of(indexed(parse(record.triples, RdfFormat.N_TRIPLES), url), url))
+        except ValueError as error:
+            _log.error("The mapping %s is kept and not in force: %s", url, error)
 
     def _kept(self, changes: Sequence[Changed]) -> None:
         for each in changes:

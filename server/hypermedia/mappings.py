@@ -34,9 +34,12 @@ class Mappings:
 
         Raises MappingRefused, and changes nothing, where it and another one speak of the same path or condition.
         """
-        others = {url: each for url, each in self._documents.items() if url != document.url}
-        _check(document, others.values())
+        self.check(document)
         self._become({**self._documents, document.url: document})
+
+    def check(self, document: MappingDocument) -> None:
+        """Raise MappingRefused where `replace` would."""
+        _check(document, [each for url, each in self._documents.items() if url != document.url])
 
     def remove(self, url: str) -> None:
         """Take the document of this URL out of force; nothing happens where there is none."""

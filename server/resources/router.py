@@ -21,7 +21,6 @@ from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.entry import EntryResource
 from rosld.server.resources.files import FILES
 from rosld.server.resources.kept.room import kept_room
-from rosld.server.resources.mappings import mapping_room
 from rosld.server.resources.members import MemberResource
 from rosld.server.resources.namespaces import NamespaceContainer
 from rosld.server.resources.nodes import NodeResource
@@ -110,7 +109,7 @@ ROOMS: Mapping[str, Room] = {
     "bags": bag_room,
     "resources": _resources,
     "data": kept_room,
-    "mappings": mapping_room,
+    "mappings": kept_room,
     ".well-known": _well_known,
     "ontology": _single(OntologyResource),
 } | {name: _single(make) for name, make in FILES.items()}

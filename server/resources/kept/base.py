@@ -12,13 +12,17 @@ from rosld.server.http.conditional import require_if_match
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import (
+    RDF_BODIES,
     READ,
     Answer,
     Resource,
     moved,
 )
 from rosld.server.records import Conflict, Record, Remove, Write
+from rosld.server.resources.kept.judging import judge_of
 from rosld.server.robot import Robot
+
+ANYTHING = "*/*"
 
 
 class Kept(Resource):
@@ -32,7 +36,19 @@ class Kept(Resource):
         self.path = path
         self.title = "/" + path
 
+    def __eq__(self, other: object) -> bool:
+        """One is made for each request: those of one URL are the same, to whoever follows it."""
+        return isinstance(other, Kept) and (type(other), other.url) == (type(self), self.url)
+
+    def __hash__(self) -> int:
+        return hash(self.url)
+
     writes: ClassVar[frozenset[str]] = frozenset()
+
+    @property
+    def makes(self) -> Sequence[str]:
+        """The media types of what may be made here: RDF only, where somebody judges it."""
+        return (*RDF_BODIES, ANYTHING) if judge_of(self.robot, self.path + "?") is None else RDF_BODIES
 
     def methods(self) -> frozenset[str]:
         return READ if self.robot.settings.read_only else READ | self.writes
@@ -44,7 +60,8 @@ class Kept(Resource):
 
     @property
     def constrained_by(self) -> str | None:
-        return self.robot.space.shape("data")
+        judge = judge_of(self.robot, self.path)
+        return self.robot.space.shape("data" if judge is None else judge.shape)
 
     def there(self) -> Record:
         """The record; a 404 or 410 Problem where there is none."""
@@ -62,7 +79,18 @@ class Kept(Resource):
             require_if_match(exchange.header("if-match"), "What is kept is changed by those who have read it.")
 
     async def do(self, *writes: Write) -> Sequence[Record | None]:
-        """Do these writes; a 409 Problem where that is not possible as things are."""
+        """Do these writes if they are found good; a 409 Problem where that is not possible as things are."""
+        judge = judge_of(self.robot, self.path)
+        if judge is None:
+            return await self._done(writes)
+        async with judge.turn:
+            sequels = [await judge.judged(write) for write in writes]
+            records = await self._done(writes)
+            for sequel in sequels:
+                sequel()
+            return records
+
+    async def _done(self, writes: Sequence[Write]) -> Sequence[Record | None]:
         try:
             return await self.robot.records.write(*writes)
         except Conflict as error:

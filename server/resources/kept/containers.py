@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
@@ -24,7 +22,7 @@ from rosld.server.records import Model
 from rosld.server.records.describe import META
 from rosld.server.resources.kept.base import Kept
 from rosld.server.resources.kept.bodies import asked_model
-from rosld.server.resources.kept.files import ANYTHING, KeptFile
+from rosld.server.resources.kept.files import KeptFile
 from rosld.server.resources.kept.making import made
 from rosld.server.resources.kept.showing import PAGE, after_page, page_shown, shown
 from rosld.server.resources.kept.sources import N3_PATCH, SourceResource
@@ -35,16 +33,12 @@ class ContainerResource(SourceResource):
     """A container (LDP 5): POST makes a member, its members are told with it, in pages where there are many."""
 
     kind = "Container"
-    accepts: Mapping[str, Sequence[str]] = {
-        "POST": (*RDF_BODIES, ANYTHING),
-        "PUT": RDF_BODIES,
-        "PATCH": (SPARQL_UPDATE, N3_PATCH),
-    }
     writes = frozenset({"PUT", "PATCH", "POST", "DELETE"})
     takes_forms = False
 
     def __init__(self, robot: Robot, path: str, parts: Parts = ALL, after: int | None = None) -> None:
         super().__init__(robot, path)
+        self.accepts = {"POST": self.makes, "PUT": RDF_BODIES, "PATCH": (SPARQL_UPDATE, N3_PATCH)}
         self._parts = parts
         self._after = after
         record = robot.records.get(path)

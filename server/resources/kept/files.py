@@ -26,12 +26,10 @@ from rosld.server.ldp.standing import standing_headers
 from rosld.server.ldp.state import State
 from rosld.server.records import Blob, Model, Put, Record
 from rosld.server.records.describe import META
-from rosld.server.resources.kept.base import Kept
+from rosld.server.resources.kept.base import ANYTHING, Kept
 from rosld.server.resources.kept.bodies import one_chunk, received, require_model
 from rosld.server.resources.kept.showing import shown
 from rosld.server.robot import Robot
-
-ANYTHING = "*/*"
 
 
 class KeptFile(Kept):

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 from rosld.ontology.urls import Location
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import (
-    RDF_BODIES,
     Answer,
     Resource,
     moved,
@@ -18,7 +15,6 @@ from rosld.server.records.describe import META
 from rosld.server.resources.kept.base import Kept, missing
 from rosld.server.resources.kept.bodies import asked_model
 from rosld.server.resources.kept.containers import creation, resource_of
-from rosld.server.resources.kept.files import ANYTHING
 from rosld.server.resources.kept.sources import DescriptionResource
 from rosld.server.robot import Robot
 
@@ -28,8 +24,16 @@ class AbsentResource(Kept):
 
     kind = "Absent"
     writes = frozenset({"PUT"})
-    accepts: Mapping[str, Sequence[str]] = {"PUT": (*RDF_BODIES, ANYTHING)}
     links = ()
+
+    def __init__(self, robot: Robot, path: str) -> None:
+        super().__init__(robot, path)
+        self.accepts = {"PUT": self.makes}
+
+    async def narrowed(self, exchange: Exchange) -> Resource:
+        if exchange.method not in ("PUT", "OPTIONS"):
+            raise missing(self.robot, self.path)
+        return self
 
     async def state(self) -> State:
         raise missing(self.robot, self.path)

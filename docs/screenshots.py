@@ -1,7 +1,7 @@
-"""Photographs the demo for the README: `python docs/screenshots.py` writes entry.png, topic.png and sparql.png here.
+"""Photographs the demo for the README: `python docs/screenshots.py` writes the pictures beside it.
 
-It starts `rosld serve aircraft` on a free port, waits for the URL on its standard output, and ends it again. Needs
-chromium and the fonts in tests/debian-browser.txt.
+It starts `rosld serve aircraft` on a free port, waits for the URL on its standard output, starts the aircraft, and ends
+it all again. Needs chromium and the fonts in tests/debian-browser.txt.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import quote
-from urllib.request import urlopen
+from urllib.request import Request, urlopen
 
 HERE = Path(__file__).parent
 QUERY = """PREFIX ros: <https://w3id.org/rosld#>
@@ -27,6 +27,7 @@ SELECT ?node ?topic ?type ?rate WHERE {
 ORDER BY ?topic"""
 PICTURES = {
     "entry.png": ("", (1100, 940)),
+    "resource.png": ("resources/aircraft/", (1100, 760)),
     "topic.png": ("topics/aircraft/engine/speed", (1100, 760)),
     "sparql.png": (f"sparql?query={quote(QUERY, safe='')}&format=html", (1100, 860)),
 }
@@ -63,6 +64,7 @@ def photograph(url: str, target: Path, size: tuple[int, int]) -> None:
 
 def main() -> None:
     with aircraft() as base:
+        urlopen(Request(f"{base}resources/aircraft/start", method="POST"), timeout=30).close()
         for name, (path, size) in PICTURES.items():
             urlopen(base + path, timeout=30).close()  # the first look subscribes, so the second has a value
             photograph(base + path, HERE / name, size)

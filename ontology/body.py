@@ -74,12 +74,13 @@ class RdfBody:
 _NOTHING: Properties = {}
 
 
-def parse_body(data: bytes, media_type: str, base: str) -> RdfBody:
+def parse_body(data: bytes, media_type: str, base: str, *, alone: bool = False) -> RdfBody:
     """The triples of `data`, its relative IRIs resolved against `base` (absolute).
 
-    Of a dataset those of the default graph and of the graph named `base` are taken. Raises BodyError for what is not
-    UTF-8, nested deeper than `DEEPEST`, in need of something to be fetched, or no `media_type` at all; ValueError for a
-    media type not in `MEDIA_TYPES`. The caller checks the size.
+    Of a dataset those of the default graph and of the graph named `base` are taken; other graphs are passed over, or
+    refused where these are to come `alone`. Raises BodyError for such a graph, for what is not UTF-8, nested deeper
+    than `DEEPEST`, in need of something to be fetched, or no `media_type` at all; ValueError for a media type not in
+    `MEDIA_TYPES`. The caller checks the size.
     """
     form = _FORMATS.get(media_type)
     if form is None:
@@ -94,21 +95,22 @@ def parse_body(data: bytes, media_type: str, base: str) -> RdfBody:
     else:
         _check_depth(data, _TURTLE_TOKENS, b"[({<")
     try:
-        return indexed(parse(data, form, base_iri=base), base)
+        return indexed(parse(data, form, base_iri=base), base, alone=alone)
     except SyntaxError as error:
         raise _syntax_error(error) from error
     except ValueError as error:
         raise BodyError(str(error)) from error
 
 
-def indexed(quads: Iterable[Quad], base: str) -> RdfBody:
-    """The quads of the default graph and of the graph named `base`, as a body."""
+def indexed(quads: Iterable[Quad], base: str, *, alone: bool = False) -> RdfBody:
     """The triples of the default graph and of the graph named `base`, by subject and predicate."""
     graphs = (DefaultGraph(), NamedNode(base))
     subjects: dict[Subject, dict[NamedNode, list[Term]]] = {}
     size = 0
     for subject, predicate, object, graph in quads:
         if graph not in graphs:
+            if alone:
+                raise BodyError(f"the graph {graph} is none of this resource: put it under a URL of its own")
             continue
         subjects.setdefault(subject, {}).setdefault(predicate, []).append(object)
         size += 1

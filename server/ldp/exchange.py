@@ -60,17 +60,29 @@ class Exchange:
 
     @cached_property
     def media_type(self) -> str:
-        """The media type of the body without parameters; raises a 415 Problem where a body states none."""
-        stated = self.header("content-type")
-        if stated is None:
+        """The media type of a body that is to be read, without parameters.
+
+        Raises a 415 Problem where the body states none, or another charset than UTF-8.
+        """
+        found = self._content_type
+        if found is None:
             raise Problem(415, "The request has a body of unknown type: send Content-Type.")
+        if found.parameter("charset") not in (None, "utf-8", "utf8"):
+            raise Problem(415, f"Content-Type: {self.header('content-type')!r}: bodies are read as UTF-8 only.")
+        return found.essence
+
+    @property
+    def essence(self) -> str | None:
+        """The media type of the body without parameters, whatever its charset; None where it states none."""
+        return None if self._content_type is None else self._content_type.essence
+
+    @cached_property
+    def _content_type(self) -> media.MediaType | None:
+        stated = self.header("content-type")
         try:
-            found = media.parse(stated)
+            return None if stated is None else media.parse(stated)
         except ValueError as error:
             raise Problem(415, f"Content-Type: {error}.") from error
-        if found.parameter("charset") not in (None, "utf-8", "utf8"):
-            raise Problem(415, f"Content-Type: {stated!r}: bodies are read as UTF-8 only.")
-        return found.essence
 
     def become(self, method: str, media_type: str, body: bytes) -> None:
         """Turn into the request that a form meant."""

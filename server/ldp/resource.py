@@ -135,11 +135,11 @@ class Resource:
 
 @dataclass(frozen=True, slots=True)
 class Created:
-    """A resource that a write made: answered as 201 with its location and, as body, its state."""
+    """A resource that a write made: answered as 201 with its location and, as body, its state if there is one."""
 
     location: str
     resource: Resource
-    state: State
+    state: State | None
     links: tuple[Link, ...] = ()
 
 

@@ -31,7 +31,8 @@ class State:
     raises the Problem that says why there is none (406). `received_ns` is when its newest sample was received, for Age.
     `max_age`: seconds for which it may be shown without asking again (RFC 9111 5.2.2.1); 0: ask each time.
     `view` is what its page is drawn from, where that is more than its RDF. `scope` names what `tag` is unique in, where
-    that outlives this run of the server. `headers` go with every representation.
+    that outlives this run of the server. `part` ends the variant of its ETags where it is only a part of the resource,
+    so that the part guards a write as the whole does. `headers` go with every representation.
     A state is kept as long as nothing changes, and its renderings with it.
     """
 
@@ -42,6 +43,7 @@ class State:
     max_age: int = 0
     view: View | None = None
     scope: str | None = None
+    part: str = ""
     headers: Mapping[str, str] = field(default_factory=dict)
     renderings: dict[str, Rendering] = field(default_factory=dict)
 

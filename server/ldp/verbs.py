@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from starlette.responses import Response
 
@@ -75,7 +75,7 @@ class Verbs:
         except (BodyError, LoweringError, Problem) as error:
             raise _constrained(resource, error) from error
         if isinstance(answer, Created):
-            return await self._created(exchange, answer)
+            return await self._created(exchange, resource, answer)
         if isinstance(answer, Shown):
             return await self._shown(exchange, answer)
         return await self._as_preferred(exchange, resource, answer)
@@ -131,7 +131,7 @@ class Verbs:
         else:
             body = _serialized(state, _JSON_IS_JSONLD.get(media_type, media_type))
         name = f"{self.boot}-{digest(body)}" if media_type == HTML else self._name(state)  # a page shows more
-        etag = str(ETag(name, VARIANTS[media_type]))
+        etag = str(ETag(name, VARIANTS[media_type] + state.part))
         headers = {
             "content-type": f"{media_type}; charset=utf-8" if media_type.startswith("text/") else media_type,
             "content-length": str(len(body)),
@@ -203,14 +203,25 @@ class Verbs:
             back = resource.url.rstrip("/").rpartition("/")[0] + "/"
         return Response(status_code=303, headers={"Location": link.uri(back)})
 
-    async def _created(self, exchange: Exchange, created: Created) -> Response:
-        """201 with the new resource as body (RFC 9110 15.3.2), or without where less is preferred."""
+    async def _created(self, exchange: Exchange, resource: Resource, created: Created) -> Response:
+        """201 with the new resource as body (RFC 9110 15.3.2), or without where less is preferred.
+
+        It says also what that is which the request was sent to (LDP 5.2.1.4).
+        """
         headers = [(b"location", link.uri(created.location).encode("ascii"))]
-        if created.links:
-            headers.append((b"link", link.render(created.links).encode("latin-1")))
-        if exchange.prefer.minimal:
-            applied = (b"preference-applied", b"return=minimal")
-            return Prepared(201, b"", [*headers, applied, (b"content-length", b"0")])
+        is_member = created.location != resource.url
+        links = created.links
+        if exchange.prefer.minimal or created.state is None:
+            links = (*(resource if is_member else created.resource).links, *links)
+            headers += [(b"link", link.render(links).encode("latin-1")), (b"content-length", b"0")]
+            if exchange.prefer.minimal:
+                headers.append((b"preference-applied", b"return=minimal"))
+            return Prepared(201, b"", headers)
+        if is_member:
+            types = (replace(each, anchor=resource.url) for each in resource.links if each.rel == "type")
+            links = (*links, *types)
+        if links:
+            headers.append((b"link", link.render(links).encode("latin-1")))
         rendering = await self.rendering(exchange, created.resource, created.state)
         return Prepared(201, rendering.body, [*rendering.headers, *headers, (b"content-location", headers[0][1])])
 
@@ -327,7 +338,9 @@ def _check_media_type(exchange: Exchange, resource: Resource) -> None:
         return
     if exchange.header("content-type") is None and exchange.header("content-length") in (None, "0"):
         return
-    if exchange.media_type not in accepted and "*/*" not in accepted:
+    if "*/*" in accepted and exchange.essence is not None:
+        return
+    if exchange.media_type not in accepted:
         headers = {ACCEPT_FIELDS[exchange.method]: ", ".join(accepted)}
         raise Problem(
             415, f"{exchange.method} takes {', '.join(accepted)} here, not {exchange.media_type}.", headers=headers

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Iterable, Iterator, Sequence
 
 from pyoxigraph import NamedNode, Triple
 
@@ -11,10 +11,12 @@ from rosld.ontology.vocab import ldp
 from rosld.server.http.link import parse as parse_links
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.files import exact_media_type
 from rosld.server.ldp.interaction import (
     membership_of,
     membership_triples,
     model_asked,
+    rdf_types,
 )
 from rosld.server.records import Blob, Membership, Model, Record
 from rosld.server.records.describe import MEMBERSHIP, is_managed
@@ -25,15 +27,14 @@ from rosld.server.robot import Robot
 def asked_model(exchange: Exchange, url: str, *, container: bool) -> Model:
     """The interaction model that a request to `url` asks for; `container`: what is made has a URL of a container."""
     links = parse_links(exchange.header("link") or "")
-    media_type = exchange.media_type if exchange.header("content-type") is not None else None
-    return model_asked(links, url, media_type, container_hint=container)
+    return model_asked(links, url, exchange.essence, container_hint=container)
 
 
 def require_model(exchange: Exchange, model: Model, url: str) -> None:
     """Raise a 409 Problem where a request asks to turn a resource into one of another model (LDP 4.2.3, 5.2.3.4)."""
     links = parse_links(exchange.header("link") or "")
-    asked = any(link.rel == "type" for link in links)
-    if asked and asked_model(exchange, url, container=url.endswith("/")) is not model:
+    asked = {link.target for link in links if "type" in link.rel.lower().split() and link.target.startswith(ldp.iri)}
+    if not asked <= {kind.value for kind in rdf_types(model)}:
         raise Problem(409, f"This is an ldp:{model.value}, and stays one: make another resource for another model.")
 
 
@@ -42,7 +43,7 @@ async def statements(exchange: Exchange, url: str) -> RdfBody:
     data = await exchange.body()
     if not data and exchange.header("content-type") is None:
         return RdfBody({}, 0)
-    return parse_body(data, exchange.media_type, url)
+    return parse_body(data, exchange.media_type, url, alone=True)
 
 
 def triples_of(body: RdfBody) -> tuple[Triple, ...]:
@@ -72,12 +73,25 @@ def require_contained(robot: Robot, record: Record, triples: Sequence[Triple]) -
         return
     members = {NamedNode(robot.space.base + each.path) for each in all_members(robot, record)}
     if stated != members:
-        raise Problem(409, "What a container contains is changed by POST and DELETE, not by its triples.")
+        raise Problem(
+            409, "What a container contains (ldp:contains) is changed by POST and DELETE, not by its triples."
+        )
+
+
+def require_same_members(before: Iterable[Triple], after: Iterable[Triple], url: str) -> None:
+    """Raise a 409 Problem where a patch would change what a container contains (LDP 5.2.4.1)."""
+    subject = NamedNode(url)
+    told, left = (
+        {each.object for each in triples if each.predicate == ldp.contains and each.subject == subject}
+        for triples in (before, after)
+    )
+    if told != left:
+        raise Problem(409, "What a container contains (ldp:contains) is changed by POST and DELETE, not by a patch.")
 
 
 async def received(robot: Robot, exchange: Exchange) -> Blob:
     """The body as a blob, streamed to where it is kept."""
-    media_type = exchange.header("content-type") or "application/octet-stream"
+    media_type = exact_media_type(exchange.header("content-type"))
     limit = robot.settings.upload_limit
     return await robot.records.receive(exchange.chunks(limit=limit), media_type, most=limit)
 

@@ -25,6 +25,7 @@ from rosld.server.resources.kept.bodies import (
     require_contained,
     require_membership,
     require_model,
+    require_same_members,
     statements,
     triples_of,
 )
@@ -63,6 +64,7 @@ class SourceResource(Kept):
             after: Sequence[Triple] = applied(read_patch(data, self.document_url), document.triples)
         else:
             after = triples_of(updated(data, document.triples, self.document_url))
+        require_same_members(document.triples, after, self.url)
         await self.replace(record, after)
         return Response(status_code=204)
 

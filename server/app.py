@@ -27,6 +27,7 @@ from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import Pages
 from rosld.server.ldp.resource import Resource
 from rosld.server.ldp.verbs import Verbs, options
+from rosld.server.records.record import StorageError
 from rosld.server.resources.channels import Notifications, rooms
 from rosld.server.resources.router import ROOMS, Router
 from rosld.server.robot import Robot
@@ -142,6 +143,8 @@ class Application:
             error = problem_of(error)
         elif isinstance(error, BodyError | LoweringError):
             error = problem_of_body(error)
+        elif isinstance(error, StorageError):
+            error = Problem(507 if error.full else 503, str(error))
         if not isinstance(error, Problem):
             _log.exception("%s %s failed", exchange.method, exchange.request.scope["path"], exc_info=error)
             error = Problem(500, "The server failed on this request; its log says more.")

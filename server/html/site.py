@@ -9,7 +9,7 @@ from urllib.parse import unquote, urlsplit
 from rosld.ontology.urls import TYPES, locate
 from rosld.ontology.vocab import PREFIXES, ros
 
-SECTIONS = ("resources", "nodes", "topics", "services", "parameters", "types", "mappings", "queries")
+SECTIONS = ("resources", "nodes", "topics", "services", "parameters", "types", "mappings", "data", "queries")
 """What the navigation of every page offers, beside SPARQL."""
 
 _NAMED = frozenset({"nodes", "topics", "services", "actions", "parameters", "resources"})

@@ -39,7 +39,10 @@ class EntryResource(Resource):
         counts = (
             first,
             *(Count(ROOMS[room], number, space.container(room)) for room, number in numbers.items() if number),
-            *(Count(ROOMS[room], None, space.container(room)) for room in ("types", "mappings", "calls", "queries")),
+            *(
+                Count(ROOMS[room], None, space.container(room))
+                for room in ("types", "mappings", "data", "calls", "queries")
+            ),
         )
         return render_entry(EntryPage(site, state.document, counts, self._example(), tuple(notices)))
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from rosld.ontology.urls import encode_segment
+from rosld.server.html import Form, Step
 from rosld.server.http.link import Link
-from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.interaction import (
     model_links,
 )
+from rosld.server.ldp.paging import Place, first_page, read_place
 from rosld.server.ldp.parts import ALL, Parts, wanted
 from rosld.server.ldp.resource import (
     RDF_BODIES,
@@ -24,7 +28,7 @@ from rosld.server.resources.kept.base import Kept
 from rosld.server.resources.kept.bodies import asked_model
 from rosld.server.resources.kept.files import KeptFile
 from rosld.server.resources.kept.making import made
-from rosld.server.resources.kept.showing import PAGE, after_page, page_shown, shown
+from rosld.server.resources.kept.showing import page_at, page_shown, shown
 from rosld.server.resources.kept.sources import N3_PATCH, SourceResource
 from rosld.server.robot import Robot
 
@@ -36,11 +40,11 @@ class ContainerResource(SourceResource):
     writes = frozenset({"PUT", "PATCH", "POST", "DELETE"})
     takes_forms = False
 
-    def __init__(self, robot: Robot, path: str, parts: Parts = ALL, after: int | None = None) -> None:
+    def __init__(self, robot: Robot, path: str, parts: Parts = ALL, place: Place | None = None) -> None:
         super().__init__(robot, path)
         self.accepts = {"POST": self.makes, "PUT": RDF_BODIES, "PATCH": (SPARQL_UPDATE, N3_PATCH)}
         self._parts = parts
-        self._after = after
+        self._place = place
         record = robot.records.get(path)
         self.links = model_links(record.model if record is not None else Model.BASIC_CONTAINER)
 
@@ -55,18 +59,25 @@ class ContainerResource(SourceResource):
         parts = wanted(exchange.prefer) if exchange.header("prefer") is not None else ALL
         page = exchange.query.get("page")
         if page is not None:
-            return ContainerResource(self.robot, self.path, parts, after_page(page))
-        if self.there().count > PAGE and (parts.containment or parts.membership):
-            raise Problem(
-                303, "It comes in pages.", title="See its first page", headers={"Location": f"{self.url}?page=0"}
-            )
+            return ContainerResource(self.robot, self.path, parts, read_place(page))
+        if parts.containment or parts.membership:
+            first = first_page(self.url, self.there().count, exchange.prefer)
+            if first is not None:
+                raise first
         return self if parts is ALL else ContainerResource(self.robot, self.path, parts)
 
     async def state(self) -> State:
         record = self.there()
-        if self._after is None:
+        if self._place is None:
             return shown(self.robot, record, self._parts)
-        return page_shown(self.robot, record, self._parts, self._after)
+        return page_shown(self.robot, record, self._parts, self._place)
+
+    def steps(self) -> tuple[Step, ...]:
+        record = self.robot.records.get(self.path)
+        return () if self._place is None or record is None else page_at(self.robot, record, self._place)[0].steps()
+
+    async def forms(self) -> Sequence[Form]:
+        return ()  # a form that is posted here is a file like any other
 
     def streams(self, exchange: Exchange) -> bool:
         return exchange.method == "POST" and self._model(exchange) is Model.NON_RDF_SOURCE
@@ -81,10 +92,10 @@ class ContainerResource(SourceResource):
         records = self.robot.records
 
         def taken(name: str) -> bool:
-            paths = (self.path + name, f"{self.path}{name}/")
+            paths = (self.path + encode_segment(name), f"{self.path}{encode_segment(name)}/")
             return any(records.get(path) is not None or records.was_there(path) for path in paths)
 
-        name = free_name(exchange.header("slug"), taken)
+        name = encode_segment(free_name(exchange.header("slug"), taken))
         path = f"{self.path}{name}/" if model.is_container else self.path + name
         return await creation(self.robot, path, model, exchange)
 
@@ -98,8 +109,8 @@ def resource_of(robot: Robot, path: str, model: Model) -> Kept:
 
 async def creation(robot: Robot, path: str, model: Model, exchange: Exchange) -> Created:
     """A new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3)."""
-    resource = resource_of(robot, path, model)
-    record = await made(resource, model, exchange)
-    described = Link(resource.url + META, "describedby", anchor=resource.url)
-    links = (described,) if model is Model.NON_RDF_SOURCE else ()
-    return Created(resource.url, resource, shown(robot, record), links)
+    record = await made(resource_of(robot, path, model), model, exchange)
+    resource = resource_of(robot, path, model)  # as it is now that it is there
+    if model is Model.NON_RDF_SOURCE:
+        return Created(resource.url, resource, None, (Link(resource.url + META, "describedby", anchor=resource.url),))
+    return Created(resource.url, resource, shown(robot, record))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from pyoxigraph import Triple
+
 from rosld.ontology.document import Document
 from rosld.server.http.link import render
 from rosld.server.ldp.interaction import (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rosld.ontology.urls import Location
+from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import (
     Answer,
@@ -50,6 +51,16 @@ class AbsentResource(Kept):
         return await creation(self.robot, self.path, self._model(exchange), exchange)
 
 
+def missing_description(robot: Robot, path: str) -> Problem:
+    """410 where the description went with its file (LDP 5.2.5.2), else 404: it comes with a file and not otherwise."""
+    file = path.removesuffix(META)
+    if robot.records.was_there(file):
+        return Problem(410, f"/{file} was deleted, and its description with it.")
+    return Problem(
+        404, f"/{path} would describe a file at /{file}, and there is none: PUT the file, and it comes along."
+    )
+
+
 def kept_room(robot: Robot, location: Location) -> Resource:
     """`/data/` and below: as what is recorded now has it."""
     if not location.segments and not location.is_container:
@@ -62,6 +73,7 @@ def kept_room(robot: Robot, location: Location) -> Resource:
         return resource_of(robot, path, record.model)
     if path.endswith(META):
         described = robot.records.get(path.removesuffix(META))
-        if described is not None and described.model is Model.NON_RDF_SOURCE:
-            return DescriptionResource(robot, path)
+        if described is None or described.model is not Model.NON_RDF_SOURCE:
+            raise missing_description(robot, path)
+        return DescriptionResource(robot, path)
     return AbsentResource(robot, path)

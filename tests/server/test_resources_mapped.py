@@ -254,10 +254,7 @@ def test_guards_go_with_the_thing_wherever_it_is_written(arm: MadeUp, serving: S
 def test_a_condition_that_does_not_hold_hides_all_that_lies_below(arm: MadeUp, serving: Serving) -> None:
     http = serving()
     mapped(http, SAFE)
-    paths = [
-        f"/resources/arm/hand/{path}"
-        for path in ("", "width", "wave", "finger/", "finger/length")
-    ]
+    paths = [f"/resources/arm/hand/{path}" for path in ("", "width", "wave", "finger/", "finger/length")]
     assert all(http.get(path).status_code == 200 for path in paths)
     assert value(http, "/resources/arm/hand/finger/") == {"length": 8}
     mode(http, "automatic")

@@ -48,34 +48,18 @@ class Blobs:
         id = secrets.token_hex(16)
         part = self._folder / (id + _PART)
         try:
-            file = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+            with _told():
+                file = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
             try:
-                size = await self._fill(file, chunks, most)
+                size = await _fill(file, chunks, most)
                 await self._settle(file, part, self.path(id))
             finally:
                 os.close(file)
-        except OSError as error:
-            _unlink(part)
-            raise failure(error) from error
         except BaseException:
             _unlink(part)
             _unlink(self.path(id))
             raise
         return id, size
-
-    async def _fill(self, file: int, chunks: AsyncIterator[bytes], most: int) -> int:
-        size, held, waiting = 0, 0, list[bytes]()
-        async for chunk in chunks:
-            size += len(chunk)
-            if size > most:
-                raise ValueError(f"more than {most} bytes were sent")
-            waiting.append(chunk)
-            held += len(chunk)
-            if held > _AT_ONCE:
-                await _finished(_write, file, waiting)
-                held, waiting = 0, []
-        _write(file, waiting)
-        return size
 
     async def _settle(self, file: int, part: Path, path: Path) -> None:
         def settle() -> None:
@@ -83,10 +67,11 @@ class Blobs:
             part.rename(path)
             sync_folder(self._folder)
 
-        if self._durable:
-            await _finished(settle)
-        else:
-            os.rename(part, path)  # noqa: PTH104 - as quick as the thread would be to begin
+        with _told():
+            if self._durable:
+                await _finished(settle)
+            else:
+                os.rename(part, path)  # noqa: PTH104 - as quick as the thread would be to begin
 
     def add(self, file: IO[bytes], size: int) -> str:
         """Copy a file that must hold so many bytes: the id of the copy, whose name is durable after `sync`."""
@@ -176,15 +161,48 @@ def failure(error: OSError) -> StorageError:
     return StorageError(f"The file could not be kept: {words}.", full=full)
 
 
+@contextmanager
+def _told() -> Iterator[None]:
+    """Turns what the disk refuses into a StorageError."""
+    try:
+        yield
+    except OSError as error:
+        raise failure(error) from error
+
+
+async def _fill(file: int, chunks: AsyncIterator[bytes], most: int) -> int:
+    """Write what comes; its size. What `chunks` raises is raised as it is."""
+    size, held, waiting = 0, 0, list[bytes]()
+    async for chunk in chunks:
+        size += len(chunk)
+        if size > most:
+            raise ValueError(f"more than {most} bytes were sent")
+        waiting.append(chunk)
+        held += len(chunk)
+        if held > _AT_ONCE:
+            with _told():
+                await _finished(_write, file, waiting)
+            held, waiting = 0, []
+    with _told():
+        _write(file, waiting)
+    return size
+
+
 async def _finished(work: Callable[..., None], *arguments: object) -> None:
     """Do it in another thread, to its end even where nobody waits any more: it holds a file that is closed next."""
-    doing = asyncio.ensure_future(asyncio.to_thread(work, *arguments))
-    try:
-        await asyncio.shield(doing)
-    except asyncio.CancelledError:
-        with contextlib.suppress(OSError):
-            await doing
-        raise
+    doing = asyncio.get_running_loop().run_in_executor(None, work, *arguments)
+    cancelled: asyncio.CancelledError | None = None
+    while not doing.done():
+        try:
+            await asyncio.shield(doing)
+        except asyncio.CancelledError as error:
+            cancelled = error
+        except OSError:
+            break
+    if cancelled is not None:
+        doing.exception()  # looked at, so that nobody complains of it
+        raise cancelled
+    doing.result()
 
 
 def _write(file: int, chunks: Iterable[bytes]) -> None:

@@ -29,7 +29,7 @@ _spec.loader.exec_module(writer)
 
 
 def killed(folder: Path, first: int, delay: float, *, opening: bool) -> list[list[str]]:
-    """What a writer says until it is killed, so many seconds after its beginning, or after it has opened the records."""
+    """What a writer says until it is killed, so many seconds after it has begun, or has opened the records."""
     command = [sys.executable, str(WRITER), str(folder), str(first)]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None

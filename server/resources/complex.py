@@ -57,6 +57,10 @@ class ComplexResource(Resource):
             Link(f"{self.url}?format=td", "describedby", type=MEDIA_TYPE),
         )
 
+    @property
+    def constrained_by(self) -> str | None:
+        return self.robot.space.shape("limits")
+
     async def ready(self) -> None:
         await self._plan()
 

@@ -7,9 +7,12 @@ from collections.abc import Callable
 from starlette.responses import Response
 
 from rosld.server import html
+from rosld.server.http.conditional import ETag, guard
 from rosld.server.http.link import Link
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import LDP, RESOURCE, Resource
+from rosld.server.ldp.standing import standing_headers
+from rosld.server.ldp.state import digest
 from rosld.server.robot import Robot
 
 _DAY = 86400
@@ -27,7 +30,16 @@ class FileResource(Resource):
         self._media_type = media_type
 
     async def special(self, exchange: Exchange) -> Response | None:
-        headers = {"Cache-Control": f"max-age={_DAY}", "X-Content-Type-Options": "nosniff"}
+        etag = ETag(digest(self._data), "bin")
+        headers = {
+            **standing_headers(self),
+            "etag": str(etag),
+            "cache-control": f"max-age={_DAY}",
+            "x-content-type-options": "nosniff",
+        }
+        if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
+        if guard(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
+            return Response(status_code=304, headers=headers)
         return Response(self._data, media_type=self._media_type, headers=headers)
 
 

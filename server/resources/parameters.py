@@ -64,6 +64,10 @@ class _Parameters(Resource):
             return closed(self.name)
         return f"The parameters of this {self.robot.adapter.capabilities.system} do not answer {method} here."
 
+    @property
+    def constrained_by(self) -> str | None:
+        return self.robot.space.shape("limits")
+
     def _can(self, operation: Operation) -> bool:
         if self.robot.settings.read_only or self.robot.is_closed(self.name):
             return False

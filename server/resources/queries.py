@@ -18,12 +18,15 @@ from rosld.server import html
 from rosld.server.html import Notice, QueryPage, QueryParameter, Results
 from rosld.server.html.page import Tone
 from rosld.server.http import negotiation
+from rosld.server.http.conditional import ETag, guard
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import Pages
+from rosld.server.ldp.prepared import Prepared
 from rosld.server.ldp.resource import BASIC_CONTAINER, RESOURCE, Resource, moved
 from rosld.server.ldp.resource import RDF_SOURCE as SOURCE_LINK
-from rosld.server.ldp.state import State
+from rosld.server.ldp.standing import standing_headers
+from rosld.server.ldp.state import State, digest
 from rosld.server.resources.sparql import HTML, OFFERS, results_of, told, wished
 from rosld.server.robot import Robot
 from rosld.server.sparql.endpoint import QueryService
@@ -100,7 +103,20 @@ class QueryResource(Resource):
         is_graph = self._service.check(sample).form in _GRAPH_FORMS
         if chosen in _DESCRIPTIONS and not is_graph and not given:
             return None
-        return told(await self._service.answer(self._request(given), accept))
+        return self._identified(exchange, told(await self._service.answer(self._request(given), accept)))
+
+    def _identified(self, exchange: Exchange, answer: Response) -> Response:
+        """Results with what every answer about the query says, and an entity tag where they are there at once."""
+        for name, value in standing_headers(self).items():
+            answer.headers[name] = value
+        if isinstance(answer, Prepared):
+            etag = ETag(digest(bytes(answer.body)), "results")
+            answer.headers["etag"] = str(etag)
+            if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
+            if guard(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
+                headers = {**standing_headers(self), "etag": str(etag), "vary": "Accept"}
+                return Response(status_code=304, headers=headers)
+        return answer
 
     def _samples(self, given: Mapping[str, str]) -> Mapping[str, str]:
         """What is given, and for what must be given and is not, anything: to see which form the query has."""

@@ -1,0 +1,221 @@
+"""One rosld for the folder, reached over real HTTP; each test has a container of its own under `/data/`."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import httpx
+import pytest
+from pyoxigraph import NamedNode, RdfFormat, Triple, parse
+
+from rosld.ontology.vocab import ldp
+from rosld.server.http import link
+from rosld.server.http.link import Link
+
+TURTLE = "text/turtle"
+ROBOT = (
+    *("", "topics/", "topics/aircraft/", "nodes/", "services/", "parameters/", "parameters/aircraft/"),
+    *("resources/", "resources/aircraft/", "mappings/", "types/", "shapes/", "calls/", "queries/", "bags/"),
+)
+"""The robot's containers."""
+_COUNTED = itertools.count(1)
+
+
+@dataclass(frozen=True)
+class Served:
+    """A running server: its entry URL and a client for it."""
+
+    url: str
+    http: httpx.Client
+
+    def at(self, path: str) -> Place:
+        """What lies under a path of it."""
+        return Place(self.url + path, self.http)
+
+    def place(self, name: str) -> Place:
+        """A new Basic container under `/data/`."""
+        made = self.at(f"data/{name}-{next(_COUNTED)}/")
+        answer = made.send("PUT", model="BasicContainer")
+        assert answer.status_code == 201, answer.text
+        return made
+
+
+@dataclass(frozen=True)
+class Place:
+    """A container and what is sent to its members; a name that is a whole URL is that URL."""
+
+    url: str
+    http: httpx.Client
+
+    def at(self, name: str) -> str:
+        """The URL of a member."""
+        return name if name.startswith("http") else self.url + name
+
+    def send(
+        self,
+        method: str,
+        name: str = "",
+        body: bytes | str = b"",
+        media_type: str | None = None,
+        *,
+        model: str | None = None,
+        **headers: str,
+    ) -> httpx.Response:
+        """A request; `model` is asked for by a Link, a header `If_Match="x"` is sent as `If-Match: x`."""
+        sent = {name.replace("_", "-"): value for name, value in headers.items()}
+        if media_type is not None:
+            sent["Content-Type"] = media_type
+        if model is not None:
+            sent["Link"] = f'<{ldp.iri}{model}>; rel="type"'
+        content = body.encode() if isinstance(body, str) else body
+        return self.http.request(method, self.at(name), content=content or None, headers=sent)
+
+    def get(self, name: str = "", **headers: str) -> httpx.Response:
+        """GET."""
+        return self.send("GET", name, **headers)
+
+    def put(self, name: str, turtle: str, *, model: str | None = None, **headers: str) -> httpx.Response:
+        """PUT of Turtle that must succeed."""
+        answer = self.send("PUT", name, turtle, TURTLE, model=model, **headers)
+        assert answer.status_code in (200, 201, 204), answer.text
+        return answer
+
+    def post(self, turtle: str = "", *, to: str = "", model: str | None = None, **headers: str) -> str:
+        """POST of Turtle that must make something; its URL."""
+        answer = self.send("POST", to, turtle or "<> <http://ex.org/p> 1 .", TURTLE, model=model, **headers)
+        assert answer.status_code == 201, answer.text
+        return answer.headers["location"]
+
+    def graph(self, name: str = "", **headers: str) -> set[Triple]:
+        """The triples of a resource."""
+        answer = self.get(name, **({"Accept": TURTLE} | headers))
+        assert answer.status_code == 200, answer.text
+        return triples(answer)
+
+    def objects(self, name: str, predicate: NamedNode, **headers: str) -> set[object]:
+        """The objects of a predicate of a resource itself; IRIs as text."""
+        url = NamedNode(self.at(name))
+        found = (each for each in self.graph(name, **headers) if each.subject == url and each.predicate == predicate)
+        return {each.object.value if isinstance(each.object, NamedNode) else each.object for each in found}
+
+    def contained(self, name: str = "", **headers: str) -> set[object]:
+        """The URLs of what a container contains."""
+        return self.objects(name, ldp.contains, **headers)
+
+
+def triples(answer: httpx.Response) -> set[Triple]:
+    """The triples of an answer in any RDF syntax."""
+    syntax = RdfFormat.from_media_type(answer.headers["content-type"].partition(";")[0])
+    assert syntax is not None, answer.headers["content-type"]
+    return {quad.triple for quad in parse(answer.content, format=syntax, base_iri=str(answer.url))}
+
+
+def start(*arguments: str) -> tuple[subprocess.Popen[str], Served]:
+    """`rosld serve ARGUMENTS` on a free port."""
+    command = [sys.executable, "-m", "rosld", "serve", *arguments, "--port", "0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    url = process.stdout.readline().strip()
+    assert url.startswith("http"), f"{command} printed {url!r}"
+    return process, Served(url, httpx.Client(timeout=15))
+
+
+@contextmanager
+def running(*arguments: str) -> Iterator[Served]:
+    """A server that ends afterwards, and in order."""
+    process, served = start(*arguments)
+    try:
+        yield served
+    finally:
+        died = process.poll() is not None
+        served.http.close()
+        process.send_signal(signal.SIGTERM)
+        code = process.wait(10)
+        assert not died, "the server died during the tests"
+        assert code == 0
+
+
+@pytest.fixture(scope="session")
+def served() -> Iterator[Served]:
+    """The embedded aircraft."""
+    with running("aircraft", "--max-publish-rate", "100000") as one:
+        yield one
+
+
+@pytest.fixture(scope="session")
+def demanding() -> Iterator[Served]:
+    """A server that demands If-Match."""
+    with running("aircraft", "--demand-if-match") as one:
+        yield one
+
+
+@pytest.fixture
+def place(served: Served, request: pytest.FixtureRequest) -> Place:
+    """A container of the test's own."""
+    return served.place(re.sub(r"[^a-z0-9]+", "-", request.node.name.lower())[:40].strip("-"))
+
+
+@pytest.fixture(params=ROBOT, ids=lambda path: path or "entry")
+def robots(request: pytest.FixtureRequest, served: Served) -> Place:
+    """Each of the robot's containers."""
+    return served.at(request.param)
+
+
+@pytest.fixture(params=("data", *ROBOT), ids=lambda path: path or "entry")
+def container(request: pytest.FixtureRequest, served: Served) -> Place:
+    """A container under `/data/`, and each of the robot's."""
+    return served.place("any") if request.param == "data" else served.at(request.param)
+
+
+@pytest.fixture(scope="session")
+def links() -> Callable[[httpx.Response], list[Link]]:
+    """The links of an answer."""
+
+    def read(answer: httpx.Response) -> list[Link]:
+        return list(link.parse(", ".join(answer.headers.get_list("link"))))
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def models(links: Callable[[httpx.Response], list[Link]]) -> Callable[[httpx.Response], set[str]]:
+    """The local names of the LDP types that an answer links to."""
+
+    def read(answer: httpx.Response) -> set[str]:
+        return {each.target.removeprefix(ldp.iri) for each in links(answer) if each.rel == "type"}
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def read_triples() -> Callable[[httpx.Response], set[Triple]]:
+    """The triples of an answer."""
+    return triples
+
+
+@pytest.fixture
+def kinds(place: Place) -> dict[str, str]:
+    """One resource of every interaction model, by its name."""
+    return dict(_kinds(place))
+
+
+def _kinds(place: Place) -> Iterable[tuple[str, str]]:
+    place.put("rdf", "<> <http://ex.org/p> 1 .")
+    yield "RDFSource", place.at("rdf")
+    answer = place.send("PUT", "file.txt", "some words", "text/plain")
+    assert answer.status_code == 201, answer.text
+    yield "NonRDFSource", place.at("file.txt")
+    place.put("basic/", "", model="BasicContainer")
+    yield "BasicContainer", place.at("basic/")
+    place.put("direct/", "", model="DirectContainer")
+    yield "DirectContainer", place.at("direct/")
+    said = f"<> <{ldp.iri}insertedContentRelation> <http://ex.org/topic> ."
+    place.put("indirect/", said, model="IndirectContainer")
+    yield "IndirectContainer", place.at("indirect/")

@@ -1,0 +1,336 @@
+"""LDP 5.2: containers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import httpx
+import pytest
+from pyoxigraph import Literal, NamedNode
+
+from rosld.ontology.vocab import ldp, rdf
+
+if TYPE_CHECKING:
+    from rosld.server.http.link import Link
+    from tests.conformance.ldp.conftest import Place, Served
+
+P = NamedNode("http://ex.org/p")
+CONTAINERS = ("BasicContainer", "DirectContainer", "IndirectContainer")
+TURTLE = "text/turtle"
+
+
+def test_5_2_1_1_a_container_is_an_rdf_source(container: Place, models: Callable[[httpx.Response], set[str]]) -> None:
+    assert "RDFSource" in models(container.get())
+    assert container.get(Accept=TURTLE).headers["content-type"].startswith(TURTLE)
+
+
+def test_5_2_1_2_the_type_may_be_container(container: Place) -> None:
+    assert ldp.Container.value in container.objects("", rdf.type)
+
+
+def test_5_2_1_3_members_are_in_no_rdf_list_or_bag(container: Place) -> None:
+    contained = container.contained()
+    for each in container.graph():
+        if each.predicate == rdf.first or each.predicate.value.startswith(f"{rdf.iri}_"):
+            assert not (isinstance(each.object, NamedNode) and each.object.value in contained)
+
+
+def test_5_2_1_4_every_answer_links_to_the_type_of_container(
+    place: Place, kinds: dict[str, str], models: Callable[[httpx.Response], set[str]]
+) -> None:
+    for model in CONTAINERS:
+        said = "<> <http://ex.org/topic> <#t> ."
+        answers = [place.send(method, kinds[model]) for method in ("GET", "HEAD", "OPTIONS")]
+        answers += [place.send("POST", kinds[model], said, TURTLE), place.send("POST", kinds[model], "no", TURTLE)]
+        answers += [place.send("PUT", kinds[model], "no", TURTLE), place.send("DELETE", kinds[model])]
+        for answer in answers[:3]:
+            assert models(answer) & set(CONTAINERS) == {model}
+        assert answers[3].status_code == 201
+        assert model in models(answers[3])
+        assert [answer.status_code for answer in answers[4:]] == [400, 400, 409]
+        for answer in answers[4:]:
+            assert model in models(answer)
+
+
+def test_5_2_1_4_the_robots_containers_link_to_their_type(
+    robots: Place, models: Callable[[httpx.Response], set[str]]
+) -> None:
+    for method in ("GET", "HEAD", "OPTIONS"):
+        assert "BasicContainer" in models(robots.send(method))
+
+
+def test_5_2_1_5_hints_choose_what_is_told(place: Place) -> None:
+    place.post()
+    assert place.contained()
+    assert not place.contained(Prefer=f'return=representation; omit="{ldp.iri}PreferContainment"')
+
+
+def test_5_2_3_1_post_makes_a_member(place: Place) -> None:
+    answer = place.send("POST", "", "<> <http://ex.org/p> 1 .", TURTLE)
+    assert answer.status_code == 201
+    assert answer.headers["location"].startswith(place.url)
+    assert place.get(answer.headers["location"]).status_code == 200
+
+
+def test_5_2_3_1_post_makes_a_parameter(served: Served) -> None:
+    parameters = served.at("parameters/")
+    body = '<> <https://w3id.org/rosld#value> "made by a POST" .'
+    answer = parameters.send("POST", "", body, TURTLE, Slug="made_by_a_post")
+    assert answer.status_code == 201, answer.text
+    made = answer.headers["location"]
+    assert made in parameters.contained()
+    assert parameters.send("DELETE", made).status_code == 204
+    assert made not in parameters.contained()
+
+
+def test_5_2_3_2_a_containment_triple_is_added(place: Place, kinds: dict[str, str]) -> None:
+    made = place.post()
+    assert made in place.contained()
+    for model in CONTAINERS:
+        made = place.post("<> <http://ex.org/topic> <#t> .", to=kinds[model])
+        assert place.contained(kinds[model]) == {made}
+
+
+def test_5_2_3_2_what_is_put_below_a_container_is_contained_too(place: Place) -> None:
+    place.put("a", "<> <http://ex.org/p> 1 .")
+    assert place.contained() == {place.at("a")}
+
+
+def test_5_2_3_3_any_media_type_can_be_posted(place: Place) -> None:
+    answer = place.send("POST", "", b"\x89PNG", "image/png", Slug="picture")
+    assert answer.status_code == 201
+    made = answer.headers["location"]
+    assert place.get(made).content == b"\x89PNG"
+    assert made in place.contained()
+
+
+def test_5_2_3_4_the_interaction_model_asked_for_is_honoured(
+    place: Place, models: Callable[[httpx.Response], set[str]]
+) -> None:
+    said = f"<> <{ldp.iri}insertedContentRelation> <http://ex.org/topic> ."
+    for model in CONTAINERS:
+        made = place.post(said if model == "IndirectContainer" else "", model=model)
+        assert made.endswith("/")
+        assert model in models(place.get(made))
+        assert place.post("<> <http://ex.org/topic> <#t> .", to=made).startswith(made)
+    for model in ("Resource", "RDFSource"):
+        made = place.post(model=model)
+        assert models(place.get(made)) == {"Resource", "RDFSource"}
+        assert place.send("POST", made, "", TURTLE).status_code == 405
+
+
+def test_5_2_3_4_what_cannot_be_honoured_is_refused(place: Place) -> None:
+    before = place.contained()
+    assert place.send("POST", "", "", TURTLE, model="NoSuchThing").status_code == 400
+    assert place.send("POST", "", b"\x89PNG", "image/png", model="RDFSource").status_code == 409
+    assert place.send("POST", "", b"\x89PNG", "image/png", model="BasicContainer").status_code == 409
+    assert place.send("PUT", "a", "", TURTLE, model="BasicContainer").status_code == 409
+    both = f'<{ldp.iri}BasicContainer>; rel="type", <{ldp.iri}DirectContainer>; rel="type"'
+    assert place.send("POST", "", "", TURTLE, Link=both).status_code == 400
+    assert place.contained() == before
+
+
+def test_5_2_3_4_the_interaction_model_never_changes(place: Place, kinds: dict[str, str]) -> None:
+    assert place.send("PUT", "rdf", b"\x89PNG", "image/png").status_code == 415
+    for name, body, media_type, model in (
+        ("rdf", b"<> <http://ex.org/p> 1 .", TURTLE, "NonRDFSource"),
+        ("basic/", b"", TURTLE, "DirectContainer"),
+        ("direct/", b"", TURTLE, "BasicContainer"),
+        ("file.txt", b"<> <http://ex.org/p> 1 .", TURTLE, "RDFSource"),
+    ):
+        before = place.get(name)
+        assert place.send("PUT", name, body, media_type, model=model).status_code == 409, (name, model)
+        assert place.get(name).content == before.content
+    assert set(kinds.values()) == place.contained()
+
+
+@pytest.mark.parametrize(
+    ("clause", "media_type", "body"),
+    [
+        ("5.2.3.5", TURTLE, "<> <http://ex.org/p> 1 ."),
+        ("5.2.3.14", "application/ld+json", '{"@id": "", "http://ex.org/p": 1}'),
+        ("5.2.3.6", "application/n-triples", "<URL> <http://ex.org/p> 1 ."),
+    ],
+)
+def test_5_2_3_5_and_5_2_3_14_turtle_and_json_ld_can_be_posted(
+    clause: str, media_type: str, body: str, place: Place
+) -> None:
+    number = '"1"^^<http://www.w3.org/2001/XMLSchema#integer>'
+    if clause == "5.2.3.6":
+        body = f"<{place.url}elsewhere> <http://ex.org/p> {number} ."
+    answer = place.send("POST", "", body, media_type)
+    assert answer.status_code == 201, answer.text
+    assert number in {str(each.object) for each in place.graph(answer.headers["location"])}
+
+
+def test_5_2_3_6_the_content_type_says_what_a_body_is(place: Place) -> None:
+    """The same bytes are Turtle or a text, as Content-Type says; nothing is guessed."""
+    body = "<> <http://ex.org/p> 1 ."
+    assert place.send("POST", "", body, "text/plain", Slug="text").status_code == 201
+    assert place.get("text.txt" if place.get("text").status_code == 404 else "text").text == body
+    assert place.send("POST", "", body, TURTLE, Slug="rdf").status_code == 201
+    assert place.objects("rdf", P)
+    assert place.send("POST", "", body).status_code == 415
+
+
+def test_5_2_3_7_the_null_iri_is_the_new_resource(place: Place) -> None:
+    made = place.post('<> <http://ex.org/p> "me" .')
+    assert place.objects(made, P) == {Literal("me")}
+
+
+def test_5_2_3_8_without_a_hint_the_server_names_the_resource(place: Place) -> None:
+    one, other = place.post(), place.post()
+    assert one != other
+    for made in (one, other):
+        assert made.startswith(place.url)
+        assert "/" not in made.removeprefix(place.url)
+
+
+def test_5_2_3_9_anything_can_be_made_without_knowing_constraints(place: Place) -> None:
+    for body in ("", "<#it> <http://ex.org/p> [ <http://ex.org/q> ( 1 2 ) ] .", "<urn:x> a <urn:y> ."):
+        assert place.send("POST", "", body, TURTLE).status_code == 201
+
+
+def test_5_2_3_10_a_slug_names_the_resource_and_is_made_safe(place: Place) -> None:
+    assert place.post(Slug="kitchen") == place.at("kitchen")
+    assert place.post(Slug="kitchen") == place.at("kitchen-2")
+    for slug in ("../../etc/passwd", "a/b?c#d", "%2e%2e%2f", "", "a.meta", "<script>"):
+        made = place.post(Slug=slug)
+        name = made.removeprefix(place.url)
+        assert made.startswith(place.url)
+        assert name
+        assert not set(name) & set("/?#<>")
+        assert not name.startswith(".")
+        assert not name.endswith(".meta")
+        assert place.get(made).status_code == 200
+
+
+def test_5_2_3_11_a_posts_name_is_never_one_that_was_deleted(place: Place) -> None:
+    first = place.post(Slug="kitchen")
+    assert place.send("DELETE", first).status_code == 204
+    assert place.post(Slug="kitchen") != first
+    assert place.get(first).status_code == 410
+
+
+def test_5_2_3_12_a_new_file_is_linked_to_its_description(
+    place: Place, links: Callable[[httpx.Response], list[Link]]
+) -> None:
+    for answer in (
+        place.send("POST", "", b"\x89PNG", "image/png"),
+        place.send("PUT", "b.png", b"\x89PNG", "image/png"),
+    ):
+        assert answer.status_code == 201
+        made = answer.headers["location"]
+        assert answer.content == b""
+        found = [each for each in links(answer) if each.rel == "describedby"]
+        assert made in {each.anchor for each in found}
+        (target,) = {each.target for each in found}
+        assert place.get(target).status_code == 200
+
+
+def test_5_2_3_13_options_lists_what_can_be_posted(container: Place) -> None:
+    answer = container.send("OPTIONS")
+    assert ("POST" in answer.headers["allow"]) == ("accept-post" in answer.headers)
+
+
+def test_5_2_3_13_everything_can_be_posted_under_data(place: Place) -> None:
+    accepted = place.send("OPTIONS").headers["accept-post"]
+    assert TURTLE in accepted
+    assert "application/ld+json" in accepted
+    assert "*/*" in accepted
+
+
+def test_5_2_4_1_put_cannot_change_containment(place: Place) -> None:
+    kept, other = place.post(), place.post()
+    for said in (f"<> <{ldp.iri}contains> <{kept}> .", f"<> <{ldp.iri}contains> <{kept}> , <{other}> , <more> ."):
+        answer = place.send("PUT", "", said, TURTLE)
+        assert answer.status_code == 409
+        assert place.contained() == {kept, other}
+
+
+def test_5_2_4_1_put_without_containment_leaves_it_as_it_is(place: Place) -> None:
+    kept = place.post()
+    place.put("", '<> <http://ex.org/p> "mine" .')
+    assert place.contained() == {kept}
+    assert place.objects("", P) == {Literal("mine")}
+
+
+def test_5_2_4_2_put_cannot_bring_back_what_was_deleted(place: Place) -> None:
+    place.put("a", "<> <http://ex.org/p> 1 .")
+    assert place.send("DELETE", "a").status_code == 204
+    assert place.send("PUT", "a", "<> <http://ex.org/p> 2 .", TURTLE).status_code == 410
+    assert place.get("a").status_code == 410
+
+
+def test_5_2_5_1_deleting_a_member_removes_its_containment_triple(place: Place, kinds: dict[str, str]) -> None:
+    left = set(kinds.values())
+    for url in kinds.values():
+        assert place.send("DELETE", url).status_code == 204
+        left.remove(url)
+        assert place.contained() == left
+
+
+def test_5_2_5_1_a_container_with_members_is_not_deleted(place: Place) -> None:
+    place.put("c/a", "<> <http://ex.org/p> 1 .")
+    assert place.send("DELETE", "c/").status_code == 409
+    assert place.get("c/a").status_code == 200
+    assert place.send("DELETE", "c/a").status_code == 204
+    assert place.send("DELETE", "c/").status_code == 204
+
+
+def test_5_2_5_2_a_description_comes_with_a_file_and_not_otherwise(place: Place) -> None:
+    assert place.send("PUT", "a.meta", "<> <http://ex.org/p> 1 .", TURTLE).status_code == 404
+    place.put("rdf", "<> <http://ex.org/p> 1 .")
+    assert place.send("PUT", "rdf.meta", "<> <http://ex.org/p> 1 .", TURTLE).status_code == 404
+    assert place.send("PUT", "a", b"\x89PNG", "image/png").status_code == 201
+    assert place.get("a.meta").status_code == 200
+
+
+def test_5_2_5_2_a_files_description_goes_with_it(place: Place) -> None:
+    place.send("PUT", "a", b"\x89PNG", "image/png")
+    assert place.get("a.meta").status_code == 200
+    assert place.send("DELETE", "a").status_code == 204
+    assert place.get("a.meta").status_code == 410
+    assert place.get("a").status_code == 410
+
+
+def test_5_2_7_1_patch_changes_what_a_container_says(place: Place, kinds: dict[str, str]) -> None:
+    for model in CONTAINERS:
+        made = place.post("<> <http://ex.org/topic> <#t> .", to=kinds[model])
+        update = 'INSERT DATA { <> <http://ex.org/p> "patched" }'
+        assert place.send("PATCH", kinds[model], update, "application/sparql-update").is_success
+        assert place.objects(kinds[model], P) == {Literal("patched")}
+        assert place.contained(kinds[model]) == {made}
+
+
+def test_5_2_7_1_patch_cannot_change_containment(place: Place) -> None:
+    kept = place.post()
+    for update in (
+        f"DELETE DATA {{ <> <{ldp.iri}contains> <{kept}> }}",
+        f"INSERT DATA {{ <> <{ldp.iri}contains> <more> }}",
+    ):
+        assert place.send("PATCH", "", update, "application/sparql-update").status_code == 409
+        assert place.contained() == {kept}
+
+
+def test_5_2_7_1_patch_changes_the_values_in_a_container_of_parameters(served: Served) -> None:
+    parameters = served.at("parameters/")
+    answer = parameters.send("PATCH", "", '{"patched": 1}', "application/merge-patch+json")
+    assert answer.is_success
+    assert parameters.get("patched", Accept="application/json").json() == 1
+    assert parameters.send("DELETE", "patched").status_code == 204
+
+
+def test_5_2_8_1_a_file_links_to_its_description_from_then_on(
+    place: Place, links: Callable[[httpx.Response], list[Link]]
+) -> None:
+    place.send("PUT", "a", b"\x89PNG", "image/png")
+    answers = [place.send(method, "a") for method in ("GET", "HEAD", "OPTIONS")]
+    answers += [
+        place.send("PUT", "a", b"\x89PNG2", "image/png"),
+        place.send("PUT", "a", b"x", "image/png", If_Match='"x"'),
+    ]
+    for answer in answers:
+        (target,) = {each.target for each in links(answer) if each.rel == "describedby"}
+        assert target == place.at("a.meta")

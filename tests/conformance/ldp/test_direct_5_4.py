@@ -1,0 +1,136 @@
+"""LDP 5.4: Direct containers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import httpx
+import pytest
+from pyoxigraph import NamedNode, Triple
+
+from rosld.ontology.vocab import ldp, rdf
+
+if TYPE_CHECKING:
+    from tests.conformance.ldp.conftest import Place
+
+PART, OF = NamedNode("http://ex.org/hasPart"), NamedNode("http://ex.org/partOf")
+FORWARD = f"<> <{ldp.iri}membershipResource> <#house> ; <{ldp.iri}hasMemberRelation> {PART} ."
+BACKWARD = f"<> <{ldp.iri}membershipResource> <#house> ; <{ldp.iri}isMemberOfRelation> {OF} ."
+
+
+def made(place: Place, said: str, name: str = "rooms/") -> str:
+    place.put(name, said, model="DirectContainer")
+    return place.at(name)
+
+
+def test_5_4_1_1_a_direct_container_is_a_container(place: Place, models: Callable[[httpx.Response], set[str]]) -> None:
+    rooms = made(place, FORWARD)
+    assert models(place.get(rooms)) == {"Resource", "RDFSource", "DirectContainer"}
+    assert {ldp.Container.value, ldp.DirectContainer.value} <= place.objects(rooms, rdf.type)
+    kitchen = place.post(to=rooms)
+    assert place.contained(rooms) == {kitchen}
+
+
+def test_5_4_1_2_membership_is_ldp_member_unless_said_otherwise(place: Place) -> None:
+    rooms = made(place, "")
+    kitchen = place.post(to=rooms)
+    assert place.objects(rooms, ldp.hasMemberRelation) == {ldp.member.value}
+    assert place.objects(rooms, ldp.member) == {kitchen}
+
+
+@pytest.mark.parametrize("said", [FORWARD, BACKWARD, ""])
+def test_5_4_1_3_there_is_one_membership_resource(said: str, place: Place) -> None:
+    rooms = made(place, said)
+    assert place.objects(rooms, ldp.membershipResource) == {f"{rooms}#house" if said else rooms}
+
+
+@pytest.mark.parametrize("said", [FORWARD, BACKWARD, ""])
+def test_5_4_1_4_there_is_one_relation(said: str, place: Place) -> None:
+    rooms = made(place, said)
+    found = [place.objects(rooms, each) for each in (ldp.hasMemberRelation, ldp.isMemberOfRelation)]
+    assert sum(map(len, found)) == 1
+
+
+def test_5_4_1_4_two_relations_are_refused(place: Place) -> None:
+    both = f"<> <{ldp.iri}hasMemberRelation> {PART} ; <{ldp.iri}isMemberOfRelation> {OF} ."
+    two = f"<> <{ldp.iri}hasMemberRelation> {PART} , {OF} ."
+    constants = f"<> <{ldp.iri}membershipResource> <#a> , <#b> ."
+    for said in (both, two, constants):
+        assert place.send("PUT", "rooms/", said, "text/turtle", model="DirectContainer").status_code == 409
+        assert place.get("rooms/").status_code == 404
+
+
+def test_5_4_1_4_1_membership_from_the_constant_to_the_member(place: Place) -> None:
+    rooms = made(place, FORWARD)
+    kitchen = place.post(to=rooms)
+    assert place.objects(rooms, ldp.hasMemberRelation) == {PART.value}
+    assert Triple(NamedNode(f"{rooms}#house"), PART, NamedNode(kitchen)) in place.graph(rooms)
+
+
+def test_5_4_1_4_2_membership_from_the_member_to_the_constant(place: Place) -> None:
+    rooms = made(place, BACKWARD)
+    kitchen = place.post(to=rooms)
+    assert place.objects(rooms, ldp.isMemberOfRelation) == {OF.value}
+    assert Triple(NamedNode(kitchen), OF, NamedNode(f"{rooms}#house")) in place.graph(rooms)
+
+
+def test_5_4_1_5_the_member_is_what_was_put_into_it(place: Place) -> None:
+    """An ldp:insertedContentRelation of ldp:MemberSubject says what is so anyway; any other is refused."""
+    rooms = made(place, f"{FORWARD} <> <{ldp.iri}insertedContentRelation> <{ldp.iri}MemberSubject> .")
+    kitchen = place.post(f"<> {PART} <#cupboard> .", to=rooms)
+    assert Triple(NamedNode(f"{rooms}#house"), PART, NamedNode(kitchen)) in place.graph(rooms)
+    other = f"{FORWARD} <> <{ldp.iri}insertedContentRelation> {PART} ."
+    assert place.send("PUT", "more/", other, "text/turtle", model="DirectContainer").status_code == 409
+
+
+@pytest.mark.parametrize("said", [FORWARD, BACKWARD, ""])
+def test_5_4_2_1_each_new_member_is_one_by_membership_too(said: str, place: Place) -> None:
+    rooms = made(place, said)
+    members = {place.post(to=rooms), place.send("POST", rooms, b"x", "image/png").headers["location"]}
+    place.put(f"{rooms}attic", "")
+    members.add(f"{rooms}attic")
+    assert _members(place, rooms) == members == place.contained(rooms)
+
+
+def test_5_4_2_1_membership_triples_are_the_servers_to_say(place: Place) -> None:
+    rooms = made(place, FORWARD)
+    kitchen = place.post(to=rooms)
+    place.put(rooms, place.get(rooms, Accept="text/turtle").text)
+    assert _members(place, rooms) == {kitchen}
+
+
+@pytest.mark.parametrize("said", [FORWARD, BACKWARD, ""])
+def test_5_4_3_1_a_deleted_member_is_none_any_more(said: str, place: Place) -> None:
+    rooms = made(place, said)
+    kitchen, bath = place.post(to=rooms), place.post(to=rooms)
+    assert place.send("DELETE", kitchen).status_code == 204
+    assert _members(place, rooms) == {bath}
+
+
+def test_5_4_3_1_what_membership_is_made_of_can_be_changed(place: Place) -> None:
+    """All membership triples follow, so that they agree with what the container says of them (5.4.1.4)."""
+    rooms = made(place, FORWARD)
+    kitchen = place.post(to=rooms)
+    answer = place.send("PUT", rooms, BACKWARD, "text/turtle", If_Match=place.get(rooms).headers["etag"])
+    if answer.status_code == 409:
+        assert _members(place, rooms) == {kitchen}
+        return
+    assert answer.is_success
+    assert Triple(NamedNode(kitchen), OF, NamedNode(f"{rooms}#house")) in place.graph(rooms)
+    assert not [each for each in place.graph(rooms) if each.predicate == PART]
+
+
+def _members(place: Place, url: str) -> set[str]:
+    """The members that the membership triples of a container tell, as it says these are made."""
+    said = place.graph(url)
+    forward, backward = place.objects(url, ldp.hasMemberRelation), place.objects(url, ldp.isMemberOfRelation)
+    (constant,) = place.objects(url, ldp.membershipResource)
+    found = set()
+    for each in said:
+        assert isinstance(each.subject, NamedNode)
+        if {each.predicate.value} == forward and each.subject.value == constant:
+            found.add(each.object.value)
+        if {each.predicate.value} == backward and each.object == NamedNode(str(constant)):
+            found.add(each.subject.value)
+    return found

@@ -1,0 +1,273 @@
+"""HTTP as an LDP server is to speak it: conditional requests, ranges, preferences, refusals, pages of containers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import httpx
+import pytest
+from pyoxigraph import NamedNode
+
+from rosld.ontology.vocab import ldp
+
+if TYPE_CHECKING:
+    from tests.conformance.ldp.conftest import Place, Served
+
+P = NamedNode("http://ex.org/p")
+TURTLE = "text/turtle"
+ONE, TWO = "<> <http://ex.org/p> 1 .", "<> <http://ex.org/p> 2 ."
+BYTES = bytes(range(256)) * 8
+MANY = 2500
+
+
+# Conditional requests (RFC 9110 13)
+
+
+def test_http_what_is_known_is_304(place: Place, kinds: dict[str, str]) -> None:
+    for url in kinds.values():
+        etag = place.get(url).headers["etag"]
+        for method in ("GET", "HEAD"):
+            answer = place.send(method, url, If_None_Match=etag)
+            assert (answer.status_code, answer.content) == (304, b"")
+            assert answer.headers["etag"] == etag
+        assert place.get(url, If_None_Match='"another"').status_code == 200
+
+
+def test_http_the_robots_containers_answer_304(robots: Place) -> None:
+    assert robots.get(If_None_Match=robots.get().headers["etag"]).status_code == 304
+
+
+def test_http_one_syntax_is_not_another(place: Place) -> None:
+    place.put("a", ONE)
+    etag = place.get("a", Accept=TURTLE).headers["etag"]
+    answer = place.get("a", Accept="application/ld+json", If_None_Match=etag)
+    assert answer.status_code == 200
+    assert answer.headers["etag"] != etag
+
+
+def test_http_what_was_read_in_one_syntax_guards_a_write_in_another(place: Place) -> None:
+    place.put("a", ONE)
+    etag = place.get("a", Accept="application/ld+json").headers["etag"]
+    place.put("a", TWO, If_Match=etag)
+
+
+def test_http_if_none_match_makes_only_what_is_not_there(place: Place) -> None:
+    place.put("a", ONE, If_None_Match="*")
+    assert place.send("PUT", "a", TWO, TURTLE, If_None_Match="*").status_code == 412
+    assert place.send("PUT", "file", b"1", "image/png", If_None_Match="*").status_code == 201
+    assert place.send("PUT", "file", b"2", "image/png", If_None_Match="*").status_code == 412
+    assert place.get("file").content == b"1"
+
+
+def test_http_if_match_makes_nothing(place: Place) -> None:
+    assert place.send("PUT", "a", ONE, TURTLE, If_Match="*").status_code == 412
+    assert place.get("a").status_code == 404
+
+
+def test_http_of_two_writes_on_one_state_one_wins(place: Place) -> None:
+    place.put("a", "<> <http://ex.org/p> 0 .")
+    etag = place.get("a").headers["etag"]
+
+    def write(number: int) -> int:
+        return place.send("PUT", "a", f"<> <http://ex.org/p> {number} .", TURTLE, If_Match=etag).status_code
+
+    with ThreadPoolExecutor(8) as threads:
+        statuses = sorted(threads.map(write, range(8)))
+    assert [status for status in statuses if status < 300] == [204]
+    assert set(statuses[1:]) <= {409, 412}
+
+
+def test_http_a_write_tells_the_new_etag_or_none(place: Place) -> None:
+    """RFC 9110 8.8.3: an ETag in the answer to a write is that of the new state."""
+    for said in (ONE, TWO):
+        answer = place.put("a", said)
+        if "etag" in answer.headers:
+            assert answer.headers["etag"] == place.get("a").headers["etag"]
+
+
+# Ranges (RFC 9110 14)
+
+
+@pytest.mark.parametrize(
+    ("asked", "start", "stop"), [("bytes=0-0", 0, 1), ("bytes=100-199", 100, 200), ("bytes=-5", 2043, 2048)]
+)
+def test_http_a_range_of_a_file_is_sent(asked: str, start: int, stop: int, place: Place) -> None:
+    place.send("PUT", "a", BYTES, "image/png")
+    answer = place.get("a", Range=asked)
+    assert answer.status_code == 206
+    assert answer.content == BYTES[start:stop]
+    assert answer.headers["content-range"] == f"bytes {start}-{stop - 1}/2048"
+    assert answer.headers["etag"] == place.get("a").headers["etag"]
+
+
+def test_http_several_ranges_come_in_parts(place: Place) -> None:
+    place.send("PUT", "a", BYTES, "image/png")
+    answer = place.get("a", Range="bytes=0-9,1000-1009")
+    assert answer.status_code == 206
+    assert answer.headers["content-type"].startswith("multipart/byteranges; boundary=")
+    assert answer.content.count(b"Content-Range: bytes ") == 2
+    assert BYTES[1000:1010] in answer.content
+
+
+def test_http_a_range_beyond_the_end_is_416(place: Place) -> None:
+    place.send("PUT", "a", BYTES, "image/png")
+    answer = place.get("a", Range="bytes=2048-")
+    assert answer.status_code == 416
+    assert answer.headers["content-range"] == "bytes */2048"
+
+
+def test_http_a_range_of_another_state_is_the_whole(place: Place) -> None:
+    place.send("PUT", "a", BYTES, "image/png")
+    etag = place.get("a").headers["etag"]
+    assert place.get("a", Range="bytes=0-9", If_Range=etag).status_code == 206
+    place.send("PUT", "a", BYTES[::-1], "image/png")
+    answer = place.get("a", Range="bytes=0-9", If_Range=etag)
+    assert (answer.status_code, answer.content) == (200, BYTES[::-1])
+
+
+def test_http_head_of_a_file_tells_its_length_and_that_it_has_ranges(place: Place) -> None:
+    place.send("PUT", "a", BYTES, "image/png")
+    answer = place.send("HEAD", "a")
+    assert answer.headers["content-length"] == "2048"
+    assert answer.headers["accept-ranges"] == "bytes"
+
+
+# Refusals
+
+
+def test_http_media_types_nobody_has_are_406(place: Place) -> None:
+    place.put("a", ONE)
+    assert place.get("a", Accept="video/mp4").status_code == 406
+    assert place.send("PUT", "a", TWO, "text/plain").status_code in (409, 415)
+
+
+def test_http_media_types_that_are_not_taken_are_415_and_told(place: Place, kinds: dict[str, str]) -> None:
+    answer = place.send("PATCH", kinds["RDFSource"], "x", "text/x-diff")
+    assert answer.status_code == 415
+    assert "application/sparql-update" in answer.headers["accept-patch"]
+
+
+def test_http_methods_that_are_not_allowed_are_405_and_told(place: Place, kinds: dict[str, str]) -> None:
+    answer = place.send("POST", kinds["RDFSource"], ONE, TURTLE)
+    assert answer.status_code == 405
+    assert "PUT" in answer.headers["allow"]
+
+
+def test_http_refusals_are_problem_details(place: Place) -> None:
+    answer = place.send("PUT", "a", "this is no Turtle", TURTLE)
+    assert answer.status_code == 400
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert "line 1" in answer.json()["detail"]
+
+
+def test_http_a_slash_too_few_leads_to_the_container(place: Place) -> None:
+    place.put("c/", "", model="BasicContainer")
+    answer = place.get("c")
+    assert (answer.status_code, answer.headers["location"]) == (308, place.at("c/"))
+
+
+# Preferences (RFC 7240)
+
+
+def test_http_a_write_answers_as_much_as_is_preferred(place: Place) -> None:
+    less = place.send("POST", "", ONE, TURTLE, Prefer="return=minimal")
+    assert (less.status_code, less.content) == (201, b"")
+    assert less.headers["preference-applied"] == "return=minimal"
+    place.put("a", ONE)
+    more = place.send("PUT", "a", TWO, TURTLE, Prefer="return=representation", Accept=TURTLE)
+    assert more.status_code == 200
+    assert more.headers["preference-applied"] == "return=representation"
+    assert more.text == place.get("a", Accept=TURTLE).text
+
+
+# Pages of containers (LDP Paging 1.0)
+
+
+@pytest.fixture(scope="module")
+def many(served: Served) -> Place:
+    """A container of many members."""
+    place = served.place("many")
+
+    def make(number: int) -> None:
+        answer = place.send("POST", "", "", TURTLE, Slug=f"m{number}", Prefer="return=minimal")
+        assert answer.status_code == 201, answer.text
+
+    with ThreadPoolExecutor(4) as threads:
+        list(threads.map(make, range(MANY)))
+    return place
+
+
+def pages(many: Place) -> list[httpx.Response]:
+    """All pages of a container, from the first on."""
+    found = [many.http.get(many.url, follow_redirects=True)]
+    while following := found[-1].links.get("next"):
+        found.append(many.http.get(following["url"]))
+        assert len(found) < 100
+    return found
+
+
+def test_paging_a_large_container_leads_to_its_first_page(many: Place) -> None:
+    answer = many.get()
+    assert answer.status_code == 303
+    page = many.get(answer.headers["location"])
+    assert page.status_code == 200
+    assert page.links["first"]["url"] == answer.headers["location"]
+
+
+def test_paging_every_member_is_on_one_page(many: Place, read_triples: Callable[[httpx.Response], set[object]]) -> None:
+    told = [
+        triple.object.value for page in pages(many) for triple in read_triples(page) if triple.predicate == ldp.contains
+    ]
+    assert len(told) == MANY
+    assert set(told) == {many.at(f"m{number}") for number in range(MANY)}
+
+
+def test_paging_pages_say_that_they_are_pages(many: Place, models: Callable[[httpx.Response], set[str]]) -> None:
+    found = pages(many)
+    assert len(found) > 1
+    for page in found:
+        assert {"Page", "Resource", "BasicContainer"} <= models(page)
+        assert page.headers["etag"]
+        assert page.links["first"]
+        assert page.links["canonical"]["url"] == many.url
+    assert len({page.headers["etag"] for page in found}) == len(found)
+    assert "next" not in found[-1].links
+    last = found[0].links.get("last")
+    assert last is None or last["url"] == str(found[-1].url)
+
+
+def test_paging_without_its_members_a_large_container_is_told_at_once(many: Place) -> None:
+    answer = many.get(Prefer=f'return=representation; include="{ldp.iri}PreferMinimalContainer"')
+    assert answer.status_code == 200
+    assert answer.headers["preference-applied"] == "return=representation"
+
+
+def test_paging_what_is_added_meanwhile_is_on_a_later_page(served: Served) -> None:
+    """Pages are told in the order in which members were made: nobody who reads on misses any that was there."""
+    place = served.place("few")
+    first, second = place.post(), place.post()
+    page = place.get("?page=0")
+    assert page.status_code == 200
+    text = place.get("?page=0", Accept="application/n-triples").text
+    assert re.findall(r"#contains> <([^>]*)>", text) == [first, second]
+
+
+# More than LDP says
+
+
+def test_http_what_is_kept_is_in_the_same_dataset_as_the_robot(place: Place, served: Served) -> None:
+    place.put("a", f"<> <http://ex.org/about> <{served.url}topics/aircraft/engine/speed> .")
+    query = (
+        "SELECT ?topic WHERE { "
+        f"<{place.at('a')}> <http://ex.org/about> ?topic . ?topic a <https://w3id.org/rosld#Topic> }}"
+    )
+    answer = served.http.post(
+        f"{served.url}sparql",
+        content=query,
+        headers={"Content-Type": "application/sparql-query", "Accept": "application/sparql-results+json"},
+    )
+    rows = answer.json()["results"]["bindings"]
+    assert [row["topic"]["value"] for row in rows] == [f"{served.url}topics/aircraft/engine/speed"]

@@ -1,0 +1,74 @@
+"""LDP 5.5: Indirect containers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import httpx
+import pytest
+from pyoxigraph import NamedNode, Triple
+
+from rosld.ontology.vocab import ldp, rdf
+
+if TYPE_CHECKING:
+    from tests.conformance.ldp.conftest import Place
+
+TOPIC, HAS = NamedNode("http://ex.org/topic"), NamedNode("http://ex.org/has")
+SAID = (
+    f"<> <{ldp.iri}membershipResource> <#all> ; <{ldp.iri}hasMemberRelation> {HAS} ;"
+    f" <{ldp.iri}insertedContentRelation> {TOPIC} ."
+)
+
+
+@pytest.fixture
+def topics(place: Place) -> str:
+    """The URL of an Indirect container."""
+    place.put("topics/", SAID, model="IndirectContainer")
+    return place.at("topics/")
+
+
+def test_5_5_1_1_an_indirect_container_is_a_container(
+    topics: str, place: Place, models: Callable[[httpx.Response], set[str]]
+) -> None:
+    assert models(place.get(topics)) == {"Resource", "RDFSource", "IndirectContainer"}
+    assert {ldp.Container.value, ldp.IndirectContainer.value} <= place.objects(topics, rdf.type)
+    assert place.objects(topics, ldp.membershipResource) == {f"{topics}#all"}
+    assert place.objects(topics, ldp.hasMemberRelation) == {HAS.value}
+
+
+def test_5_5_1_2_there_is_one_inserted_content_relation(topics: str, place: Place) -> None:
+    assert place.objects(topics, ldp.insertedContentRelation) == {TOPIC.value}
+    two = f"<> <{ldp.iri}insertedContentRelation> {TOPIC} , {HAS} ."
+    for said in ("", two):
+        answer = place.send("PUT", "more/", said, "text/turtle", model="IndirectContainer")
+        assert answer.status_code == 409
+        assert "insertedContentRelation" in answer.text
+
+
+def test_5_5_1_2_the_member_is_what_the_relation_says(topics: str, place: Place) -> None:
+    made = place.post(f"<> {TOPIC} <#it> .", to=topics)
+    elsewhere = place.post(f"<> {TOPIC} <http://ex.org/bob#me> .", to=topics)
+    expected = {f"{made}#it", "http://ex.org/bob#me"}
+    assert {each.object.value for each in _membership(topics, place)} == expected
+    assert place.contained(topics) == {made, elsewhere}
+
+
+def test_5_5_1_2_what_says_no_member_is_refused(topics: str, place: Place) -> None:
+    two = f"<> {TOPIC} <#a> , <#b> ."
+    for said in ("<> <http://ex.org/p> 1 .", two, f'<> {TOPIC} "a word" .'):
+        assert place.send("POST", topics, said, "text/turtle").status_code == 409
+    assert place.contained(topics) == set()
+
+
+def test_5_5_2_1_containment_is_of_the_document_itself(topics: str, place: Place) -> None:
+    made = place.post(f"<> {TOPIC} <#it> .", to=topics)
+    assert Triple(NamedNode(topics), ldp.contains, NamedNode(made)) in place.graph(topics)
+    assert Triple(NamedNode(f"{topics}#all"), HAS, NamedNode(f"{made}#it")) in place.graph(topics)
+    assert place.send("DELETE", made).status_code == 204
+    assert place.contained(topics) == set()
+    assert not _membership(topics, place)
+
+
+def _membership(topics: str, place: Place) -> set[Triple]:
+    return {each for each in place.graph(topics) if each.predicate == HAS}

@@ -1,0 +1,145 @@
+"""LDP 6 and 7: what may be beyond the rest, Accept-Post, and preferences."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from pyoxigraph import NamedNode
+
+from rosld.ontology.vocab import ldp
+
+if TYPE_CHECKING:
+    from tests.conformance.ldp.conftest import Place
+
+HAS, P = NamedNode("http://ex.org/has"), NamedNode("http://ex.org/p")
+MEMBERSHIP, CONTAINMENT = f"{ldp.iri}PreferMembership", f"{ldp.iri}PreferContainment"
+MINIMAL, EMPTY = f"{ldp.iri}PreferMinimalContainer", f"{ldp.iri}PreferEmptyContainer"
+
+
+@pytest.fixture
+def house(place: Place) -> Place:
+    """A Direct container with a member and something of its own."""
+    said = f"<> {P} 1 ; <{ldp.iri}membershipResource> <#all> ; <{ldp.iri}hasMemberRelation> {HAS} ."
+    place.put("house/", said, model="DirectContainer")
+    place.post(to="house/")
+    return type(place)(place.at("house/"), place.http)
+
+
+def told(house: Place, prefer: str) -> set[str]:
+    """Which of its three parts are told."""
+    parts = {ldp.contains: "containment", HAS: "membership", P: "minimal"}
+    return {parts[each.predicate] for each in house.graph(Prefer=prefer) if each.predicate in parts}
+
+
+def test_6_1_1_a_resource_may_be_a_member_of_several_containers(place: Place) -> None:
+    for name in ("one/", "other/"):
+        said = f"<> <{ldp.iri}insertedContentRelation> <http://ex.org/topic> ."
+        place.put(name, said, model="IndirectContainer")
+        place.post("<> <http://ex.org/topic> <http://ex.org/bob#me> .", to=name)
+        assert place.objects(name, ldp.member) == {"http://ex.org/bob#me"}
+
+
+def test_6_1_2_urls_are_not_used_again_however_they_were_made(place: Place, kinds: dict[str, str]) -> None:
+    for url in kinds.values():
+        assert place.send("DELETE", url).status_code == 204
+        assert place.get(url).status_code == 410
+        assert place.send("PUT", url, "", "text/turtle").status_code == 410
+        assert place.post(Slug=url.rstrip("/").rpartition("/")[2]).rstrip("/") != url.rstrip("/")
+
+
+def test_6_2_1_other_representations_are_there_too(container: Place) -> None:
+    for media_type in ("application/n-triples", "application/rdf+xml", "text/n3", "application/trig", "text/html"):
+        answer = container.get(Accept=media_type)
+        assert answer.status_code == 200
+        assert answer.headers["content-type"].startswith(media_type)
+
+
+def test_6_2_3_what_was_deleted_is_gone(place: Place) -> None:
+    place.put("a", "<> <http://ex.org/p> 1 .")
+    assert place.send("DELETE", "a").status_code == 204
+    assert [place.send(method, "a").status_code for method in ("GET", "HEAD", "DELETE")] == [410] * 3
+
+
+def test_6_3_1_triples_may_be_about_anything(place: Place) -> None:
+    place.put("a", "<http://ex.org/s> <http://ex.org/p> <http://ex.org/o> .")
+    assert NamedNode("http://ex.org/s") in {each.subject for each in place.graph("a")}
+
+
+def test_7_1_1_accept_post_lists_media_types(container: Place) -> None:
+    listed = container.send("OPTIONS").headers.get("accept-post")
+    if listed is not None:
+        assert all(len(each.strip().split("/")) == 2 for each in listed.split(","))
+
+
+def test_7_1_2_accept_post_is_there_wherever_post_is(container: Place) -> None:
+    for method in ("GET", "HEAD", "OPTIONS"):
+        answer = container.send(method)
+        assert ("accept-post" in answer.headers) == ("POST" in answer.headers["allow"])
+
+
+@pytest.mark.parametrize(
+    ("include", "parts"),
+    [
+        (MINIMAL, {"minimal"}),
+        (EMPTY, {"minimal"}),
+        (CONTAINMENT, {"containment", "minimal"}),
+        (MEMBERSHIP, {"membership", "minimal"}),
+        (f"{MEMBERSHIP} {CONTAINMENT}", {"containment", "membership", "minimal"}),
+    ],
+)
+def test_7_2_2_1_include_says_what_is_wanted(include: str, parts: set[str], house: Place) -> None:
+    assert told(house, f'return=representation; include="{include}"') == parts
+
+
+@pytest.mark.parametrize(
+    ("omit", "parts"),
+    [
+        (MINIMAL, {"containment", "membership"}),
+        (CONTAINMENT, {"membership", "minimal"}),
+        (MEMBERSHIP, {"containment", "minimal"}),
+        (f"{MEMBERSHIP} {CONTAINMENT}", {"minimal"}),
+    ],
+)
+def test_7_2_2_2_omit_says_what_is_not(omit: str, parts: set[str], house: Place) -> None:
+    assert told(house, f'return=representation; omit="{omit}"') == parts
+
+
+def test_7_2_2_3_hints_that_contradict_each_other_are_passed_over(house: Place) -> None:
+    prefer = f'return=representation; include="{CONTAINMENT}"; omit="{CONTAINMENT}"'
+    assert told(house, prefer) == {"containment", "membership", "minimal"}
+
+
+def test_7_2_2_4_unknown_hints_are_passed_over(house: Place) -> None:
+    prefer = 'return=representation; include="http://ex.org/PreferBlue"'
+    assert told(house, prefer) == {"containment", "membership", "minimal"}
+
+
+def test_7_2_2_the_answer_says_which_preference_was_applied(house: Place) -> None:
+    """And representations that differ have different ETags."""
+    whole = house.get()
+    assert "preference-applied" not in whole.headers
+    for hint in (MINIMAL, MEMBERSHIP):
+        answer = house.get(Prefer=f'return=representation; include="{hint}"')
+        assert answer.headers["preference-applied"] == "return=representation"
+        assert answer.headers["etag"] != whole.headers["etag"]
+        assert "prefer" in answer.headers["vary"].lower()
+        again = house.get(Prefer=f'return=representation; include="{hint}"', If_None_Match=answer.headers["etag"])
+        assert again.status_code == 304
+
+
+def test_7_2_2_a_part_guards_a_write_as_the_whole_does(house: Place) -> None:
+    part = house.get(Prefer=f'return=representation; include="{MINIMAL}"')
+    house.put("", part.text, If_Match=part.headers["etag"])
+    assert told(house, "") == {"containment", "membership", "minimal"}
+
+
+@pytest.mark.parametrize("path", ["topics/", "parameters/", "resources/", "mappings/"])
+def test_7_2_2_the_robots_containers_leave_out_their_members(path: str, robots: Place) -> None:
+    """Where they are told that they need not be listed."""
+    if not robots.url.endswith(f"/{path}"):
+        return
+    answer = robots.get(Prefer=f'return=representation; omit="{CONTAINMENT}"')
+    assert answer.status_code == 200
+    if "preference-applied" in answer.headers:
+        assert not robots.contained(Prefer=f'return=representation; omit="{CONTAINMENT}"')

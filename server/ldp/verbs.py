@@ -210,8 +210,10 @@ class Verbs:
         """
         headers = [(b"location", link.uri(created.location).encode("ascii"))]
         is_member = created.location != resource.url
-        links = created.links
-        if exchange.prefer.minimal or created.state is None:
+        links, rendering = created.links, None
+        if created.state is not None and not exchange.prefer.minimal:
+            rendering = await self._outcome(exchange, created.resource, created.state)
+        if rendering is None:
             links = (*(resource if is_member else created.resource).links, *links)
             headers += [(b"link", link.render(links).encode("latin-1")), (b"content-length", b"0")]
             if exchange.prefer.minimal:
@@ -222,7 +224,6 @@ class Verbs:
             links = (*links, *types)
         if links:
             headers.append((b"link", link.render(links).encode("latin-1")))
-        rendering = await self.rendering(exchange, created.resource, created.state)
         return Prepared(201, rendering.body, [*rendering.headers, *headers, (b"content-location", headers[0][1])])
 
     async def _shown(self, exchange: Exchange, shown: Shown) -> Response:
@@ -231,7 +232,9 @@ class Verbs:
         added = [(b"link", link.render(shown.links).encode("latin-1"))] if shown.links else []
         if exchange.prefer.minimal:
             return Prepared(204, b"", [location, *added, (b"preference-applied", b"return=minimal")])
-        rendering = await self.rendering(exchange, shown.resource, shown.state)
+        rendering = await self._outcome(exchange, shown.resource, shown.state)
+        if rendering is None:
+            return Prepared(204, b"", [location, *added])
         return Prepared(200, rendering.body, [*rendering.headers, location, *added])
 
     async def _as_preferred(self, exchange: Exchange, resource: Resource, response: Response) -> Response:
@@ -239,10 +242,21 @@ class Verbs:
         if not exchange.prefer.representation or response.status_code != 204 or exchange.method == "DELETE":
             return response
         state = await resource.state()
-        rendering = await self.rendering(exchange, resource, state)
+        rendering = await self._outcome(exchange, resource, state)
+        if rendering is None:
+            return response
         headers = [*rendering.headers, (b"preference-applied", b"return=representation")]
         headers.append((b"content-location", link.uri(resource.url).encode("ascii")))
         return Prepared(200, rendering.body, headers)
+
+    async def _outcome(self, exchange: Exchange, resource: Resource, state: State) -> Rendering | None:
+        """What shows a write that was done; None where it cannot be had as the request prefers: it is not undone."""
+        try:
+            return await self.rendering(exchange, resource, state)
+        except Problem as problem:
+            if problem.status != 406:
+                raise
+            return None
 
 
 _REFUSED_BODIES = frozenset({400, 409, 415, 422})

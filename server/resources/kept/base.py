@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from typing import ClassVar
 
 from starlette.responses import Response
@@ -18,11 +18,12 @@ from rosld.server.ldp.resource import (
     Resource,
     moved,
 )
-from rosld.server.records import Conflict, Record, Remove, Write
+from rosld.server.records import Cause, Conflict, Record, Remove, Write
 from rosld.server.resources.kept.judging import judge_of
 from rosld.server.robot import Robot
 
 ANYTHING = "*/*"
+_ATTEMPTS = 4
 
 
 class Kept(Resource):
@@ -79,28 +80,51 @@ class Kept(Resource):
             require_if_match(exchange.header("if-match"), "What is kept is changed by those who have read it.")
 
     async def do(self, *writes: Write) -> Sequence[Record | None]:
-        """Do these writes if they are found good; a 409 Problem where that is not possible as things are."""
+        """Do these writes if they are found good; a Problem where that is not possible as things are."""
+        try:
+            return await self._judged(writes)
+        except Conflict as error:
+            raise told(self.robot, error) from error
+
+    async def change(self, exchange: Exchange, make: Callable[[Record], Awaitable[Write]]) -> None:
+        """Do what `make` makes of the record as it is.
+
+        Where somebody else changes it meanwhile it is made anew, or 412 if the request says what it changes.
+        """
+        guarded = exchange.header("if-match") is not None
+        for left in reversed(range(_ATTEMPTS)):
+            try:
+                await self._judged([await make(self.there())])
+                return
+            except Conflict as error:
+                if error.cause is not Cause.CHANGED or guarded or not left:
+                    raise told(self.robot, error) from error
+
+    async def _judged(self, writes: Sequence[Write]) -> Sequence[Record | None]:
         judge = judge_of(self.robot, self.path)
         if judge is None:
-            return await self._done(writes)
+            return await self.robot.records.write(*writes)
         async with judge.turn:
             sequels = [await judge.judged(write) for write in writes]
-            records = await self._done(writes)
+            records = await self.robot.records.write(*writes)
             for sequel in sequels:
                 sequel()
             return records
 
-    async def _done(self, writes: Sequence[Write]) -> Sequence[Record | None]:
-        try:
-            return await self.robot.records.write(*writes)
-        except Conflict as error:
-            raise Problem(409, f"{self.robot.space.base}{error.path}: {error.words}.") from error
-
     async def delete(self, exchange: Exchange) -> Answer:
         self.require_guard(exchange)
-        record = self.there()
-        await self.do(Remove(self.path, record.version))
+
+        async def removed(record: Record) -> Write:
+            return Remove(self.path, record.version)
+
+        await self.change(exchange, removed)
         return Response(status_code=204)
+
+
+def told(robot: Robot, error: Conflict) -> Problem:
+    """The Problem of a write that cannot be done as things are."""
+    status = {Cause.GONE: 410, Cause.CHANGED: 412}.get(error.cause, 409)
+    return Problem(status, f"{robot.space.base}{error.path}: {error.words}.")
 
 
 def missing(robot: Robot, path: str) -> Problem:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
 from collections.abc import Mapping, Sequence
 
-import orjson
 from starlette.responses import Response
 
 from rosld.ontology.lower import parse_json
@@ -24,7 +25,7 @@ from rosld.server.ldp.resource import (
 )
 from rosld.server.ldp.standing import standing_headers
 from rosld.server.ldp.state import State
-from rosld.server.records import Blob, Model, Put, Record
+from rosld.server.records import Blob, Model, Put, Record, Write
 from rosld.server.records.describe import META
 from rosld.server.resources.kept.base import ANYTHING, Kept
 from rosld.server.resources.kept.bodies import one_chunk, received, require_model
@@ -71,28 +72,40 @@ class KeptFile(Kept):
 
     async def put(self, exchange: Exchange) -> Answer:
         self.require_guard(exchange)
-        record = self.there()
-        require_model(exchange, record.model, self.url)
+        before = self.there()
+        require_model(exchange, before.model, self.url)
         blob = await received(self.robot, exchange)
-        await self._replace(record, blob)
+        guarded = exchange.header("if-match") is not None
+
+        async def replaced(record: Record) -> Write:
+            return with_blob(before if guarded else record, blob)
+
+        await self.change(exchange, replaced)
         return Response(status_code=204)
 
     async def patch(self, exchange: Exchange) -> Answer:
         """JSON merge patch of a JSON file (RFC 7396)."""
         self.require_guard(exchange)
-        record = self.there()
+        patch = parse_json(await exchange.body())
+
+        async def changed(record: Record) -> Write:
+            return with_blob(record, await self._patched(record, patch))
+
+        await self.change(exchange, changed)
+        return Response(status_code=204)
+
+    async def _patched(self, record: Record, patch: object) -> Blob:
         assert record.blob is not None
         if record.blob.media_type.partition(";")[0].strip() != JSON:
             raise Problem(415, f"{MERGE_PATCH} changes {JSON}, and this is {record.blob.media_type}.")
         if record.blob.size > self.robot.settings.body_limit:
             raise Problem(413, f"A file of {record.blob.size} bytes is too large to be patched; PUT it whole.")
-        before = parse_json(self.robot.records.file(record.blob).read_bytes())
-        data = orjson.dumps(merge_patch(before, parse_json(await exchange.body())))
-        blob = await self.robot.records.receive(one_chunk(data), record.blob.media_type, most=len(data))
-        await self._replace(record, blob)
-        return Response(status_code=204)
+        path = self.robot.records.file(record.blob)
+        before = parse_json(await asyncio.to_thread(path.read_bytes))
+        data = json.dumps(merge_patch(before, patch)).encode()  # integers of any size
+        return await self.robot.records.receive(one_chunk(data), record.blob.media_type, most=len(data))
 
-    async def _replace(self, record: Record, blob: Blob) -> None:
-        await self.do(
-            Put(record.path, record.model, record.triples, blob, None, record.member, expected=record.version)
-        )
+
+def with_blob(record: Record, blob: Blob) -> Put:
+    """The record of a file with other bytes."""
+    return Put(record.path, record.model, record.triples, blob, expected=record.version)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
 
 from pyoxigraph import Triple
 from starlette.responses import Response
@@ -17,7 +18,7 @@ from rosld.server.ldp.resource import (
     Answer,
 )
 from rosld.server.ldp.state import State
-from rosld.server.records import Put, Record
+from rosld.server.records import Put, Record, Write
 from rosld.server.records.describe import META, written
 from rosld.server.resources.kept.base import Kept
 from rosld.server.resources.kept.bodies import (
@@ -50,47 +51,49 @@ class SourceResource(Kept):
 
     async def put(self, exchange: Exchange) -> Answer:
         self.require_guard(exchange)
-        record = self.there()
-        require_model(exchange, record.model, self.url)
-        body = await statements(exchange, self.document_url)
-        await self.replace(record, triples_of(body))
+        require_model(exchange, self.there().model, self.url)
+        triples = triples_of(await statements(exchange, self.document_url))
+
+        async def replaced(record: Record) -> Write:
+            return self.with_triples(record, triples)
+
+        await self.change(exchange, replaced)
         return Response(status_code=204)
 
     async def patch(self, exchange: Exchange) -> Answer:
         self.require_guard(exchange)
-        record, data = self.there(), await exchange.body()
-        document = (await self.state()).document
-        if exchange.media_type == N3_PATCH:
-            after: Sequence[Triple] = applied(read_patch(data, self.document_url), document.triples)
-        else:
-            after = triples_of(updated(data, document.triples, self.document_url))
-        require_same_members(document.triples, after, self.url)
-        await self.replace(record, after)
+        patched = await self._patch(exchange)
+
+        async def changed(record: Record) -> Write:
+            before = shown(self.robot, record).document.triples
+            after = await asyncio.to_thread(patched, before)  # a hostile one takes its time
+            require_same_members(before, after, self.url)
+            return self.with_triples(record, after)
+
+        await self.change(exchange, changed)
         return Response(status_code=204)
+
+    async def _patch(self, exchange: Exchange) -> Callable[[Sequence[Triple]], Sequence[Triple]]:
+        """What a patch makes of triples. Raises Problems for what is no patch."""
+        data, url = await exchange.body(), self.document_url
+        if exchange.media_type == N3_PATCH:
+            patch = await asyncio.to_thread(read_patch, data, url)
+            return lambda before: applied(patch, before)
+        return lambda before: triples_of(updated(data, before, url))
 
     @property
     def document_url(self) -> str:
         """What relative IRIs are resolved against."""
         return self.url
 
-    async def replace(self, record: Record, triples: Sequence[Triple]) -> None:
-        """Keep these triples instead; those that are the server's to say must be as they are, or away."""
+    def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
+        """The record with these triples; those that are the server's to say must be as they are, or away."""
         require_contained(self.robot, record, triples)
         url = self.robot.space.base + record.path
         if record.membership is not None:
             require_membership(record.membership, triples, url, record.model)
-        own = own_triples(self.robot, record, triples)
-        await self.do(
-            Put(
-                record.path,
-                record.model,
-                written(own),
-                record.blob,
-                record.membership,
-                record.member,
-                expected=record.version,
-            )
-        )
+        own = written(own_triples(self.robot, record, triples))
+        return Put(record.path, record.model, own, record.blob, record.membership, expected=record.version)
 
 
 class DescriptionResource(SourceResource):

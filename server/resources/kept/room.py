@@ -16,6 +16,7 @@ from rosld.server.records.describe import META
 from rosld.server.resources.kept.base import Kept, missing
 from rosld.server.resources.kept.bodies import asked_model
 from rosld.server.resources.kept.containers import creation, resource_of
+from rosld.server.resources.kept.showing import shown
 from rosld.server.resources.kept.sources import DescriptionResource
 from rosld.server.robot import Robot
 
@@ -37,7 +38,10 @@ class AbsentResource(Kept):
         return self
 
     async def state(self) -> State:
-        raise missing(self.robot, self.path)
+        found = self.robot.records.get(self.path)
+        if found is None:
+            raise missing(self.robot, self.path)
+        return shown(self.robot, found)  # it was made while this request waited for its turn
 
     def streams(self, exchange: Exchange) -> bool:
         return self._model(exchange) is Model.NON_RDF_SOURCE

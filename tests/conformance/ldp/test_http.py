@@ -20,7 +20,7 @@ P = NamedNode("http://ex.org/p")
 TURTLE = "text/turtle"
 ONE, TWO = "<> <http://ex.org/p> 1 .", "<> <http://ex.org/p> 2 ."
 BYTES = bytes(range(256)) * 8
-MANY = 2500
+MANY = 2100
 
 
 # Conditional requests (RFC 9110 13)
@@ -78,6 +78,15 @@ def test_http_of_two_writes_on_one_state_one_wins(place: Place) -> None:
         statuses = sorted(threads.map(write, range(8)))
     assert [status for status in statuses if status < 300] == [204]
     assert set(statuses[1:]) <= {409, 412}
+
+
+def test_http_of_two_that_make_the_same_one_wins(place: Place) -> None:
+    def make(number: int) -> int:
+        return place.send("PUT", "a", f"<> <http://ex.org/p> {number} .", TURTLE, If_None_Match="*").status_code
+
+    with ThreadPoolExecutor(8) as threads:
+        statuses = sorted(threads.map(make, range(8)))
+    assert statuses == [201, *[412] * 7]
 
 
 def test_http_a_write_tells_the_new_etag_or_none(place: Place) -> None:

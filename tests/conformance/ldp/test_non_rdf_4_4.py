@@ -46,7 +46,7 @@ def test_4_4_1_2_the_files_of_pages_tell_it_too(served: Served, models: Callable
         assert models(served.at(path).send("OPTIONS")) == {"Resource", "NonRDFSource"}
 
 
-def test_4_4_its_description_is_an_rdf_source_of_its_own(
+def test_4_4_1_1_its_description_is_an_rdf_source_of_its_own(
     place: Place, links: Callable[[httpx.Response], list[Link]], models: Callable[[httpx.Response], set[str]]
 ) -> None:
     place.send("PUT", "a", BYTES, "image/png")
@@ -58,7 +58,7 @@ def test_4_4_its_description_is_an_rdf_source_of_its_own(
     assert ldp.NonRDFSource in {each.object for each in place.graph(target) if each.predicate == rdf.type}
 
 
-def test_4_4_its_description_can_be_changed_but_not_deleted(place: Place) -> None:
+def test_4_4_1_1_its_description_can_be_changed_but_not_deleted(place: Place) -> None:
     place.send("PUT", "a", BYTES, "image/png")
     file = place.at("a")
     place.put("a.meta", f'<{file}> <http://ex.org/p> "a picture" .')

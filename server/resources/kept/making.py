@@ -24,6 +24,7 @@ from rosld.server.robot import Robot
 async def made(kept: Kept, model: Model, exchange: Exchange) -> Record:
     """Make the resource that `kept` stands for, and the containers on the way to it that are missing."""
     robot, path, url = kept.robot, kept.path, kept.url
+    require_free(robot, path)
     if model is Model.NON_RDF_SOURCE:
         put = Put(path, model, blob=await received(robot, exchange), expected=0)
         body = RdfBody({}, 0)
@@ -57,6 +58,13 @@ def _ways_to(robot: Robot, path: str) -> list[Put]:
         found.insert(0, Put(above, Model.BASIC_CONTAINER, expected=0))
         above = container_of(above)
     return found
+
+
+def require_free(robot: Robot, path: str) -> None:
+    """Raise a 409 Problem where the same name is a container already, or is none: a name means one thing."""
+    other = path[:-1] if path.endswith("/") else path + "/"
+    if robot.records.get(other) is not None:
+        raise Problem(409, f"There is {robot.space.base}{other} already: choose another name.")
 
 
 def container_of(path: str) -> str:

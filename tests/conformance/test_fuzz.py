@@ -1,0 +1,622 @@
+"""Whatever is sent, the answer is one that `/openapi.json` tells of: no failure of the server, no endless wait.
+
+What is sent is made from the description, and, header by header, path by path, from what clients get wrong. The same
+is sent in each run; `ROSLD_FUZZ_EXAMPLES` (25) times so much, from `ROSLD_FUZZ_SEED` (0), for those who have time.
+"""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+from urllib.parse import quote, urlsplit
+
+import pytest
+import schemathesis
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+from schemathesis.generation import GenerationMode
+
+EXAMPLES = int(os.environ.get("ROSLD_FUZZ_EXAMPLES", "25"))
+SEED = int(os.environ.get("ROSLD_FUZZ_SEED", "0"))
+JSON = ("Content-Type", "application/json")
+PATIENCE = 15.0
+"""Seconds in which every answer has come: a service has 10 at most."""
+
+Send: TypeAlias = Callable[..., "Answer"]
+
+
+# The server, and what may be answered
+
+
+@dataclass(frozen=True)
+class Answer:
+    status: int
+    headers: Mapping[str, str]
+    body: bytes
+
+    @property
+    def media_type(self) -> str | None:
+        stated = self.headers.get("content-type")
+        return None if stated is None else stated.partition(";")[0]
+
+
+class Connection(http.client.HTTPConnection):
+    """Sends what it is given: paths and methods that no proper client sends, too."""
+
+    def _validate_path(self, url: str) -> None:
+        pass
+
+    def _validate_method(self, method: str) -> None:
+        pass
+
+    def _encode_request(self, request: str) -> bytes:
+        return request.encode("utf-8", "surrogatepass")
+
+
+class Server:
+    """A served aircraft, and a connection to it."""
+
+    def __init__(self, folder: Path) -> None:
+        self._log = folder / "log"
+        command = [sys.executable, "-m", "rosld", "serve", "aircraft", "--port", "0", "--max-publish-rate", "100000"]
+        with self._log.open("w") as log:
+            self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
+        assert self.process.stdout is not None
+        self.url = self.process.stdout.readline().strip()
+        assert self.url.startswith("http"), self.log
+        self.netloc = urlsplit(self.url).netloc
+        self._connection = Connection(self.netloc, timeout=PATIENCE)
+        self.description: dict[str, Any] = json.loads(self.send("GET", "/openapi.json").body)
+        self._validators: dict[str, Draft202012Validator] = {}
+
+    @property
+    def log(self) -> str:
+        return self._log.read_text("utf-8", "replace")
+
+    def stop(self) -> int:
+        self._connection.close()
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(15)
+
+    def send(
+        self, method: str, path: str, headers: Iterable[tuple[str, str]] = (), body: bytes | None = None
+    ) -> Answer:
+        """The answer to a request; of an event stream the beginning."""
+        pairs = list(headers)
+        for last in (False, True):
+            fresh = self._connection.sock is None
+            try:
+                return self._sent(method, path, pairs, body)
+            except BaseException as error:
+                self._connection.close()
+                if fresh or last or not isinstance(error, ConnectionError):
+                    raise
+        raise AssertionError
+
+    def _sent(self, method: str, path: str, headers: list[tuple[str, str]], body: bytes | None) -> Answer:
+        given = {name.lower() for name, _ in headers}
+        connection = self._connection
+        connection.putrequest(method, path, skip_host="host" in given, skip_accept_encoding=True)
+        if body is not None and "content-length" not in given:
+            headers = [*headers, ("Content-Length", str(len(body)))]
+        for name, value in headers:
+            connection.putheader(name, value.encode("latin-1", "replace"))
+        connection.endheaders(body)
+        answer = connection.getresponse()
+        found = {name.lower(): value for name, value in answer.getheaders()}
+        if found.get("content-type", "").startswith("text/event-stream") and method != "HEAD":
+            begun = answer.read1()
+            connection.close()
+            return Answer(answer.status, found, begun)
+        return Answer(answer.status, found, answer.read())
+
+    def operation(self, path: str, method: str) -> dict[str, Any]:
+        """The Operation Object of a path as the description has it."""
+        item = self.resolved(self.description["paths"][path])
+        found: dict[str, Any] = item[method.lower()]
+        return found
+
+    def judge(self, path: str, method: str, answer: Answer) -> None:
+        """That the description tells of this answer to this operation."""
+        sound(answer, method)
+        responses = self.operation(path, method)["responses"]
+        if str(answer.status) not in responses:
+            assert answer.status in (403, 408, 421, 431), f"{answer.status} is not told of: {answer.body[:300]!r}"
+            return
+        told = self.resolved(responses[str(answer.status)])
+        for name, header in told.get("headers", {}).items():
+            if header.get("required"):
+                assert name.lower() in answer.headers, f"{name} is missing in a {answer.status}"
+        if method == "HEAD" or not answer.body:
+            return
+        contents = told.get("content", {})
+        media_type = answer.media_type
+        assert media_type in contents or "*/*" in contents, f"a {answer.status} is {media_type}, not {list(contents)}"
+        if answer.status < 300 and media_type == "application/json":
+            self._validator(contents[media_type]["schema"]).validate(json.loads(answer.body))
+
+    def _validator(self, schema: dict[str, Any]) -> Draft202012Validator:
+        key = json.dumps(schema)
+        if key not in self._validators:
+            self._validators[key] = Draft202012Validator({**schema, "components": self.description["components"]})
+        return self._validators[key]
+
+    def resolved(self, value: dict[str, Any]) -> dict[str, Any]:
+        reference = value.get("$ref")
+        if reference is None:
+            return value
+        found: Any = self.description
+        for step in reference[2:].split("/"):
+            found = found[step]
+        assert isinstance(found, dict)
+        return found
+
+
+def sound(answer: Answer, method: str) -> None:
+    """That the answer is no failure, and a refusal one that says why."""
+    assert answer.status < 500 or answer.status in (503, 504), f"{answer.status}: {answer.body[:500]!r}"
+    if answer.status < 400 or method == "HEAD":
+        return
+    assert answer.headers.get("content-length") == str(len(answer.body))
+    if answer.media_type == "application/problem+json":
+        problem = json.loads(answer.body)
+        assert problem["status"] == answer.status
+        assert len(problem["detail"]) > 10
+        assert "Traceback" not in problem["detail"]
+    else:
+        assert answer.body, f"a {answer.status} says nothing"
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    running = Server(tmp_path_factory.mktemp("fuzz"))
+    yield running
+    assert running.process.poll() is None, f"the server died: {running.log[-3000:]}"
+    assert running.stop() == 0, running.log[-3000:]
+    assert "Traceback" not in running.log, running.log[-6000:]
+
+
+def fuzzing(times: float = 1.0) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Runs a test on the same examples each time."""
+    how = settings(
+        max_examples=max(1, int(EXAMPLES * times)),
+        deadline=None,
+        database=None,
+        phases=(Phase.explicit, Phase.generate, Phase.shrink),
+        suppress_health_check=list(HealthCheck),
+    )
+    return lambda test: seed(SEED)(how(test))
+
+
+# What was found this way, on an aircraft that nothing was done to yet
+
+
+def test_the_container_of_kept_data_without_its_slash_is_moved_to_it(server: Server) -> None:
+    for method in ("GET", "PUT"):
+        answer = server.send(method, "/data", [("Content-Type", "text/turtle")], b"" if method == "PUT" else None)
+        assert answer.status == 308
+        assert answer.headers["location"] == f"{server.url}data/"
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "media_type", "body", "status"),
+    [
+        ("POST", "/services/aircraft/get_power", "application/json", b"{}", 201),
+        ("PUT", "/parameters/made_unseen", "application/json", b"1", 201),
+        ("POST", "/data/", "text/turtle", b"", 201),
+        ("POST", "/resources/aircraft/stop", "application/json", b"{}", 204),
+        ("PATCH", "/parameters/cockpit/", "application/merge-patch+json", b'{"night": true}', 204),
+    ],
+)
+def test_a_write_that_was_done_is_told_as_done_also_to_who_accepts_nothing_that_is_offered(
+    server: Server, method: str, path: str, media_type: str, body: bytes, status: int
+) -> None:
+    server.send("DELETE", "/parameters/made_unseen")
+    server.send("POST", "/resources/aircraft/start", [JSON], b"{}")
+    headers = [("Content-Type", media_type), ("Accept", "image/png"), ("Prefer", "return=representation")]
+    answer = server.send(method, path, headers, body)
+    assert answer.status == status, answer.body
+    assert not answer.body
+    if status == 201:
+        made = answer.headers["location"].removeprefix(server.url)
+        assert server.send("GET", f"/{made}").status == 200
+
+
+# What is made from the description
+
+TYPES = "https://w3id.org/rosld/types/"
+TERMS = st.sampled_from(
+    [
+        "<>", "<#message>", "<#request>", "<x>", "</topics/cockpit/display>", "[]", "_:b", "()", "(1 2)", '"a"', "1",
+        "1e400", "-0.0", "true", '"x"^^<http://www.w3.org/2001/XMLSchema#byte>', '"a"@en', "'\\u0000'", "[ a <x> ]",
+        "<http://www.w3.org/1999/02/22-rdf-syntax-ns#type>", "<https://w3id.org/rosld#value>",
+        f"<{TYPES}std_msgs/msg/String>", f"<{TYPES}std_msgs/msg/String#data>", "<http://[>", "<http://a b>",
+        "<http://www.w3.org/1999/02/22-rdf-syntax-ns#value>", "<http://www.w3.org/ns/ldp#contains>", "<urn:x:\u00e9>",
+    ]
+)  # fmt: skip
+STATEMENTS = st.lists(st.tuples(TERMS, TERMS, TERMS).map(" ".join), max_size=4).map(
+    lambda found: " ".join(f"{one} ." for one in found)
+)
+UPDATES = st.builds(
+    "{} {{ {} }} {}".format,
+    st.sampled_from(
+        ["INSERT DATA", "DELETE DATA", "DELETE WHERE", "DELETE { ?s ?p ?o } WHERE", "WITH <x> DELETE", "CLEAR ALL ;"]
+    ),
+    STATEMENTS,
+    st.sampled_from(["", ";", "WHERE { ?s ?p ?o }", "WHERE { GRAPH <x> { ?s ?p ?o } }", "USING <x> WHERE {}"]),
+)
+QUERIES = st.builds(
+    "{} {{ {} }} {}".format,
+    st.sampled_from(["SELECT * WHERE", "ASK", "CONSTRUCT WHERE", "DESCRIBE ?s WHERE", "SELECT (COUNT(*) AS ?n) WHERE"]),
+    st.sampled_from(
+        ["?s ?p ?o", "GRAPH ?g { ?s a ?o }", "SERVICE <x> { }", "{ ?s ?p 1 } UNION { }", "BIND(1/0 AS ?s)"]
+    ),
+    st.sampled_from(["", "LIMIT 3", "LIMIT -1", "ORDER BY ?s LIMIT 1", "GROUP BY ?s", "VALUES ?s { <x> }"]),
+)
+XML = st.sampled_from(
+    [
+        "", "<a/>", "<rdf:RDF xmlns:rdf='http://www.w3.org/1999/02/22-rdf-syntax-ns#'/>",
+        "<?xml version='1.0'?><!DOCTYPE a [<!ENTITY b SYSTEM 'file:///etc/passwd'>]><a>&b;</a>",
+        "<rdf:RDF xmlns:rdf='http://www.w3.org/1999/02/22-rdf-syntax-ns#'><rdf:Description rdf:about=''>"
+        "<rdf:value>1</rdf:value></rdf:Description></rdf:RDF>",
+    ]
+)  # fmt: skip
+JSON_LD = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=10),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(
+            st.sampled_from(
+                ["@id", "@type", "@value", "@context", "@graph", "@list", "@set", "@reverse", "x:y", "data", ""]
+            ),
+            inner,
+            max_size=4,
+        )
+    ),
+    max_leaves=10,
+)
+
+
+def octets(text: st.SearchStrategy[str]) -> st.SearchStrategy[bytes]:
+    """The text as UTF-8, or bytes that are anything."""
+    return text.map(lambda one: one.encode("utf-8", "surrogatepass")) | st.binary(max_size=40)
+
+
+BODIES: Mapping[str, st.SearchStrategy[bytes]] = {
+    "text/turtle": octets(STATEMENTS | st.text(max_size=30)),
+    "application/n-triples": octets(STATEMENTS),
+    "application/n-quads": octets(STATEMENTS),
+    "application/trig": octets(STATEMENTS | STATEMENTS.map("<x> {{ {} }}".format)),
+    "text/n3": octets(STATEMENTS | STATEMENTS.map("{{ {0} }} => {{ {0} }} .".format)),
+    "application/rdf+xml": octets(XML),
+    "application/ld+json": octets(JSON_LD.map(json.dumps)),
+    "application/sparql-update": octets(UPDATES),
+    "application/sparql-query": octets(QUERIES),
+}
+for _media_type, _bodies in BODIES.items():
+    schemathesis.openapi.media_type(_media_type, _bodies)
+TAGS = (
+    "bags", "calls", "data", "entry", "mappings", "nodes", "parameters", "queries", "resources", "services", "shapes",
+    "topics", "types",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def operations(server: Server) -> Mapping[str, list[Any]]:
+    """The operations of the description by their tags; of those that are described alike, two."""
+    schema = schemathesis.openapi.from_dict(server.description)
+    found: dict[str, list[Any]] = {tag: [] for tag in TAGS}
+    alike: Counter[str] = Counter()
+    for each in schema.get_all_operations():
+        operation = each.ok()
+        key = operation.method + json.dumps(operation.definition.raw)
+        if alike[key] < 2:
+            found[operation.tags[0]].append(operation)
+        alike[key] += 1
+    return found
+
+
+def test_every_tag_of_the_description_is_fuzzed(server: Server) -> None:
+    assert {tag["name"] for tag in server.description["tags"]} | {"data"} == set(TAGS)
+
+
+@pytest.mark.parametrize("mode", [GenerationMode.POSITIVE, GenerationMode.NEGATIVE], ids=["fitting", "unfitting"])
+@pytest.mark.parametrize("tag", TAGS)
+def test_what_the_description_makes_is_answered_as_it_tells(
+    server: Server, operations: Mapping[str, list[Any]], tag: str, mode: GenerationMode
+) -> None:
+    failed = []
+    for operation in operations[tag]:
+        if mode is GenerationMode.NEGATIVE and not (operation.body or operation.query):
+            continue
+
+        @fuzzing(0.4 if operation.body else 0.1)
+        @given(case=operation.as_strategy(generation_mode=mode))
+        def attempt(case: Any) -> None:
+            answer = case.call(base_url=server.url.rstrip("/"), timeout=PATIENCE, stream=False)
+            headers = {name.lower(): ", ".join(values) for name, values in answer.headers.items()}
+            server.judge(case.path, case.method, Answer(answer.status_code, headers, answer.content))
+
+        try:
+            attempt()
+        except Exception as error:
+            failed.append(f"{operation.label}: {error}\n" + "\n".join(getattr(error, "__notes__", ())))
+    assert not failed, "\n\n".join(failed)
+
+
+# Headers, paths, methods and queries, as no description makes them
+
+PRINTABLE = st.text(st.characters(min_codepoint=0x20, max_codepoint=0xFF, exclude_characters="\x7f"), max_size=40)
+MEDIA_TYPES = st.sampled_from(
+    [
+        "text/turtle", "application/ld+json", "application/json", "application/n-quads", "application/rdf+xml",
+        "text/html", "text/event-stream", "application/td+json", "application/sparql-results+json", "text/csv",
+        "application/openapi+json", "application/problem+json", "*/*", "text/*", "*/json", "image/png", "text/n3",
+        "application/merge-patch+json", "application/sparql-update", "application/sparql-query",
+        "application/x-www-form-urlencoded", "multipart/form-data; boundary=x", "application/octet-stream",
+    ]
+)  # fmt: skip
+ENDINGS = st.sampled_from(
+    ["", ";q=0", ";q=1", ";q=0.5", ";q=2", ";q=x", "; charset=utf-8", ";charset=latin-1", ';profile="a, b"', ";", ";=",
+     ' ;a="', ";q=0.0001"]
+)  # fmt: skip
+KINDS = st.builds("{}{}".format, MEDIA_TYPES, ENDINGS)
+TAG_LISTS = st.sampled_from(
+    ["*", '"x"', 'W/"x"', '"x", "y"', "x", '"', '"a"b"', ",", '"\u00e9"', "*, *", '"x.ttl"', '"' + "a" * 5000 + '"', ""]
+)
+DATES = st.sampled_from(["Sat, 21 Nov 2026 05:00:00 GMT", "yesterday", "Mon, 99 Foo 0000 99:99:99 GMT"])
+PREFERENCES = st.sampled_from(
+    [
+        "return=minimal", "return=representation", "return=representation; include=\"http://www.w3.org/ns/ldp#Prefer\"",
+        'return=representation; omit="http://www.w3.org/ns/ldp#PreferContainment x:y"', "respond-async", "wait=0",
+        "wait=-1", "wait=99999999999999999999", 'return="minimal', "return=minimal, return=representation", ";;,,=",
+        "handling=strict", 'return=representation; include="\u00e9"',
+    ]
+)  # fmt: skip
+LINKS = st.sampled_from(
+    [
+        '<http://www.w3.org/ns/ldp#BasicContainer>; rel="type"', '<http://www.w3.org/ns/ldp#NonRDFSource>; rel=type',
+        '<http://www.w3.org/ns/ldp#DirectContainer>; rel="type"', '<http://www.w3.org/ns/ldp#Nothing>; rel="type"',
+        '<x>; rel="type", <y>; rel="type"', "<>", "<", '<a b>; rel="type"', "<x>; rel", '<x>; rel="type',
+        '<http://www.w3.org/ns/ldp#Resource>; rel="type"; anchor="x"', '<\u00e9>; rel="type"',
+    ]
+)  # fmt: skip
+SLUGS = st.sampled_from(
+    ["a", "", ".", "..", "../..", "a/b", "%2e%2e", "%", "a b", "\u00e9\u00ff", "a" * 3000, "x?y", "x#y", "~", ".meta",
+     "con", "a.ttl", "-", "\u00a0"]
+)  # fmt: skip
+RANGES = st.sampled_from(
+    ["bytes=0-0", "bytes=0-", "bytes=-1", "bytes=5-1", "bytes=999999999999999999999-", "bytes=0-1,3-4", "bytes=", "x=1",
+     "bytes=a-b", "bytes=" + "0-0," * 500, "items=0-1"]
+)  # fmt: skip
+HEADERS: Mapping[str, st.SearchStrategy[str]] = {
+    "Accept": st.lists(KINDS, max_size=3).map(", ".join),
+    "Accept-Charset": st.sampled_from(["utf-8", "latin-1;q=1, *;q=0", ""]),
+    "Accept-Encoding": st.sampled_from(["gzip", "identity;q=0", "*;q=0", "br, zstd"]),
+    "Accept-Language": st.sampled_from(["de", "*;q=0", "x-y-z"]),
+    "Content-Type": KINDS,
+    "Content-Encoding": st.sampled_from(["gzip", "identity", "deflate, gzip", "", "x"]),
+    "Content-Language": st.just("de"),
+    "If-Match": TAG_LISTS,
+    "If-None-Match": TAG_LISTS,
+    "If-Modified-Since": DATES,
+    "If-Unmodified-Since": DATES,
+    "If-Range": TAG_LISTS,
+    "Prefer": PREFERENCES,
+    "Link": LINKS,
+    "Slug": SLUGS,
+    "Range": RANGES,
+    "Origin": st.sampled_from(["null", "http://evil.example", "x", "http://127.0.0.1", ""]),
+    "Referer": st.sampled_from(["http://evil.example/", "x", "http://[", "/topics/"]),
+    "Sec-Fetch-Site": st.sampled_from(["cross-site", "same-origin", "none", "x"]),
+    "Access-Control-Request-Method": st.sampled_from(["PUT", "BREW", ""]),
+    "Idempotency-Key": st.sampled_from(["a", '"a"', "", "a" * 5000]),
+    "Last-Event-ID": TAG_LISTS,
+    "Expect": st.sampled_from(["100-continue", "x"]),
+    "Forwarded": st.just("host=evil.example;proto=https"),
+    "X-Forwarded-Host": st.just("evil.example"),
+    "X-HTTP-Method-Override": st.just("DELETE"),
+    "Upgrade": st.sampled_from(["websocket", "h2c", "x"]),
+    "Connection": st.sampled_from(["close", "keep-alive", "Upgrade", "x"]),
+    "TE": st.just("trailers"),
+    "Cookie": PRINTABLE,
+}
+HOSTS = st.sampled_from(
+    ["localhost", "127.0.0.1", "[::1]", "evil.example", "", " ", "127.0.0.1:", "127.0.0.1:x", "127.0.0.1:99999999999",
+     "[::1", "a@b", "\u00e9", "a, b", "127.0.0.1:80:80", "127.0.0.1.", "http://127.0.0.1/"]
+)  # fmt: skip
+FIELDS = st.lists(
+    st.sampled_from(sorted(HEADERS)).flatmap(
+        lambda name: st.tuples(st.just(name), HEADERS[name] if name == "Cookie" else HEADERS[name] | PRINTABLE)
+    ),
+    max_size=4,
+)
+WRITES = (
+    ("PUT", "/topics/cockpit/display", "application/json", b'{"data": "fuzz"}'),
+    ("PATCH", "/topics/cockpit/display", "application/merge-patch+json", b'{"data": "fuzz"}'),
+    ("POST", "/services/aircraft/get_power", "application/json", b"{}"),
+    ("POST", "/services/aircraft/engine/set_speed", "application/json", b'{"data": 1}'),
+    ("PUT", "/parameters/fuzzed", "application/json", b"1"),
+    ("PATCH", "/parameters/", "application/merge-patch+json", b'{"fuzzed": 2}'),
+    ("POST", "/parameters/", "application/json", b"1"),
+    ("DELETE", "/parameters/fuzzed", "application/json", b""),
+    ("PUT", "/resources/cockpit/night", "application/json", b"true"),
+    ("POST", "/resources/aircraft/start", "application/json", b"{}"),
+    ("PATCH", "/resources/cockpit/", "application/merge-patch+json", b'{"night": false}'),
+    ("PUT", "/mappings/fuzzed", "text/turtle", b""),
+    ("POST", "/mappings/", "text/turtle", b""),
+    ("DELETE", "/mappings/fuzzed", "text/turtle", b""),
+    ("POST", "/sparql", "application/sparql-query", b"ASK {}"),
+    ("POST", "/data/", "text/turtle", b"<> <x:p> 1 ."),
+    ("PUT", "/data/fuzzed", "text/turtle", b"<> <x:p> 1 ."),
+    ("PUT", "/data/fuzzed.bin", "application/octet-stream", b"\x00\xff"),
+    ("PUT", "/data/fuzzed/", "text/turtle", b""),
+    ("POST", "/data/fuzzed/", "text/plain", b"fuzz"),
+    ("PATCH", "/data/fuzzed", "application/sparql-update", b"INSERT DATA { <> <x:p> 2 }"),
+    ("DELETE", "/data/fuzzed", "text/turtle", b""),
+)
+READS = (
+    "/", "/topics/", "/topics/aircraft/engine/speed", "/topics/cockpit/display", "/services/aircraft/start",
+    "/parameters/", "/parameters/cockpit/night", "/resources/aircraft/", "/resources/aircraft/power",
+    "/resources/aircraft/start", "/mappings/", "/queries/graph", "/queries/inventory", "/sparql", "/openapi.json",
+    "/.well-known/wot", "/style.css", "/types/std_msgs/msg/String", "/calls/", "/ontology", "/shapes/limits", "/data/",
+    "/data/fuzzed", "/data/fuzzed.bin", "/data/fuzzed/", "/bags/", "/nodes/aircraft",
+)  # fmt: skip
+TEMPLATES = ("/types/{package}/{kind}/{name}", "/mappings/{name}", "/parameters/{name}", "/data/{path}")
+
+
+def told_as(server: Server, path: str, method: str) -> str | None:
+    """The path, or the template that stands for it, under which the description tells of an operation."""
+    for at in (path, *TEMPLATES):
+        fits = re.fullmatch(re.sub(r"\{path\}", ".+", re.sub(r"\{(?!path)\w+\}", "[^/]+", at)), path)
+        if (
+            fits
+            and at in server.description["paths"]
+            and method.lower() in server.resolved(server.description["paths"][at])
+        ):
+            return at
+    return None
+
+
+def judged(server: Server, method: str, path: str, answer: Answer) -> None:
+    """That the answer is one of those told of the path; elsewhere, that it is sound."""
+    at = told_as(server, path.partition("?")[0], method)
+    if at is None:
+        sound(answer, method)
+    else:
+        server.judge(at, method, answer)
+
+
+@pytest.mark.parametrize("method", ["GET", "HEAD", "OPTIONS"])
+def test_whatever_the_headers_of_a_read_are_it_is_answered(server: Server, method: str) -> None:
+    @fuzzing(6)
+    @given(path=st.sampled_from(READS), headers=FIELDS)
+    def attempt(path: str, headers: list[tuple[str, str]]) -> None:
+        judged(server, method, path, server.send(method, path, headers))
+
+    attempt()
+
+
+def test_whatever_the_headers_of_a_write_are_it_is_answered(server: Server) -> None:
+    @fuzzing(12)
+    @given(write=st.sampled_from(WRITES), headers=FIELDS)
+    def attempt(write: tuple[str, str, str, bytes], headers: list[tuple[str, str]]) -> None:
+        method, path, media_type, body = write
+        stated = any(name == "Content-Type" for name, _ in headers)
+        given = headers if stated else [("Content-Type", media_type), *headers]
+        judged(server, method, path, server.send(method, path, given, body))
+
+    attempt()
+
+
+def test_whatever_the_host_is_it_is_told_who_this_is(server: Server) -> None:
+    @fuzzing(4)
+    @given(path=st.sampled_from(READS), hosts=st.lists(HOSTS | PRINTABLE, max_size=2))
+    def attempt(path: str, hosts: list[str]) -> None:
+        answer = server.send("GET", path, [("Host", host) for host in hosts] or [("Host", "")])
+        sound(answer, "GET")
+        assert answer.status in (200, 400, 404, 421)
+
+    attempt()
+
+
+SEGMENTS = st.sampled_from(
+    [
+        "", ".", "..", "~", "~.", "~~", "%", "%2", "%zz", "%00", "%0a", "%2e", "%2e%2e", "%2f", "%5c", "%25", "%ff",
+        "%c0%af", "%ed%a0%80", "%F0%9F%A4%96", "a", "a b", "a;b", "a:b", "a@b", "*", "'", '"', "<", ">", "\\", "|", "^",
+        "{name}", "$", "&", "=", "+", "\u00e9", "\u202e", "a" * 300, "a%20b", "_hidden", "0", "-1", "1e400", "aircraft",
+        "cockpit", "display", "msg", "std_msgs", "String", "String_Request", "messages", "mapping", "limits", "wot",
+        "fuzzed", ".meta", "fuzzed.meta", "index.html", "etc", "passwd",
+    ]
+)  # fmt: skip
+ROOMS = st.sampled_from(
+    ["topics", "services", "nodes", "parameters", "resources", "mappings", "queries", "types", "shapes", "bags",
+     "calls", "data", "sparql", "ontology", "openapi.json", "style.css", ".well-known", "",
+    "%74opics", "TOPICS", "graphs"]
+)  # fmt: skip
+PATHS = st.builds(
+    lambda room, segments, end: "/".join(("", room, *segments)) + end,
+    ROOMS,
+    st.lists(SEGMENTS | st.text(max_size=5).map(lambda text: quote(text, safe="", errors="replace")), max_size=5),
+    st.sampled_from(["", "/", "//", "?", "#", "%"]),
+)
+METHODS = st.sampled_from(["GET", "HEAD", "OPTIONS", "PUT", "POST", "PATCH", "DELETE"])
+
+
+def test_whatever_the_path_is_it_is_answered(server: Server) -> None:
+    @fuzzing(15)
+    @given(
+        method=METHODS, path=PATHS, accept=st.sampled_from(["*/*", "text/html", "text/turtle", "application/rdf+xml"])
+    )
+    def attempt(method: str, path: str, accept: str) -> None:
+        body = b"" if method in ("PUT", "POST", "PATCH") else None
+        answer = server.send(method, path, [("Accept", accept), JSON], body)
+        sound(answer, method)
+
+    attempt()
+
+
+@pytest.mark.parametrize("length", [1000, 8000, 60_000, 70_000, 1_000_000])
+@pytest.mark.parametrize("shape", ["a", "a/", "%C3%A9", "..%2f", "~/"])
+def test_a_long_path_is_answered_at_once(server: Server, length: int, shape: str) -> None:
+    answer = server.send("GET", "/parameters/" + (shape * length)[:length])
+    sound(answer, "GET")
+
+
+def test_whatever_the_method_is_it_is_answered(server: Server) -> None:
+    names = ["TRACE", "CONNECT", "PROPFIND", "BREW", "LOCK", "SEARCH", "M-SEARCH", "PURGE", "get", "Put", "G", "PRI"]
+
+    @fuzzing(4)
+    @given(
+        method=st.sampled_from(names)
+        | st.text("ABCDEFGHIJKLMNOPQRSTUVWXYZ!#$%&'*+-.^_`|~0189", min_size=1, max_size=20),
+        path=st.sampled_from((*READS, "*")),
+    )
+    def attempt(method: str, path: str) -> None:
+        answer = server.send(method, path)
+        sound(answer, method)
+        assert answer.status in (204, 200, 400, 404, 405, 410) or method in ("PUT", "POST", "PATCH", "DELETE")
+
+    attempt()
+
+
+NAMES = st.sampled_from(
+    ["format", "field", "after", "timeout", "rate", "hash", "page", "hidden", "defaults", "latch", "query", "update",
+     "default-graph-uri", "named-graph-uri", "name", "seconds", "topic", "limit", "x", "", "q", "%", "data.0"]
+)  # fmt: skip
+VALUES = st.sampled_from(
+    ["", "ttl", "json", "html", "td", "nq", "rdf", "x", "0", "1", "-1", "1e400", "NaN", "99999999999999999999999",
+     "true", "TRUE", "data", "data.0", "data.data", "..", "%00", "%ff", "%", "+", "*", "ASK{}",
+    "SELECT * {?s ?p ?o} LIMIT 1",
+     "/topics/x", "http://[", "a" * 3000, "\u00e9"]
+)  # fmt: skip
+STRINGS = st.lists(
+    st.builds("{}={}".format, NAMES, VALUES | VALUES.map(lambda text: quote(text, safe=""))) | NAMES, max_size=4
+).map("&".join)
+
+
+def test_whatever_the_query_is_it_is_answered(server: Server) -> None:
+    @fuzzing(12)
+    @given(method=METHODS, path=st.sampled_from(READS), query=STRINGS)
+    def attempt(method: str, path: str, query: str) -> None:
+        body = b"{}" if method in ("PUT", "POST", "PATCH") else None
+        query = query.replace(" ", "%20")
+        judged(server, method, path, server.send(method, f"{path}?{query}", [JSON], body))
+
+    attempt()
+
+
+def test_the_robot_is_there_after_all_that(server: Server) -> None:
+    answer = server.send("GET", "/resources/aircraft/power", [("Accept", "application/json")])
+    assert answer.status == 200, answer.body

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-PARTS = ("lifting.py", "web.py", "ros1_ingest.py", "sparql.py", "events.py")
+PARTS = ("lifting.py", "web.py", "ros1_ingest.py", "sparql.py", "events.py", "ldp.py")
 
 
 def main() -> int:

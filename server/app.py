@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections.abc import Mapping
 from urllib.parse import quote
@@ -29,6 +30,7 @@ from rosld.server.ldp.resource import Resource
 from rosld.server.ldp.verbs import Verbs, options
 from rosld.server.records.record import StorageError
 from rosld.server.resources.channels import Notifications, rooms
+from rosld.server.resources.kept.graphs import RecordGraphs
 from rosld.server.resources.router import ROOMS, Router
 from rosld.server.robot import Robot
 from rosld.server.settings import Settings
@@ -52,18 +54,16 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     router = Router(robot, service, pages)
     notifications = Notifications(robot, Channels(robot.boot), feeds, names, router.resolve)
     router.add(rooms(notifications, ROOMS[".well-known"]))
-    return Application(
-        robot, router, Verbs(robot.boot, pages, feeds, Alone(settings.call_deadline)), pages, names, notifications
-    )
+    verbs = Verbs(robot.boot, pages, feeds, Alone(settings.call_deadline))
+    return Application(robot, router, verbs, pages, names, notifications, service)
 
 
 def query_service(robot: Robot) -> QueryService:
     """SPARQL over everything that the robot's resources say."""
     settings = robot.settings
-    store = MemoryStore(settings.data / "store" if settings.data is not None else None)
-    store.replace(dict.fromkeys(store.graphs()))  # what an earlier run knew of the robot is not so any more
+    store = MemoryStore()
     analyser = Analyser(robot.space.base, robot.space.types, bounds=Bounds(size=settings.query_size_limit))
-    synchroniser = Synchroniser(store, Dataset(robot))
+    synchroniser = Synchroniser(store, Dataset(robot), RecordGraphs(robot.records, robot.space.base))
     limits = QuerySettings(settings.query_time_limit, settings.query_memory_limit)
     return QueryService(store, synchroniser, analyser, functions(robot.received_ns), limits)
 
@@ -72,7 +72,14 @@ class Application:
     """One robot on the web."""
 
     def __init__(
-        self, robot: Robot, router: Router, verbs: Verbs, pages: Pages, names: Site, notifications: Notifications
+        self,
+        robot: Robot,
+        router: Router,
+        verbs: Verbs,
+        pages: Pages,
+        names: Site,
+        notifications: Notifications,
+        service: QueryService,
     ) -> None:
         self.robot = robot
         self._router = router
@@ -80,6 +87,7 @@ class Application:
         self._pages = pages
         self._site = names
         self._notifications = notifications
+        self._service = service
         self._standing = (b"link", link.render([notifications.link]).encode("latin-1"))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -97,8 +105,11 @@ class Application:
     async def _lifespan(self, receive: Receive, send: Send) -> None:
         await receive()
         await self.robot.start()
+        indexing = asyncio.ensure_future(self._service.keep_up())
         await send({"type": "lifespan.startup.complete"})
         await receive()
+        indexing.cancel()
+        await asyncio.wait([indexing])
         await self.robot.stop()
         await send({"type": "lifespan.shutdown.complete"})
 

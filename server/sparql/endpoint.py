@@ -69,6 +69,10 @@ class QueryService:
         self._workers = Workers(settings.workers, settings.waiting)
         self._kept = _Kept(settings.kept)
 
+    async def keep_up(self) -> None:
+        """Have the dataset ready for queries, until this is cancelled: a query then has little to wait for."""
+        await self._synchroniser.keep_up()
+
     async def answer(self, request: QueryRequest, accept: str | None) -> QueryAnswer:
         """The results in the form that the client prefers.
 

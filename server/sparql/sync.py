@@ -1,7 +1,8 @@
 """Synchronising: before a query is asked, the store holds what it needs as of now, and only that is paid for.
 
 The source tells what there is by tokens: a graph whose token is as before is left alone, the others are rendered and
-replaced in one transaction, so that no query sees a graph missing or two graphs of different moments.
+replaced in one transaction, so that no query sees a graph missing or two graphs of different moments. Of what clients
+keep only the changes are told, before every query: as long as there are none, they cost the comparison of two numbers.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ import time
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
-from itertools import count
+from itertools import count, islice
 from typing import NamedTuple, Protocol
 
+from rosld.server.sparql.kept import NOTHING, Backlog, KeptSource
 from rosld.server.sparql.needs import Needs
-from rosld.server.store import MemoryStore, Store
+from rosld.server.store import Edit, MemoryStore, Store
 
 _log = logging.getLogger("rosld.sparql")
 
@@ -24,6 +26,10 @@ WILDCARD_INTERVAL = 0.2
 """Seconds for which one look at everything is good enough for the next query that looks at everything."""
 _INLINE = 64 * 1024
 """Characters of N-Triples up to which a change is made on the loop: a thread would cost more than the change."""
+_MUCH = 1000
+"""Changes of what clients keep that are not left for a query to find."""
+_GLANCE = 1.0
+"""Seconds between looks at how many there are."""
 _SLICE = 0.002
 """Seconds of rendering after which the loop gets its turn."""
 
@@ -119,9 +125,18 @@ class _Synced:
 class Synchroniser:
     """Keeps a store in step with a source, as far as queries look. Belongs to one loop."""
 
-    def __init__(self, store: Store, source: GraphSource, *, interval: float = WILDCARD_INTERVAL) -> None:
+    def __init__(
+        self,
+        store: Store,
+        source: GraphSource,
+        kept: KeptSource = NOTHING,
+        *,
+        interval: float = WILDCARD_INTERVAL,
+    ) -> None:
         self._store = store
         self._source = source
+        self._kept = kept
+        self._kept_version = 0
         self._interval = interval
         self._held: dict[str, _Held] = {}
         self._live: set[str] = set()
@@ -143,10 +158,7 @@ class Synchroniser:
         extras = look.extras
         self._pinned.update(extras)
         try:
-            changes = self._changes(look)
-            if _is_small(changes) and not self._changing.locked():
-                self._carried_out(look, changes, _replace(self._store, changes))
-            else:  # it goes on even where the query is given up
+            if not self._at_once(look):  # it goes on even where the query is given up
                 await asyncio.shield(asyncio.ensure_future(self._apply(look)))
             if needs.everything and look.asked:
                 self._everything = (time.monotonic(), needs)
@@ -154,6 +166,20 @@ class Synchroniser:
             self.leave(extras)
             raise
         return extras
+
+    async def catch_up(self) -> None:
+        """Bring to the store what clients keep, before a query asks for it: whoever asks meanwhile waits for it."""
+        await asyncio.shield(asyncio.ensure_future(self._apply(None)))
+
+    async def keep_up(self) -> None:
+        """Catch up whenever much has changed since a query asked, at once and then for ever: to be cancelled."""
+        while True:
+            if self._kept.version - self._kept_version >= _MUCH:
+                try:
+                    await self.catch_up()
+                except Exception:  # the next query, or the next time, may have more luck
+                    _log.exception("what clients keep cannot be brought to the dataset now")
+            await asyncio.sleep(_GLANCE)
 
     def leave(self, extras: Sequence[str]) -> None:
         """The query has begun: graphs that were there for it alone may go."""
@@ -228,11 +254,48 @@ class Synchroniser:
 
     # --- telling the store
 
-    async def _apply(self, look: _Look) -> None:
+    def _at_once(self, look: _Look) -> bool:
+        """Make small changes here and now. False, with nothing changed, where they are not or others are being made."""
+        if self._changing.locked():
+            return False
+        changes = self._changes(look)
+        backlog, version = self._first_part()
+        if backlog is None or backlog.size > _INLINE or not _is_small(changes):
+            return False
+        self._carried_out(look, changes, _replace(self._store, changes, backlog))
+        self._kept_version = version
+        return True
+
+    def _first_part(self) -> tuple[Backlog | None, int]:
+        """What changed of what clients keep, if the first part of it is all, and of which version this is."""
+        backlog, version = Backlog(), self._kept.version
+        if version != self._kept_version:
+            parts = self._kept.changes(self._kept_version)
+            for part in islice(parts, 1):
+                backlog.add(part)
+            if next(parts, None) is not None:
+                return None, version
+        return backlog, version
+
+    async def _all_parts(self) -> tuple[Backlog, int]:
+        """All of it, whatever changes while it is being found."""
+        backlog, version = Backlog(), self._kept.version
+        if version != self._kept_version:
+            for part in self._kept.changes(self._kept_version):
+                backlog.add(part)
+                await asyncio.sleep(0)
+                version = self._kept.version  # of before the search for the next part: there may be none
+        return backlog, version
+
+    async def _apply(self, look: _Look | None) -> None:
         """One change at a time; what another query has brought meanwhile is not brought again."""
         async with self._changing:
-            changes = self._changes(look)
-            self._carried_out(look, changes, await asyncio.to_thread(_replace, self._store, changes))
+            backlog, version = await self._all_parts()
+            changes = self._changes(look) if look is not None else {}
+            sizes = await asyncio.to_thread(_replace, self._store, changes, backlog)
+            if look is not None:
+                self._carried_out(look, changes, sizes)
+            self._kept_version = version
 
     def _carried_out(self, look: _Look, changes: Mapping[str, _Change], sizes: Mapping[str, int]) -> None:
         for iri, change in changes.items():
@@ -261,43 +324,53 @@ def _size(held: _Held | None) -> int:
     return _INLINE + 1 if held is None else held.size
 
 
-def _replace(store: Store, changes: Mapping[str, _Change]) -> dict[str, int]:
-    """Render what changed and replace it; the number of characters of each. Runs in any thread."""
-    if not changes:
+def _replace(store: Store, changes: Mapping[str, _Change], backlog: Backlog) -> dict[str, int]:
+    """Render what changed and replace it; the number of characters of each of `changes`. Runs in any thread."""
+    edits: Sequence[Edit] = backlog.edits
+    if not changes and not backlog.graphs and not edits:
         return {}
-    texts = _rendered(changes)
+    texts = _rendered(backlog.graphs)
+    texts |= _rendered({iri: change.entry and change.entry.ntriples for iri, change in changes.items()})
     try:
-        store.replace(texts)
+        store.replace(texts, edits)
     except ValueError:
         # One graph that cannot be stored must not hide all others from every query.
         texts = {iri: text if text is None or _is_ntriples(iri, text) else None for iri, text in texts.items()}
-        store.replace(texts)
-    return {iri: len(text or "") for iri, text in texts.items()}
+        store.replace(texts, [edit for edit in edits if _is_possible(edit)])
+    return {iri: len(texts[iri] or "") for iri in changes}
 
 
-def _rendered(changes: Mapping[str, _Change]) -> dict[str, str | None]:
+def _rendered(graphs: Mapping[str, Callable[[], str] | None]) -> dict[str, str | None]:
     texts: dict[str, str | None] = {}
     pause = time.monotonic() + _SLICE
-    for iri, change in changes.items():
-        texts[iri] = None if change.entry is None else _render(change.entry)
+    for iri, ntriples in graphs.items():
+        texts[iri] = None if ntriples is None else _render(iri, ntriples)
         if time.monotonic() > pause:
             time.sleep(_SLICE / 10)
             pause = time.monotonic() + _SLICE
     return texts
 
 
-def _render(entry: GraphEntry) -> str | None:
+def _render(iri: str, ntriples: Callable[[], str]) -> str | None:
     try:
-        return entry.ntriples()
+        return ntriples()
     except Exception:  # a source's failure concerns one graph only
-        _log.exception("%s cannot be rendered and is left out of the dataset", entry.iri)
+        _log.exception("%s cannot be rendered and is left out of the dataset", iri)
         return None
 
 
 def _is_ntriples(iri: str, text: str) -> bool:
+    return _is_stored({iri: text}, ())
+
+
+def _is_possible(edit: Edit) -> bool:
+    return _is_stored({}, (edit,))
+
+
+def _is_stored(graphs: Mapping[str, str], edits: Sequence[Edit]) -> bool:
     try:
-        MemoryStore().replace({iri: text})
+        MemoryStore().replace(graphs, edits)
     except ValueError as error:
-        _log.error("%s is left out of the dataset: %s", iri, error)
+        _log.error("%s is left out of the dataset: %s", next(iter(graphs), edits and edits[0].graph), error)
         return False
     return True

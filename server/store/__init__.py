@@ -1,6 +1,6 @@
 """The RDF dataset that SPARQL is answered from: one named graph a resource."""
 
-from rosld.server.store.base import Function, QueryError, Results, Store
+from rosld.server.store.base import Edit, Function, QueryError, Results, Store
 from rosld.server.store.memory import MemoryStore
 
-__all__ = ["Function", "MemoryStore", "QueryError", "Results", "Store"]
+__all__ = ["Edit", "Function", "MemoryStore", "QueryError", "Results", "Store"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import Protocol, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, QueryBoolean, QuerySolutions, QueryTriples, Triple
 
@@ -16,6 +16,17 @@ Function: TypeAlias = Callable[..., Term | None]
 
 class QueryError(ValueError):
     """The store cannot answer this query, in the words of its parser."""
+
+
+class Edit(NamedTuple):
+    """A change within one graph that leaves the rest of it alone: N-Triples without blank nodes.
+
+    What is `removed` goes first, as far as it is there; then comes what is `added`.
+    """
+
+    graph: str
+    added: str = ""
+    removed: str = ""
 
 
 class Store(Protocol):
@@ -42,10 +53,10 @@ class Store(Protocol):
         """The IRIs of all named graphs."""
         ...
 
-    def replace(self, graphs: Mapping[str, str | None]) -> None:
-        """Replace each graph by its N-Triples, or drop it (None), all in ONE transaction.
+    def replace(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
+        """Replace each graph by its N-Triples, or drop it (None), then do the edits in their order: ONE transaction.
 
-        No query ever sees some of them replaced and others not. Labels of blank nodes hold within one text. Raises
+        No query ever sees some of it done and the rest not. Labels of blank nodes hold within one text. Raises
         ValueError, with nothing changed, for text that is no N-Triples or an IRI that is none.
         """
         ...

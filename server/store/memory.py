@@ -1,39 +1,49 @@
-"""The store on pyoxigraph: in memory, or on disk where a path is given."""
+"""The store on pyoxigraph, in memory."""
 
 from __future__ import annotations
 
+import logging
 import re
 import threading
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import count
-from pathlib import Path
+from itertools import count, islice
+from typing import IO, TypeAlias, cast
 
 import pyoxigraph
 
-from rosld.server.store.base import Function, QueryError, Results
+from rosld.server.store.base import Edit, Function, QueryError, Results
+from rosld.server.store.wear import Wear
 
+_log = logging.getLogger("rosld.sparql")
+
+_LARGE = 1024 * 1024
+"""Characters from which on new graphs are loaded, in half the time and memory that an update takes."""
+_ROUNDS = 3
+"""Times that a new store takes over what changed meanwhile, each time less, before nothing may change until it has."""
 _LABEL = re.compile(r'"(?:[^"\\]|\\.)*"|<[^>]*>|_:')
+
+_Change: TypeAlias = tuple[Mapping[str, str | None], Sequence[Edit]]
 
 
 class MemoryStore:
-    """The `Store` that rosld brings along."""
+    """The `Store` that rosld brings along. It renews itself whenever it is worn (`wear.py`)."""
 
-    def __init__(self, path: Path | None = None) -> None:
-        self._store = pyoxigraph.Store(None if path is None else str(path))
-        self._in_memory = path is None
+    in_memory = True
+
+    def __init__(self) -> None:
+        self._store = pyoxigraph.Store()
         self._changing = threading.Lock()
         self._versions = count(1)
         self._version = 0
+        self._wear = Wear()
+        self._renewal: threading.Thread | None = None
+        self._meanwhile: list[_Change] = []  # what changed since the renewal began
         self._functions: tuple[Mapping[str, Function], dict[pyoxigraph.NamedNode, Function]] = ({}, {})
 
     @property
     def version(self) -> int:
         return self._version
-
-    @property
-    def in_memory(self) -> bool:
-        return self._in_memory
 
     @contextmanager
     def still(self) -> Iterator[None]:
@@ -43,25 +53,54 @@ class MemoryStore:
     def graphs(self) -> Collection[str]:
         return [graph.value for graph in self._store.named_graphs() if isinstance(graph, pyoxigraph.NamedNode)]
 
-    def replace(self, graphs: Mapping[str, str | None]) -> None:
-        if not graphs:
+    def replace(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
+        if not graphs and not edits:
             return
         try:
-            self._update(_operations(graphs))
+            self._carry_out(graphs, edits)
         except SyntaxError:
             # Most likely two texts use one label for a blank node, which one update cannot.
             try:
-                self._update(_operations(_relabelled(graphs)))
+                self._carry_out(_relabelled(graphs), edits)
             except SyntaxError as error:
-                raise ValueError(f"no N-Triples for {_first(graphs)}: {error}") from error
+                raise ValueError(f"no N-Triples for {_first(graphs, edits)}: {error}") from error
         # Drawn after the change: a version read before a query begins is never newer than what the query sees.
         self._version = next(self._versions)
 
-    def _update(self, operations: Iterator[str]) -> None:
-        """Carry them out in one transaction, which only the text of one update is."""
-        text = "\n".join(operations)
+    def _carry_out(self, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> None:
         with self._changing:
-            self._store.update(text)
+            _change(self._store, graphs, edits)
+            if self._renewal is not None:
+                self._meanwhile.append((graphs, edits))
+            self._wear.replaced(graphs, edits)
+            if self._wear.worn and self._renewal is None:
+                self._renewal = threading.Thread(target=self._renew, name="store-renewal", daemon=True)
+                self._renewal.start()
+
+    def _renew(self) -> None:
+        """Have another store take over, with the same in it. Queries that have begun go on with the old one."""
+        try:
+            new = pyoxigraph.Store()
+            new.load(self._store.dump(format=pyoxigraph.RdfFormat.N_QUADS), pyoxigraph.RdfFormat.N_QUADS)
+            for _ in range(_ROUNDS):
+                self._repeat(new)
+            with self._changing:
+                self._repeat(new)
+                self._store = new
+        except Exception:  # memory, most likely: what is there stays in use
+            _log.exception("the dataset cannot be renewed, and goes on as it is")
+        finally:
+            with self._changing:
+                self._wear.renewed()
+                self._meanwhile.clear()
+                self._renewal = None
+
+    def _repeat(self, new: pyoxigraph.Store) -> None:
+        """Carry out on the new store what was done to the old. What the copy had already is done once more: no harm."""
+        number = len(self._meanwhile)
+        for graphs, edits in self._meanwhile[:number]:
+            _change(new, graphs, edits)
+        del self._meanwhile[:number]
 
     def query(
         self,
@@ -96,23 +135,72 @@ class MemoryStore:
         return named
 
 
-def _first(graphs: Mapping[str, str | None]) -> str:
-    names = [repr(name) for name in list(graphs)[:3]]
-    return ", ".join(names) + (", ..." if len(graphs) > len(names) else "")
+class _Text:
+    """A file to be read, of pieces that are made as they are read."""
+
+    def __init__(self, pieces: Iterator[str]) -> None:
+        self._pieces = pieces
+        self._rest = b""
+
+    def read(self, size: int) -> bytes:
+        """Up to so many bytes; none at the end."""
+        while len(self._rest) < size:
+            found = [*islice(self._pieces, 64)]
+            if not found:
+                break
+            self._rest += "".join(found).encode()
+        taken, self._rest = self._rest[:size], self._rest[size:]
+        return taken
 
 
-def _operations(graphs: Mapping[str, str | None]) -> Iterator[str]:
+def _change(store: pyoxigraph.Store, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> None:
+    """In one transaction, which the text of one update is, and one load."""
+    size = sum(len(text) for text in graphs.values() if text) + sum(len(edit.added) for edit in edits)
+    if size > _LARGE and _only_adds(store, graphs, edits):
+        source = cast("IO[bytes]", _Text(_blocks(_relabelled(graphs), edits)))
+        store.load(source, pyoxigraph.RdfFormat.TRIG)
+    else:
+        store.update("\n".join(_operations(graphs, edits)))
+
+
+def _only_adds(store: pyoxigraph.Store, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> bool:
+    there = (store.contains_named_graph(pyoxigraph.NamedNode(name)) for name in graphs)
+    return not any(edit.removed for edit in edits) and not any(there)
+
+
+def _first(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> str:
+    names = [repr(name) for name in dict.fromkeys((*graphs, *(edit.graph for edit in edits)))]
+    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+
+
+def _operations(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> Iterator[str]:
     """One DROP and one INSERT DATA a graph: parsed faster than one INSERT DATA for all."""
     for name, ntriples in graphs.items():
         iri = str(pyoxigraph.NamedNode(name))  # ValueError for what is no IRI
         yield f"DROP SILENT GRAPH {iri};"
         if ntriples:
             yield f"INSERT DATA{{GRAPH {iri}{{{ntriples}}}}};"
+    for edit in edits:
+        iri = str(pyoxigraph.NamedNode(edit.graph))
+        if edit.removed:
+            yield f"DELETE DATA{{GRAPH {iri}{{{edit.removed}}}}};"
+        if edit.added:
+            yield f"INSERT DATA{{GRAPH {iri}{{{edit.added}}}}};"
+
+
+def _blocks(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> Iterator[str]:
+    """The same as TriG, where there is nothing but additions."""
+    for name, ntriples in (*graphs.items(), *((edit.graph, edit.added) for edit in edits)):
+        if ntriples:
+            yield f"{pyoxigraph.NamedNode(name)}{{{ntriples}}}\n"
 
 
 def _relabelled(graphs: Mapping[str, str | None]) -> dict[str, str | None]:
     """The same graphs with labels of blank nodes that no two of them share."""
-    return {name: text and _with_label(text, f"_:g{at}-") for at, (name, text) in enumerate(graphs.items())}
+    return {
+        name: _with_label(text, f"_:g{at}-") if text and "_:" in text else text
+        for at, (name, text) in enumerate(graphs.items())
+    }
 
 
 def _with_label(text: str, label: str) -> str:

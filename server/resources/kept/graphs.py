@@ -1,0 +1,209 @@
+"""Records as named graphs: what changed in them, found from the records that changed and from nothing else.
+
+A container may have very many members, so its graph is never told anew for one of them: what a member adds to it (a
+containment triple, a membership triple) comes and goes by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+
+from rosld.ontology.document import Document
+from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.vocab import dcterms, ldp
+from rosld.server.ldp.interaction import declared
+from rosld.server.records import Changed, Member, Membership, Model, Record, Records
+from rosld.server.records.describe import META, record_document
+from rosld.server.records.paths import container_of
+from rosld.server.sparql.kept import Changes
+from rosld.server.store import Edit
+
+_PAGE = 200
+"""Changed records looked at before the loop gets its turn: some milliseconds."""
+_MEMBERS = 1000
+"""Members listed before the loop gets its turn."""
+_OVERHEAD = 600
+"""About how many characters the server adds to what a record says."""
+
+
+class RecordGraphs:
+    """The graphs of all records, each what a GET of its resource says: a `KeptSource`."""
+
+    def __init__(self, records: Records, base: str) -> None:
+        self._records = records
+        self._base = base
+        self._times = _Times(base)
+
+    @property
+    def version(self) -> int:
+        """The number of the last change."""
+        return self._records.version
+
+    def changes(self, after: int) -> Iterator[Changes]:
+        """What changed after a version, in parts."""
+        return _Search(self._records, self._base, after, self._times).parts()
+
+
+class _Times:
+    """What the graphs of containers may say of when they were modified: a list that changes changes that alone."""
+
+    def __init__(self, base: str) -> None:
+        self._base = base
+        self._told: dict[str, dict[str, int]] = {}
+
+    def tell(self, record: Record, after: int) -> tuple[str, str]:
+        """What a container is to say now, and all that it may say instead; `after` is what is there for certain."""
+        told = self._told.setdefault(record.path, {})
+        certain = max((version for version in told.values() if version <= after), default=0)
+        for line in [line for line, version in told.items() if version < certain]:
+            del told[line]
+        now = _modified(record, self._base + record.path)
+        told[now] = max(record.version, record.listed)
+        return now, "".join(line for line in told if line != now)
+
+    def drop(self, path: str) -> None:
+        """It is no more."""
+        self._told.pop(path, None)
+
+
+class _Search:
+    """One search for what changed after a version.
+
+    Containers that changed themselves are told whole, when all else was told; what is listed in them since is added.
+    """
+
+    def __init__(self, records: Records, base: str, after: int, times: _Times) -> None:
+        self._records = records
+        self._base = base
+        self._after = after
+        self._times = times
+        self._whole: dict[str, int] = {}  # the versions of the containers that were told whole
+        self._due: dict[str, None] = {}  # the containers that are to be
+        self._graphs: dict[str, Callable[[], str] | None] = {}
+        self._edits: list[Edit] = []
+        self._size = 0
+
+    def parts(self) -> Iterator[Changes]:
+        """Until nothing has changed any more. What changes meanwhile comes up once more."""
+        last = self._after
+        while True:
+            page = self._records.changed(last, most=_PAGE)
+            if page:
+                last = page[-1].version
+                for changed in page:
+                    self._look(changed)
+                yield self._part()
+            elif self._due:
+                path = next(iter(self._due))
+                del self._due[path]
+                yield from self._container(path)
+            else:
+                return
+
+    def _part(self) -> Changes:
+        part = Changes(self._graphs, self._edits, self._size)
+        self._graphs, self._edits, self._size = {}, [], 0
+        return part
+
+    def _look(self, changed: Changed) -> None:
+        path = changed.path
+        record = None if changed.gone else self._records.get(path)
+        if record is None:
+            self._drop(path)
+        elif not record.model.is_container:
+            self._replace(record)
+        elif self._is_to_be_whole(record):
+            self._due[path] = None
+        else:
+            added, removed = self._times.tell(record, self._after)
+            self._edit(path, added, removed)
+        container = self._records.get(container_of(path))
+        if container is not None and container.listed > self._after and not self._is_to_be_whole(container):
+            self._list(container, path, record)
+
+    def _is_to_be_whole(self, container: Record) -> bool:
+        """Whether it changed since it was told whole: all of it is told later."""
+        return container.version > self._whole.get(container.path, self._after)
+
+    def _replace(self, record: Record) -> None:
+        url = self._base + record.path
+        self._graphs[url + META if record.model is Model.NON_RDF_SOURCE else url] = partial(_text, record, url)
+        self._size += len(record.triples) + _OVERHEAD
+
+    def _drop(self, path: str) -> None:
+        self._due.pop(path, None)
+        self._times.drop(path)
+        self._graphs[self._base + path] = None
+        if self._records.get(path + META) is None:  # whether it was a file is not known
+            self._graphs[self._base + path + META] = None
+
+    def _list(self, container: Record, path: str, record: Record | None) -> None:
+        """Have a container list one that was made in it, or no more one that is gone (None)."""
+        if record is not None and record.created_ns == record.modified_ns:
+            self._edit(container.path, self._lines(container, [(path, record.member)]))
+        elif _is_indirect(container.membership):
+            self._due[container.path] = None  # what stood for it before is not known, and may stand for others too
+        elif record is None:
+            self._edit(container.path, removed=self._lines(container, [(path, None)]))
+        else:
+            self._edit(container.path, self._lines(container, [(path, record.member)]))
+
+    def _container(self, path: str) -> Iterator[Changes]:
+        """A container, and then its members in pages. If it changes meanwhile, it comes up once more."""
+        container = self._records.get(path)
+        if container is None:
+            return
+        self._whole[path] = container.version
+        self._times.tell(container, self._after)
+        self._replace(container)
+        number = 0
+        while True:
+            found: Sequence[Member] = self._records.members(path, after=number, most=_MEMBERS)
+            if not found:
+                break
+            number = found[-1].number
+            self._edit(path, self._lines(container, [(each.path, each.member) for each in found]))
+            if len(found) == _MEMBERS:
+                yield self._part()
+        yield self._part()
+
+    def _lines(self, container: Record, members: Sequence[tuple[str, str | None]]) -> str:
+        """What a container says of members: their paths, and what stands for each in its membership triples."""
+        url = self._base + container.path
+        lines = [f"<{url}> {ldp.contains} <{self._base + path}> .\n" for path, _ in members]
+        membership = container.membership
+        if membership is not None:
+            lines += (_membership(membership, member or self._base + path) for path, member in members)
+        return "".join(lines)
+
+    def _edit(self, path: str, added: str = "", removed: str = "") -> None:
+        self._edits.append(Edit(self._base + path, added, removed))
+        self._size += len(added) + len(removed)
+
+
+def _is_indirect(membership: Membership | None) -> bool:
+    """Whether something else than members themselves may stand for them (LDP 5.5.1.2)."""
+    return membership is not None and membership.content not in (None, ldp.MemberSubject.value)
+
+
+def _membership(membership: Membership, member: str) -> str:
+    """The membership triple of a member, as N-Triples."""
+    constant, relation = membership.resource, membership.relation
+    one, other = (member, constant) if membership.inverse else (constant, member)
+    return f"<{one}> <{relation}> <{other}> .\n"
+
+
+def _text(record: Record, url: str) -> str:
+    """What it says, its members aside. What clients say stands as it is kept, which spares reading it."""
+    membership = declared(record.membership, url) if record.membership is not None else ()
+    managed = record_document(replace(record, triples=b""), url, (), membership)
+    return serialize(managed, Syntax.N_TRIPLES).decode() + record.triples.decode()
+
+
+def _modified(record: Record, url: str) -> str:
+    """What it says of when it was modified."""
+    managed = record_document(replace(record, triples=b""), url, (), ())
+    said = tuple(each for each in managed.triples if each.predicate == dcterms.modified)
+    return serialize(Document(url, said), Syntax.N_TRIPLES).decode()

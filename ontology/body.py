@@ -82,9 +82,51 @@ def parse_body(data: bytes, media_type: str, base: str, *, alone: bool = False) 
     than `DEEPEST`, in need of something to be fetched, or no `media_type` at all; ValueError for a media type not in
     `MEDIA_TYPES`. The caller checks the size.
     """
+    form = _form(media_type)
+    try:
+        return indexed(_quads(data, form, base), base, alone=alone)
+    except SyntaxError as error:
+        raise _syntax_error(error) from error
+    except BodyError:
+        raise
+    except ValueError as error:
+        raise BodyError(str(error)) from error
+
+
+def parse_triples(data: bytes, media_type: str, base: str) -> list[Triple]:
+    """The triples of `data` as they come, of the graph named `base` alone; raises as `parse_body` does."""
+    form, own = _form(media_type), (DefaultGraph(), NamedNode(base))
+    try:
+        quads = _quads(data, form, base)
+        if not form.supports_datasets:
+            return [quad.triple for quad in quads]
+        found = []
+        for quad in quads:
+            if quad.graph_name not in own:
+                raise _strange(quad.graph_name)
+            found.append(quad.triple)
+        return found
+    except SyntaxError as error:
+        raise _syntax_error(error) from error
+    except BodyError:
+        raise
+    except ValueError as error:
+        raise BodyError(str(error)) from error
+
+
+def _strange(graph: object) -> BodyError:
+    return BodyError(f"the graph {graph} is none of this resource: put it under a URL of its own")
+
+
+def _form(media_type: str) -> RdfFormat:
     form = _FORMATS.get(media_type)
     if form is None:
         raise ValueError(f"{media_type} is none of the RDF syntaxes read here: {', '.join(MEDIA_TYPES)}")
+    return form
+
+
+def _quads(data: bytes, form: RdfFormat, base: str) -> Iterator[Quad]:
+    """The quads of a body that is fit to be parsed, as the parser finds them."""
     data = data.removeprefix(b"\xef\xbb\xbf")
     _check_utf8(data)
     if form is RdfFormat.JSON_LD:
@@ -94,12 +136,7 @@ def parse_body(data: bytes, media_type: str, base: str, *, alone: bool = False) 
         _check_xml(data)
     else:
         _check_depth(data, _TURTLE_TOKENS, b"[({<")
-    try:
-        return indexed(parse(data, form, base_iri=base), base, alone=alone)
-    except SyntaxError as error:
-        raise _syntax_error(error) from error
-    except ValueError as error:
-        raise BodyError(str(error)) from error
+    return parse(data, form, base_iri=base)
 
 
 def indexed(quads: Iterable[Quad], base: str, *, alone: bool = False) -> RdfBody:
@@ -110,7 +147,7 @@ def indexed(quads: Iterable[Quad], base: str, *, alone: bool = False) -> RdfBody
     for subject, predicate, object, graph in quads:
         if graph not in graphs:
             if alone:
-                raise BodyError(f"the graph {graph} is none of this resource: put it under a URL of its own")
+                raise _strange(graph)
             continue
         subjects.setdefault(subject, {}).setdefault(predicate, []).append(object)
         size += 1

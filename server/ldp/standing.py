@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from rosld.server.http.link import Link, render
 from rosld.server.ldp.resource import LDP, Resource
 
@@ -14,8 +16,11 @@ def standing_headers(resource: Resource) -> dict[str, str]:
     links = resource.links
     if resource.constrained_by is not None:
         links = (*links, Link(resource.constrained_by, f"{LDP}constrainedBy"))
-    headers = {"allow": ", ".join(sorted(methods)), "link": render(links)}
+    headers = {"allow": ", ".join(sorted(methods)), "link": _rendered(links)}
     for method, accepted in resource.accepts.items():
         if method in methods:
             headers[ACCEPT_FIELDS[method].lower()] = ", ".join(accepted)
     return headers
+
+
+_rendered = lru_cache(maxsize=4096)(render)

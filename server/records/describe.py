@@ -48,7 +48,8 @@ def record_document(record: Record, url: str, members: Sequence[str], membership
 
 def said(record: Record) -> tuple[Triple, ...]:
     """What clients say of a resource, spelt as they did."""
-    return tuple(quad.triple for quad in parse(record.triples, RdfFormat.N_TRIPLES)) if record.triples else ()
+    quads = parse(record.triples, RdfFormat.N_TRIPLES) if record.triples else ()
+    return tuple(dict.fromkeys(quad.triple for quad in quads))
 
 
 def _of_file(record: Record) -> Iterable[Statement]:
@@ -57,15 +58,21 @@ def _of_file(record: Record) -> Iterable[Statement]:
     return ((dcterms.format, text(record.blob.media_type)), (ros.length, integer(record.blob.size)))
 
 
-def is_managed(triple: Triple, url: str) -> bool:
-    """Whether a triple is the server's to say: the kind, the times and the members of the resource at `url`."""
-    if triple.subject != NamedNode(url):
-        return False
-    if triple.predicate == rdf.type:
-        return isinstance(triple.object, NamedNode) and triple.object.value.startswith(ldp.iri)
-    return triple.predicate in MANAGED or triple.predicate in MEMBERSHIP
+def unmanaged(triples: Iterable[Triple], url: str) -> list[Triple]:
+    """The triples that are not the server's to say: neither the kind, the times nor the members of what is at `url`."""
+    subject = NamedNode(url)
+    return [each for each in triples if each.subject != subject or not _is_managed(each.predicate, each.object)]
+
+
+def _is_managed(predicate: NamedNode, value: object) -> bool:
+    if predicate == rdf.type:
+        return isinstance(value, NamedNode) and value.value.startswith(ldp.iri)
+    return predicate in _OURS
+
+
+_OURS = MANAGED | MEMBERSHIP
 
 
 def written(triples: Iterable[Triple]) -> bytes:
     """Triples as they are kept."""
-    return "".join(f"{triple} .\n" for triple in dict.fromkeys(triples)).encode()
+    return "".join([f"{triple} .\n" for triple in triples]).encode()

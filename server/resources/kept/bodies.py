@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Iterable, Iterator, Sequence
+from collections.abc import AsyncIterator, Iterable, Sequence
 
 from pyoxigraph import NamedNode, Triple
 
-from rosld.ontology.body import RdfBody, parse_body
+from rosld.ontology.body import RdfBody, parse_triples
 from rosld.ontology.vocab import ldp
 from rosld.server.http.link import parse as parse_links
 from rosld.server.http.problem import Problem
@@ -19,7 +19,7 @@ from rosld.server.ldp.interaction import (
     rdf_types,
 )
 from rosld.server.records import Blob, Membership, Model, Record
-from rosld.server.records.describe import MEMBERSHIP, is_managed
+from rosld.server.records.describe import MEMBERSHIP, unmanaged
 from rosld.server.resources.kept.showing import all_members
 from rosld.server.robot import Robot
 
@@ -38,12 +38,18 @@ def require_model(exchange: Exchange, model: Model, url: str) -> None:
         raise Problem(409, f"This is an ldp:{model.value}, and stays one: make another resource for another model.")
 
 
-async def statements(exchange: Exchange, url: str) -> RdfBody:
-    """The RDF of a body, resolved against `url`. No body at all, of no type, states nothing."""
+async def statements(exchange: Exchange, url: str) -> list[Triple]:
+    """The triples of a body, resolved against `url`. No body at all, of no type, states nothing.
+
+    Raises BodyError, and a 422 Problem for triples about triples, which are not kept.
+    """
     data = await exchange.body()
     if not data and exchange.header("content-type") is None:
-        return RdfBody({}, 0)
-    return parse_body(data, exchange.media_type, url, alone=True)
+        return []
+    found = parse_triples(data, exchange.media_type, url)
+    if any(type(each.object) is Triple or type(each.subject) is Triple for each in found):
+        raise Problem(422, "Triples about triples are not kept here.")
+    return found
 
 
 def triples_of(body: RdfBody) -> tuple[Triple, ...]:
@@ -100,11 +106,11 @@ async def one_chunk(data: bytes) -> AsyncIterator[bytes]:
     yield data
 
 
-def own_triples(robot: Robot, record: Record, triples: Sequence[Triple]) -> Iterator[Triple]:
+def own_triples(robot: Robot, record: Record, triples: Sequence[Triple]) -> list[Triple]:
     """What is the client's to say of a body: all but what the server says of the record itself."""
-    url = robot.space.base + record.path
-    servers: set[Triple] = set()
-    if record.membership is not None:
-        members = (each.member or robot.space.base + each.path for each in all_members(robot, record))
-        servers = set(membership_triples(record.membership, members))
-    return (each for each in triples if each not in servers and not is_managed(each, url))
+    own = unmanaged(triples, robot.space.base + record.path)
+    if record.membership is None:
+        return own
+    members = (each.member or robot.space.base + each.path for each in all_members(robot, record))
+    servers = set(membership_triples(record.membership, members))
+    return [each for each in own if each not in servers]

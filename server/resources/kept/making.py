@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pyoxigraph import NamedNode, Triple
+from pyoxigraph import NamedNode, Quad, Triple
 
-from rosld.ontology.body import RdfBody
+from rosld.ontology.body import indexed
 from rosld.ontology.vocab import ldp
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
@@ -15,9 +15,9 @@ from rosld.server.ldp.interaction import (
     membership_of,
 )
 from rosld.server.records import Membership, Model, Put, Record
-from rosld.server.records.describe import is_managed, written
+from rosld.server.records.describe import unmanaged, written
 from rosld.server.resources.kept.base import Kept
-from rosld.server.resources.kept.bodies import received, statements, triples_of
+from rosld.server.resources.kept.bodies import received, statements
 from rosld.server.robot import Robot
 
 
@@ -27,25 +27,25 @@ async def made(kept: Kept, model: Model, exchange: Exchange) -> Record:
     require_free(robot, path)
     if model is Model.NON_RDF_SOURCE:
         put = Put(path, model, blob=await received(robot, exchange), expected=0)
-        body = RdfBody({}, 0)
+        triples: Sequence[Triple] = ()
     else:
-        body = await statements(exchange, url)
-        triples = triples_of(body)
+        triples = await statements(exchange, url)
         if any(each.subject == NamedNode(url) and each.predicate == ldp.contains for each in triples):
             raise Problem(409, "A new container contains nothing: leave ldp:contains away, and POST its members to it.")
-        own = written(each for each in triples if not is_managed(each, url))
+        own = written(unmanaged(triples, url))
         put = Put(path, model, own, membership=membership_asked(model, triples, url), expected=0)
-    records = await kept.do(*_ways_to(robot, path), _as_member(robot, put, body, url))
+    records = await kept.do(*_ways_to(robot, path), _as_member(robot, put, triples, url))
     record = records[-1]
     assert record is not None
     return record
 
 
-def _as_member(robot: Robot, put: Put, body: RdfBody, url: str) -> Put:
+def _as_member(robot: Robot, put: Put, triples: Sequence[Triple], url: str) -> Put:
     """With what stands for it in the membership triples of its container (LDP 5.5.1.2)."""
     container = robot.records.get(container_of(put.path))
     if container is None or container.membership is None:
         return put
+    body = indexed((Quad(each.subject, each.predicate, each.object) for each in triples), url)
     member = member_of(container.membership, body, url)
     return Put(put.path, put.model, put.triples, put.blob, put.membership, member, put.expected)
 

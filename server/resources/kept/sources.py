@@ -52,7 +52,7 @@ class SourceResource(Kept):
     async def put(self, exchange: Exchange) -> Answer:
         self.require_guard(exchange)
         require_model(exchange, self.there().model, self.url)
-        triples = triples_of(await statements(exchange, self.document_url))
+        triples = await statements(exchange, self.document_url)
 
         async def replaced(record: Record) -> Write:
             return self.with_triples(record, triples)

@@ -19,6 +19,8 @@ from rosld.server.http.origin import Site, check_host
 from rosld.server.http.problem import Problem
 
 NORMAL, GOING_AWAY = 1000, 1001
+_CLOCKS_NS = 100_000_000
+"""How far the loop's clock and the wall's may be apart when the loop says that the time has come."""
 """Why a connection is closed (RFC 6455 7.4.1)."""
 CLOSE_SECONDS = 0.5
 """How long a receiver that takes nothing may keep the server from saying why it closes."""
@@ -88,7 +90,7 @@ class Receiver:
         if is_done:
             return NORMAL, "the topic is gone for good"
         end = self._channel.terms.end_at
-        if end is not None and time.time_ns() >= end:
+        if end is not None and time.time_ns() >= end - _CLOCKS_NS:
             return NORMAL, "endAt has passed"
         if not self._channels.has(self._channel):
             return NORMAL, "the channel was deleted"

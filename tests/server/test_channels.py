@@ -206,6 +206,7 @@ def test_what_is_deleted_and_made_again_is_told(aircraft: Any) -> None:
         assert "state" not in last
         aircraft.http.put(path, content=STRING, headers=turtle)
         assert received(ws)["type"] == "Create"
+    aircraft.http.delete(path).raise_for_status()
 
 
 def test_notifications_come_in_turtle_where_that_is_accepted(aircraft: Any) -> None:

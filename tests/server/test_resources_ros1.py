@@ -188,6 +188,7 @@ def test_a_service_that_vanishes_takes_its_offers_with_it(http: httpx.Client) ->
              map:property [ map:predicate ex:mode ; map:member "mode" ] ;
              map:action [ map:relation ex:relax ; map:service "/limb/relax" ; map:availableWhen <#gripping> ] .
            <#gripping> a sh:NodeShape ; map:about "/limb/" ; sh:property [ sh:path ex:grip ; sh:minInclusive 1 ] .""",
+        "vanishing",
     )
     try:
         assert objects(http.get("/resources/limb/"), f"{EX}relax") == {f"{http.base_url}resources/limb/relax"}
@@ -203,7 +204,7 @@ def test_a_service_that_vanishes_takes_its_offers_with_it(http: httpx.Client) ->
         tell(http, "come back")
         until(lambda: http.post("/resources/limb/relax").status_code == 200, "the offer again")
     finally:
-        assert http.delete("/mappings/mine").status_code == 204
+        assert http.delete("/mappings/vanishing").status_code == 204
 
 
 def test_what_a_rospy_node_offers_fits_its_state_while_it_is_flown(http: httpx.Client) -> None:
@@ -216,6 +217,7 @@ def test_what_a_rospy_node_offers_fits_its_state_while_it_is_flown(http: httpx.C
            <#manual> a sh:NodeShape ; map:about "/limb/" ; sh:property [ sh:path ex:mode ; sh:hasValue "manual" ] .
            <#automatic> a sh:NodeShape ; map:about "/limb/" ;
              sh:property [ sh:path ex:mode ; sh:hasValue "automatic" ] .""",
+        "flown",
     )
     over = threading.Event()
     seen: set[tuple[str, bool, bool]] = set()
@@ -238,7 +240,7 @@ def test_what_a_rospy_node_offers_fits_its_state_while_it_is_flown(http: httpx.C
             over.set()
         for one in reading:
             one.result()
-    assert http.delete("/mappings/mine").status_code == 204
+    assert http.delete("/mappings/flown").status_code == 204
     assert seen == {("automatic", False, True), ("manual", True, False)}
 
 

@@ -236,8 +236,8 @@ def test_tf_of_three_nodes_is_one_message_that_hides_none(ros: Any, robot: Any) 
 def test_an_image_topic_that_is_also_a_namespace_has_both_urls(ros: Any, robot: Any) -> None:
     raw = ros.publish("/camera/image_raw", "sensor_msgs/Image", "{height: 1, width: 2, data: [1, 2]}", name="camera_a")
     packed = ros.publish("/camera/image_raw/compressed", "sensor_msgs/CompressedImage", "format: jpeg", name="camera_b")
-    image = ready(robot, "/topics/camera/image_raw")
     below = ready(robot, "/topics/camera/image_raw/")
+    image = ready(robot, "/topics/camera/image_raw")
     assert "/topics/camera/image_raw/>" in image.text
     assert "/topics/camera/image_raw/compressed" in below.text
     assert until(lambda: robot.http.get("/topics/camera/image_raw?field=data").content == b"\x01\x02", "the bytes")

@@ -161,7 +161,7 @@ class Settings:
     query_time_limit: float = setting(10.0, "The longest a SPARQL query may take.", unit="s", least=0.001)
     query_memory_limit: int = setting(
         1024 * 1024 * 1024,
-        "The most memory a SPARQL query may take beyond the dataset; held on Linux, with the dataset in memory.",
+        "The most memory a SPARQL query may take beyond the dataset; held on Linux.",
         unit="bytes",
         least=16 * 1024 * 1024,
     )

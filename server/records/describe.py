@@ -9,15 +9,9 @@ from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 from rosld.ontology.document import Document
 from rosld.ontology.triples import Statement, about, each, integer, moment, text
 from rosld.ontology.vocab import dcterms, ldp, rdf, ros
+from rosld.server.ldp.interaction import rdf_types
 from rosld.server.records.record import Model, Record
 
-_TYPES = {
-    Model.RDF_SOURCE: (ldp.Resource, ldp.RDFSource),
-    Model.NON_RDF_SOURCE: (ldp.Resource, ldp.NonRDFSource),
-    Model.BASIC_CONTAINER: (ldp.Resource, ldp.RDFSource, ldp.Container, ldp.BasicContainer),
-    Model.DIRECT_CONTAINER: (ldp.Resource, ldp.RDFSource, ldp.Container, ldp.DirectContainer),
-    Model.INDIRECT_CONTAINER: (ldp.Resource, ldp.RDFSource, ldp.Container, ldp.IndirectContainer),
-}
 MANAGED = frozenset({ldp.contains, dcterms.created, dcterms.modified, ros.length, dcterms.format})
 """What the server says of a resource, and nobody else."""
 MEMBERSHIP = frozenset(
@@ -37,7 +31,7 @@ def record_document(record: Record, url: str, members: Sequence[str], membership
     document = url + META if record.model is Model.NON_RDF_SOURCE else url
     managed = about(
         subject,
-        *((rdf.type, kind) for kind in _TYPES[record.model]),
+        *((rdf.type, kind) for kind in rdf_types(record.model)),
         (dcterms.created, moment(record.created_ns)),
         (dcterms.modified, moment(record.modified_ns)),
         *_of_file(record),

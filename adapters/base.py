@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, TypeAlias
 
-from rosld.adapters.model import Encoding, Graph, Operation, Ref, Sample, Schema, TypeRef
+from rosld.adapters.model import Encoding, GoalEvent, GoalId, Graph, Operation, Qos, Ref, Sample, Schema, TypeRef
 from rosld.adapters.model import ParameterValue as ParameterValue
 
 
@@ -34,7 +34,9 @@ class Capabilities:
 
     `system` names it ("ROS 1", "recording", ...); `encoding` is what `publish` and `call` take and `call` returns;
     `parameter_trees`: parameters form one tree of namespaces (ROS 1), so that a namespace can be read and deleted
-    whole; `writes`: anything can be written at all; `creates_topics`: a topic that is not there may be published.
+    whole; `writes`: anything can be written at all; `creates_topics`: a topic that is not there may be published;
+    `qos`: publishers and subscribers have a quality of service; `hidden_names`: a name with a segment that begins with
+    an underscore is hidden (ROS 2), and listings leave it out unasked.
     `mapping` and `limits` are documents that this kind of robot comes with (RDF, opaque to adapters), None for most.
     """
 
@@ -43,6 +45,8 @@ class Capabilities:
     writes: bool
     creates_topics: bool
     parameter_trees: bool
+    qos: bool = False
+    hidden_names: bool = False
     mapping: Path | None = None
     limits: Path | None = None
 
@@ -86,6 +90,10 @@ class Sink(Protocol):
 
     def graph_changed(self, graph: Graph) -> None:
         """The computation graph is now `graph`; several changes may come as one."""
+        ...
+
+    def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
+        """Something became known of a goal, of rosld's or another's. Feedback may be left out where it comes fast."""
         ...
 
     def parameter_changed(self, name: str) -> None:
@@ -165,7 +173,8 @@ class Adapter(Protocol):
     def allows(self, ref: Ref) -> frozenset[Operation]:
         """What ROS can do with this thing now: pure, from the graph. Unknown things allow nothing,
 
-        but a topic that is not there allows PUBLISH where `creates_topics`, and a parameter SET_PARAMETER.
+        but a topic that is not there allows PUBLISH where `creates_topics`, and a parameter SET_PARAMETER. A node
+        allows CHANGE_STATE while a transition of its lifecycle is legal.
         """
         ...
 
@@ -179,6 +188,13 @@ class Adapter(Protocol):
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
         """Begin to receive a topic: counted, and fine before a publisher is there. Returns at once."""
+        ...
+
+    def age_ns(self, sample: Sample) -> int:
+        """How many nanoseconds ago a sample was received, by the clock of its system: that of the wall, or of the
+
+        playing where it is a recording. Never negative; cheap, and called in any thread.
+        """
         ...
 
     async def publish(
@@ -198,6 +214,35 @@ class Adapter(Protocol):
         """Call a service. Raises Refused with the node's words, TimedOut, Unreachable, NotFound."""
         ...
 
+    async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
+        """Send a goal, and say what it is known by once it is accepted; what becomes of it is told to the sink.
+
+        `goal` is a message of the type's goal. Raises Refused (with the server's words) where it is rejected, TimedOut,
+        Unreachable, NotFound.
+        """
+        ...
+
+    async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
+        """Ask for a goal to be canceled, whoever sent it; that it is comes by the sink. Raises Refused, NotFound."""
+        ...
+
+    async def follow_goals(self, action: str, *, deadline: float) -> Watch:
+        """Have the sink told of all goals of an action, those of others too, until the watch is closed. Counted.
+
+        Returns once what can be known of them now was told, at the latest at the deadline. Of goals that rosld sent it
+        is told without this, until they have ended. Raises NotFound.
+        """
+        ...
+
+    async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
+        """Have a managed node make a transition, named by its label.
+
+        When it returns or raises, the graph has the state that the node told afterwards, where it told one. Raises
+        Refused where the transition is not legal now (`sent` is NO) or the node did not make it (YES), and for nodes
+        without a lifecycle; TimedOut, Unreachable, NotFound.
+        """
+        ...
+
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
         """The values of those names that exist; a name that is a tree gives a dict, `/` all."""
         ...
@@ -213,11 +258,15 @@ class Adapter(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class AdapterOptions:
-    """The options of `rosld serve` that concern adapters; each adapter takes what applies to it."""
+    """The options of `rosld serve` that concern adapters; each adapter takes what applies to it.
+
+    `qos` are profiles for topics by glob: the first that fits holds, where it says something.
+    """
 
     types: tuple[Path, ...] = ()
     ros_ip: str | None = None
     host_map: Mapping[str, str] = field(default_factory=dict)
+    qos: tuple[tuple[str, Qos], ...] = ()
     rate: float = 1.0
     once: bool = False
 

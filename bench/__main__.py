@@ -6,7 +6,21 @@ import subprocess
 import sys
 from pathlib import Path
 
-PARTS = ("lifting.py", "web.py", "ros1_ingest.py", "sparql.py", "events.py", "ldp.py")
+PARTS = (
+    "lifting.py",
+    "web.py",
+    "ros1_ingest.py",
+    "ros2.py",
+    "sparql.py",
+    "gsp.py",
+    "events.py",
+    "ldp.py",
+    "update.py",
+    "rights.py",
+    "holds.py",
+    "stop.py",
+    "clients.py",
+)
 
 
 def main() -> int:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import orjson
-from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, Quad, RdfFormat, Triple, parse
+from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, Quad, RdfFormat, Triple, parse, serialize
 
 Term: TypeAlias = NamedNode | BlankNode | Literal | Triple
 Subject: TypeAlias = NamedNode | BlankNode | Triple
@@ -94,24 +94,31 @@ def parse_body(data: bytes, media_type: str, base: str, *, alone: bool = False) 
 
 
 def parse_triples(data: bytes, media_type: str, base: str) -> list[Triple]:
-    """The triples of `data` as they come, of the graph named `base` alone; raises as `parse_body` does."""
-    form, own = _form(media_type), (DefaultGraph(), NamedNode(base))
+    """The triples that `read_ntriples` reads."""
+    return [quad.triple for quad in parse(read_ntriples(data, media_type, base), RdfFormat.N_TRIPLES)]
+
+
+def read_ntriples(data: bytes, media_type: str, base: str) -> bytes:
+    """The triples of `data` as they come, as N-Triples, of the graph named `base` alone; raises as `parse_body`."""
+    form = _form(media_type)
     try:
         quads = _quads(data, form, base)
-        if not form.supports_datasets:
-            return [quad.triple for quad in quads]
-        found = []
-        for quad in quads:
-            if quad.graph_name not in own:
-                raise _strange(quad.graph_name)
-            found.append(quad.triple)
-        return found
+        triples = _of_graph(quads, base) if form.supports_datasets else quads
+        return serialize(triples, format=RdfFormat.N_TRIPLES) or b""
     except SyntaxError as error:
         raise _syntax_error(error) from error
     except BodyError:
         raise
     except ValueError as error:
         raise BodyError(str(error)) from error
+
+
+def _of_graph(quads: Iterable[Quad], base: str) -> Iterator[Triple]:
+    own = (DefaultGraph(), NamedNode(base))
+    for quad in quads:
+        if quad.graph_name not in own:
+            raise _strange(quad.graph_name)
+        yield quad.triple
 
 
 def _strange(graph: object) -> BodyError:
@@ -137,6 +144,16 @@ def _quads(data: bytes, form: RdfFormat, base: str) -> Iterator[Quad]:
     else:
         _check_depth(data, _TURTLE_TOKENS, b"[({<")
     return parse(data, form, base_iri=base)
+
+
+def body_of(triples: Iterable[Triple]) -> RdfBody:
+    """Triples by subject and predicate."""
+    subjects: dict[Subject, dict[NamedNode, list[Term]]] = {}
+    size = 0
+    for subject, predicate, object in triples:
+        subjects.setdefault(subject, {}).setdefault(predicate, []).append(object)
+        size += 1
+    return RdfBody(subjects, size)
 
 
 def indexed(quads: Iterable[Quad], base: str, *, alone: bool = False) -> RdfBody:

@@ -1,8 +1,9 @@
 """Describing: pure functions from plain ROS values to documents, one a kind of resource. All IRIs are in full."""
 
+from rosld.ontology.describe_activities import Receipt, activity_document
 from rosld.ontology.describe_bags import bag_document, bag_message_document, bag_messages_document
 from rosld.ontology.describe_containers import container_document, namespace_document, type_container_document
-from rosld.ontology.describe_graph import ROOMS, entry_document, links_by_node, node_document
+from rosld.ontology.describe_graph import ROOMS, NodeView, entry_document, node_document, node_views
 from rosld.ontology.describe_services import CallView, call_document, service_document
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.describe_types import type_document
@@ -13,6 +14,9 @@ __all__ = [
     "ROOMS",
     "CallView",
     "Members",
+    "NodeView",
+    "Receipt",
+    "activity_document",
     "bag_document",
     "bag_message_document",
     "bag_messages_document",
@@ -20,10 +24,10 @@ __all__ = [
     "container_document",
     "entry_document",
     "is_namespace",
-    "links_by_node",
     "members_of",
     "namespace_document",
     "node_document",
+    "node_views",
     "parameter_container_document",
     "parameter_document",
     "service_document",

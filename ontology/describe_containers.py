@@ -24,11 +24,18 @@ def container_document(url: str, members: Iterable[str], title: str) -> Document
 
 
 def namespace_document(
-    room: str, namespace: tuple[str, ...], members: Members, space: Space, *, is_name: bool = False
+    room: str,
+    namespace: tuple[str, ...],
+    members: Members,
+    space: Space,
+    *,
+    is_name: bool = False,
+    whole: str | None = None,
 ) -> Document:
     """A namespace of names of one kind: its direct members, and the namespaces below, both where a name is both.
 
-    `is_name`: the namespace is a name too (`/camera/image_raw`), and links to it. What members are, they say
+    `is_name`: the namespace is a name too (`/camera/image_raw`), and links to it; to `whole` too, the URL at which its
+    hidden members are told as well, if there are any. What members are, they say
     themselves and nobody else, so that a query over all graphs finds it once.
     """
     url = space.container(room, namespace)
@@ -43,6 +50,7 @@ def namespace_document(
         *each(ldp.contains, leaves.values()),
         *each(ldp.contains, below.values()),
         (rdfs.seeAlso, NamedNode(space.url(room, namespace)) if is_name else None),
+        (rdfs.seeAlso, NamedNode(whole) if whole else None),
     )
     return Document(url, tuple(triples))
 

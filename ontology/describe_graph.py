@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from pyoxigraph import Literal, NamedNode
 
-from rosld.adapters.model import Graph, Live, Node, Stale
+from rosld.adapters.model import Endpoint, Graph, Live, Node, Stale, Topic, names
+from rosld.ontology.describe_lifecycle import lifecycle_statements, transition_triples
+from rosld.ontology.describe_topics import endpoints_of
 from rosld.ontology.document import Document
 from rosld.ontology.namespaces import Kept
 from rosld.ontology.triples import CONTAINER, RDF_SOURCE, Statement, Value, about, boolean, each, integer, moment, text
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, ldp, rdf, rdfs, ros, xsd
+
+_V = TypeVar("_V")
 
 ROOMS: Mapping[str, str] = {
     "resources": "Resources",
@@ -20,6 +26,10 @@ ROOMS: Mapping[str, str] = {
     "topics": "Topics",
     "services": "Services",
     "calls": "Calls",
+    "actions": "Actions",
+    "goals": "Goals",
+    "activity": "Activity",
+    "holds": "Holds",
     "parameters": "Parameters",
     "types": "Types",
     "shapes": "Shapes",
@@ -37,7 +47,7 @@ def entry_document(graph: Graph, space: Space, system: str = "ROS") -> Document:
     `system` names the kind of ROS system (`ROS 1`, `recording`, ...).
     """
     entry, rooms = NamedNode(space.base), {room: NamedNode(space.container(room)) for room in ROOMS}
-    ontology, sparql = NamedNode(f"{space.base}ontology"), NamedNode(f"{space.base}sparql")
+    ontology, sparql, graphs = (NamedNode(space.base + name) for name in ("ontology", "sparql", "graphs"))
     master = NamedNode(f"{space.base}#master") if graph.master else None
     triples = about(
         entry,
@@ -48,7 +58,9 @@ def entry_document(graph: Graph, space: Space, system: str = "ROS") -> Document:
         (ros.master, master),
         *(((ros.simulatedTime, boolean(True)),) if graph.simulated_time else ()),
         *each(ldp.contains, rooms.values()),
+        (ros.stop, NamedNode(space.stop)),
         (rdfs.seeAlso, sparql),
+        (rdfs.seeAlso, graphs),
         (rdfs.seeAlso, ontology),
     )
     if graph.master and master:
@@ -60,6 +72,7 @@ def entry_document(graph: Graph, space: Space, system: str = "ROS") -> Document:
         "nodes": len(graph.nodes),
         "topics": len(graph.topics),
         "services": len(graph.services),
+        "actions": len(graph.actions),
         "parameters": len(graph.parameters),
     }
     for room, title in ROOMS.items():
@@ -70,6 +83,7 @@ def entry_document(graph: Graph, space: Space, system: str = "ROS") -> Document:
         )
     triples += about(ontology, (rdfs.label, text("Vocabulary")))
     triples += about(sparql, (rdfs.label, text("SPARQL")))
+    triples += about(graphs, (rdfs.label, text("Graph store")))
     return Document(space.base, tuple(triples), simulated_time=graph.simulated_time)
 
 
@@ -86,48 +100,112 @@ def _uri(uri: str | None) -> Value | None:
     return None if found is None else Literal(found.value, datatype=xsd.anyURI)
 
 
+@dataclass(frozen=True, slots=True)
+class NodeView:
+    """A node and all that it takes part in: topics with its endpoints on them, all else by name.
+
+    `offers`: its transitions can be asked for here now, and forms say how.
+    """
+
+    node: Node
+    publishes: tuple[tuple[Topic, tuple[Endpoint, ...]], ...] = ()
+    subscribes: tuple[tuple[Topic, tuple[Endpoint, ...]], ...] = ()
+    provides: tuple[str, ...] = ()
+    serves: tuple[str, ...] = ()
+    sends_goals_to: tuple[str, ...] = ()
+    parameters: tuple[str, ...] = ()
+    offers: bool = False
+
+
 @dataclass(slots=True)
-class NodeLinks:
-    """What one node takes part in, by name."""
+class _Parts:
+    """What one node takes part in, being gathered."""
 
-    publishes: list[str] = field(default_factory=list)
-    subscribes: list[str] = field(default_factory=list)
+    publishes: dict[str, list[Endpoint]] = field(default_factory=dict)
+    subscribes: dict[str, list[Endpoint]] = field(default_factory=dict)
     provides: list[str] = field(default_factory=list)
+    serves: list[str] = field(default_factory=list)
+    sends_goals_to: list[str] = field(default_factory=list)
+    parameters: list[str] = field(default_factory=list)
 
 
-def _links_by_node(graph: Graph) -> dict[str, NodeLinks]:
-    links: dict[str, NodeLinks] = {}
-    for topic in graph.topics.values():
+def _views(graph: Graph) -> dict[str, NodeView]:
+    parts = defaultdict[str, _Parts](_Parts)
+    topics, services = _beside_actions(graph.topics), _beside_actions(graph.services)
+    for name, topic in topics:
         for endpoint in topic.publishers:
-            links.setdefault(endpoint.node, NodeLinks()).publishes.append(topic.name)
+            parts[endpoint.node].publishes.setdefault(name, []).append(endpoint)
         for endpoint in topic.subscribers:
-            links.setdefault(endpoint.node, NodeLinks()).subscribes.append(topic.name)
-    for service in graph.services.values():
-        for node in service.providers:
-            links.setdefault(node, NodeLinks()).provides.append(service.name)
-    return links
+            parts[endpoint.node].subscribes.setdefault(name, []).append(endpoint)
+    for name, service in services:
+        for node in dict.fromkeys(service.providers):
+            parts[node].provides.append(name)
+    for name, action in graph.actions.items():
+        for node in dict.fromkeys(action.servers):
+            parts[node].serves.append(name)
+        for node in dict.fromkeys(action.clients):
+            parts[node].sends_goals_to.append(name)
+    for name, parameter in graph.parameters.items():
+        if parameter.node is not None:
+            parts[parameter.node].parameters.append(name)
+    return {name: _view(node, parts[name], graph) for name, node in graph.nodes.items()}
 
 
-links_by_node: Kept[Graph, dict[str, NodeLinks]] = Kept(_links_by_node)
-"""What each node of a graph takes part in."""
+def _beside_actions(things: Mapping[str, _V]) -> Iterator[tuple[str, _V]]:
+    """What is told of its node by its own name: the inner parts of ROS 2's actions are told as these."""
+    return ((name, thing) for name, thing in things.items() if names.action_of(name) is None)
 
 
-def node_document(node: Node, graph: Graph, space: Space) -> Document:
-    """A node: what it publishes, subscribes to and provides, and why it does not answer, if it does not."""
+def _view(node: Node, parts: _Parts, graph: Graph) -> NodeView:
+    return NodeView(
+        node,
+        tuple((graph.topics[name], tuple(endpoints)) for name, endpoints in sorted(parts.publishes.items())),
+        tuple((graph.topics[name], tuple(endpoints)) for name, endpoints in sorted(parts.subscribes.items())),
+        tuple(sorted(parts.provides)),
+        tuple(sorted(parts.serves)),
+        tuple(sorted(parts.sends_goals_to)),
+        tuple(sorted(parts.parameters)),
+    )
+
+
+node_views: Kept[Graph, dict[str, NodeView]] = Kept(_views)
+"""The nodes of a graph with what each takes part in."""
+
+
+def node_document(view: NodeView, space: Space, *, simulated_time: bool = False) -> Document:
+    """A node: its lifecycle, what it publishes and subscribes to and with which quality of service, what it provides
+
+    and sends goals to, its parameters, and why it does not answer if so.
+    """
+    node = view.node
     url = space.node(node.name)
-    links = links_by_node(graph).get(node.name) or NodeLinks()
+    endpoints = [
+        described
+        for kind, topics in ((ros.Publisher, view.publishes), (ros.Subscriber, view.subscribes))
+        for topic, own in topics
+        for described in endpoints_of(kind, own, topic, space)
+    ]
     triples = about(
         NamedNode(url),
         (rdf.type, ros.Node),
+        (rdf.type, ros.ManagedNode if node.lifecycle else None),
         *RDF_SOURCE,
         (ros.name, text(node.name)),
         (ros.uri, _uri(node.uri)),
         (ros.unreachable, text(node.unreachable)),
-        *_links(ros.publishes, map(space.topic, links.publishes)),
-        *_links(ros.subscribes, map(space.topic, links.subscribes)),
-        *_links(ros.provides, map(space.service, links.provides)),
+        *(lifecycle_statements(node.lifecycle) if node.lifecycle else ()),
+        *_links(ros.publishes, (space.topic(topic.name) for topic, _ in view.publishes)),
+        *_links(ros.subscribes, (space.topic(topic.name) for topic, _ in view.subscribes)),
+        *_links(ros.provides, (*map(space.service, view.provides), *map(space.action, view.serves))),
+        *_links(ros.sendsGoalsTo, map(space.action, view.sends_goals_to)),
+        *_links(ros.parameter, map(space.parameter, view.parameters)),
+        *each(ros.endpoint, [endpoint for endpoint, _ in endpoints]),
     )
-    return Document(url, tuple(triples), simulated_time=graph.simulated_time)
+    for _, said in endpoints:
+        triples += said
+    if node.lifecycle and view.offers:
+        triples += transition_triples(url, node.lifecycle, space)
+    return Document(url, tuple(triples), simulated_time=simulated_time)
 
 
 def _links(predicate: NamedNode, urls: Iterable[str]) -> list[Statement]:

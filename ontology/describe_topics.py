@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
-from pyoxigraph import NamedNode, Triple
+from pyoxigraph import Literal, NamedNode, Triple
 
-from rosld.adapters.model import Endpoint, Graph, Topic, TypeRef
+from rosld.adapters.model import Endpoint, Graph, Qos, Topic, TypeRef, mismatch_count, mismatches
+from rosld.ontology.describe_holds import holdable as holdable_at
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.namespaces import is_namespace
-from rosld.ontology.triples import RDF_SOURCE, Statement, about, boolean, double, each, text
+from rosld.ontology.triples import RDF_SOURCE, Statement, about, boolean, double, each, integer, text
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros
 
 MESSAGE = "#message"
+_MOST_MISMATCHES = 50
 
 
 def topic_document(
@@ -26,11 +29,14 @@ def topic_document(
     messages: Sequence[LiftedMessage] = (),
     *,
     unreadable: str | None = None,
+    holdable: bool = False,
+    hold: str | None = None,
 ) -> Document:
     """A topic and its latest messages, the newest of each publisher in order of receipt (the newest last).
 
     The newest of all is `#message`; where several publish, each publisher's is linked by ros:latestFrom. `unreadable`
-    says why messages cannot be decoded, and goes before what the topic says itself.
+    says why messages cannot be decoded, and goes before what the topic says itself. `holdable`: the topic can be held
+    here, and a form says how; `hold` is the id of the one that is on it.
     """
     url = space.topic(topic.name)
     subject = NamedNode(url)
@@ -44,10 +50,15 @@ def topic_document(
             (ros.unreadable, text(unreadable or topic.unreadable)),
             (ros.rate, double(rate)),
             (ros.latest, nodes[-1] if nodes else None),
+            (ros.heldBy, NamedNode(space.hold(hold)) if hold else None),
             *(each(ros.latestFrom, nodes) if several else ()),
         ),
+        *(_holdable(url) if holdable else ()),
     ]
     return Document(url, tuple(triples), named, graph.simulated_time)
+
+
+_holdable = lru_cache(maxsize=4096)(holdable_at)
 
 
 def _named(messages: Sequence[LiftedMessage], space: Space) -> tuple[LiftedMessage, ...]:
@@ -77,9 +88,10 @@ def _description(topic: Topic, space: Space, is_namespace: bool) -> tuple[Triple
     """What does not change with the messages."""
     url = space.topic(topic.name)
     endpoints = [
-        *_endpoints("publisher", topic.publishers, topic, space),
-        *_endpoints("subscriber", topic.subscribers, topic, space),
+        *endpoints_of(ros.Publisher, topic.publishers, topic, space),
+        *endpoints_of(ros.Subscriber, topic.subscribers, topic, space),
     ]
+    unfit = list(_mismatches(topic, space))
     triples = about(
         NamedNode(url),
         (rdf.type, ros.Topic),
@@ -89,9 +101,11 @@ def _description(topic: Topic, space: Space, is_namespace: bool) -> tuple[Triple
         *each(ros.publisher, _nodes(topic.publishers, space)),
         *each(ros.subscriber, _nodes(topic.subscribers, space)),
         *each(ros.endpoint, [node for node, _ in endpoints]),
+        *each(ros.qosMismatch, [node for node, _ in unfit]),
+        (ros.qosMismatchCount, integer(mismatch_count(topic.publishers, topic.subscribers) if unfit else None)),
         (ros.namespace, NamedNode(url + "/") if is_namespace else None),
     )
-    for _, said in endpoints:
+    for _, said in (*endpoints, *unfit):
         triples += said
     for ref in topic.types:
         triples += defined(ref, space)
@@ -115,23 +129,78 @@ def _nodes(endpoints: Iterable[Endpoint], space: Space) -> list[NamedNode]:
     return [NamedNode(url) for url in dict.fromkeys(space.node(endpoint.node) for endpoint in endpoints)]
 
 
-def _endpoints(
-    role: str, endpoints: Iterable[Endpoint], topic: Topic, space: Space
+def endpoints_of(
+    kind: NamedNode, endpoints: Iterable[Endpoint], topic: Topic, space: Space
 ) -> Iterator[tuple[NamedNode, list[Triple]]]:
-    """Those endpoints that have more to say than that they are there."""
+    """Those endpoints (ros:Publisher, ros:Subscriber) that have more to say than that they are there, described.
+
+    All of a topic, or all of one node on it.
+    """
+    url = space.topic(topic.name)
+    role = "publisher" if kind == ros.Publisher else "subscriber"
+    met: Counter[str] = Counter()
     for endpoint in endpoints:
         conflict = endpoint.type if len(topic.types) > 1 else None
-        if not (endpoint.latched or endpoint.unreachable or conflict):
+        if not (endpoint.latched or endpoint.unreachable or endpoint.qos or conflict):
             continue
-        node = NamedNode(space.fragment(space.topic(topic.name), role, *endpoint.node[1:].split("/")))
+        met[endpoint.node] += 1
+        path, ordinal = (role, *endpoint.node[1:].split("/")), met[endpoint.node]
+        node = NamedNode(_numbered(space.fragment(url, *path), ordinal))
+        qos = NamedNode(_numbered(space.fragment(url, "qos", *path), ordinal)) if endpoint.qos else None
         yield (
             node,
             about(
                 node,
                 (rdf.type, ros.Endpoint),
+                (rdf.type, kind),
                 (ros.node, NamedNode(space.node(endpoint.node))),
+                (ros.topic, NamedNode(url)),
                 (ros.latched, boolean(True) if endpoint.latched else None),
                 (ros.unreachable, text(endpoint.unreachable)),
                 (ros.conflictingType, NamedNode(space.type(conflict)) if conflict else None),
+                (ros.qos, qos),
+            )
+            + (_qos(qos, endpoint.qos) if qos and endpoint.qos else []),
+        )
+
+
+def _numbered(fragment: str, ordinal: int) -> str:
+    """The fragment of a node's endpoint; where it has several of one role on a topic, they are counted from 2 on."""
+    return f"{fragment};{ordinal}" if ordinal > 1 else fragment
+
+
+def _qos(node: NamedNode, qos: Qos) -> list[Triple]:
+    return about(
+        node,
+        (rdf.type, ros.Qos),
+        (ros.reliability, text(qos.reliability)),
+        (ros.durability, text(qos.durability)),
+        (ros.history, text(qos.history)),
+        (ros.depth, integer(qos.depth or None)),
+        (ros.deadline, _seconds(qos.deadline_ns)),
+        (ros.lifespan, _seconds(qos.lifespan_ns)),
+        (ros.liveliness, text(qos.liveliness)),
+        (ros.lease, _seconds(qos.lease_ns)),
+    )
+
+
+def _seconds(nanoseconds: int | None) -> Literal | None:
+    return None if nanoseconds is None else double(nanoseconds / 1e9)
+
+
+def _mismatches(topic: Topic, space: Space) -> Iterator[tuple[NamedNode, list[Triple]]]:
+    """Who does not hear whom, as far as it is told: of topics with many endpoints the number says the rest."""
+    for number, one in enumerate(mismatches(topic.publishers, topic.subscribers, _MOST_MISMATCHES), 1):
+        node = NamedNode(space.fragment(space.topic(topic.name), "qos-mismatch", str(number)))
+        yield (
+            node,
+            about(
+                node,
+                (rdf.type, ros.QosMismatch),
+                (ros.publisher, NamedNode(space.node(one.publisher))),
+                (ros.subscriber, NamedNode(space.node(one.subscriber))),
+                (ros.policy, text(one.policy)),
+                (ros.offered, text(one.offered)),
+                (ros.requested, text(one.requested)),
             ),
         )

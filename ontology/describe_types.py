@@ -1,12 +1,13 @@
-"""Message and service types described: classes, the properties of their fields, constants, definitions."""
+"""Message, service and action types described: classes, the properties of their fields, constants, definitions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import (
+    ActionSchema,
     Array,
     Constant,
     Field,
@@ -16,7 +17,9 @@ from rosld.adapters.model import (
     Nested,
     Primitive,
     Schema,
+    ServiceSchema,
     TypeRef,
+    halves_of,
 )
 from rosld.ontology.document import Document
 from rosld.ontology.literals import DATATYPES, OCTETS
@@ -34,12 +37,11 @@ def type_document(schema: Schema, space: Space, variants: Sequence[TypeRef] = ()
     url = space.type(TypeRef(schema.ref.name, schema.ref.hash if others else None))
     kind = NamedNode(space.class_of(schema.ref.name))
     triples = about(NamedNode(url), *RDF_SOURCE, (foaf.primaryTopic, kind))
-    is_message = isinstance(schema, MessageSchema)
     triples += about(
         kind,
-        (rdf.type, ros.MessageType if is_message else ros.ServiceType),
-        (rdf.type, rdfs.Class if is_message else None),
-        (rdfs.subClassOf, ros.Message if is_message else None),
+        (rdf.type, _KINDS[type(schema)]),
+        (rdf.type, rdfs.Class if isinstance(schema, MessageSchema) else None),
+        (rdfs.subClassOf, ros.Message if isinstance(schema, MessageSchema) else None),
         (rdfs.label, text(schema.ref.name)),
         (ros.name, text(schema.ref.name)),
         _hash(schema.ref),
@@ -50,13 +52,24 @@ def type_document(schema: Schema, space: Space, variants: Sequence[TypeRef] = ()
         triples += about(kind, (ros.shape, NamedNode(space.shape(schema.ref.name))))
         triples += _message_type(schema.type, space)
     else:
-        for half, predicate in ((schema.request, ros.requestType), (schema.response, ros.responseType)):
+        for half, predicate in zip(halves_of(schema), _HALVES[type(schema)], strict=True):
             inner = NamedNode(space.class_of(half.ref.name))
             triples += about(kind, (predicate, inner))
             triples += about(inner, (rdfs.isDefinedBy, NamedNode(space.type(half.ref.name))))
             triples += _message_type(half.type, space)
     triples += about(kind, (ros.definition, text(schema.definition)))
     return Document(url, tuple(triples))
+
+
+_KINDS: Mapping[type, NamedNode] = {
+    MessageSchema: ros.MessageType,
+    ServiceSchema: ros.ServiceType,
+    ActionSchema: ros.ActionType,
+}
+_HALVES: Mapping[type, Sequence[NamedNode]] = {
+    ServiceSchema: (ros.requestType, ros.responseType),
+    ActionSchema: (ros.goalType, ros.resultType, ros.feedbackType),
+}
 
 
 def _hash(ref: TypeRef) -> Statement:

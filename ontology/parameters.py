@@ -28,7 +28,7 @@ from rosld.ontology.triples import CONTAINER, RDF_SOURCE, about, double, integer
 from rosld.ontology.triples import boolean as boolean_literal
 from rosld.ontology.urls import Space, decode_segment, encode_segment
 from rosld.ontology.violations import LoweringError, Violation
-from rosld.ontology.vocab import dcterms, ldp, rdf, ros, xsd
+from rosld.ontology.vocab import dcterms, ldp, rdf, rdfs, ros, xsd
 
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
 
@@ -54,13 +54,24 @@ def parameter_document(name: str, value: ParameterValue, space: Space) -> Docume
 
 
 def parameter_container_document(
-    namespace: tuple[str, ...], tree: Mapping[str, ParameterValue], space: Space
+    namespace: tuple[str, ...],
+    tree: Mapping[str, ParameterValue],
+    space: Space,
+    most: int | None = None,
+    *,
+    whole: str | None = None,
 ) -> Document:
-    """A tree of parameters as a container with all its members and their values."""
+    """A tree of parameters as a container with all its members and their values.
+
+    Of trees in it that have more than `most` members it is told that they are there, and not what they hold. `whole` is
+    where hidden members are told as well, if there are any.
+    """
     url = space.container("parameters", namespace)
     title = f"Parameters in /{'/'.join(namespace)}" if namespace else "Parameters"
-    triples = about(NamedNode(url), (dcterms.title, text(title)))
-    return Document(url, (*_tree(url, "/" + "/".join(namespace), tree, 0), *triples))
+    triples = about(
+        NamedNode(url), (dcterms.title, text(title)), (rdfs.seeAlso, NamedNode(whole) if whole is not None else None)
+    )
+    return Document(url, (*_tree(url, "/" + "/".join(namespace), tree, 0, most), *triples))
 
 
 def _leaf(url: str, name: str, value: ParameterValue) -> list[Triple]:
@@ -69,16 +80,18 @@ def _leaf(url: str, name: str, value: ParameterValue) -> list[Triple]:
     )
 
 
-def _tree(url: str, name: str, tree: Mapping[str, ParameterValue], depth: int) -> list[Triple]:
+def _tree(url: str, name: str, tree: Mapping[str, ParameterValue], depth: int, most: int | None) -> list[Triple]:
     if depth > DEEPEST:
         raise ValueError(f"{name} lies deeper than {DEEPEST} levels, which is more than rosld shows")
     subject = NamedNode(url)
     triples = about(subject, (rdf.type, ros.Parameter), *CONTAINER, (ros.name, text(name)))
+    if depth and most is not None and len(tree) > most:
+        return triples
     for key, value in tree.items():
         member, inner = url + encode_segment(key), f"{name.rstrip('/')}/{key}"
         if isinstance(value, dict):
             triples.append(Triple(subject, ldp.contains, NamedNode(member + "/")))
-            triples += _tree(member + "/", inner, value, depth + 1)
+            triples += _tree(member + "/", inner, value, depth + 1, most)
         else:
             triples.append(Triple(subject, ldp.contains, NamedNode(member)))
             triples += _leaf(member, inner, value)

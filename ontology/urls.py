@@ -18,6 +18,7 @@ from rosld.adapters.model import TypeRef, names
 
 TYPES = "https://w3id.org/rosld/types/"
 
+_PLAIN = re.compile(r"[A-Za-z0-9_-]+")
 _ESCAPED = re.compile(r"~*\.{0,2}")
 _MALFORMED = re.compile(r"%(?![0-9A-Fa-f]{2}).{0,2}", re.DOTALL)
 
@@ -37,6 +38,8 @@ def decode_segment(raw: str) -> str:
 
     Raises ValueError for a malformed escape, for bytes that are not UTF-8, and for an empty or dot segment.
     """
+    if _PLAIN.fullmatch(raw):
+        return raw
     if malformed := _MALFORMED.search(raw):
         raise ValueError(f"malformed percent-escape {malformed[0]!r} in {raw!r}: write '%25' for a percent sign")
     try:
@@ -165,6 +168,27 @@ class Space:
     def call(self, id: str) -> str:
         """One call of a service."""
         return self.url("calls", (id,))
+
+    def action(self, name: str) -> str:
+        """`/aircraft/fly` -> `actions/aircraft/fly`."""
+        return self._named("actions", name)
+
+    def goal(self, id: str) -> str:
+        """One goal of an action."""
+        return self.url("goals", (id,))
+
+    def hold(self, id: str) -> str:
+        """One hold of a topic."""
+        return self.url("holds", (id,))
+
+    @property
+    def stop(self) -> str:
+        """The stop of the whole robot."""
+        return f"{self.base}stop"
+
+    def activity(self, id: str) -> str:
+        """The receipt of a write."""
+        return self.url("activity", (id,))
 
     def query(self, name: str) -> str:
         """A stored query."""

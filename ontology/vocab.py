@@ -42,7 +42,12 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     Service: NamedNode
     Action: NamedNode
     Parameter: NamedNode
+    ManagedNode: NamedNode
     Endpoint: NamedNode
+    Publisher: NamedNode
+    Subscriber: NamedNode
+    Qos: NamedNode
+    QosMismatch: NamedNode
     Property: NamedNode
     ComplexResource: NamedNode
     readsFrom: NamedNode
@@ -59,20 +64,54 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     publishes: NamedNode
     subscribes: NamedNode
     provides: NamedNode
+    sendsGoalsTo: NamedNode
+    parameter: NamedNode
+    lifecycleState: NamedNode
+    lifecycleStateWord: NamedNode
+    lifecycleUnknown: NamedNode
+    transition: NamedNode
+    goalState: NamedNode
+    goalStateWord: NamedNode
     publisher: NamedNode
     subscriber: NamedNode
     provider: NamedNode
+    client: NamedNode
     endpoint: NamedNode
     node: NamedNode
     latched: NamedNode
+    qos: NamedNode
+    reliability: NamedNode
+    durability: NamedNode
+    history: NamedNode
+    depth: NamedNode
+    deadline: NamedNode
+    lifespan: NamedNode
+    liveliness: NamedNode
+    lease: NamedNode
+    qosMismatch: NamedNode
+    qosMismatchCount: NamedNode
+    policy: NamedNode
+    offered: NamedNode
+    requested: NamedNode
     unreachable: NamedNode
     unreadable: NamedNode
     uncallable: NamedNode
+    unusable: NamedNode
     rate: NamedNode
     namespace: NamedNode
     value: NamedNode
     writable: NamedNode
+    readOnly: NamedNode
+    parameterType: NamedNode
+    step: NamedNode
     simulatedTime: NamedNode
+
+    # rights
+    Command: NamedNode
+    glob: NamedNode
+    typeGlob: NamedNode
+    deny: NamedNode
+    tokenDigest: NamedNode
 
     # messages and calls
     Message: NamedNode
@@ -89,11 +128,24 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     response: NamedNode
     created: NamedNode
     answered: NamedNode
+    action: NamedNode
+    hasGoal: NamedNode
+    goalId: NamedNode
+    own: NamedNode
+    status: NamedNode
+    statusWord: NamedNode
+    goal: NamedNode
+    feedback: NamedNode
+    result: NamedNode
+    ended: NamedNode
     words: NamedNode
     elided: NamedNode
     bytes: NamedNode
     requestShape: NamedNode
     responseShape: NamedNode
+    goalShape: NamedNode
+    resultShape: NamedNode
+    feedbackShape: NamedNode
     shape: NamedNode
 
     # states
@@ -107,9 +159,25 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     Succeeded: NamedNode
     Failed: NamedNode
     Refused: NamedNode
+    Accepted: NamedNode
+    Executing: NamedNode
+    Canceling: NamedNode
     Canceled: NamedNode
+    Aborted: NamedNode
+    Rejected: NamedNode
+    Lost: NamedNode
     OutcomeUnknown: NamedNode
     NotSent: NamedNode
+    Unconfigured: NamedNode
+    Inactive: NamedNode
+    Active: NamedNode
+    Finalized: NamedNode
+    Configuring: NamedNode
+    CleaningUp: NamedNode
+    ShuttingDown: NamedNode
+    Activating: NamedNode
+    Deactivating: NamedNode
+    ErrorProcessing: NamedNode
 
     # types
     MessageType: NamedNode
@@ -132,6 +200,25 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     nestedType: NamedNode
     requestType: NamedNode
     responseType: NamedNode
+    goalType: NamedNode
+    resultType: NamedNode
+    feedbackType: NamedNode
+
+    # holds and the stop
+    Hold: NamedNode
+    heldBy: NamedNode
+    holder: NamedNode
+    publishRate: NamedNode
+    leaseTime: NamedNode
+    leaseUntil: NamedNode
+    then: NamedNode
+    atTheEnd: NamedNode
+    Stop: NamedNode
+    stop: NamedNode
+    stopped: NamedNode
+    stoppedBy: NamedNode
+    stoppedAt: NamedNode
+    stopStep: NamedNode
 
     # recordings
     Bag: NamedNode
@@ -150,10 +237,34 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     Query: NamedNode
     queryParameter: NamedNode
     timeLimit: NamedNode
+    memoryLimit: NamedNode
+    rowLimit: NamedNode
+    concurrencyLimit: NamedNode
+    queueLimit: NamedNode
     text: NamedNode
+
+    # the store beside it
+    Mirror: NamedNode
+    mirror: NamedNode
+    store: NamedNode
+    revision: NamedNode
+    lag: NamedNode
+    pending: NamedNode
+    refused: NamedNode
+
+    # receipts
+    Write: NamedNode
+    touches: NamedNode
+    matched: NamedNode
+    does: NamedNode
+    duration: NamedNode
+    digest: NamedNode
+    excerpt: NamedNode
+    withheld: NamedNode
 
     # validation
     FieldConstraintComponent: NamedNode
+    StepConstraintComponent: NamedNode
     fieldPath: NamedNode
 
     # SPARQL functions
@@ -192,6 +303,27 @@ class rdfs(Namespace, iri="http://www.w3.org/2000/01/rdf-schema#"):
     isDefinedBy: NamedNode
     subClassOf: NamedNode
     subPropertyOf: NamedNode
+
+
+class sd(Namespace, iri="http://www.w3.org/ns/sparql-service-description#"):
+    """SPARQL 1.1 Service Description."""
+
+    Service: NamedNode
+    Dataset: NamedNode
+    Graph: NamedNode
+    Function: NamedNode
+    endpoint: NamedNode
+    supportedLanguage: NamedNode
+    SPARQL11Query: NamedNode
+    SPARQL11Update: NamedNode
+    inputFormat: NamedNode
+    resultFormat: NamedNode
+    feature: NamedNode
+    UnionDefaultGraph: NamedNode
+    defaultDataset: NamedNode
+    defaultGraph: NamedNode
+    defaultEntailmentRegime: NamedNode
+    extensionFunction: NamedNode
 
 
 class xsd(Namespace, iri="http://www.w3.org/2001/XMLSchema#"):
@@ -261,9 +393,25 @@ class dcterms(Namespace, iri="http://purl.org/dc/terms/"):
 
 
 class foaf(Namespace, iri="http://xmlns.com/foaf/0.1/"):
-    """FOAF: a document about a thing that is not itself a document."""
+    """FOAF: a document about a thing that is not itself a document; agents."""
 
     primaryTopic: NamedNode
+    Agent: NamedNode
+
+
+class acl(Namespace, iri="http://www.w3.org/ns/auth/acl#"):
+    """Web Access Control."""
+
+    Authorization: NamedNode
+    AuthenticatedAgent: NamedNode
+    Read: NamedNode
+    Write: NamedNode
+    Control: NamedNode
+    accessTo: NamedNode
+    agent: NamedNode
+    agentClass: NamedNode
+    default_: NamedNode
+    mode: NamedNode
 
 
 class sh(Namespace, iri="http://www.w3.org/ns/shacl#"):
@@ -344,7 +492,20 @@ class td(Namespace, iri="https://www.w3.org/2019/wot/td#"):
     writeProperty: NamedNode
     observeProperty: NamedNode
     invokeAction: NamedNode
+    cancelAction: NamedNode
     subscribeEvent: NamedNode
+    queryAction: NamedNode
+    hasUriTemplateSchema: NamedNode
+
+
+class js(Namespace, iri="https://www.w3.org/2019/wot/json-schema#"):
+    """JSON Schema in RDF (WoT)."""
+
+    NumberSchema: NamedNode
+    StringSchema: NamedNode
+    propertyName: NamedNode
+    exclusiveMinimum: NamedNode
+    maximum: NamedNode
 
 
 class hctl(Namespace, iri="https://www.w3.org/2019/wot/hypermedia#"):
@@ -362,7 +523,30 @@ class hctl(Namespace, iri="https://www.w3.org/2019/wot/hypermedia#"):
 class htv(Namespace, iri="http://www.w3.org/2011/http#"):
     """HTTP in RDF."""
 
+    Request: NamedNode
+    Response: NamedNode
     methodName: NamedNode
+    requestURI: NamedNode
+    statusCodeValue: NamedNode
+
+
+class prov(Namespace, iri="http://www.w3.org/ns/prov#"):
+    """PROV-O: who did what, when, and with what."""
+
+    Activity: NamedNode
+    Agent: NamedNode
+    Association: NamedNode
+    Entity: NamedNode
+    Plan: NamedNode
+    agent: NamedNode
+    endedAtTime: NamedNode
+    generated: NamedNode
+    hadPlan: NamedNode
+    has_provenance: NamedNode
+    qualifiedAssociation: NamedNode
+    startedAtTime: NamedNode
+    used: NamedNode
+    wasAssociatedWith: NamedNode
 
 
 class qudt(Namespace, iri="http://qudt.org/schema/qudt/"):
@@ -379,6 +563,11 @@ class mapping(Namespace, iri="https://w3id.org/rosld/mapping#"):
     MappedProperty: NamedNode
     MappedAction: NamedNode
     MappedLink: NamedNode
+    StopAction: NamedNode
+    stop: NamedNode
+    call: NamedNode
+    publish: NamedNode
+    content: NamedNode
     path: NamedNode
     property: NamedNode
     predicate: NamedNode
@@ -411,13 +600,13 @@ class av(Namespace, iri="https://w3id.org/rosld/aircraft#"):
 
 
 PREFIXES: Mapping[str, str] = {
-    space.__name__: space.iri for space in (ros, rdf, rdfs, xsd, ldp, xhv, dcterms, foaf, sh, td, hctl, htv, qudt, av)
+    space.__name__: space.iri
+    for space in (ros, rdf, rdfs, xsd, ldp, xhv, dcterms, foaf, acl, sh, sd, td, js, hctl, htv, prov, qudt, av)
 } | {
     "map": mapping.iri,
     "unit": "http://qudt.org/vocab/unit/",
     "quantitykind": "http://qudt.org/vocab/quantitykind/",
     "owl": "http://www.w3.org/2002/07/owl#",
-    "prov": "http://www.w3.org/ns/prov#",
     "sosa": "http://www.w3.org/ns/sosa/",
 }
 """The prefixes under which people know these namespaces."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Mapping
+from functools import partial
 from urllib.parse import quote
 
 from starlette.requests import Request
@@ -15,7 +16,10 @@ from rosld.adapters.base import Adapter
 from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
-from rosld.server.dataset import Dataset
+from rosld.server.access import gate
+from rosld.server.access.door import Door
+from rosld.server.clients import REFUSAL_SECONDS, Allowance, Clients, TooMuch
+from rosld.server.dataset import ELSEWHERE, Dataset
 from rosld.server.errors import problem_of, problem_of_body
 from rosld.server.events import websocket
 from rosld.server.events.channels import Channels
@@ -28,44 +32,77 @@ from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import Pages
 from rosld.server.ldp.resource import Resource
 from rosld.server.ldp.verbs import Verbs, options
+from rosld.server.mirroring import mirror_of
+from rosld.server.receipts.graphs import ReceiptGraphs
+from rosld.server.receipts.recorder import Recorder
 from rosld.server.records.record import StorageError
+from rosld.server.resources.acl import acl_room
 from rosld.server.resources.channels import Notifications, rooms
 from rosld.server.resources.kept.graphs import RecordGraphs
+from rosld.server.resources.mirror import mirror_room
 from rosld.server.resources.router import ROOMS, Router
-from rosld.server.robot import Robot
+from rosld.server.resources.typed import types_at
+from rosld.server.resources.updating.service import Updates
+from rosld.server.robot import Robot, Same
 from rosld.server.settings import Settings
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.endpoint import QueryService, QuerySettings
 from rosld.server.sparql.functions import functions
-from rosld.server.sparql.lexer import Bounds
+from rosld.server.sparql.lexer import Bounds, Reach
+from rosld.server.sparql.shades import Shades
 from rosld.server.sparql.sync import Synchroniser
+from rosld.server.sparql.update.drawer import Drawer
 from rosld.server.store import MemoryStore
+from rosld.server.store.mirror import Mirror
+from rosld.server.turns import Turns
 
 _log = logging.getLogger("rosld")
+_TELLING_NOTHING = frozenset({401, 404, 410})
+"""Statuses of answers that say nothing of what may be done: it might tell whether anything is there."""
 
 
 def create_app(adapter: Adapter, settings: Settings) -> Application:
     """The ASGI app that serves this adapter; its lifespan opens and closes the adapter, raising what `open` raises."""
     robot = Robot(adapter, settings)
     pages = Pages(robot)
-    service = query_service(robot)
+    store = MemoryStore()
+    kept = RecordGraphs(robot.records, robot.space.base, robot.queries.said, ELSEWHERE)
+    source = Dataset(robot)
+    synchroniser = Synchroniser(store, source, kept, ReceiptGraphs(robot.receipts, robot.space))
+    reach = Reach(frozenset(settings.allow_service))
+    bounded = Bounds(size=settings.query_size_limit)
+    analyser = Analyser(robot.space.base, robot.space.types, bounds=bounded, reach=reach)
+    service = query_service(robot, store, synchroniser, analyser)
+    mirror = mirror_of(robot, store, synchroniser, {*ROOMS, "queries", "sparql"})
     names = site(settings.base_url, settings.host, settings.port, settings.cors_origins)
     feeds = Feeds(robot.changes)
-    router = Router(robot, service, pages)
+    alone = Alone(settings.call_deadline)
+    bounds = Bounds(size=settings.body_limit)
+    drawer = Drawer(service, store, source, analyser)
+    router = Router(robot, service, pages, lambda at: Updates(robot, drawer, analyser, bounds, at, alone))
     notifications = Notifications(robot, Channels(robot.boot), feeds, names, router.resolve)
     router.add(rooms(notifications, ROOMS[".well-known"]))
-    verbs = Verbs(robot.boot, pages, feeds, Alone(settings.call_deadline))
-    return Application(robot, router, verbs, pages, names, notifications, service)
+    router.add(mirror_room(mirror))
+    door = None if settings.auth is None else Door(settings.auth, robot.space, partial(types_at, robot))
+    if door is not None:
+        door.changed.watch(feeds.stir)
+    router.add(acl_room(door))
+    verbs = Verbs(robot.boot, pages, feeds, alone)
+    return Application(robot, router, verbs, pages, names, notifications, service, mirror, door)
 
 
-def query_service(robot: Robot) -> QueryService:
+def query_service(robot: Robot, store: MemoryStore, synchroniser: Synchroniser, analyser: Analyser) -> QueryService:
     """SPARQL over everything that the robot's resources say."""
     settings = robot.settings
-    store = MemoryStore()
-    analyser = Analyser(robot.space.base, robot.space.types, bounds=Bounds(size=settings.query_size_limit))
-    synchroniser = Synchroniser(store, Dataset(robot), RecordGraphs(robot.records, robot.space.base))
-    limits = QuerySettings(settings.query_time_limit, settings.query_memory_limit)
-    return QueryService(store, synchroniser, analyser, functions(robot.received_ns), limits)
+    limits = QuerySettings(
+        settings.query_time_limit,
+        settings.query_memory_limit,
+        settings.query_row_limit,
+        settings.query_concurrency,
+        settings.query_queue,
+    )
+    shades = Shades(store, lambda: Same(robot.graph))
+    return QueryService(store, synchroniser, analyser, lambda: functions(robot.seconds_since), limits, shades)
 
 
 class Application:
@@ -80,6 +117,8 @@ class Application:
         names: Site,
         notifications: Notifications,
         service: QueryService,
+        mirror: Mirror | None = None,
+        door: Door | None = None,
     ) -> None:
         self.robot = robot
         self._router = router
@@ -88,38 +127,83 @@ class Application:
         self._site = names
         self._notifications = notifications
         self._service = service
+        self._turns = Turns()
+        self._stop = f"{robot.space.path}stop".encode("ascii")
+        self._mirror = mirror
+        self._recorder = Recorder(robot.receipts, robot.space)
+        settings = robot.settings
+        allowance = Allowance(settings.client_rate, settings.client_requests, settings.client_connections)
+        self.clients = Clients(allowance, loopback=settings.limit_loopback)
+        self._door = door
+        self._acl = link.Link(f"{robot.space.base}acl", "acl")
         self._standing = (b"link", link.render([notifications.link]).encode("latin-1"))
+
+    @property
+    def rooms(self) -> frozenset[str]:
+        """The first segments of all paths that lead anywhere."""
+        return self._router.rooms
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http":
-            await self._http(scope, receive, send)
+            exchange = Exchange(
+                Request(scope, receive), self.robot.settings.body_limit, self.robot.settings.body_timeout
+            )
+            try:
+                await self._http(exchange, scope, receive, send)
+            finally:
+                self.clients.leave(exchange.client)
         elif scope["type"] == "lifespan":
             await self._lifespan(receive, send)
         else:
             await self._websocket(scope, receive, send)
 
     def end_streams(self) -> None:
-        """End what would go on for ever: to be called when the server is told to end, before it waits for requests."""
+        """End what would go on for ever, holds first: to be called when the server is told to end, before it waits for
+
+        requests.
+        """
+        self.robot.holds.close("rosld ended")
         self._verbs.feeds.end()
 
     async def _lifespan(self, receive: Receive, send: Send) -> None:
         await receive()
         await self.robot.start()
-        indexing = asyncio.ensure_future(self._service.keep_up())
+        background = [asyncio.ensure_future(self._service.keep_up())]
+        if self._mirror is not None:
+            background.append(asyncio.ensure_future(self._mirror.run()))
+        if self._door is not None:
+            background.append(asyncio.ensure_future(self._door.keep_up()))
         await send({"type": "lifespan.startup.complete"})
         await receive()
-        indexing.cancel()
-        await asyncio.wait([indexing])
+        for each in background:
+            each.cancel()
+        await asyncio.wait(background)
+        if self._mirror is not None:
+            await self._mirror.close()
         await self.robot.stop()
         await send({"type": "lifespan.shutdown.complete"})
 
-    async def _http(self, scope: Scope, receive: Receive, send: Send) -> None:
-        exchange = Exchange(Request(scope, receive), self.robot.settings.body_limit)
+    async def _http(self, exchange: Exchange, scope: Scope, receive: Receive, send: Send) -> None:
         origin = exchange.header("origin")
+        if self._door is not None:
+            exchange.visit = self._door.anybody
         try:
             response = await self._answer(exchange, origin)
         except Exception as error:
+            error = self._counted(exchange, error)
+            if isinstance(error, TooMuch):
+                await asyncio.sleep(REFUSAL_SECONDS)
             response = self._failure(exchange, error)
+        if exchange.account.is_write:
+            response.raw_headers = [*response.raw_headers, self._recorder.note(exchange, scope, response)]
+        if self._door is not None:
+            place = gate.place_of(exchange.request.scope, self.robot.space)
+            if response.status_code in _TELLING_NOTHING:
+                place = None
+            judge, public = exchange.judge, self._door.anybody.judge
+            response.raw_headers = gate.marked(
+                response.raw_headers, judge, public, place, exchange.answering, self._acl
+            )
         if origin is not None or self._site.shared or self._site.anybody:
             _share(response, sharing(self._site, exchange.method, origin))
         response.raw_headers = [*response.raw_headers, self._standing]
@@ -137,13 +221,40 @@ class Application:
     async def _answer(self, exchange: Exchange, origin: str | None) -> Response:
         check_host(self._site, exchange.hosts)
         check_origin(self._site, exchange.method, origin, exchange.header("sec-fetch-site"))
+        if exchange.request.scope["raw_path"] != self._stop:
+            await self._turns.wait()
+        is_preflight = exchange.method == "OPTIONS" and exchange.header("access-control-request-method") is not None
+        if self._door is not None:
+            if is_preflight:  # it never says who asks, so it is told of nothing
+                return self._preflight(None, origin)
+            exchange.visit = await self._door.visit(exchange.header("authorization"))
+            if not exchange.judge.whole:
+                place = gate.place_of(exchange.request.scope, self.robot.space)
+                gate.require_path(exchange.judge, exchange.method, place)
+        self._admit(exchange)
         resource = self._router.resolve(exchange.request.scope)
-        if exchange.method == "OPTIONS" and exchange.header("access-control-request-method") is not None:
+        if is_preflight:
             return self._preflight(resource, origin)
         return await self._verbs.answer(exchange, resource)
 
-    def _preflight(self, resource: Resource, origin: str | None) -> Response:
-        headers = options(resource)
+    def _admit(self, exchange: Exchange) -> None:
+        """Raises a 429 Problem for a client at its limit. Stopping the robot is never too much."""
+        scope = exchange.request.scope
+        if exchange.method != "POST" or not scope["raw_path"].endswith(b"/stop"):
+            client = scope["client"]
+            exchange.client = self.clients.admit(exchange.agent, client[0] if client else None)
+
+    def _counted(self, exchange: Exchange, error: Exception) -> Exception:
+        """What became of a request: one that was refused before it was let pass counts like any other (429)."""
+        if exchange.client is None and not isinstance(error, TooMuch):
+            try:
+                self._admit(exchange)
+            except TooMuch as too_much:
+                return too_much
+        return error
+
+    def _preflight(self, resource: Resource | None, origin: str | None) -> Response:
+        headers = {"vary": "Accept"} if resource is None else options(resource)
         response = Response(status_code=204, headers=headers)
         _share(response, sharing(self._site, "OPTIONS", origin, preflight=True))
         return response
@@ -159,6 +270,8 @@ class Application:
         if not isinstance(error, Problem):
             _log.exception("%s %s failed", exchange.method, exchange.request.scope["path"], exc_info=error)
             error = Problem(500, "The server failed on this request; its log says more.")
+        error = gate.told(exchange.judge, error)
+        exchange.account.refused(error.detail)
         path = quote(exchange.request.scope["raw_path"].lstrip(b"/"), safe="/%:@!$&'()*+,;=~")
         url = self.robot.space.base + path
         return self._pages.problem(exchange, error, url) or render(error, exchange.accept, url=url).response()

@@ -1,4 +1,4 @@
-"""The command line: `rosld serve`, `lift`, `types`, `dump`, `load`. What they do is in `commands/`."""
+"""The command line: `rosld serve`, `lift`, `types`, `token`, `dump`, `load`. What they do is in `commands/`."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import click
 
 import rosld
 from rosld.adapters.base import AdapterOptions
+from rosld.adapters.model import Qos, read_profile
 from rosld.server import settings as declared
 from rosld.server.commands.failure import told
 from rosld.server.settings import Declaration, Settings
@@ -39,10 +40,11 @@ def main() -> None:
       rosld serve ros1://localhost:11311   a live ROS 1 system
       rosld lift run.bag -o run.nq.gz      a whole recording as RDF
       rosld types run.bag                  the message types in it
+      rosld token add anna --file a.toml   a token for somebody who may use a server with --auth
       rosld dump DIR -o data.tar.gz        a copy of what clients have put; rosld load brings it back
 
-    A SOURCE is `aircraft`, the path of a recording (.bag, .mcap, .db3, a rosbag2 folder), or `ros1://HOST:PORT`
-    (`ros1:` takes ROS_MASTER_URI).
+    A SOURCE is `aircraft`, the path of a recording (.bag, .mcap, .db3, a rosbag2 folder), `ros1://HOST:PORT`
+    (`ros1:` takes ROS_MASTER_URI), or `ros2:?domain=42&namespace=/robot1` (`ros2:` takes ROS_DOMAIN_ID).
     """
 
 
@@ -53,6 +55,28 @@ def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str
         if not all(pair):
             raise click.BadParameter(f"{value!r} is not NAME=IP")
     return pairs
+
+
+def _profiles(
+    context: click.Context, parameter: click.Parameter, values: tuple[str, ...]
+) -> tuple[tuple[str, Qos], ...]:
+    """The globs and profiles in GLOB=PROFILE options; a glob may hold an equals sign, a profile does not."""
+    profiles: list[tuple[str, Qos]] = []
+    for value in values:
+        glob, _, profile = value.rpartition("=")
+        if not glob.startswith(("/", "*")):
+            raise click.BadParameter(f"{value!r} is not GLOB=PROFILE with the GLOB of a topic, such as '/camera/*'")
+        try:
+            profiles.append((glob, read_profile(profile)))
+        except ValueError as error:
+            raise click.BadParameter(f"in {value!r} {error}") from error
+    return tuple(profiles)
+
+
+_CALLBACKS: Mapping[str, Callable[[click.Context, click.Parameter, tuple[str, ...]], object]] = {
+    "host_map": _pairs,
+    "qos": _profiles,
+}
 
 
 def _option(one: Declaration) -> Callable[[_F], _F]:
@@ -66,7 +90,7 @@ def _option(one: Declaration) -> Callable[[_F], _F]:
         one.name,
         type=_FILE if one.metavar == "FILE" else _KINDS.get(one.type, click.STRING),
         multiple=one.type.startswith("tuple"),
-        callback=_pairs if one.name == "host_map" else None,
+        callback=_CALLBACKS.get(one.name),
         default=None if one.name == "base_url" else one.default,
         show_default=shown,
         metavar=one.metavar,
@@ -175,6 +199,61 @@ def types(source: str, types: tuple[Path, ...]) -> None:
     from rosld.server.commands.types import types as run
 
     run(source, AdapterOptions(types=types))
+
+
+@main.group(short_help="Tokens of those who may use a server with --auth.")
+def token() -> None:
+    """Make, list and take away tokens, in the file that `rosld serve --auth FILE` reads again whenever it changes.
+
+    \b
+    Examples:
+      rosld token add anna --mode read --glob '/topics/**' --file auth.toml
+      rosld token list --file auth.toml
+      rosld token remove anna --file auth.toml
+    """
+
+
+_AUTH = click.option("--file", required=True, type=click.Path(dir_okay=False, path_type=Path), metavar="FILE")
+
+
+@token.command("add", short_help="Make a token for NAME, and print it once.")
+@click.argument("name")
+@click.option(
+    "--mode",
+    "modes",
+    multiple=True,
+    type=click.Choice(["read", "write", "control", "administer"]),
+    help="What NAME may do. Repeatable; read where only --glob is given.",
+)
+@click.option("--glob", "globs", multiple=True, metavar="GLOB", help="Where, such as '/topics/**'. Repeatable.")
+@_AUTH
+def token_add(name: str, modes: tuple[str, ...], globs: tuple[str, ...], file: Path) -> None:
+    """Make a token for NAME and print it: it is kept nowhere, only its digest is.
+
+    Without --mode and --glob the rules stay as they are.
+    """
+    from rosld.server.commands.tokens import add
+
+    add(file, name, modes, globs)
+
+
+@token.command("list", short_help="Who has tokens, and how many.")
+@_AUTH
+def token_list(file: Path) -> None:
+    """List who has tokens: name, tab, how many."""
+    from rosld.server.commands.tokens import listed
+
+    listed(file)
+
+
+@token.command("remove", short_help="Take all tokens of NAME away.")
+@click.argument("name")
+@_AUTH
+def token_remove(name: str, file: Path) -> None:
+    """Take all tokens of NAME away. A server that runs on FILE refuses them within a second or two."""
+    from rosld.server.commands.tokens import remove
+
+    remove(file, name)
 
 
 @main.command(short_help="Copy what clients have put in DIR into a file.")

@@ -7,46 +7,58 @@ all. Topics with their messages, parameters with their values and recorded messa
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections.abc import Callable, Coroutine, Hashable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
 
 from pyoxigraph import NamedNode
 
-from rosld.adapters.model import MessageSchema, RosError, Schema, ServiceSchema, Topic, names
+from rosld.adapters.model import MessageSchema, Parameter, ParameterValue, RosError, Schema, Topic, halves_of, names
 from rosld.ontology.describe_bags import bag_document
-from rosld.ontology.describe_containers import container_document, namespace_document, type_container_document
-from rosld.ontology.describe_graph import entry_document, node_document
+from rosld.ontology.describe_containers import container_document, type_container_document
+from rosld.ontology.describe_graph import entry_document, node_document, node_views
 from rosld.ontology.describe_services import service_document
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.triples import RDF_SOURCE, about, text
-from rosld.ontology.urls import Location
+from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.layout import path_of
+from rosld.server.in_force import limits, queries
 from rosld.server.ldp.resource import Resource
+from rosld.server.ldp.state import State
+from rosld.server.resources import types
+from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.bags import BagMessage
 from rosld.server.resources.complex import ComplexResource
+from rosld.server.resources.holds import HoldResource
 from rosld.server.resources.members import MemberResource
-from rosld.server.resources.namespaces import namespaces, of_room
+from rosld.server.resources.namespaces import listed, listed_members, namespace_described, namespaces, of_room
+from rosld.server.resources.nodes import NodeResource
 from rosld.server.resources.ontology import vocabulary
 from rosld.server.resources.parameters import ParameterResource
+from rosld.server.resources.queries import shipped_document, whole_container
 from rosld.server.resources.services import CallResource
+from rosld.server.resources.stop import StopResource
 from rosld.server.resources.topics import TopicResource
 from rosld.server.resources.types import WHOLE, known_types, names_below, whole_shape
-from rosld.server.robot import Robot
+from rosld.server.robot import Robot, Same
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.sync import GraphEntry
 from rosld.shapes.message import shape_document
+from rosld.shapes.parameter import declared_triples
 
 _KEPT = 256
 """Needs whose resources are remembered."""
+ELSEWHERE = frozenset({queries.ROOM, limits.ROOM})
+"""The containers of what clients keep in which something else lies too: they are described here, whole."""
 _AT_ONCE = 64
-"""Topics looked at concurrently for one query."""
+"""Looks that are begun before the loop has its turn."""
+_TURNS = 4
+"""Times that topics are looked at to have their values all of one moment."""
 
 
 class Dataset:
@@ -61,7 +73,16 @@ class Dataset:
     def revision(self) -> Hashable:
         """Changes whenever a description may have changed."""
         robot = self._robot
-        return (robot.graph.revision, robot.schemas.count, robot.calls.revision)
+        return (
+            robot.graph.revision,
+            robot.schemas.count,
+            robot.calls.revision,
+            robot.goals.revision,
+            robot.holds.revision,
+            robot.stops.revision,
+            robot.queries.version,
+            Same(robot.limits),
+        )
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
         """Every graph without live values, by IRI."""
@@ -77,10 +98,13 @@ class Dataset:
         nothing, what is subscribed to already is all there is.
         """
         resources = self._resources(needs)
-        for batch in (resources[at : at + _AT_ONCE] for at in range(0, len(resources), _AT_ONCE)):
-            await self._look(batch, deadline)
-        entries = [await self._entry(resource) for resource in resources]
-        return [entry for entry in entries if entry is not None]
+        await self._look(resources, deadline)
+        parameters = [one for one in resources if isinstance(one, ParameterResource)]
+        topics = [one for one in resources if isinstance(one, TopicResource)]
+        others = [one for one in resources if not isinstance(one, ParameterResource | TopicResource)]
+        stored = await self._parameters(parameters, deadline)
+        found = [entry for one in others if (entry := await self._entry(one.url, one.state())) is not None]
+        return [*stored, *found, *await self._of_topics(topics)]
 
     def _resources(self, needs: Needs) -> Sequence[Resource]:
         """The resources of `_wanted`, kept for as long as they are the same: where needs name what they are about."""
@@ -148,37 +172,85 @@ class Dataset:
     async def _look(self, resources: Sequence[Resource], deadline: float) -> None:
         """Have what must be waited for looked at together: the first values of topics, what getters answer."""
         topics = self._robot.topics
-        names = [each.name for each in resources if isinstance(each, TopicResource)]
-        looks: list[Coroutine[object, object, object]] = [
-            *(topics.look(name) for name in names if topics.peek(name) is None),
-            *(each.state() for each in resources if isinstance(each, ComplexResource | MemberResource)),
-        ]
-        if looks:
-            seconds = max(0.0, deadline - asyncio.get_running_loop().time())
-            with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
-                await asyncio.wait_for(asyncio.gather(*looks, return_exceptions=True), seconds)
+        tasks: list[asyncio.Future[object]] = []
+        try:
+            for one in resources:
+                if isinstance(one, TopicResource) and not topics.is_settled(one.name):
+                    tasks.append(asyncio.ensure_future(topics.look(one.name)))
+                elif isinstance(one, ComplexResource | MemberResource):
+                    tasks.append(asyncio.ensure_future(one.state()))
+                if len(tasks) % _AT_ONCE == _AT_ONCE - 1:
+                    await asyncio.sleep(0)
+            if tasks:
+                seconds = max(0.0, deadline - asyncio.get_running_loop().time())
+                await asyncio.wait(tasks, timeout=seconds)
+        finally:
+            for task in tasks:
+                if not task.done():
+                    task.cancel()
+                elif not task.cancelled():
+                    task.exception()  # what failed is seen again when it is shown
 
-    async def _entry(self, resource: Resource) -> GraphEntry | None:
+    async def _parameters(self, resources: Sequence[ParameterResource], deadline: float) -> Sequence[GraphEntry]:
+        """The graphs of parameters, asked for all together."""
+        if not resources:
+            return ()
+        robot = self._robot
+        until = min(deadline, robot.deadline(robot.settings.call_deadline))
+        try:
+            values = await robot.adapter.get_parameters([one.name for one in resources], deadline=until)
+        except RosError:
+            return ()
+        found = ((one, values.get(one.name)) for one in resources)
+        return [entry for one, value in found if (entry := _of_parameter(one, value)) is not None]
+
+    async def _of_topics(self, resources: Sequence[TopicResource]) -> Sequence[GraphEntry]:
+        """The graphs of topics, all of one turn of the loop, in which no message comes.
+
+        Where something must be fetched first (the type of a message), they are all looked at again.
+        """
+        known = self._robot.topics.known
+        for _ in range(_TURNS):
+            turns: list[None] = []
+            asyncio.get_running_loop().call_soon(turns.append, None)
+            entries = [await self._entry(one.url, one.shown(known(one.name))) for one in resources]
+            if not turns:
+                break
+        return [entry for entry in entries if entry is not None]
+
+    async def _entry(self, iri: str, coming: Coroutine[object, object, State]) -> GraphEntry | None:
         """The graph of one resource, None where it cannot be read now."""
         try:
-            state = await resource.state()
+            return _live(iri, await coming)
         except (Problem, RosError):
             return None
-        return GraphEntry(resource.url, state.tag, lambda: _ntriples(state.document))
 
     def _describe(self) -> Iterator[GraphEntry]:
         robot, space, graph = self._robot, self._robot.space, self._robot.graph
         system = robot.adapter.capabilities.system
-        yield _described(space.base, graph.revision, partial(entry_document, graph, space, system))
-        for node in graph.nodes.values():
-            yield _described(space.node(node.name), graph.revision, partial(node_document, node, graph, space))
+        yield _described(space.base, graph.revision, partial(entry_document, listed(robot), space, system))
+        simulated = graph.simulated_time
+        for name, known in node_views(graph).items():
+            view = NodeResource(robot, name).seen(known)
+            describe = partial(node_document, view, space, simulated_time=simulated)
+            yield _described(space.node(name), (view, simulated), describe)
         for topic in graph.topics.values():
-            yield _described(space.topic(topic.name), topic, partial(topic_document, topic, space, graph))
+            hold = robot.holds.on(topic.name)
+            can = "POST" in TopicResource(robot, topic.name).methods()
+            yield _described(
+                space.topic(topic.name),
+                (topic, hold and hold.id, can),
+                partial(topic_document, topic, space, graph, holdable=can, hold=hold.id if hold else None),
+            )
         for service in graph.services.values():
             yield _described(space.service(service.name), service, partial(service_document, service, space, graph))
-        for name in graph.parameters:
-            url = space.parameter(name)
-            yield _described(url, name, partial(described_parameter, url, name))
+        for name, action in graph.actions.items():
+            one = ActionResource(robot, name)
+            goals = tuple(goal.id for goal in robot.goals.of(name))
+            yield _described(one.url, (action, goals, one.methods()), one.document)
+        for parameter in graph.parameters.values():
+            url = space.parameter(parameter.name)
+            yield _described(url, parameter, partial(described_parameter, parameter, space))
         yield from self._containers()
         yield from self._types()
         yield from self._records()
@@ -187,33 +259,42 @@ class Dataset:
 
     def _containers(self) -> Iterator[GraphEntry]:
         space, graph = self._robot.space, self._robot.graph
-        for room in ("nodes", "topics", "services", "parameters"):
-            for path, members in namespaces(graph, room).items():
+        for room in ("nodes", "topics", "services", "actions", "parameters"):
+            for path, whole in namespaces(graph, room).items():
+                members = listed_members(self._robot, room, path)
+                assert members is not None
                 is_name = names.join(path) in of_room(graph, room)
-                describe = partial(namespace_document, room, path, members, space, is_name=is_name)
-                yield _described(space.container(room, path), (members, is_name), describe)
+                describe = partial(namespace_described, self._robot, room, path, members)
+                yield _described(space.container(room, path), (members, is_name, members == whole), describe)
         recordings = tuple(map(space.bag, self._robot.adapter.recordings))
         bags = partial(container_document, space.container("bags"), recordings, "Recordings")
         yield _described(space.container("bags"), recordings, bags)
+        yield _described(space.container("queries"), self._robot.queries.version, whole_container(self._robot))
+        for name, query in self._robot.queries.shipped.items():
+            url = space.query(name)
+            yield _described(url, 0, partial(shipped_document, url, query))
 
     def _types(self) -> Iterator[GraphEntry]:
         space = self._robot.space
         listed = tuple(sorted({ref.name for ref in known_types(self._robot)}))
         paths = {tuple(name.split("/"))[:depth] for name in listed for depth in range(3)} | {()}
         for room, path in product(("types", "shapes"), sorted(paths)):
+            if room == "shapes" and not path:
+                continue
             below = names_below(listed, room, path)
             describe = partial(type_container_document, room, path, below, space)
             yield _described(space.container(room, path), below, describe)
+        shapes = types.whole_container(self._robot)
+        yield _described(shapes.url, Same(shapes), lambda: shapes)
         for name in WHOLE:
-            yield _described(space.shape(name), 0, partial(whole_shape, self._robot, name))
+            yield _described(space.shape(name), Same(self._robot.limits), partial(whole_shape, self._robot, name))
         for schema in self._robot.schemas.all():
             yield from self._type(schema)
 
     def _type(self, schema: Schema) -> Iterator[GraphEntry]:
         space = self._robot.space
         yield _described(space.type(schema.ref.name), schema.ref, partial(type_document, schema, space))
-        halves = (schema.request, schema.response) if isinstance(schema, ServiceSchema) else (schema,)
-        for half in halves:
+        for half in halves_of(schema):
             yield _described(space.shape(half.ref.name), schema.ref, partial(shape_document, half, space))
 
     def _records(self) -> Iterator[GraphEntry]:
@@ -226,11 +307,43 @@ class Dataset:
         for call in self._robot.calls.all():
             resource = CallResource(self._robot, call.id)
             yield _described(resource.url, (call.id, call.state), partial(resource.document, call))
+        holds = self._robot.holds.all()
+        held, room = tuple(space.hold(hold.id) for hold in holds), space.container("holds")
+        yield _described(room, held, partial(container_document, room, held, "Holds"))
+        for hold in holds:
+            of = HoldResource(self._robot, hold.id)
+            yield _described(of.url, Same(hold), partial(of.document, hold))
+        stop = StopResource(self._robot)
+        yield _described(stop.url, (self._robot.stops.revision, self._robot.stops.steps), stop.document)
+        goals = self._robot.goals.all()
+        known = tuple(space.goal(goal.id) for goal in goals)
+        yield _described(
+            space.container("goals"), known, partial(container_document, space.container("goals"), known, "Goals")
+        )
+        for goal in goals:
+            told = GoalResource(self._robot, goal.id)
+            yield _described(told.url, Same(goal), partial(told.document, goal))
 
 
-def described_parameter(url: str, name: str) -> Document:
+def described_parameter(parameter: Parameter, space: Space) -> Document:
     """A parameter without its value, which is read when a query needs it."""
-    return Document(url, tuple(about(NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(name)))))
+    url, descriptor = space.parameter(parameter.name), parameter.descriptor
+    triples = about(NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(parameter.name)))
+    return Document(url, (*triples, *(declared_triples(descriptor, url, space) if descriptor is not None else ())))
+
+
+def _of_parameter(resource: ParameterResource, value: ParameterValue | None) -> GraphEntry | None:
+    """The graph of a parameter, None where it has no value that can be shown."""
+    if value is None or isinstance(value, dict):
+        return None
+    try:
+        return _live(resource.url, resource.shown(value))
+    except Problem:
+        return None
+
+
+def _live(iri: str, state: State) -> GraphEntry:
+    return GraphEntry(iri, state.tag, lambda: _ntriples(state.document))
 
 
 def _described(iri: str, token: Hashable, describe: Callable[[], Document]) -> GraphEntry:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, UnknownType, Unreachable
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
+from rosld.ontology.triples import moment
+from rosld.server.gate import Stopped, TopicHeld
 from rosld.server.http.problem import Problem
 
 RETRY_AFTER_SECONDS = 2
@@ -15,6 +17,8 @@ _STATUS: tuple[tuple[type[RosError], int], ...] = (
     (TimedOut, 504),
     (Unreachable, 503),
     (UnknownType, 404),
+    (Stopped, 423),
+    (TopicHeld, 409),
 )
 
 
@@ -24,6 +28,12 @@ def problem_of(error: RosError) -> Problem:
     extra: dict[str, object] = {"sent": error.sent.value}
     if error.words is not None:
         extra["words"] = error.words
+    match error:
+        case Stopped(standstill=standstill):
+            since = moment(standstill.since_ns)
+            extra |= {"stoppedBy": standstill.by, "since": since.value if since else None, "reason": standstill.reason}
+        case TopicHeld(holder=holder):
+            extra |= {"holder": holder.name, "hold": holder.hold}
     headers = {"Retry-After": str(RETRY_AFTER_SECONDS)} if status == 503 and error.sent is Sent.NO else {}
     return Problem(status, error.sentence, title=type(error).__name__, headers=headers, extra=extra)
 

@@ -5,46 +5,51 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
-import logging
 import secrets
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
-from pyoxigraph import RdfFormat, parse
-
 from rosld.adapters.base import Adapter
-from rosld.adapters.model import Graph, Kind, RosError, TypeRef
-from rosld.ontology.body import indexed
+from rosld.adapters.model import ActionSchema, GoalEvent, GoalId, Graph, Kind, RosError, TypeRef
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.urls import Space
+from rosld.server.accounted import Accounted
 from rosld.server.calls import Calls
 from rosld.server.events.watches import Signal
+from rosld.server.gate import Gate
+from rosld.server.goals import Goals
+from rosld.server.holds import Holds
 from rosld.server.http.csrf import FormKey
-from rosld.server.hypermedia.documents import MappingDocument, load_mapping, mapping_of
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.hypermedia.offers import Offers
 from rosld.server.hypermedia.readings import Readings
 from rosld.server.hypermedia.value import WHOLE
+from rosld.server.in_force import limits, mappings, queries
+from rosld.server.in_force.limits import LimitsInForce, given_limits
+from rosld.server.in_force.mappings import given_mappings, keep_mappings
 from rosld.server.ldp.state import State
 from rosld.server.limiter import PublishLimiter
 from rosld.server.live.schemas import Schemas
 from rosld.server.live.topics import LiveSettings, LiveTopics
-from rosld.server.records import Changed, Model, Put, Record
-from rosld.server.records.describe import written
+from rosld.server.receipts.journal import Journal
+from rosld.server.records import Changed
 from rosld.server.records.sqlite import open_records
 from rosld.server.settings import Settings
-from rosld.shapes.limits import Limits, read_limits
+from rosld.server.sparql.lexer import Bounds
+from rosld.server.stops import Stops
+from rosld.shapes.limits import Limits
 
 OPEN_SECONDS = 5.0
-_log = logging.getLogger("rosld")
 
 
 class Robot:
     """One adapter being served. Also the adapter's `Sink`: told of changes, from any thread."""
 
     def __init__(self, adapter: Adapter, settings: Settings) -> None:
-        self.adapter = adapter
+        self.gate = Gate()
+        self.gated = Accounted(adapter, self.gate, Space(settings.base_url, settings.types_namespace))
+        self.adapter: Adapter = self.gated
         self.settings = settings
         self.space = Space(settings.base_url, settings.types_namespace)
         self.lifting = LiftSettings(settings.types_namespace, settings.inline_limit)
@@ -55,22 +60,32 @@ class Robot:
         )
         self.topics = LiveTopics(adapter, self.schemas, live)
         self.calls = Calls(
-            adapter,
+            self.adapter,
             lambda service: self.written(Kind.SERVICE, service),
             most=settings.calls_kept,
             age=settings.calls_age,
+        )
+        self.goals = Goals(
+            self.adapter, self._action_schema, most=settings.goals_kept, age=settings.goals_age, idle=settings.idle_time
         )
         self.limiter = PublishLimiter(settings.max_publish_rate)
         self.forms = FormKey()
         self.states = States()
         self.changes = Signal()
         self.parameter_changes = Signal()
-        self.limits = limits_of(settings, adapter, self.space)
-        self.records = open_records(settings.data, roots=("mappings/",))
+        self.limits_in_force = LimitsInForce(tuple(given_limits(settings, adapter, self.space)), self.space)
+        self.records = open_records(settings.data, roots=(mappings.ROOM, queries.ROOM, limits.ROOM))
+        self.receipts = Journal(
+            settings.data,
+            most=settings.receipts_kept,
+            age=settings.receipts_age,
+            excerpt_bytes=settings.receipt_excerpt,
+        )
         self.kept_changes = Signal()
+        self.queries = queries.Queries(self.records, self.space, Bounds(size=settings.query_size_limit))
         self.mappings = Mappings()
         self.mapping_turn = asyncio.Lock()
-        self._given = tuple(documents_of(settings, adapter, self.space))
+        self._given = tuple(given_mappings(settings, adapter, self.space))
         for document in self._given:
             self.mappings.replace(document)
         self.readings = Readings(
@@ -82,6 +97,8 @@ class Robot:
             patience=settings.call_deadline,
         )
         self.offers = Offers(self)
+        self.holds = Holds(self)
+        self.stops = Stops(self)
         self.boot = secrets.token_hex(4)
         self._changed = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -101,13 +118,19 @@ class Robot:
         master = self.graph.master
         return master.uri.partition("//")[2].rstrip("/") if master else self.adapter.capabilities.system
 
-    def received_ns(self, url: str) -> int | None:
-        """When the newest message of the topic at `url` was received, None where none was; from any thread."""
+    def seconds_since(self, url: str) -> float | None:
+        """How long ago the newest message of the topic at `url` was received, None where none was; from any thread."""
         location = self.space.location(url)
         if location is None or location.kind != "topics":
             return None
         view = self.topics.last_seen(location.name)
-        return view.newest.received_ns if view is not None and view.newest is not None else None
+        newest = None if view is None else view.newest
+        return None if newest is None else self.adapter.age_ns(newest) / 1e9
+
+    @property
+    def limits(self) -> Limits:
+        """The limits on what is written that are in force now."""
+        return self.limits_in_force.now
 
     def is_closed(self, name: str) -> bool:
         """Whether a topic, service or parameter is written under /resources/ only."""
@@ -124,10 +147,13 @@ class Robot:
     async def start(self) -> None:
         """Open the adapter unless it is, and follow its graph. Raises what `Adapter.open` raises."""
         self._loop = asyncio.get_running_loop()
+        self.goals.start()
         await self.adapter.open(self, deadline=self.deadline(OPEN_SECONDS))
         self.topics.start()
         self.records.watch(self._kept)
-        await self._keep_mappings()
+        self.receipts.start()
+        self.limits_in_force.begin(self.records)
+        await keep_mappings(self.mappings, self._given, self.records, self.settings, self.space)
         self._changed.set()
         gc.collect()
         gc.freeze()  # what is loaded now stays: looking through it again and again would hold everybody up
@@ -135,11 +161,16 @@ class Robot:
 
     async def stop(self) -> None:
         """Give everything back to the robot; idempotent."""
+        self.holds.close("rosld ended")
+        await self.holds.closed()
+        await self.stops.ended()
+        await self.receipts.close()
         if self._follower is not None:
             self._follower.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await self._follower
         await self.calls.stop()
+        await self.goals.stop()
         await self.readings.stop()
         await self.topics.stop()
         await self.adapter.close()
@@ -151,41 +182,31 @@ class Robot:
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(self._moved)
 
+    def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
+        """`Sink`: what became known of a goal."""
+        self.goals.hear(goal, event)
+
     def parameter_changed(self, name: str) -> None:
         """`Sink`: tell those who watch it. Whoever asks reads it anew in any case."""
         if self._loop is not None and not self._loop.is_closed():
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(self.parameter_changes.give, name)
 
+    def _action_schema(self, name: str) -> ActionSchema | None:
+        """The schema of an action of the graph, as far as it is at hand."""
+        action = self.graph.actions.get(name)
+        if action is None or action.type is None:
+            return None
+        found = self.schemas.at_hand(action.type) or self.schemas.named(action.type.name)
+        return found if isinstance(found, ActionSchema) else None
+
     def _moved(self) -> None:
         self._changed.set()
         self.changes.give()
 
-    async def _keep_mappings(self) -> None:
-        """Keep the mappings to begin with, and put those into force that were kept by an earlier run.
-
-        What the robot comes with gives way to what clients made of it; what the settings name does not.
-        """
-        named = {self.space.url("mappings", (path.stem,)) for path in self.settings.mapping}
-        for document in self._given:
-            path = document.url[len(self.space.base) :]
-            if self.records.was_there(path):
-                self.mappings.remove(document.url)
-            elif self.records.get(path) is None or document.url in named:
-                await self.records.write(Put(path, Model.RDF_SOURCE, written(document.triples)))
-        for member in self.records.members("mappings/"):
-            record, url = self.records.get(member.path), self.space.base + member.path
-            if record is not None and (url not in self.mappings.documents or url not in named):
-                self._put_into_force(record, url)
-
-    def _put_into_force(self, record: Record, url: str) -> None:
-        try:
-            self.mappings.replace(mapping_of(indexed(parse(record.triples, RdfFormat.N_TRIPLES), url), url))
-        except ValueError as error:
-            _log.error("The mapping %s is kept and not in force: %s", url, error)
-
     def _kept(self, changes: Sequence[Changed]) -> None:
         for each in changes:
+            self.queries.changed(each)
             self.kept_changes.give(each.path)
 
     async def _follow(self) -> None:
@@ -200,32 +221,11 @@ class Robot:
                     await self.schemas.find(ref)
 
 
-def documents_of(settings: Settings, adapter: Adapter, space: Space) -> Iterator[MappingDocument]:
-    """The mapping documents to begin with: the robot's own, and those of the settings. Raises ValueError."""
-    shipped = adapter.capabilities.mapping
-    if shipped is not None:
-        yield load_mapping(shipped, space, adapter.capabilities.system)
-    for path in settings.mapping:
-        yield load_mapping(path, space)
-
-
-def limits_of(settings: Settings, adapter: Adapter, space: Space) -> Limits:
-    """The limits in force: the robot's own, and those of the settings. Raises ValueError with the file's name."""
-    shipped = adapter.capabilities.limits
-    graphs = []
-    for path in (*((shipped,) if shipped is not None else ()), *settings.shapes):
-        try:
-            graphs.append(read_limits(path.read_bytes(), space.base))
-            Limits.of(graphs[-1:], space)
-        except ValueError as error:
-            raise ValueError(f"{path} holds no limits: {error}") from error
-    return Limits.of(graphs, space)
-
-
 def used_types(graph: Graph) -> list[TypeRef]:
-    """Every type that a topic or a service of the graph has."""
+    """Every type that a topic, a service or an action of the graph has."""
     refs = {ref: None for topic in graph.topics.values() for ref in topic.types}
     refs |= {service.type: None for service in graph.services.values() if service.type is not None}
+    refs |= {action.type: None for action in graph.actions.values() if action.type is not None}
     return list(refs)
 
 
@@ -248,6 +248,10 @@ class States:
         if len(self._kept) > self.most:
             self._kept.pop(next(iter(self._kept)))
         return state
+
+    def clear(self) -> None:
+        """Make all of them anew from now on."""
+        self._kept.clear()
 
     def get(self, url: str, version: Hashable, make: Callable[[], State]) -> State:
         """The state of a resource at this version: kept, or made now."""

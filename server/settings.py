@@ -15,6 +15,7 @@ from typing import Literal, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
 from rosld.adapters.base import AdapterOptions
+from rosld.adapters.model import Qos
 from rosld.server.http.origin import is_loopback, is_wildcard, normal_origin
 
 _V = TypeVar("_V")
@@ -47,11 +48,25 @@ class Settings:
     )
     host: str = setting(
         "127.0.0.1",
-        "The address to listen on. Beyond loopback the server is read-only; a wildcard address needs --base-url.",
+        "The address to listen on. Beyond loopback the server is read-only unless --auth says who may write; a "
+        "wildcard address needs --base-url.",
         option=True,
         metavar="ADDRESS",
     )
     port: int = setting(8080, "The port to listen on; 0 takes a free one.", option=True, metavar="PORT", least=0)
+    auth: Path | None = setting(  # noqa: RUF009 - it is a field
+        None,
+        "Who may do what: agents, their tokens, rules (TOML, or Turtle with Web Access Control). It is read again "
+        "whenever it changes. Default: everybody may do everything.",
+        option=True,
+        metavar="FILE",
+    )
+    tls_cert: Path | None = setting(  # noqa: RUF009 - it is a field
+        None, "The certificate (PEM, with its chain) to serve https with.", option=True, metavar="FILE"
+    )
+    tls_key: Path | None = setting(  # noqa: RUF009 - it is a field
+        None, "Its private key (PEM), if it is in a file of its own.", option=True, metavar="FILE"
+    )
     data: Path | None = setting(  # noqa: RUF009 - it is a field
         None, "The folder to keep data in. It belongs to one base URL. Default: in memory.", option=True, metavar="DIR"
     )
@@ -123,6 +138,39 @@ class Settings:
     host_map: tuple[tuple[str, str], ...] = setting(
         (), "ROS 1: the address of a host whose name does not resolve here. Repeatable.", option=True, metavar="NAME=IP"
     )
+    qos: tuple[tuple[str, Qos], ...] = setting(
+        (),
+        "ROS 2: the quality of service of rosld's own publishers and subscribers on topics, the first GLOB that fits: "
+        "'/scan=best_effort,volatile,depth:5'. What a profile leaves out fits the others on the topic. Repeatable.",
+        option=True,
+        metavar="GLOB=PROFILE",
+    )
+    store: str | None = setting(
+        None,
+        "A SPARQL 1.1 server that is told everything the dataset holds, at URL/query and URL/update.",
+        option=True,
+        metavar="URL",
+    )
+    store_query: str | None = setting(
+        None, "Where that server is queried, if elsewhere than at URL/query.", option=True, metavar="URL"
+    )
+    store_update: str | None = setting(
+        None, "Where that server is updated, if elsewhere than at URL/update.", option=True, metavar="URL"
+    )
+    store_rate: float = setting(
+        1.0,
+        "How often that server is told what changed: of topics, those subscribed to by --subscribe.",
+        option=True,
+        unit="Hz",
+        least=0.001,
+        metavar="HZ",
+    )
+    store_credentials: Path | None = setting(  # noqa: RUF009 - it is a field
+        None,
+        "A file that holds what that server demands: USER:PASSWORD, or 'Bearer TOKEN'.",
+        option=True,
+        metavar="FILE",
+    )
     demand_if_match: bool = setting(
         False, "Refuse to change what is kept under /data/ without If-Match (428).", option=True
     )
@@ -131,7 +179,9 @@ class Settings:
         1.0, "Recordings: how fast to play, 1 being as recorded.", option=True, least=0.000001, metavar="X"
     )
     once: bool = setting(False, "Recordings: play once and rest at the end, instead of in a loop.", option=True)
-    first_value_wait: float = setting(1.0, "How long the first look at a topic waits for a message.", unit="s", least=0)
+    first_value_wait: float = setting(
+        1.0, "How long the first look at a topic, a query's too, waits for a message.", unit="s", least=0
+    )
     idle_time: float = setting(60.0, "How long a subscription is kept after the last look.", unit="s", least=0)
     subscription_budget: int = setting(
         2000, "The most subscriptions at a time; the longest unused goes first.", least=1
@@ -148,6 +198,42 @@ class Settings:
     )
     calls_kept: int = setting(1000, "The most calls kept under /calls/; the oldest goes first.", least=1)
     calls_age: float = setting(3600.0, "How long a call is kept under /calls/.", unit="s", least=1)
+    goals_kept: int = setting(1000, "The most goals kept under /goals/; the oldest that has ended goes first.", least=1)
+    goals_age: float = setting(
+        3600.0, "How long a goal is kept under /goals/ after it was last heard of.", unit="s", least=1
+    )
+    client_rate: float = setting(
+        200.0,
+        "The most requests a second of one client: of an agent, else of an address. On this machine only agents are "
+        "held to it, and to the two that follow, unless --limit-loopback is given.",
+        unit="Hz",
+        least=0.001,
+    )
+    client_requests: int = setting(64, "The most requests of one client at a time, streams included.", least=1)
+    client_connections: int = setting(256, "The most connections from one address at a time.", least=1)
+    limit_loopback: bool = setting(False, "Hold clients on this machine to the limits of clients, too.", option=True)
+    connections: int = setting(3000, "The most connections at a time; to more the answer is 503.", least=10)
+    head_limit: int = setting(
+        64 * 1024, "The largest request line and headers of a request, together.", unit="bytes", least=1024
+    )
+    head_timeout: float = setting(
+        20.0, "How long a client has to send the request line and headers.", unit="s", least=0.01
+    )
+    body_timeout: float = setting(
+        30.0, "How long a client has to send a body; a file that is to be kept, each part of it.", unit="s", least=0.01
+    )
+    read_timeout: float = setting(
+        60.0, "How long a client may leave unread what it is sent, before it is cut off.", unit="s", least=0.01
+    )
+    receipts_kept: int = setting(
+        10_000, "The most receipts of writes kept under /activity/; of refused ones a fifth as many beside.", least=1
+    )
+    receipts_age: float = setting(
+        30 * 24 * 3600.0, "How long the receipt of a write is kept under /activity/.", unit="s", least=1
+    )
+    receipt_excerpt: int = setting(
+        500, "How much of its beginning a receipt tells of a body; 0: nothing.", unit="bytes", least=0
+    )
     body_limit: int = setting(10 * 1024 * 1024, "The largest request body.", unit="bytes", least=1024)
     upload_limit: int = setting(
         1024 * 1024 * 1024, "The largest file that is kept under /data/.", unit="bytes", least=1024
@@ -158,12 +244,38 @@ class Settings:
         unit="bytes",
         least=0,
     )
+    store_time_limit: float = setting(
+        30.0, "The longest one request to the server of --store may take.", unit="s", least=0.1
+    )
     query_time_limit: float = setting(10.0, "The longest a SPARQL query may take.", unit="s", least=0.001)
     query_memory_limit: int = setting(
         1024 * 1024 * 1024,
         "The most memory a SPARQL query may take beyond the dataset; held on Linux.",
         unit="bytes",
         least=16 * 1024 * 1024,
+    )
+    query_row_limit: int = setting(
+        1_000_000,
+        "The most rows, or triples of a graph, in the answer to a SPARQL query.",
+        option=True,
+        least=1,
+        metavar="N",
+    )
+    allow_service: tuple[str, ...] = setting(
+        (),
+        "An endpoint that queries may ask by SERVICE, as its whole URL. Default: none. Repeatable.",
+        option=True,
+        metavar="URL",
+    )
+    allow_load: tuple[str, ...] = setting(
+        (),
+        "A document that updates may take in by LOAD, as its whole URL. Default: none. Repeatable.",
+        option=True,
+        metavar="URL",
+    )
+    query_concurrency: int = setting(4, "The most SPARQL queries that are answered at a time.", least=1)
+    query_queue: int = setting(
+        256, "The most SPARQL queries that wait for their turn; to more the answer is 503.", least=0
     )
     query_size_limit: int = setting(256 * 1024, "The longest text of a SPARQL query.", unit="bytes", least=1024)
     types_namespace: str = setting(
@@ -179,11 +291,31 @@ class Settings:
             raise ValueError(f"--port {self.port}: a port is at most 65535")
         for origin in self.cors_origins:
             _check_origin(origin)
+        for url in self.allow_service:
+            _check_asked("--allow-service", url)
+        for url in self.allow_load:
+            _check_asked("--allow-load", url)
+        if self.tls_key is not None and self.tls_cert is None:
+            raise ValueError(f"--tls-key {self.tls_key}: its certificate is missing: give --tls-cert")
+        _check_store(self)
+
+    @property
+    def store_endpoints(self) -> tuple[str, str] | None:
+        """Where the server of --store is queried and where it is updated; None where there is none."""
+        if self.store is None and self.store_query is None:
+            return None
+        begin = (self.store or "").rstrip("/")
+        return self.store_query or f"{begin}/query", self.store_update or f"{begin}/update"
 
     @property
     def beyond_loopback(self) -> bool:
         """Whether other machines can reach this server by the address it listens on."""
         return not is_loopback(self.host)
+
+    @property
+    def open_beyond_loopback(self) -> bool:
+        """Whether other machines can reach this server, and nothing says who may do what."""
+        return self.beyond_loopback and self.auth is None
 
     @property
     def adapter_options(self) -> AdapterOptions:
@@ -192,6 +324,7 @@ class Settings:
             types=self.types,
             ros_ip=self.ros_ip,
             host_map=dict(self.host_map),
+            qos=self.qos,
             rate=self.rate,
             once=self.once,
         )
@@ -255,20 +388,23 @@ def parse(name: str, text: str) -> int | float | str:
 def bound(settings: Settings, port: int, *, base_given: bool) -> Settings:
     """The settings once the port is known: the base follows the address unless it was given.
 
-    Beyond loopback the server is read-only. Raises ValueError for a wildcard address without a base URL.
+    Beyond loopback the server is read-only unless it knows who may write. Raises ValueError for a wildcard address
+
+    without a base URL.
     """
     if is_wildcard(settings.host) and not base_given:
         raise ValueError(f"--host {settings.host} stands for every address: say with --base-url how clients reach it")
-    base = settings.base_url if base_given else address(settings.host, port)
+    base = settings.base_url if base_given else address(settings.host, port, secure=settings.tls_cert is not None)
     return dataclasses.replace(
-        settings, base_url=base, port=port, read_only=settings.read_only or settings.beyond_loopback
+        settings, base_url=base, port=port, read_only=settings.read_only or settings.open_beyond_loopback
     )
 
 
-def address(host: str, port: int) -> str:
+def address(host: str, port: int, *, secure: bool = False) -> str:
     """The base URL of an address to listen on."""
     name = f"[{host.strip('[]')}]" if ":" in host else host
-    return f"http://{name}/" if port == 80 else f"http://{name}:{port}/"
+    scheme, usual = ("https", 443) if secure else ("http", 80)
+    return f"{scheme}://{name}/" if port == usual else f"{scheme}://{name}:{port}/"
 
 
 def canonical_base(url: str) -> str:
@@ -303,6 +439,12 @@ def _check_least(declared: Declaration, value: object) -> None:
         raise ValueError(f"{name} {value}: must be at least {declared.least:g}")
 
 
+def _check_asked(option: str, url: str) -> None:
+    parts = urlsplit(url)
+    if parts.scheme not in ("http", "https") or not parts.hostname or set(url) & set(' <>"{}|\\^`'):
+        raise ValueError(f"{option} {url}: this is no URL of http or https, such as https://example.org/sparql")
+
+
 def _check_base(url: str) -> None:
     parts = urlsplit(url)
     try:
@@ -314,6 +456,36 @@ def _check_base(url: str) -> None:
         raise ValueError(f"--base-url {url!r} is no http(s) URL such as http://robot.example:8080/")
     if not url.endswith("/"):
         raise ValueError(f"--base-url {url!r} must end in a slash")
+
+
+def _check_store(settings: Settings) -> None:
+    given = {
+        "--store": settings.store,
+        "--store-query": settings.store_query,
+        "--store-update": settings.store_update,
+    }
+    for option, url in given.items():
+        if url is not None:
+            _check_endpoint(option, url)
+    if settings.store is None and (settings.store_query is None) != (settings.store_update is None):
+        raise ValueError("--store-query and --store-update go together, unless --store says where the other is")
+    if settings.store_endpoints is None and settings.store_credentials is not None:
+        raise ValueError("--store-credentials are for the server of --store, and there is none")
+
+
+def _check_endpoint(option: str, url: str) -> None:
+    parts = urlsplit(url)
+    if "@" in parts.netloc:
+        raise ValueError(f"{option}: a URL is shown to others, so give what the server demands by --store-credentials")
+    try:
+        sound = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        sound = False
+    if not sound or "?" in url or "#" in url or not url.isascii() or not url.isprintable() or _UNFIT & set(url):
+        raise ValueError(f"{option} {url!r} is no http(s) URL such as http://store.example:7878")
+
+
+_UNFIT = frozenset(' <>"{}|\\^`')
 
 
 def _check_namespace(iri: str) -> None:

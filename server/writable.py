@@ -1,4 +1,4 @@
-"""Which topics may be written to: safety before comfort.
+"""Which topics and parameters may be written to: safety before comfort.
 
 A robot's sensors are published by its nodes; to publish there too is to lie to it. So a topic is writable when no
 other node publishes it and somebody else listens (or rosld itself advertised it); more needs an explicit permission.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from fnmatch import fnmatchcase
 
-from rosld.adapters.model import Graph, Topic
+from rosld.adapters.model import Graph, Topic, names
 
 RESERVED = frozenset({"/clock", "/tf", "/tf_static", "/rosout", "/rosout_agg", "/parameter_events"})
 _ACTION_PARTS = frozenset({"goal", "cancel", "status", "feedback", "result"})
@@ -43,6 +43,19 @@ def closed(name: str) -> str:
     return f"{name} is written under /resources/ only (--resources-only), where mappings guard it."
 
 
+def kept(graph: Graph, name: str, *, delete: bool = False) -> str | None:
+    """Why a node never lets its parameter be set (or deleted), as it declares, in a sentence; None where it may."""
+    parameter = graph.parameters.get(name)
+    descriptor = None if parameter is None else parameter.descriptor
+    if descriptor is None:
+        return None
+    if descriptor.read_only:
+        return f"The parameter {name} is read-only: its node declares that its value never changes."
+    if delete and descriptor.type is not None:
+        return f"The parameter {name} cannot be deleted: its node declares it, and keeps it."
+    return None
+
+
 def _conflict(topic: Topic) -> str | None:
     if len(topic.types) > 1:
         names = " and ".join(f"{ref.name} ({ref.hash})" if ref.hash else ref.name for ref in topic.types)
@@ -51,6 +64,8 @@ def _conflict(topic: Topic) -> str | None:
 
 
 def _of_action(name: str, graph: Graph) -> bool:
-    """Whether the topic is one of the five of an action (actionlib): its siblings are all there."""
+    """Whether the topic is one of an action: of ROS 2, or of the five of actionlib, whose siblings are all there."""
+    if names.action_of(name) is not None:
+        return True
     parent, _, last = name.rpartition("/")
     return last in _ACTION_PARTS and all(f"{parent}/{part}" in graph.topics for part in _ACTION_PARTS)

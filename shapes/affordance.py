@@ -11,7 +11,7 @@ from rosld.ontology.fitting import RANGES
 from rosld.ontology.literals import DATATYPES
 from rosld.ontology.triples import Statement, Value, about, each, integer, text
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import qudt, rdf, sh, xsd
+from rosld.ontology.vocab import qudt, rdf, ros, sh, xsd
 from rosld.shapes.bounds import narrowed
 from rosld.shapes.value import NO_MEASURE, UNBOUNDED, Bounds, Measure, MessageShape, ScalarShape, ValueShape
 
@@ -28,8 +28,10 @@ def value_shape_triples(shape: ValueShape, node: NamedNode, path: NamedNode, spa
     )
     if isinstance(shape, MessageShape):
         return triples + _message(shape, value, space)
-    kind = shape.kind if isinstance(shape, ScalarShape) else None
-    return triples + _scalar(value, kind, shape.bounds, shape.measure)
+    if isinstance(shape, ScalarShape):
+        datatype = _datatype(shape.kind, is_parameter=shape.is_parameter)
+        return triples + _scalar(value, shape.kind, shape.bounds, shape.measure, datatype)
+    return triples + _scalar(value, None, shape.bounds, shape.measure)
 
 
 def within(node: NamedNode, name: str) -> NamedNode:
@@ -37,9 +39,19 @@ def within(node: NamedNode, name: str) -> NamedNode:
     return NamedNode(f"{node.value}{'.' if '#' in node.value else '#'}{name}")
 
 
-def _scalar(node: NamedNode, kind: Primitive | None, bounds: Bounds, measure: Measure = NO_MEASURE) -> list[Triple]:
+def _datatype(kind: Primitive, *, is_parameter: bool = False) -> NamedNode:
+    """The datatype of a primitive; all integers of parameters are xsd:integer."""
+    return xsd.integer if is_parameter and kind.name in RANGES else NamedNode(xsd.iri + DATATYPES[kind.name])
+
+
+def _scalar(
+    node: NamedNode,
+    kind: Primitive | None,
+    bounds: Bounds,
+    measure: Measure = NO_MEASURE,
+    datatype: NamedNode | None = None,
+) -> list[Triple]:
     """What one literal must be: of the datatype of its primitive, within its range and the bounds."""
-    datatype = None if kind is None else NamedNode(xsd.iri + DATATYPES[kind.name])
     least, greatest = RANGES.get(kind.name, (None, None)) if kind is not None else (None, None)
     longest = kind.bound if kind is not None else None
     bounds = narrowed(bounds, Bounds(integer(least), integer(greatest), max_length=longest))
@@ -53,6 +65,7 @@ def _scalar(node: NamedNode, kind: Primitive | None, bounds: Bounds, measure: Me
         (sh.pattern, text(bounds.pattern)),
         (sh.minLength, integer(bounds.min_length)),
         (sh.maxLength, integer(bounds.max_length)),
+        (ros.step, bounds.step),
         (qudt.hasUnit, measure.unit),
         (qudt.hasQuantityKind, measure.quantity_kind),
     )
@@ -119,7 +132,9 @@ def _bounded(node: NamedNode, kind: str, schema: MessageSchema, tree: _Bounded, 
         if isinstance(element, Nested):
             triples += _bounded(inner, element.name, schema, tree[field.name], space)
         else:
-            triples += _scalar(inner, element if isinstance(element, Primitive) else None, tree[field.name].bounds)
+            primitive = element if isinstance(element, Primitive) else None
+            datatype = None if primitive is None else _datatype(primitive)
+            triples += _scalar(inner, primitive, tree[field.name].bounds, datatype=datatype)
     return triples
 
 

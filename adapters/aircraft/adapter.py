@@ -7,13 +7,18 @@ It answers at once, so that a deadline matters only when it has passed already, 
 from __future__ import annotations
 
 import asyncio
+import math
+import secrets
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
 from rosld.adapters import parameters
-from rosld.adapters.aircraft.flight import Flight
+from rosld.adapters.aircraft.flight import Declined, Flight
+from rosld.adapters.aircraft.fly import ACTION, Fly, called_off, ended, taken
+from rosld.adapters.aircraft.fly import TYPE as FLY
 from rosld.adapters.aircraft.graph import AIRCRAFT, DISPLAY, ROSLD, SPEED, Advertised, aircraft_graph
 from rosld.adapters.aircraft.services import SERVICES
 from rosld.adapters.base import (
@@ -24,9 +29,14 @@ from rosld.adapters.base import (
     Recording,
     Sink,
     Subscription,
+    Watch,
 )
 from rosld.adapters.model import (
+    ActionSchema,
     Encoding,
+    GoalEvent,
+    GoalId,
+    GoalStatus,
     Graph,
     Kind,
     MessageSchema,
@@ -40,6 +50,7 @@ from rosld.adapters.model import (
     TimedOut,
     TypeRef,
     Unreachable,
+    without_lifecycle,
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.slots import Slot
@@ -81,12 +92,14 @@ class Aircraft:
         self._library = TypeLibrary(ros_version=1, folders=options.types)
         self._types = {name: self._library.find(TypeRef(kind)).ref for name, kind in _TOPIC_TYPES.items()}
         self._types |= {name: self._library.find(TypeRef(service.type)).ref for name, service in SERVICES.items()}
+        self._types[ACTION] = self._library.find(TypeRef(FLY)).ref
         self._speed = self._message(self._types[SPEED])
         self._slots = {SPEED: Slot(), DISPLAY: Slot()}
         self._advertised: dict[str, Advertised] = {}
         self._advertisings = 0
         self._parameters = initial_parameters()
         self._flight = Flight()
+        self._fly: Fly | None = None
         self._sink: Sink | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._ticks = 0
@@ -120,6 +133,10 @@ class Aircraft:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
+        if self._fly is not None:
+            words = "the aircraft is no longer there"
+            self._told(self._fly, GoalEvent(time.time_ns(), GoalStatus.LOST, words, own=True))
+            self._fly = None
         for topic in tuple(self._advertised):
             await self.unadvertise(topic)
         self._sink = None
@@ -130,6 +147,8 @@ class Aircraft:
             return _KNOWN_TOPIC if ref.name in self._graph.topics else frozenset({Operation.PUBLISH})
         if ref.kind is Kind.SERVICE:
             return frozenset({Operation.CALL}) if ref.name in self._graph.services else frozenset()
+        if ref.kind is Kind.ACTION:
+            return frozenset({Operation.SEND_GOAL}) if ref.name in self._graph.actions else frozenset()
         if ref.kind is Kind.PARAMETER:
             known = parameters.read(self._parameters, ref.name) is not None
             deletable = _KNOWN_PARAMETER if ref.name != "/" else _KNOWN_PARAMETER - {Operation.DELETE_PARAMETER}
@@ -141,12 +160,16 @@ class Aircraft:
         return self._library.find(ref)
 
     def known_types(self) -> Sequence[TypeRef]:
-        """The types of the aircraft's topics and services, and of what rosld advertises."""
+        """The types of the aircraft's topics, services and action, and of what rosld advertises."""
         return list(dict.fromkeys([*self._types.values(), *(each.type for each in self._advertised.values())]))
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
         """Begin to look at a topic, whether or not it is there yet."""
         return self._slot(topic).subscribe(depth)
+
+    def age_ns(self, sample: Sample) -> int:
+        """How long ago a sample was received."""
+        return max(0, time.time_ns() - sample.received_ns)
 
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
@@ -187,6 +210,42 @@ class Aircraft:
         self._flight, values = SERVICES[service].answer(self._flight, asked, time.monotonic_ns())
         codec = schema.response.codec
         return codec.encode(codec.build(schema.response.ref.name, values), Encoding.ROS1)
+
+    async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
+        """Have the aircraft fly. Refused while it is off or flies already, and for another type."""
+        self._reachable(deadline)
+        schema = self._action(action)
+        if not _same(schema.ref, type):
+            raise Refused(f"the action {action} is a {schema.ref.name}, not this {type.name}")
+        try:
+            asked = schema.goal.codec.decode(goal, Encoding.ROS1)
+        except ValueError as error:
+            raise Refused(f"{action} cannot read the goal", words=str(error)) from error
+        distance = float(getattr(asked, "distance", math.nan))
+        try:
+            self._fly = taken(self._flight, self._fly, secrets.token_hex(16), distance, time.monotonic_ns())
+        except Declined as declined:
+            raise Refused(f"{action} rejected the goal: {declined}", words=str(declined)) from declined
+        self._told(self._fly, GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True))
+        return GoalId(action, self._fly.id)
+
+    async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
+        """Have the aircraft fly no further. NotFound where it does not fly to this goal."""
+        self._reachable(deadline)
+        self._action(goal.action)
+        if self._fly is None or self._fly.id != goal.id:
+            raise NotFound(f"the aircraft does not pursue the goal {goal.id}")
+        self._fly = called_off(self._fly)
+        self._told(self._fly, GoalEvent(time.time_ns(), GoalStatus.CANCELING, own=True))
+
+    async def follow_goals(self, action: str, *, deadline: float) -> Watch:
+        """All its goals are ours, and told in any case."""
+        self._action(action)
+        return _Nothing()
+
+    async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
+        """Its nodes have no lifecycles."""
+        raise without_lifecycle(self._graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
         """The values of those names that exist."""
@@ -231,6 +290,34 @@ class Aircraft:
             raise Refused(f"{ref.name} is a service type: only messages can be published")
         return schema
 
+    def _action(self, name: str) -> ActionSchema:
+        if name not in self._graph.actions:
+            raise NotFound(f"there is no action {name}")
+        schema = self._library.find(self._types[name])
+        assert isinstance(schema, ActionSchema)
+        return schema
+
+    def _told(self, fly: Fly, event: GoalEvent) -> None:
+        if self._sink is not None:
+            self._sink.goal_changed(GoalId(ACTION, fly.id), event)
+
+    def _fly_on(self, now_ns: int) -> None:
+        """Tell how far the aircraft has flown, or how its goal has ended."""
+        fly = self._fly
+        if fly is None:
+            return
+        schema = self._action(ACTION)
+        flown, end = fly.flown_at(now_ns), ended(fly, self._flight, now_ns)
+        codec = schema.feedback.codec
+        feedback = codec.encode(codec.build(schema.feedback.ref.name, {"flown": flown}), Encoding.ROS1)
+        event = GoalEvent(time.time_ns(), GoalStatus.EXECUTING, feedback=feedback, own=True)
+        if end is not None:
+            self._fly = None
+            codec, values = schema.result.codec, {"message": end.message, "flown": flown}
+            result = codec.encode(codec.build(schema.result.ref.name, values), Encoding.ROS1)
+            event = replace(event, status=end.status, result=result)
+        self._told(fly, event)
+
     def _slot(self, topic: str) -> Slot:
         slot = self._slots.get(topic)
         if slot is None:
@@ -271,8 +358,16 @@ class Aircraft:
         codec = self._speed.codec
         data = codec.encode(codec.build(self._speed.ref.name, {"data": speed}), Encoding.ROS1)
         self._slots[SPEED].put(Sample(data, Encoding.ROS1, self._speed.ref, AIRCRAFT, time.time_ns(), self._ticks))
+        self._fly_on(time.monotonic_ns())
         following = max(turn, int((loop.time() - began) / PERIOD)) + 1
         self._timer = loop.call_at(began + following * PERIOD, self._tick, began, following)
+
+
+class _Nothing:
+    """A watch of what is told in any case."""
+
+    def close(self) -> None:
+        """Nothing has to be given back."""
 
 
 def _same(ref: TypeRef, asked: TypeRef) -> bool:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from rosld.adapters.aircraft.fly import ACTION
 from rosld.adapters.aircraft.services import SERVICES
-from rosld.adapters.model import Endpoint, Graph, Node, Parameter, Service, Topic, TypeRef, frozen
+from rosld.adapters.model import Action, Endpoint, Graph, Node, Parameter, Service, Topic, TypeRef, frozen
 
 AIRCRAFT = "/aircraft"
 COCKPIT = "/cockpit"
@@ -32,7 +33,7 @@ def aircraft_graph(
     advertised: Mapping[str, Advertised],
     parameters: Iterable[str],
 ) -> Graph:
-    """The graph: `types` holds the types of the aircraft's own topics and services by the names of these."""
+    """The graph: `types` holds the types of the aircraft's own topics, services and action by the names of these."""
     nodes = [AIRCRAFT, COCKPIT, *([ROSLD] if advertised else [])]
     return Graph(
         revision,
@@ -40,6 +41,7 @@ def aircraft_graph(
         nodes=frozen({name: Node(name) for name in nodes}),
         topics=frozen({name: _topic(name, types, advertised) for name in (SPEED, DISPLAY, *sorted(advertised))}),
         services=frozen({name: Service(name, types[name], (AIRCRAFT,)) for name in SERVICES}),
+        actions=frozen({ACTION: Action(ACTION, types[ACTION], (AIRCRAFT,))}),
         parameters=frozen({name: Parameter(name) for name in sorted(parameters)}),
     )
 

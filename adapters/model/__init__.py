@@ -1,5 +1,6 @@
 """Plain ROS as values: names, the computation graph, schemas, samples and errors. Knows no RDF, no HTTP, no I/O."""
 
+from rosld.adapters.model.action import Action, GoalEvent, GoalId, GoalStatus
 from rosld.adapters.model.errors import NotFound, Refused, RosError, Sent, TimedOut, UnknownType, Unreachable
 from rosld.adapters.model.graph import (
     Endpoint,
@@ -16,9 +17,12 @@ from rosld.adapters.model.graph import (
     Topic,
     frozen,
 )
-from rosld.adapters.model.parameter import ParameterValue
+from rosld.adapters.model.lifecycle import Lifecycle, LifecycleState, Transition, without_lifecycle
+from rosld.adapters.model.parameter import Descriptor, ParameterType, ParameterValue, Range, fitted
+from rosld.adapters.model.qos import Mismatch, Qos, mismatch_count, mismatches, read_profile
 from rosld.adapters.model.sample import Encoding, Sample
 from rosld.adapters.model.schema import (
+    ActionSchema,
     Array,
     Codec,
     Constant,
@@ -32,30 +36,43 @@ from rosld.adapters.model.schema import (
     Schema,
     ServiceSchema,
     TypeRef,
+    halves_of,
 )
 
 __all__ = [
+    "Action",
+    "ActionSchema",
     "Array",
     "Codec",
     "Constant",
+    "Descriptor",
     "Encoding",
     "Endpoint",
     "Field",
     "FieldType",
+    "GoalEvent",
+    "GoalId",
+    "GoalStatus",
     "Graph",
     "Kind",
+    "Lifecycle",
+    "LifecycleState",
     "Live",
     "Master",
     "Message",
     "MessageSchema",
     "MessageType",
+    "Mismatch",
     "Nested",
     "Node",
     "NotFound",
     "Operation",
     "Parameter",
+    "ParameterType",
     "ParameterValue",
     "Primitive",
+    "Qos",
+    "Range",
     "Ref",
     "Refused",
     "RosError",
@@ -67,8 +84,15 @@ __all__ = [
     "Stale",
     "TimedOut",
     "Topic",
+    "Transition",
     "TypeRef",
     "UnknownType",
     "Unreachable",
+    "fitted",
     "frozen",
+    "halves_of",
+    "mismatch_count",
+    "mismatches",
+    "read_profile",
+    "without_lifecycle",
 ]

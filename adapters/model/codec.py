@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -18,6 +19,8 @@ from rosld.adapters.model.schema import Array, Constant, Field, FieldType, Messa
 from rosld.adapters.model.wire import Reader, Writer
 
 DUMMY = "structure_needs_at_least_one_member"
+_NESTED_PARTS = re.compile(r"^([ \t]*\w+)/(?:srv|action)/", re.MULTILINE | re.ASCII)
+"""A field whose type is a part of a service or an action, at the beginning of its line."""
 
 
 def store_name(name: str) -> str:
@@ -30,7 +33,7 @@ def typestore_of(texts: Mapping[str, str]) -> Typestore:
     store = get_typestore(Stores.EMPTY)
     for name, text in texts.items():
         try:
-            store.register(get_types_from_msg(text + "\n", store_name(name)))
+            store.register(get_types_from_msg(_NESTED_PARTS.sub(r"\1/msg/", text) + "\n", store_name(name)))
         except (TypesysError, SyntaxError, ValueError, AssertionError) as error:
             raise ValueError(f"the definition of {name} cannot be read: {error}") from error
     return store

@@ -1,4 +1,4 @@
-"""Definitions: the texts of messages and services, split, named and hashed as genmsg does."""
+"""Definitions: the texts of messages, services and actions, split, named and hashed as genmsg does."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping
 
 _SEPARATOR = re.compile(r"^=+[ \t]*\r?$", re.MULTILINE)
-_SECTION = re.compile(r"\s*MSG:[ \t]*([A-Za-z0-9_]+)/(?:msg/|srv/)?([A-Za-z0-9_]+)[ \t]*\r?(?:\n|$)")
+_SECTION = re.compile(r"\s*MSG:[ \t]*([A-Za-z0-9_]+)/(?:(msg|srv|action)/)?([A-Za-z0-9_]+)[ \t]*\r?(?:\n|$)")
 _SERVICE = re.compile(r"^---[ \t]*\r?$", re.MULTILINE)
 _PRIMITIVES = frozenset(
     [
@@ -34,6 +34,8 @@ _ALIASES = {
     "Header": "std_msgs/msg/Header",
     "roslib/Header": "std_msgs/msg/Header",
 }
+_PARTED = ("srv", "action")
+"""Kinds of types that are made of several messages, which nothing nests but what ROS 2 derives from them."""
 _MAX_DEPTH = 64
 
 
@@ -49,8 +51,8 @@ def sections(name: str, definition: str) -> dict[str, str]:
         found = _SECTION.match(part)
         if not found:
             raise ValueError(f"the definition of {name} has a section without a 'MSG: package/Name' line")
-        package, short = found.groups()
-        nested = _ALIASES.get(f"{package}/{short}", f"{package}/msg/{short}")
+        package, kind, short = found.groups()
+        nested = _ALIASES.get(f"{package}/{short}", f"{package}/{kind or 'msg'}/{short}")
         texts.setdefault(nested, part[found.end() :].strip("\n"))
     return texts
 
@@ -63,6 +65,15 @@ def halves(definition: str) -> tuple[str, str]:
     return parts[0].strip("\n"), parts[1].strip("\n")
 
 
+def thirds(definition: str) -> tuple[str, str, str]:
+    """Goal, result and feedback of an action definition; raises ValueError unless two `---` lines part them."""
+    parts = _SERVICE.split(definition)
+    if len(parts) != 3:
+        raise ValueError(f"an action definition has two '---' lines, this one has {len(parts) - 1}")
+    goal, result, feedback = (part.strip("\n") for part in parts)
+    return goal, result, feedback
+
+
 def resolve(reference: str, package: str) -> str | None:
     """The full name of a field's base type as written in `package`; None for a primitive."""
     base = reference.partition("[")[0].partition("<=")[0]
@@ -71,7 +82,8 @@ def resolve(reference: str, package: str) -> str | None:
     if base in _ALIASES:
         return _ALIASES[base]
     *packages, short = base.split("/")
-    return f"{packages[0] if packages else package}/msg/{short}"
+    kind = packages[1] if len(packages) == 2 and packages[1] in _PARTED else "msg"
+    return f"{packages[0] if packages else package}/{kind}/{short}"
 
 
 def references(name: str, text: str) -> frozenset[str]:
@@ -155,3 +167,22 @@ def service_md5(name: str, texts: Mapping[str, str]) -> str:
     """The MD5 of a service type: that of the texts of its two halves, one after the other."""
     joined = message_text(f"{name}_Request", texts) + message_text(f"{name}_Response", texts)
     return hashlib.md5(joined.encode(), usedforsecurity=False).hexdigest()
+
+
+def action_md5(name: str, texts: Mapping[str, str]) -> str:
+    """The MD5 of an action type: that of `XAction`, the message that actionlib makes of goal, result and feedback.
+
+    `texts` holds these under their names (`pkg/action/X_Goal`, ...) and, closed, all that they and actionlib's own
+    messages nest.
+    """
+    package, _, short = name.partition("/action/")
+    whole = f"{package}/msg/{short}"
+    made = {f"{whole}{part}": texts[f"{name}_{part}"] for part in ("Goal", "Result", "Feedback")} | {
+        f"{whole}ActionGoal": f"Header header\nactionlib_msgs/GoalID goal_id\n{short}Goal goal",
+        f"{whole}ActionResult": f"Header header\nactionlib_msgs/GoalStatus status\n{short}Result result",
+        f"{whole}ActionFeedback": f"Header header\nactionlib_msgs/GoalStatus status\n{short}Feedback feedback",
+        f"{whole}Action": "\n".join(
+            f"{short}Action{part} action_{part.lower()}" for part in ("Goal", "Result", "Feedback")
+        ),
+    }
+    return md5(f"{whole}Action", {**texts, **made})

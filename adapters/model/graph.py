@@ -12,6 +12,10 @@ from enum import Enum
 from types import MappingProxyType
 from typing import TypeVar
 
+from rosld.adapters.model.action import Action
+from rosld.adapters.model.lifecycle import Lifecycle
+from rosld.adapters.model.parameter import Descriptor
+from rosld.adapters.model.qos import Qos
 from rosld.adapters.model.schema import TypeRef
 
 _V = TypeVar("_V")
@@ -23,6 +27,7 @@ class Kind(Enum):
     NODE = "node"
     TOPIC = "topic"
     SERVICE = "service"
+    ACTION = "action"
     PARAMETER = "parameter"
     TYPE = "type"
     BAG = "bag"
@@ -34,6 +39,8 @@ class Operation(Enum):
     SUBSCRIBE = "subscribe"
     PUBLISH = "publish"
     CALL = "call"
+    SEND_GOAL = "send-goal"
+    CHANGE_STATE = "change-state"
     GET_PARAMETER = "get-parameter"
     SET_PARAMETER = "set-parameter"
     DELETE_PARAMETER = "delete-parameter"
@@ -70,21 +77,29 @@ class Master:
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A node. `unreachable` says in words why it does not answer, None while it does or nobody asked."""
+    """A node. `unreachable` says in words why it does not answer, None while it does or nobody asked.
+
+    `lifecycle` is that of a managed node (ROS 2), None for all others.
+    """
 
     name: str
     uri: str | None = None
     unreachable: str | None = None
+    lifecycle: Lifecycle | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """A node's publisher or subscriber on a topic; `type` is what this endpoint says, where it says so."""
+    """A node's publisher or subscriber on a topic; `type` is what this endpoint says, where it says so.
+
+    `qos` is its quality of service where the system has that (ROS 2).
+    """
 
     node: str
     type: TypeRef | None = None
     latched: bool = False
     unreachable: str | None = None
+    qos: Qos | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,10 +133,14 @@ class Service:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter that is a leaf: not a tree. `node` is its owner where parameters belong to nodes (ROS 2)."""
+    """A parameter that is a leaf: not a tree. `node` is its owner where parameters belong to nodes (ROS 2).
+
+    `descriptor` is what that node declares of it, None where nothing is declared, or not known yet.
+    """
 
     name: str
     node: str | None = None
+    descriptor: Descriptor | None = None
 
 
 def frozen(mapping: Mapping[str, _V]) -> Mapping[str, _V]:
@@ -145,4 +164,5 @@ class Graph:
     nodes: Mapping[str, Node] = field(default_factory=dict)
     topics: Mapping[str, Topic] = field(default_factory=dict)
     services: Mapping[str, Service] = field(default_factory=dict)
+    actions: Mapping[str, Action] = field(default_factory=dict)
     parameters: Mapping[str, Parameter] = field(default_factory=dict)

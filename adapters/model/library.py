@@ -7,19 +7,22 @@ an old recording) live side by side, told apart by their hash.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Literal
 
 from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.base import TypesysError
 
 from rosld.adapters.model.codec import RosbagsCodec, message_types, store_name, typestore_of
-from rosld.adapters.model.definition import halves, md5, references, sections, service_md5
+from rosld.adapters.model.definition import action_md5, halves, md5, references, sections, service_md5, thirds
+from rosld.adapters.model.derived import derived_from, whole_of, written_as
 from rosld.adapters.model.errors import UnknownType
-from rosld.adapters.model.schema import MessageSchema, Schema, ServiceSchema, TypeRef
+from rosld.adapters.model.rihs import action_hash, message_hash, service_hash
+from rosld.adapters.model.schema import ActionSchema, MessageSchema, Schema, ServiceSchema, TypeRef, halves_of
 
+SEPARATOR = "=" * 80
+"""What parts the texts of a definition with its dependencies."""
 SHIPPED = Path(__file__).parent / "definitions"
 _BUILTIN = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
@@ -27,6 +30,7 @@ _BUILTIN = {
 }
 _ROS1_ONLY = frozenset({"control_msgs", "dynamic_reconfigure", "move_base_msgs", "roscpp", "roslib", "tf"})
 """Shipped packages whose definitions have another layout, or no meaning, in ROS 2."""
+_ROS2_ONLY = frozenset({"action_msgs"})
 _MOST_FILES = 50_000
 
 
@@ -34,7 +38,8 @@ class TypeLibrary:
     """Schemas by name and hash, learnt or found. Thread-safe.
 
     `ros_version` decides what a hash is: 1, the MD5 of genmsg; 2, RIHS01. `folders` are looked through, before the
-    definitions shipped with rosld, for `PACKAGE/msg/NAME.msg` and `PACKAGE/srv/NAME.srv` at any depth.
+    definitions shipped with rosld, for `PACKAGE/msg/NAME.msg`, `PACKAGE/srv/NAME.srv` and `PACKAGE/action/NAME.action`
+    at any depth.
     """
 
     def __init__(self, *, ros_version: Literal[1, 2], folders: Sequence[Path] = ()) -> None:
@@ -43,6 +48,11 @@ class TypeLibrary:
         self._learnt: dict[str, dict[str, Schema]] = {}
         self._files: Mapping[tuple[str, str], Path] | None = None
         self._lock = threading.RLock()
+        self._learn_as: Mapping[str, Callable[[str, str, str | None], Schema]] = {
+            "msg": self.learn_message,
+            "srv": self.learn_service,
+            "action": self.learn_action,
+        }
 
     def learn_message(self, name: str, definition: str, hash: str | None = None) -> MessageSchema:
         """The schema of a message type from its text, whose dependencies may be appended or are found.
@@ -60,6 +70,16 @@ class TypeLibrary:
         """The schema of a service type from its text (request, `---`, response); errors as `learn_message`."""
         with self._lock:
             schema = self._service(name, definition, hash)
+            self._keep(schema)
+            return schema
+
+    def learn_action(self, name: str, definition: str, hash: str | None = None) -> ActionSchema:
+        """The schema of an action type from its text (goal, `---`, result, `---`, feedback); errors as `learn_message`.
+
+        In ROS 1 its hash is that of actionlib's message `XAction`.
+        """
+        with self._lock:
+            schema = self._action(name, definition, hash)
             self._keep(schema)
             return schema
 
@@ -85,17 +105,14 @@ class TypeLibrary:
         self._learnt.setdefault(schema.ref.name, {})[schema.ref.hash or ""] = schema
 
     def _look_for(self, ref: TypeRef) -> Schema:
-        half = _half(ref.name)
-        if half is not None:
-            service = self.find(TypeRef(half))
-            if isinstance(service, ServiceSchema):
-                return service.request if ref.name.endswith("_Request") else service.response
+        if (half := self._part(ref.name)) is not None:
+            return half
         reason = "its definition is neither shipped with rosld nor in the folders given; name one with --types DIR"
+        written = written_as(ref.name) if self._ros_version == 2 else ref.name.partition("/")[2].partition("/")[0]
+        learn = self._learn_as.get(written, self.learn_message)
         for text in self._candidates(ref.name):
             try:
-                if "/srv/" in ref.name:
-                    return self.learn_service(ref.name, text, ref.hash)
-                return self.learn_message(ref.name, text, ref.hash)
+                return learn(ref.name, text, ref.hash)
             except ValueError as error:
                 reason = f"{error}; name a folder with the robot's own definition with --types DIR"
         wanted = f" with hash {ref.hash}" if ref.hash else ""
@@ -117,10 +134,39 @@ class TypeLibrary:
             yield path.read_text("utf-8")
         if stored is not None and self._ros_version == 1:
             yield stored
+        if kind == "action" and self._ros_version == 1 and (made := self._of_messages(package, short)) is not None:
+            yield made
+        if self._ros_version == 2 and (derived := derived_from(name)) is not None:
+            yield derived[1]
+        if self._ros_version == 2 and (part := self._part_or_none(name)) is not None:
+            yield part.definition
+
+    def _part(self, name: str) -> MessageSchema | None:
+        """A message as the service or action has it that it is a part of; None for all others. Raises UnknownType."""
+        whole = whole_of(name)
+        halves = () if whole is None else halves_of(self.find(TypeRef(whole)))
+        return next((half for half in halves if half.ref.name == name), None)
+
+    def _part_or_none(self, name: str) -> MessageSchema | None:
+        try:
+            return self._part(name)
+        except UnknownType:
+            return None
+
+    def _of_messages(self, package: str, short: str) -> str | None:
+        """The text of an action from the messages that actionlib made of it, as far as these are known."""
+        try:
+            found = [self.find(TypeRef(f"{package}/msg/{short}{part}")) for part in ("Goal", "Result", "Feedback")]
+        except UnknownType:
+            return None
+        texts = [sections(schema.ref.name, schema.definition) for schema in found]
+        own = [texts_of.pop(schema.ref.name) for schema, texts_of in zip(found, texts, strict=True)]
+        nested = {name: text for texts_of in texts for name, text in texts_of.items()}
+        return "\n".join(["\n---\n".join(own), *_appended(nested)])
 
     def _speaks(self, package: str) -> bool:
         """Whether the shipped definitions of a package are those of this ROS: some differ between ROS 1 and ROS 2."""
-        return self._ros_version == 1 or package not in _ROS1_ONLY
+        return package not in (_ROS2_ONLY if self._ros_version == 1 else _ROS1_ONLY)
 
     def _index(self) -> Mapping[tuple[str, str], Path]:
         if self._files is None:
@@ -149,20 +195,13 @@ class TypeLibrary:
     def _message(self, name: str, texts: Mapping[str, str], definition: str, hash: str | None) -> MessageSchema:
         try:
             closed = self._closure(name, texts)
-            proved = self._prove(name, closed, hash)
+            found = md5(name, closed) if self._ros_version == 1 else None
+            store = typestore_of(closed)
+            types = message_types(store, {each: store_name(each) for each in closed})
+            ref = TypeRef(name, _proved(name, found or message_hash(name, types), hash))
         except (KeyError, IndexError, RecursionError) as error:
             raise ValueError(f"the definition of {name} cannot be read: {error}") from error
-        store = typestore_of(closed)
-        types = message_types(store, {each: store_name(each) for each in closed})
-        return MessageSchema(
-            TypeRef(name, proved), types, _full_text(name, closed, definition), RosbagsCodec(name, store, types)
-        )
-
-    def _prove(self, name: str, closed: Mapping[str, str], hash: str | None) -> str:
-        found = md5(name, closed) if self._ros_version == 1 else _rihs01(name, closed)
-        if hash is not None and found != hash:
-            raise ValueError(f"the definition found for {name} has the hash {found}, the robot uses {hash}")
-        return found
+        return MessageSchema(ref, types, _full_text(name, closed, definition), RosbagsCodec(name, store, types))
 
     def _service(self, name: str, definition: str, hash: str | None) -> ServiceSchema:
         first, second = halves(definition.partition("\n===")[0])
@@ -171,44 +210,59 @@ class TypeLibrary:
         closed = {each: self._closure(each, {**shared, **texts}) for each in texts}
         if self._ros_version == 1:
             found = service_md5(name, {**closed[f"{name}_Request"], **closed[f"{name}_Response"]})
-            if hash is not None and found != hash:
-                raise ValueError(f"the definition found for {name} has the MD5 {found}, the robot uses {hash}")
-            hash = found
+            hash = _proved(name, found, hash)
         request, response = (self._message(each, closed[each], texts[each], None) for each in texts)
+        if self._ros_version == 2:
+            hash = _proved(name, service_hash(name, {**request.types, **response.types}), hash)
         return ServiceSchema(TypeRef(name, hash), request, response, definition)
 
+    def _action(self, name: str, definition: str, hash: str | None) -> ActionSchema:
+        parts = thirds(definition.partition("\n===")[0])
+        texts = dict(zip((f"{name}{end}" for end in _THIRDS), parts, strict=True))
+        shared = sections(name, definition)
+        closed = {each: self._closure(each, {**shared, **texts}) for each in texts}
+        if self._ros_version == 1:
+            actionlib = {part: text for each in _ACTIONLIB for part, text in self._closure(each, {}).items()}
+            found = action_md5(name, {**actionlib, **{key: text for of in closed.values() for key, text in of.items()}})
+            hash = _proved(name, found, hash)
+        goal, result, feedback = (self._message(each, closed[each], texts[each], None) for each in texts)
+        if self._ros_version == 2:
+            hash = _proved(name, action_hash(name, {**goal.types, **result.types, **feedback.types}), hash)
+        return ActionSchema(TypeRef(name, hash), goal, result, feedback, definition)
 
-def _half(name: str) -> str | None:
-    for suffix in ("_Request", "_Response"):
-        if "/srv/" in name and name.endswith(suffix):
-            return name.removesuffix(suffix)
-    return None
+
+_THIRDS = ("_Goal", "_Result", "_Feedback")
+_ACTIONLIB = ("std_msgs/msg/Header", "actionlib_msgs/msg/GoalID", "actionlib_msgs/msg/GoalStatus")
 
 
 def _plain(*parts: str) -> bool:
     return all(part.isidentifier() for part in parts)
 
 
-def _rihs01(name: str, closed: Mapping[str, str]) -> str:
-    try:
-        return typestore_of(closed).hash_rihs01(store_name(name))
-    except (TypesysError, KeyError, ValueError):
-        return "MD5_" + md5(name, closed)  # halves of services and odd types have no RIHS01 of their own
+def _proved(name: str, found: str, wanted: str | None) -> str:
+    """The hash of what was found. Raises ValueError where it is not the one that is wanted."""
+    if wanted is not None and found != wanted:
+        raise ValueError(f"the definition found for {name} has the hash {found}, the robot uses {wanted}")
+    return found
 
 
 def _full_text(name: str, closed: Mapping[str, str], definition: str) -> str:
     """The concatenated definition: as given where it is whole, else with the dependencies appended as ROS 1 does."""
     given = sections(name, definition)
     lacking = [each for each in closed if each not in given and each not in _BUILTIN]
-    parts = [f"{'=' * 80}\nMSG: {each.replace('/msg/', '/')}\n{closed[each]}" for each in lacking]
-    return "\n".join([definition.rstrip("\n"), *parts]) + "\n"
+    return "\n".join([definition.rstrip("\n"), *_appended({each: closed[each] for each in lacking})]) + "\n"
+
+
+def _appended(texts: Mapping[str, str]) -> list[str]:
+    """The texts of types, each as ROS 1 appends it to those that need it."""
+    return [f"{SEPARATOR}\nMSG: {each.replace('/msg/', '/')}\n{text}" for each, text in texts.items()]
 
 
 def _definition_files(folders: Sequence[Path]) -> Mapping[tuple[str, str], Path]:
     """(package, file name) to path, for every definition in these folders; the first folder wins."""
     found: dict[tuple[str, str], Path] = {}
     for folder in folders:
-        for pattern in ("*.msg", "*.srv"):
+        for pattern in ("*.msg", "*.srv", "*.action"):
             for count, path in enumerate(sorted(folder.rglob(pattern))):
                 if count > _MOST_FILES:
                     break

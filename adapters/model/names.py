@@ -25,3 +25,14 @@ def join(parts: tuple[str, ...]) -> str:
 def global_name(name: str) -> str:
     """The name with a leading slash, as the master stores it."""
     return name if name.startswith("/") else "/" + name
+
+
+def is_hidden(name: str) -> bool:
+    """Whether ROS 2 hides a name from listings: a segment of it begins with an underscore."""
+    return "/_" in name
+
+
+def action_of(name: str) -> str | None:
+    """The action of ROS 2 that a topic or a service is an inner part of, None for all others."""
+    action, found, _ = name.rpartition("/_action/")
+    return action if found and action else None

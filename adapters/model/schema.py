@@ -1,7 +1,8 @@
-"""Schemas: what a message or a service is made of, self-contained and immutable.
+"""Schemas: what a message, a service or an action is made of, self-contained and immutable.
 
 Names are rosbags' (`geometry_msgs/msg/Twist`, `std_srvs/srv/Trigger`) for ROS 1 and ROS 2 alike. The two halves
-of a service are messages named `std_srvs/srv/Trigger_Request` and `std_srvs/srv/Trigger_Response`.
+of a service are messages named `std_srvs/srv/Trigger_Request` and `std_srvs/srv/Trigger_Response`; the three of an
+action are named alike (`ActionSchema`).
 """
 
 from __future__ import annotations
@@ -132,4 +133,27 @@ class ServiceSchema:
     definition: str
 
 
-Schema: TypeAlias = MessageSchema | ServiceSchema
+@dataclass(frozen=True, eq=False)
+class ActionSchema:
+    """An action type: the messages of its goal, its result and its feedback, and the text of its definition.
+
+    They are named `control_msgs/action/PointHead_Goal`, `..._Result` and `..._Feedback`, in ROS 1 too.
+    """
+
+    ref: TypeRef
+    goal: MessageSchema
+    result: MessageSchema
+    feedback: MessageSchema
+    definition: str
+
+
+Schema: TypeAlias = MessageSchema | ServiceSchema | ActionSchema
+
+
+def halves_of(schema: Schema) -> tuple[MessageSchema, ...]:
+    """The messages that a type is made of: itself, the two of a service, the goal, result and feedback of an action."""
+    if isinstance(schema, ServiceSchema):
+        return schema.request, schema.response
+    if isinstance(schema, ActionSchema):
+        return schema.goal, schema.result, schema.feedback
+    return (schema,)

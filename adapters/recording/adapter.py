@@ -18,10 +18,12 @@ from rosld.adapters.base import (
     Recording,
     Sink,
     Subscription,
+    Watch,
 )
 from rosld.adapters.model import (
     Encoding,
     Endpoint,
+    GoalId,
     Graph,
     Kind,
     Node,
@@ -29,17 +31,19 @@ from rosld.adapters.model import (
     Operation,
     Ref,
     Refused,
+    Sample,
     Schema,
     Topic,
     TypeRef,
     UnknownType,
     Unreachable,
     frozen,
+    without_lifecycle,
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.recording.bag import Bag, log
 from rosld.adapters.recording.files import open_storage, recording_name
-from rosld.adapters.recording.playback import Playback
+from rosld.adapters.recording.playback import Playback, Position
 from rosld.adapters.recording.player import PlayerSubscription, TopicPlayer
 
 _READ_ONLY = "a recording cannot be written to"
@@ -62,8 +66,15 @@ class RecordingAdapter:
 
     @property
     def capabilities(self) -> Capabilities:
-        """Reading only."""
-        return Capabilities("recording", self._encoding, writes=False, creates_topics=False, parameter_trees=False)
+        """Reading only; what ROS 2 hides is hidden in its recordings, too."""
+        return Capabilities(
+            "recording",
+            self._encoding,
+            writes=False,
+            creates_topics=False,
+            parameter_trees=False,
+            hidden_names=self._encoding is Encoding.CDR,
+        )
 
     @property
     def graph(self) -> Graph:
@@ -116,6 +127,13 @@ class RecordingAdapter:
         """Begin to look at a topic, whether or not it is recorded."""
         return PlayerSubscription(self._player(topic), depth)
 
+    def age_ns(self, sample: Sample) -> int:
+        """How much recorded time was played since a message was: that of a loop before (latched) counts a loop more."""
+        if self._bag is None:
+            return 0
+        playback = self._playback(self._bag)
+        return playback.since(Position(sample.epoch, sample.received_ns - self._bag.start_ns), self._elapsed())
+
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
     ) -> Published:
@@ -129,6 +147,22 @@ class RecordingAdapter:
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """Recordings have no services."""
         raise NotFound(f"there is no service {service}: a recording has none")
+
+    async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
+        """Recordings have no actions."""
+        raise NotFound(f"there is no action {action}: a recording has none")
+
+    async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
+        """There is none."""
+        raise NotFound(f"there is no action {goal.action}: a recording has none")
+
+    async def follow_goals(self, action: str, *, deadline: float) -> Watch:
+        """Recordings have no actions."""
+        raise NotFound(f"there is no action {action}: a recording has none")
+
+    async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
+        """Recorded nodes have no lifecycles."""
+        raise without_lifecycle(self._graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
         """Recordings have no parameters."""

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_idl, get_typestore
 from rosbags.typesys.base import TypesysError
 
 from rosld.adapters.model import MessageSchema, TypeRef, UnknownType
 from rosld.adapters.model.codec import store_name
-from rosld.adapters.model.definition import halves
-from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.definition import halves, thirds
+from rosld.adapters.model.derived import derived_from, written_as
+from rosld.adapters.model.library import SEPARATOR, TypeLibrary
 from rosld.adapters.recording.storage import RecordedConnection, RosVersion
 
 _IDL_SEPARATOR = "=" * 80 + "\n"
-_EVENT = "_Event"
+_PART = "---"
 
 
 def type_name(recorded: str) -> str:
@@ -50,23 +53,32 @@ def _text(name: str, connection: RecordedConnection) -> str:
         return _text_of_idl(name, connection.definition)
     if connection.syntax != "msg":
         raise ValueError(f"its definition is in {connection.syntax!r}")
-    if name.endswith(_EVENT) and "/srv/" in name:
-        return _text_of_event(name, connection.definition)
-    return connection.definition
+    derived = derived_from(name)
+    if derived is None or _PART not in connection.definition.splitlines():
+        return connection.definition
+    return _text_of_derived(*derived, connection.definition)
 
 
-def _text_of_event(name: str, definition: str) -> str:
-    """The message of a service's introspection topic: recorders store the service's definition in its stead."""
+def _text_of_derived(of: str, text: str, definition: str) -> str:
+    """A message of a hidden topic: recorders store the definition of its service or action in its stead."""
     head, separator, nested = definition.partition("\n===")
-    request, response = halves(head)
-    package, _, service = name.removesuffix(_EVENT).partition("/srv/")
-    sections = [
-        "service_msgs/ServiceEventInfo info\n"
-        f"{package}/{service}_Request[<=1] request\n{package}/{service}_Response[<=1] response",
-        f"MSG: {package}/{service}_Request\n{request}",
-        f"MSG: {package}/{service}_Response\n{response}",
-    ]
-    return f"\n{'=' * 80}\n".join(sections) + "\n" + separator.lstrip("\n") + nested
+    own = [f"MSG: {name}\n{part}" for name, part in _parts(of, head).items()]
+    return f"\n{SEPARATOR}\n".join([text, *own]) + "\n" + separator.lstrip("\n") + nested
+
+
+def _parts(of: str, definition: str) -> Mapping[str, str]:
+    """The texts of the messages that a service or an action is made of, or a service that an action is made of."""
+    derived = derived_from(of)
+    if derived is not None:
+        action, text = derived
+        return {**_parts(action, definition), **_parts_named(of, ("_Request", "_Response"), halves(text))}
+    if written_as(of) == "action":
+        return _parts_named(of, ("_Goal", "_Result", "_Feedback"), thirds(definition))
+    return _parts_named(of, ("_Request", "_Response"), halves(definition))
+
+
+def _parts_named(of: str, ends: Sequence[str], texts: Sequence[str]) -> Mapping[str, str]:
+    return {f"{of}{end}": text for end, text in zip(ends, texts, strict=True)}
 
 
 def _text_of_idl(name: str, definition: str) -> str:

@@ -44,6 +44,11 @@ class Playback:
             return Position(0, min(played, self.duration_ns))
         return Position(*divmod(played, self.period_ns))
 
+    def since(self, position: Position, elapsed_ns: int) -> int:
+        """How much recorded time, in ns, lies between a position and where the playback is; 0 for one to come."""
+        now = self.position(elapsed_ns)
+        return max(0, (now.epoch - position.epoch) * self.period_ns + now.offset_ns - position.offset_ns)
+
     def elapsed_at(self, position: Position) -> int:
         """How long after its beginning a playback reaches a position: never too early, at most a few ns late."""
         return math.ceil((position.epoch * self.period_ns + position.offset_ns) / self.rate)

@@ -8,31 +8,34 @@ import os
 import re
 import socket
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from urllib.parse import urlsplit
 
-from rosld.adapters.base import AdapterOptions, Capabilities, ParameterValue, Published, Recording, Sink
+from rosld.adapters.base import AdapterOptions, Capabilities, ParameterValue, Published, Recording, Sink, Watch
 from rosld.adapters.model import (
     Encoding,
+    GoalId,
     Graph,
     Kind,
     Operation,
     Ref,
     Refused,
     RosError,
+    Sample,
     Schema,
     TimedOut,
     TypeRef,
     Unreachable,
+    without_lifecycle,
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.ros1.client import Client
 from rosld.adapters.ros1.publication import Publication
 from rosld.adapters.ros1.samples import Slot
 from rosld.adapters.ros1.subscription import Feed, TopicSubscription
-from rosld.adapters.ros1.thread import IoThread
 from rosld.adapters.ros1.types import definition_folders
+from rosld.adapters.thread import IoThread
 
 DEFAULT_MASTER = "http://localhost:11311"
 _CLOSE = 1.7
@@ -142,6 +145,9 @@ class Ros1Adapter:
         if ref.kind is Kind.SERVICE:
             service = graph.services.get(ref.name)
             return frozenset({Operation.CALL} if service is not None and service.uncallable is None else ())
+        if ref.kind is Kind.ACTION:
+            action = graph.actions.get(ref.name)
+            return frozenset({Operation.SEND_GOAL} if action is not None and action.unusable is None else ())
         if ref.kind is Kind.PARAMETER:
             return self._client.parameters.operations(ref.name) if self._client else frozenset()
         return frozenset()
@@ -162,6 +168,7 @@ class Ros1Adapter:
         for topic in graph.topics.values():
             met.update(dict.fromkeys(ref for ref in topic.types if ref.hash or ref.name not in named))
         met.update(dict.fromkeys(service.type for service in graph.services.values() if service.type is not None))
+        met.update(dict.fromkeys(one.type for one in graph.actions.values() if one.type and one.type.name not in named))
         return list(met)
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> TopicSubscription:
@@ -176,6 +183,10 @@ class Ros1Adapter:
         feed.subscriptions.append(subscription)
         self._set_depth(feed)
         return subscription
+
+    def age_ns(self, sample: Sample) -> int:
+        """How long ago a sample was received, simulated time or not."""
+        return max(0, time.time_ns() - sample.received_ns)
 
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
@@ -210,6 +221,26 @@ class Ros1Adapter:
         """Call a service. Raises Refused with the node's words, TimedOut, Unreachable, NotFound."""
         thread, client = self._running()
         return await thread.run(client.services.call(service, type, request, _until(deadline)))
+
+    async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
+        """Send a goal by actionlib's topics. Raises Refused with the server's words, TimedOut, Unreachable."""
+        thread, client = self._running()
+        return await thread.run(client.actions.send(action, type, goal, _until(deadline)))
+
+    async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
+        """Ask for a goal to be canceled. Raises NotFound, Unreachable."""
+        thread, client = self._running()
+        await thread.run(client.actions.cancel(goal, _until(deadline)))
+
+    async def follow_goals(self, action: str, *, deadline: float) -> Watch:
+        """Read what the server tells of goals, without a trace at the master, until the watch is closed."""
+        thread, client = self._running()
+        await thread.run(client.actions.look(action, _until(deadline)))
+        return _Following(lambda: thread.post(partial(client.actions.leave, action)))
+
+    async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
+        """ROS 1 has no managed nodes."""
+        raise without_lifecycle(self.graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
         """The values of those names that exist, asked of the master now."""
@@ -298,6 +329,19 @@ class Ros1Adapter:
             except (asyncio.TimeoutError, RosError):
                 pass  # it was promised to be quick
         await thread.stop(max(0.2, _CLOSE - (time.monotonic() - began)))
+
+
+class _Following:
+    """A watch of the goals of an action."""
+
+    def __init__(self, leave: Callable[[], None]) -> None:
+        self._leave: Callable[[], None] | None = leave
+
+    def close(self) -> None:
+        """Follow them no longer. Idempotent."""
+        leave, self._leave = self._leave, None
+        if leave is not None:
+            leave()
 
 
 def _until(deadline: float) -> float:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from rosld.adapters.base import AdapterOptions, ParameterValue, Sink
 from rosld.adapters.model import Graph, Master, RosError
 from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.ros1.actions import Actions
 from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
 from rosld.adapters.ros1.hosts import Hosts
 from rosld.adapters.ros1.learnt import EndpointFacts, Learnt
@@ -49,6 +50,9 @@ class Client:
             self.master, own_node, self.types, lambda: addresses(options.ros_ip, self._local), self.look_soon
         )
         self._nodes = Nodes(own_node, self._hosts, self.learnt, self.master.lookup_node)
+        self.actions = Actions(
+            own_node, self._nodes, self.types, self.publications, lambda: self._system, publish_graph
+        )
         self._readers: dict[str, TopicReader] = {}
         self._epochs: dict[str, int] = {}
         self._local: str | None = None
@@ -77,6 +81,7 @@ class Client:
             task.cancel()
         for reader in self._readers.values():
             reader.close()
+        self.actions.close()
         await self.publications.close()
         self.master.close()
 
@@ -189,6 +194,7 @@ class Client:
         system = self._system
         for topic, reader in self._readers.items():
             reader.follow(system.publishers.get(topic, ()))
+        self.actions.follow(system)
         self.services.follow(system.services.items())
         self.publications.register_again(system.publishers)
         nodes = system.nodes()

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from rosld.adapters.model import Endpoint, Graph, Live, Master, Node, Parameter, Service, Stale, Topic, TypeRef, frozen
+from rosld.adapters.ros1.actionlib import actions_of
 from rosld.adapters.ros1.learnt import EndpointFacts, Learnt, ServiceFacts
 from rosld.adapters.ros1.types import message_type
 
@@ -56,6 +57,7 @@ def compose(previous: Graph, seen: Observation, learnt: Learnt, unreadable: Mapp
     def node(name: str) -> Node:
         return Node(name, learnt.uris.get(name), learnt.unreachable.get(name))
 
+    actions = actions_of(system.publishers, system.subscribers, system.topic_types)
     graph = replace(
         previous,
         state=Live(),
@@ -65,6 +67,7 @@ def compose(previous: Graph, seen: Observation, learnt: Learnt, unreadable: Mapp
         nodes=_shared(previous.nodes, system.nodes(), node),
         topics=_shared(previous.topics, _topic_names(system), topic),
         services=_shared(previous.services, system.services, service),
+        actions=_shared(previous.actions, actions, lambda name: actions[name]),
         parameters=_shared(previous.parameters, seen.parameters, lambda name: seen.parameters[name]),
     )
     return previous if graph == previous else replace(graph, revision=previous.revision + 1)

@@ -59,6 +59,11 @@ class Source:
         self._receiver: FrameReceiver | None = None
         self._guessed = False
 
+    @property
+    def is_connected(self) -> bool:
+        """Whether messages can come now."""
+        return self._receiver is not None and self._receiver.ready.done()
+
     def deepen(self, depth: int) -> None:
         """Keep so many of the newest samples from now on."""
         if self._receiver is not None:
@@ -167,6 +172,11 @@ class TopicReader:
             if name not in self._sources:
                 self._begin(name)
         self._arrange()
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether any publisher is connected."""
+        return any(source.is_connected for source, _ in self._sources.values())
 
     def deepen(self) -> None:
         """Heed that the feed wants another depth."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,19 +12,21 @@ from rosld.server.records.lock import Lock
 
 NAME = "base-url"
 LOCK = "lock"
+_MOMENT = 1.0
+"""Seconds that a process which was killed may take to be gone for good."""
 
 
 @contextmanager
 def hold(folder: Path) -> Iterator[None]:
     """Within it no other process serves the folder, which is made where it is missing.
 
-    Raises ValueError where another process does, OSError where the folder cannot be written. What a process that died
-    left behind is no obstacle.
+    Raises ValueError where another process still does after a moment, OSError where the folder cannot be written. What
+    a process that died left behind is no obstacle: a child of it lets go as soon as it comes to run.
     """
     folder.mkdir(parents=True, exist_ok=True)
     lock = Lock(folder / LOCK)
     try:
-        if not lock.take():
+        if not _taken(lock):
             raise ValueError(
                 f"{folder} is served by another rosld (process {lock.read() or 'unknown'}): "
                 "end that one first, or give this one another folder with --data"
@@ -32,6 +35,15 @@ def hold(folder: Path) -> Iterator[None]:
         yield
     finally:
         lock.close()
+
+
+def _taken(lock: Lock) -> bool:
+    end = time.monotonic() + _MOMENT
+    while not lock.take():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.02)
+    return True
 
 
 def owner(folder: Path) -> str | None:

@@ -7,17 +7,21 @@ import contextlib
 import logging
 import socket
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
+from typing import Any
 
 import uvicorn
 from starlette.types import ASGIApp
 
-from rosld.server.http.connection import Connection
+from rosld.server.http.connection import Bounded, Bounds, Connection
+from rosld.server.sparql.evaluation import Aborted
+
+_log = logging.getLogger("rosld")
 
 KEEP_ALIVE_SECONDS = 30
 GRACE_SECONDS = 2
 CONNECTIONS = 3000
-"""Connections at a time; one more is answered 503. There are more than `feed.MOST_READERS`, so that all can be had."""
+"""Connections at a time; one more is answered 503."""
 
 MESSAGE_BYTES = 4096
 """The most a WebSocket's client may send at once: it has nothing to say."""
@@ -51,25 +55,32 @@ def _refused(host: str, port: int, error: Exception) -> str:
 class Server(uvicorn.Server):
     """uvicorn's server, which says when it listens and leaves signals to us (it would end the process too early)."""
 
-    def __init__(self, app: ASGIApp, listening: Callable[[], None]) -> None:
-        super().__init__(
-            uvicorn.Config(
-                app,
-                http=Connection,
-                ws="websockets-sansio",
-                ws_max_size=MESSAGE_BYTES,
-                ws_per_message_deflate=False,
-                lifespan="off",
-                interface="asgi3",
-                log_config=None,
-                access_log=False,
-                proxy_headers=False,
-                server_header=False,
-                timeout_keep_alive=KEEP_ALIVE_SECONDS,
-                timeout_graceful_shutdown=GRACE_SECONDS,
-                limit_concurrency=CONNECTIONS,
-            )
+    def __init__(
+        self,
+        app: ASGIApp,
+        listening: Callable[[], None],
+        bounds: Bounds | None = None,
+        connections: int = CONNECTIONS,
+    ) -> None:
+        config = Bounded(
+            app,
+            http=Connection,
+            ws="websockets-sansio",
+            ws_max_size=MESSAGE_BYTES,
+            ws_per_message_deflate=False,
+            lifespan="off",
+            interface="asgi3",
+            log_config=None,
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+            timeout_keep_alive=KEEP_ALIVE_SECONDS,
+            timeout_graceful_shutdown=GRACE_SECONDS,
+            limit_concurrency=connections,
         )
+        if bounds is not None:
+            config.bounds = bounds
+        super().__init__(config)
         self._listening = listening
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -83,6 +94,16 @@ class Server(uvicorn.Server):
         yield
 
 
+def run(main: Coroutine[Any, Any, None]) -> None:
+    """Run on a loop of uvloop where there is one."""
+    if sys.platform == "win32":
+        asyncio.run(main)
+        return
+    import uvloop
+
+    uvloop.run(main)
+
+
 def quiet_logs() -> None:
     """All logs to stderr; of uvicorn only what went wrong here, not what strangers send."""
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
@@ -92,6 +113,12 @@ def quiet_logs() -> None:
 
 
 def _unless_cancelled(record: logging.LogRecord) -> bool:
-    """Leaves out the requests that are cut short when the server ends: that is no error."""
+    """Leaves out the requests that are cut short when the server ends: that is no error.
+
+    An answer that is broken off on purpose is told in one line.
+    """
+    if record.exc_info is not None and isinstance(record.exc_info[1], Aborted):
+        _log.info("an answer was broken off: %s", record.exc_info[1])
+        return False
     cancelled = record.exc_info is not None and record.exc_info[0] is asyncio.CancelledError
     return not cancelled and not record.msg.startswith("Cancel %s running task")

@@ -9,17 +9,17 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Coroutine
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from rosld.adapters.base import Adapter
 from rosld.adapters.registry import adapter_for
 from rosld.server import settings as settings_module
-from rosld.server.commands import data_folder, listening
+from rosld.server.commands import data_folder, listening, tls
 from rosld.server.commands.failure import told
 from rosld.server.commands.lifespan import lifespan
+from rosld.server.http.connection import Bounds
 from rosld.server.settings import Settings
 
 if TYPE_CHECKING:
@@ -42,10 +42,12 @@ def serve(source: str, settings: Settings, *, base_given: bool) -> None:
         if settings.data is not None:
             lasting.enter_context(data_folder.hold(settings.data))
             data_folder.claim(settings.data, settings.base_url)
+        if settings.tls_cert is not None:
+            tls.require(settings.tls_cert, settings.tls_key)
         _warn(settings)
         from rosld.server.app import create_app
 
-        _run(Serving(create_app(adapter, settings), adapter, sock, settings.base_url).until_stopped())
+        listening.run(Serving(create_app(adapter, settings), adapter, sock, settings.base_url).until_stopped())
 
 
 class Serving:
@@ -56,7 +58,10 @@ class Serving:
         self._adapter = adapter
         self._sock = sock
         self._url = url
-        self._server = listening.Server(app, self._listening)
+        settings = app.robot.settings
+        bounds = Bounds(settings.head_limit, settings.head_timeout, settings.read_timeout, app.clients.connect)
+        self._server = listening.Server(app, self._listening, bounds, settings.connections)
+        tls.apply(self._server.config, app.robot.settings.tls_cert, app.robot.settings.tls_key)
         self._work: asyncio.Task[None] | None = None
 
     async def until_stopped(self) -> None:
@@ -115,15 +120,9 @@ def allow_open_files() -> None:
 
 
 def _warn(settings: Settings) -> None:
-    if settings.beyond_loopback:
-        click.echo(f"rosld: {settings.host} is reached by other machines, so this server is read-only", err=True)
-
-
-def _run(main: Coroutine[Any, Any, None]) -> None:
-    """Run on uvloop where there is one."""
-    if sys.platform == "win32":
-        asyncio.run(main)
-        return
-    import uvloop
-
-    uvloop.run(main)
+    if settings.open_beyond_loopback:
+        sentence = "is reached by other machines, so this server is read-only: --auth says who may write"
+        click.echo(f"rosld: {settings.host} {sentence}", err=True)
+    elif settings.beyond_loopback and settings.tls_cert is None:
+        sentence = "is reached by other machines, and tokens go there in the clear: give --tls-cert, or have a proxy"
+        click.echo(f"rosld: {settings.host} {sentence} before it that speaks TLS", err=True)

@@ -1,4 +1,4 @@
-"""`rosld types`: the message and service types that a source uses."""
+"""`rosld types`: the message, service and action types that a source uses."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import click
 
 from rosld.adapters.base import Adapter, AdapterOptions
-from rosld.adapters.model import Graph, TypeRef
+from rosld.adapters.model import GoalEvent, GoalId, Graph, TypeRef
 from rosld.adapters.registry import adapter_for
 from rosld.server.commands.failure import told
 
@@ -20,6 +20,9 @@ class Nobody:
     """A `Sink` for who looks once and is told nothing."""
 
     def graph_changed(self, graph: Graph) -> None:
+        """Not of interest."""
+
+    def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
         """Not of interest."""
 
     def parameter_changed(self, name: str) -> None:
@@ -43,9 +46,10 @@ def opened(source: str, options: AdapterOptions) -> Iterator[Adapter]:
 
 
 def used(graph: Graph) -> set[TypeRef]:
-    """The types that topics and services of the graph have."""
+    """The types that topics, services and actions of the graph have."""
+    topics = {ref for topic in graph.topics.values() for ref in topic.types}
     services = {service.type for service in graph.services.values() if service.type is not None}
-    return {ref for topic in graph.topics.values() for ref in topic.types} | services
+    return topics | services | {action.type for action in graph.actions.values() if action.type is not None}
 
 
 def types(source: str, options: AdapterOptions) -> None:

@@ -14,6 +14,8 @@ from pyoxigraph import NamedNode
 
 from rosld.ontology.notifications import Activity, Terms
 from rosld.ontology.vocab import ldp
+from rosld.server.access.door import OPEN, Visit
+from rosld.server.access.judge import Judge
 from rosld.server.events import asked
 from rosld.server.events.feed import Moment
 from rosld.server.events.subscriptions import Subscription
@@ -50,6 +52,8 @@ class Channel:
     since: float
     """Since when (monotonic, s) nobody receives."""
     receiver: asyncio.Task[None] | None = None
+    visit: Visit = OPEN
+    """Who made it, who may cease to be allowed to read."""
     due: float = float("-inf")
     """When (monotonic, s) the next notification may be sent."""
 
@@ -85,7 +89,13 @@ class Channels:
         return len(self._kept)
 
     def open(
-        self, wish: Subscription, type: str, resource: Resource, state: State, place: Callable[[str], tuple[str, str]]
+        self,
+        wish: Subscription,
+        type: str,
+        resource: Resource,
+        state: State,
+        place: Callable[[str], tuple[str, str]],
+        visit: Visit = OPEN,
     ) -> Channel:
         """A new channel; `place` gives the URLs of the channel and of its source by its token. A 503 Problem if full.
 
@@ -97,14 +107,14 @@ class Channels:
         times = (wish.interval, wish.start_at, wish.end_at)
         terms = Terms(url, type, resource.url, source, wish.accept, *times, wish.state)
         known = wish.state if wish.state is not None else self.name(state)
-        channel = Channel(token, terms, resource, Told(known), time.monotonic())
+        channel = Channel(token, terms, resource, Told(known), time.monotonic(), visit=visit)
         self._kept[token] = channel
         return channel
 
     def find(self, token: str) -> Channel:
         """The channel with a token. A 404 Problem where there is none, or none any more."""
         channel = self._kept.get(token)
-        if channel is None or channel.is_over:
+        if channel is None or channel.is_over or not channel.visit.still():
             self._kept.pop(token, None)
             raise Problem(404, "There is no such channel, or its time has passed: subscribe again.")
         return channel
@@ -154,7 +164,7 @@ class Channels:
             return Activity("Create", topic, state=name), now
         if asked.is_state(told.name, name):
             return None, now
-        return _changed(topic, told.container, now), now
+        return _changed(topic, told.container, now, channel.visit.judge), now
 
     def _make_room(self) -> None:
         if len(self._kept) < self._most:
@@ -177,12 +187,14 @@ def _is_absent(problem: Problem) -> bool:
     return problem.status in (404, 410) or problem.status < 400
 
 
-def _changed(topic: str, before: State | None, now: Told) -> Activity:
-    """Which member came or went, where it is one; else that the topic changed."""
+def _changed(topic: str, before: State | None, now: Told, judge: Judge) -> Activity:
+    """Which member came or went, where it is one that may be known; else that the topic changed."""
     if before is not None and now.container is not None:
         old, new = _members(before), _members(now.container)
         if len(old ^ new) == 1:
             (member,) = old ^ new
+            if not judge.may_read(member):
+                return Activity("Update", topic, state=now.name)
             return Activity("Add" if member in new else "Remove", member, topic, now.name)
     return Activity("Update", topic, state=now.name)
 

@@ -52,8 +52,10 @@ class Delivery:
             await self._pause(self._channel.due - time.monotonic())
             version = feed.version
             moment = feed.at_hand() or await feed.look()
-            await self._tell(moment)
-            if moment.is_final:
+            may_read = self._channel.visit.still()
+            if may_read:
+                await self._tell(moment)
+            if moment.is_final or not may_read:
                 self._channels.close(self._channel)
                 return
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Coroutine, Iterator
+from collections.abc import Coroutine, Hashable, Iterator
 from dataclasses import dataclass, field
 
 from starlette.types import Receive
@@ -31,13 +31,13 @@ _log = logging.getLogger("rosld")
 class Moment:
     """What a resource was like when it was looked at: its state, or why there is none.
 
-    `name` differs whenever what it was like does. `chunks` are the events that tell of it, by variant: each is made
-    once, however many read it.
+    `name` differs whenever what it was like does. `chunks` are the events that tell of it, by variant and edition: each
+    is made once, however many read it.
     """
 
     name: str
     state: State | Problem
-    chunks: dict[str, bytes] = field(default_factory=dict)
+    chunks: dict[Hashable, bytes] = field(default_factory=dict)
 
     @property
     def is_final(self) -> bool:
@@ -143,20 +143,21 @@ class Feed:
         self._is_outdated = False
         watch: Watch | None = None
         try:
-            watch = await self._resource.watch(self._stir)
+            watch = await self._resource.watch(self.stir)
         except BaseException:
             self._is_outdated = True
             raise
         finally:
-            old, self._watch = self._watch, watch or every(_LOOK_AGAIN_SECONDS, self._stir)
+            old, self._watch = self._watch, watch or every(_LOOK_AGAIN_SECONDS, self.stir)
             if old is not None:
                 old.close()
 
     def _outdate(self) -> None:
         self._is_outdated = True
-        self._stir()
+        self.stir()
 
-    def _stir(self) -> None:
+    def stir(self) -> None:
+        """Wake all readers."""
         self.version += 1
         if self._sleepers:
             sleepers, self._sleepers = self._sleepers, {}
@@ -214,6 +215,11 @@ class Feeds:
         if done:
             working.result()
         return done
+
+    def stir(self) -> None:
+        """Have all readers look again: what they may read may be something else now."""
+        for feed in tuple(self._feeds.values()):
+            feed.stir()
 
     def end(self) -> None:
         """End all streams and waits, and let no more begin."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Hashable, Iterator
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -36,6 +36,18 @@ HEADERS: Headers = [
 ]
 
 
+def _always() -> bool:
+    return True
+
+
+def _only_one() -> Hashable:
+    return None
+
+
+def _whole(problem: Problem) -> Problem:
+    return problem
+
+
 @dataclass(frozen=True, slots=True)
 class Telling:
     """How states are told: `render` gives the representation called `variant`, `name` the state part of the ETag."""
@@ -43,12 +55,19 @@ class Telling:
     variant: str
     render: Callable[[State], Awaitable[bytes]]
     name: Callable[[State], str]
+    still: Callable[[], bool] = _always
+    """Whether the reader may still read."""
+    told: Callable[[Problem], Problem] = _whole
+    """A problem as the reader may be told of it."""
+    edition: Callable[[], Hashable] = _only_one
+    """Changes whenever what is told beside the state does: every page says whether the robot is stopped."""
 
     async def chunk(self, moment: Moment) -> bytes:
         """The event that tells of a moment: made once for all who read this variant."""
-        chunk = moment.chunks.get(self.variant)
+        key = self.variant, self.edition()
+        chunk = moment.chunks.get(key)
         if chunk is None:
-            chunk = moment.chunks[self.variant] = await self._event(moment.state)
+            chunk = moment.chunks[key] = await self._event(moment.state)
         return chunk
 
     async def _event(self, state: State | Problem) -> bytes:
@@ -58,6 +77,7 @@ class Telling:
             problem = state
         except Problem as error:  # this state cannot be told in this format
             problem = error
+        problem = self.told(problem)
         name = GONE if problem.status in (404, 410) or problem.status < 400 else PROBLEM
         return frame.event(problems.render(problem).body, name=name)
 
@@ -66,8 +86,16 @@ class EventStream(Response):
     """A response that goes on until its reader leaves, its resource is gone for good, or the server ends."""
 
     def __init__(
-        self, feeds: Feeds, resource: Resource, telling: Telling, rate: float, known: str | None, headers: Headers
+        self,
+        feeds: Feeds,
+        resource: Resource,
+        telling: Telling,
+        rate: float,
+        known: str | None,
+        headers: Headers,
+        lasting: contextlib.AbstractContextManager[float | None],
     ) -> None:
+        """`lasting` is what lasts as long as the stream: it gives the seconds between signs of life."""
         self.status_code = 200
         self.body = b""
         self.background = None
@@ -79,11 +107,15 @@ class EventStream(Response):
         self._known = known
         """The state that the reader has, as it says itself."""
         self._spoke = 0.0
+        self._lasting = lasting
+        self._quiet = KEEP_ALIVE_SECONDS
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send it."""
-        await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-        await self._feeds.hold(self._tell(send), receive)
+        with self._lasting as seconds:
+            self._quiet = seconds or KEEP_ALIVE_SECONDS
+            await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
+            await self._feeds.hold(self._tell(send), receive)
         await send({"type": "http.response.body", "body": b"", "more_body": False})
 
     async def _tell(self, send: Send) -> None:
@@ -94,12 +126,14 @@ class EventStream(Response):
     async def _follow(self, feed: Feed, send: Send) -> None:
         sleeper = Sleeper()
         version = feed.version
-        told = await feed.look()
+        told, edition = await feed.look(), self._telling.edition()
         if not self._is_known(told.state):
             await self._event(send, told)
         with self._alarm(sleeper):
             while not told.is_final:
                 await feed.wait(sleeper, version)
+                if not self._telling.still():
+                    return
                 if feed.version == version:
                     await self._keep_alive(send)
                     continue
@@ -107,8 +141,10 @@ class EventStream(Response):
                     await asyncio.sleep(seconds)
                 version = feed.version
                 moment = feed.at_hand() or await feed.look()
-                if moment is not told:
-                    told = moment
+                if not self._telling.still():
+                    return
+                if moment is not told or self._telling.edition() != edition:
+                    told, edition = moment, self._telling.edition()
                     await self._event(send, moment)
 
     def _is_known(self, state: State | Problem) -> bool:
@@ -116,7 +152,7 @@ class EventStream(Response):
         return isinstance(state, State) and asked.is_state(self._known, self._telling.name(state))
 
     async def _event(self, send: Send, moment: Moment) -> None:
-        chunk = moment.chunks.get(self._telling.variant) or await self._telling.chunk(moment)
+        chunk = await self._telling.chunk(moment)
         self._pace.passed(time.monotonic())
         await self._send(send, chunk)
 
@@ -125,7 +161,7 @@ class EventStream(Response):
         await send({"type": "http.response.body", "body": chunk, "more_body": True})
 
     async def _keep_alive(self, send: Send) -> None:
-        if time.monotonic() - self._spoke >= KEEP_ALIVE_SECONDS:
+        if time.monotonic() - self._spoke >= self._quiet:
             await self._send(send, frame.KEEP_ALIVE)
 
     @contextlib.contextmanager
@@ -137,12 +173,12 @@ class EventStream(Response):
         def ring() -> None:
             nonlocal timer
             quiet = time.monotonic() - self._spoke
-            if quiet >= KEEP_ALIVE_SECONDS:
+            if quiet >= self._quiet:
                 sleeper.wake()
                 quiet = 0.0
-            timer = loop.call_later(KEEP_ALIVE_SECONDS - quiet, ring)
+            timer = loop.call_later(self._quiet - quiet, ring)
 
-        timer = loop.call_later(KEEP_ALIVE_SECONDS, ring)
+        timer = loop.call_later(self._quiet, ring)
         try:
             yield
         finally:

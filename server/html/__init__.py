@@ -7,6 +7,7 @@ up to date while it is looked at. Without it every page is as whole.
 
 from rosld.server.html.affordances import action_form, forms_of, property_form
 from rosld.server.html.forms import (
+    ChoiceForm,
     DeleteForm,
     Form,
     MessageForm,
@@ -31,7 +32,7 @@ from rosld.server.html.page import (
     Step,
     StoredQuery,
 )
-from rosld.server.html.reading import parse_form, parse_parameter, parse_value, split_hidden
+from rosld.server.html.reading import parse_choice, parse_form, parse_parameter, parse_value, split_hidden
 from rosld.server.html.render import (
     CONTENT_SECURITY_POLICY,
     HEADERS,
@@ -54,6 +55,7 @@ __all__ = [
     "SCRIPT",
     "STYLESHEET",
     "Alternate",
+    "ChoiceForm",
     "Count",
     "Csrf",
     "DeleteForm",
@@ -76,6 +78,7 @@ __all__ = [
     "ValueForm",
     "action_form",
     "forms_of",
+    "parse_choice",
     "parse_form",
     "parse_parameter",
     "parse_value",

@@ -9,6 +9,7 @@ from rosld.server.html.forms import Form, MessageForm, ValueForm
 from rosld.server.html.labels import sentence, words
 from rosld.server.html.page import Offer
 from rosld.server.html.values import plain_value
+from rosld.server.html.view import visible
 from rosld.server.hypermedia.value import Reading
 from rosld.server.hypermedia.views import (
     ActionAffordance,
@@ -41,7 +42,12 @@ def forms_of(view: Offer) -> tuple[Form, ...]:
 
 def property_form(affordance: PropertyAffordance, reading: Reading) -> ValueForm:
     """The form for the value of a property."""
-    return ValueForm(affordance.shape, value=plain_value(reading.value), label=affordance.title or affordance.name)
+    return ValueForm(
+        affordance.shape,
+        value=plain_value(reading.value),
+        about=visible(affordance.description or ""),
+        label=affordance.title or affordance.name,
+    )
 
 
 def _member_forms(view: ComplexView) -> Iterator[ValueForm]:

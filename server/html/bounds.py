@@ -53,6 +53,19 @@ def number_range(kind: Primitive, bounds: Bounds) -> tuple[str, str]:
     )
 
 
+def number_step(kind: Primitive, bounds: Bounds) -> str:
+    """The step of an input, which a browser counts from its least number, as bounds do; without any where it would
+
+    refuse the greatest.
+    """
+    plain = "1" if kind.name in RANGES else "any"
+    step, least, greatest = (_bound(each) for each in (bounds.step, bounds.least, bounds.greatest))
+    if step is None:
+        return plain
+    even = least is not None and greatest is not None and (greatest - least) % step == 0
+    return _text(step) if even else plain
+
+
 def _decimal(value: int | None) -> Decimal | None:
     return None if value is None else Decimal(value)
 
@@ -106,6 +119,8 @@ def _phrases(bounds: Bounds) -> Iterator[str]:
         yield f"more than {bounds.above.value}"
     if bounds.below is not None:
         yield f"less than {bounds.below.value}"
+    if bounds.step is not None:
+        yield f"in steps of {bounds.step.value}"
     if bounds.min_length is not None:
         yield f"at least {_characters(bounds.min_length)}"
     if bounds.max_length is not None:

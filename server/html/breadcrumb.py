@@ -20,7 +20,7 @@ def breadcrumb(site: Site, url: str) -> tuple[Anchor, ...]:
         crumbs.append(_crumb(site, here, _words(part)))
     if leaf:
         crumbs.append(_crumb(site, f"{here}{leaf}", _words(leaf)))
-    return tuple(crumbs)
+    return tuple(crumb for crumb in crumbs if crumb.url == path or site.may("GET", crumb.url))
 
 
 def _crumb(site: Site, url: str, text: str) -> Anchor:

@@ -18,10 +18,11 @@ from rosld.server.html.view import Many, Row, Rows, View, visible
 
 _DEEPEST = 12
 _FIRST = (
-    rdf.type, ros.name, rdfs.label, rdfs.comment, ros.state, ros.staleSince, ros.reason, ros.unreachable,
-    ros.unreadable, ros.uncallable, ros.value, ros.messageType, ros.serviceType, ros.conflictingType, ros.rate,
-    ros.publisher, ros.subscriber, ros.provider, ros.publishes, ros.subscribes, ros.provides, ros.fieldName,
-    ros.fieldType, ros.nestedType,
+    rdf.type, ros.name, rdfs.label, rdfs.comment, ros.state, ros.staleSince, ros.reason, ros.status,
+    ros.lifecycleState, ros.lifecycleStateWord, ros.lifecycleUnknown, ros.unreachable, ros.unreadable, ros.uncallable,
+    ros.unusable, ros.value, ros.messageType, ros.serviceType, ros.actionType, ros.conflictingType, ros.rate,
+    ros.qosMismatch, ros.publisher, ros.subscriber, ros.provider, ros.publishes, ros.subscribes, ros.provides,
+    ros.sendsGoalsTo, ros.parameter, ros.fieldName, ros.fieldType, ros.nestedType,
 )  # fmt: skip
 _RANK = {predicate: rank for rank, predicate in enumerate(_FIRST)}
 _LAST = {ros.definition: 1_000, ros.field: 999, rdfs.isDefinedBy: 998}
@@ -53,7 +54,10 @@ class _Walk:
 
 
 def describe(document: Document, site: Site, *, without: Iterable[NamedNode] = ()) -> tuple[Section, ...]:
-    """The sections of a document. `without` are predicates of the resource itself that are shown elsewhere."""
+    """The sections of a document.
+
+    `without` are predicates of the resource itself that are shown elsewhere, with the parts that they lead to.
+    """
     found = outline(document.triples)
     main = main_subject(document, found)
     about = main.value if isinstance(main, NamedNode) else document.url
@@ -65,7 +69,7 @@ def describe(document: Document, site: Site, *, without: Iterable[NamedNode] = (
         walk.drawn.add(main)
         rows = _rows(walk, {predicate: own[predicate] for predicate in own if predicate not in skipped}, 0)
         sections.append(Section("Description", Rows(rows)))
-    hidden = _shown_elsewhere(own or {}, skipped)
+    hidden = _shown_elsewhere(found, main, skipped)
     sections.extend(_others(walk, hidden))
     return tuple(section for section in sections if section.body.rows)
 
@@ -78,9 +82,24 @@ def main_subject(document: Document, found: Outline) -> Subject:
     return next((subject for subject in found.subjects if isinstance(subject, NamedNode)), own)
 
 
-def _shown_elsewhere(own: Statements, skipped: frozenset[NamedNode]) -> set[Subject]:
-    terms = (term for predicate in skipped for term in own.get(predicate, ()))
-    return {term for term in terms if isinstance(term, NamedNode | BlankNode)}
+def _shown_elsewhere(found: Outline, main: Subject, skipped: frozenset[NamedNode]) -> set[Subject]:
+    """What is linked by these predicates, and the parts of it that are described here."""
+    own = found.subjects.get(main, {})
+    left = [term for predicate in skipped for term in own.get(predicate, ()) if isinstance(term, NamedNode | BlankNode)]
+    hidden: set[Subject] = set()
+    while left:
+        term = left.pop()
+        if term in hidden or term == main:
+            continue
+        hidden.add(term)
+        for terms in found.subjects.get(term, {}).values():
+            left += [one for one in terms if isinstance(one, NamedNode | BlankNode) and _is_part(one)]
+    return hidden
+
+
+def _is_part(term: Subject) -> bool:
+    """Whether a term is a part of what refers to it: nothing with a URL of its own."""
+    return isinstance(term, BlankNode) or "#" in term.value
 
 
 def _others(walk: _Walk, hidden: set[Subject]) -> Iterator[Section]:

@@ -171,7 +171,22 @@ class DeleteForm:
     violations: ClassVar[tuple[Violation, ...]] = ()
 
 
-Form: TypeAlias = MessageForm | ParameterForm | ValueForm | DeleteForm
+@dataclass(frozen=True, slots=True)
+class ChoiceForm:
+    """A button for each of several things that may be asked for by its name, which is sent as the field `name`."""
+
+    template: ClassVar[str] = "choice"
+    name: str
+    choices: tuple[str, ...]
+    title: str
+    method: Method = "POST"
+    about: str = ""
+    action: str = ""
+    controls: ClassVar[tuple[Control, ...]] = ()
+    violations: ClassVar[tuple[Violation, ...]] = ()
+
+
+Form: TypeAlias = MessageForm | ParameterForm | ValueForm | DeleteForm | ChoiceForm
 
 
 def _filling(typed: Pairs | None, violations: Iterable[Violation]) -> Filling:

@@ -10,7 +10,7 @@ from typing import ClassVar, TypeAlias
 
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
 from rosld.ontology.literals import OCTETS, STRINGS
-from rosld.server.html.bounds import browser_pattern, demanded, number_range, option_texts, same_value
+from rosld.server.html.bounds import browser_pattern, demanded, number_range, number_step, option_texts, same_value
 from rosld.server.html.messages import type_name
 from rosld.server.html.view import visible
 from rosld.shapes.value import UNBOUNDED, Bounds
@@ -224,7 +224,7 @@ def _number(kind: Primitive, label: str, path: str, value: Json, bounds: Bounds,
         error=filling.below(path),
         min=least,
         max=greatest,
-        step="any" if kind.name in FLOATS else "1",
+        step=number_step(kind, bounds),
         unit=unit,
     )
 

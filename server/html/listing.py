@@ -44,7 +44,9 @@ def contents(document: Document, site: Site, listing: Listing | None) -> Content
     if not urls and listing is None:
         return None
     columns, cells = (listing.columns, listing.cells) if listing and listing.columns else _columns(document, urls)
-    total = listing.total if listing and listing.total is not None else len(urls)
+    if site.veiled:
+        cells = {url: tuple(_seen(cell, site) for cell in row) for url, row in cells.items() if site.may("GET", url)}
+    total = listing.total if listing and listing.total is not None and not site.veiled else len(urls)
     urls += [url for url in cells if url not in set(urls) and listing is not None and url in listing.cells]
     anchors = {url: _anchor(site, url, document.url) for url in urls}
     containers = {url for url in urls if url.endswith("/") and url.removesuffix("/") not in anchors}
@@ -54,6 +56,11 @@ def contents(document: Document, site: Site, listing: Listing | None) -> Content
         if not url.endswith("/")
     )
     return Contents(columns, members, tuple(anchors[url] for url in urls if url in containers), total)
+
+
+def _seen(cell: Cell, site: Site) -> Cell:
+    """A cell without what the reader may not know of."""
+    return "" if isinstance(cell, NamedNode) and not site.may("GET", cell.value) else cell
 
 
 def _anchor(site: Site, url: str, container: str) -> Anchor:

@@ -9,7 +9,10 @@ from rosld.server.html.page import EntryPage, Page
 RATE = 3
 """At most so many times a second a page is brought up to date."""
 
-_ROOMS = frozenset({"", "resources", "nodes", "topics", "services", "parameters", "mappings", "calls", "data"})
+_ROOMS = frozenset(
+    {"", "resources", "nodes", "topics", "services", "actions", "goals", "parameters", "mappings", "calls", "data"}
+)
+_UNDERWAY = frozenset({ros.Accepted, ros.Executing, ros.Canceling})
 
 
 def is_live(page: Page | EntryPage) -> bool:
@@ -19,4 +22,6 @@ def is_live(page: Page | EntryPage) -> bool:
     room, _, name = page.document.url.removeprefix(page.site.base).partition("/")
     if room == "calls" and name:
         return ros.Running in values_of(page.document, ros.state)
+    if room == "goals" and name:
+        return not _UNDERWAY.isdisjoint(values_of(page.document, ros.status))
     return room in _ROOMS and not any(form.violations for form in getattr(page, "forms", ()))

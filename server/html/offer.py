@@ -145,7 +145,7 @@ def _posted(forms: Iterable[Form], allowed: frozenset[str], csrf: Csrf, site: Si
                 yield Posted(form, "", csrf(""))
             continue
         href = site.href(form.action) if site.local(form.action) else None
-        if href is not None and not site.read_only:
+        if href is not None and not site.read_only and site.may(form.method, form.action):
             yield Posted(form, href, csrf(form.action))
 
 

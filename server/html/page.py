@@ -51,11 +51,13 @@ class Alternate:
     label: str
     media_type: str
     format: str
+    query: str = ""
+    """The query that the page itself has."""
 
     @property
     def href(self) -> str:
         """A reference relative to the page."""
-        return f"?format={self.format}"
+        return f"?{self.query}&format={self.format}" if self.query else f"?format={self.format}"
 
 
 ALTERNATES = (
@@ -102,7 +104,8 @@ class Page:
 
     `title` is a ROS name as a rule, `kind` what it is ("Topic"); `csrf` tells the tokens of its forms. `summary` is one
     sentence for the reader. A page drawn as the answer to a form that did not fit carries that form refilled. With an
-    `offer` the page shows that, and keeps the document's triples folded.
+    `offer` the page shows that, and keeps the document's triples folded. `query` is what the URL ends in where this is
+    one page of several (`page=2`).
     """
 
     site: Site
@@ -118,6 +121,7 @@ class Page:
     summary: str = ""
     alternates: tuple[Alternate, ...] = ALTERNATES
     offer: Offer | None = None
+    query: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -71,6 +71,18 @@ def parse_value(shape: ValueShape, pairs: Iterable[tuple[str, str]]) -> JsonValu
             return parse_parameter(pairs)
 
 
+def parse_choice(name: str, pairs: Iterable[tuple[str, str]]) -> JsonValue:
+    """The plain JSON of what was asked for by a `ChoiceForm`, whether or not it is still on offer."""
+    texts, violations = _by_name(pairs)
+    text = texts.pop(name, None)
+    if text is None:
+        violations.append(Violation(name, "is missing", None))
+    violations += [Violation(other, "is no field of this form", value) for other, value in texts.items()]
+    if violations:
+        raise LoweringError(*violations)
+    return {name: text}
+
+
 def _parse_one(pairs: Iterable[tuple[str, str]], reader: _Reader, unsent: str | None) -> JsonValue:
     """The one value of a form; `unsent` is what a browser means that has sent none."""
     texts, violations = _by_name(pairs)

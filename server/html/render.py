@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from urllib.parse import quote
 
 from jinja2 import DictLoader, Environment, StrictUndefined
+from pyoxigraph import NamedNode
 
-from rosld.ontology.vocab import ldp, ros
+from rosld.ontology.vocab import ldp, ros, td
 from rosld.server.html.breadcrumb import breadcrumb
 from rosld.server.html.carried import carried
-from rosld.server.html.description import Section, describe, first_text
+from rosld.server.html.description import describe, first_text
+from rosld.server.html.endpoints import endpoints
 from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD, Form, ValueForm
 from rosld.server.html.labels import sentence
 from rosld.server.html.listing import contents
@@ -56,7 +58,14 @@ SCRIPT = (_HERE / "live.js").read_bytes()
 """Served at `live.js` below the base: opens the event stream of a page that is live, and shows what comes."""
 _VERSION = hashlib.blake2b(STYLESHEET + ICON + SCRIPT, digest_size=4).hexdigest()
 
-_NOTICED = ((ros.unreachable, "Unreachable"), (ros.unreadable, "Unreadable"), (ros.uncallable, "Cannot be called"))
+_NOTICED = (
+    (ros.unreachable, "Unreachable"),
+    (ros.unreadable, "Unreadable"),
+    (ros.uncallable, "Cannot be called"),
+    (ros.lifecycleUnknown, "Lifecycle not known"),
+)
+_DRAWN = (ldp.contains, ros.endpoint, td.hasActionAffordance, td.hasEventAffordance)
+"""What a page shows as a table or a form, and keeps folded beside that."""
 _LOUDEST_FIRST = (Tone.ERROR, Tone.WARNING, Tone.GOOD, Tone.INFO)
 _STEPS = {"first": "First", "prev": "Previous", "next": "Next", "last": "Last"}
 _FORMATS = (
@@ -110,7 +119,7 @@ class _Frame:
             for name in self.site.sections
         ]
         anchors.append(Anchor(f"{self.site.root}sparql", "SPARQL", f"{self.site.base}sparql"))
-        return tuple((anchor, self.url.startswith(anchor.url)) for anchor in anchors)
+        return tuple((each, self.url.startswith(each.url)) for each in anchors if self.site.may("GET", each.url))
 
 
 @cache
@@ -152,16 +161,18 @@ def render_page(page: Page) -> bytes:
     said of it.
     """
     posted = posted_forms(_fitting(page), page.allow, page.csrf, page.site)
-    sections = describe(page.document, page.site, without=(ldp.contains,) if page.offer is None else ())
     return _render(
         "page.html",
         _frame(page.site, page.title, page.document.url, page.notices + _own_notices(page), is_live(page)),
         page=page,
         forms=[each for each in posted if not (isinstance(page.offer, ComplexView) and each.form.action)],
-        formats=(*page.alternates, *((THING,) if isinstance(page.offer, ComplexView) else ())),
+        formats=[
+            replace(each, query=page.query)
+            for each in (*page.alternates, *((THING,) if isinstance(page.offer, ComplexView) else ()))
+        ],
         steps=[(_STEPS.get(step.rel, step.rel), step.rel, page.site.href(step.url)) for step in page.steps],
-        curl=_curl(page.document.url, "text/turtle"),
-        **_body(page, sections, posted),
+        curl=_curl(page.document.url.partition("?")[0] + (f"?{page.query}" if page.query else ""), "text/turtle"),
+        **_body(page, posted),
     )
 
 
@@ -171,19 +182,30 @@ def _fitting(page: Page) -> Iterator[Form]:
     return (form for form in page.forms if not (locked and isinstance(form, ValueForm)))
 
 
-def _body(page: Page, sections: tuple[Section, ...], posted: tuple[Posted, ...]) -> dict[str, object]:
+def _body(page: Page, posted: tuple[Posted, ...]) -> dict[str, object]:
     """What stands between the heading of a page and its forms."""
+    document, site = page.document, page.site
     if page.offer is not None:
-        offer = draw(page.offer, page.site, posted)
-        return {"offer": offer, "messages": (), "asides": (), "contents": None, "sections": (), "folded": sections}
-    messages = carried(page.document, page.site)
+        return {
+            "offer": draw(page.offer, site, posted),
+            "messages": (),
+            "asides": (),
+            "contents": None,
+            "sections": (),
+            "endpoints": None,
+            "folded": describe(document, site),
+        }
+    messages = carried(document, site)
+    own = {each.predicate for each in document.triples if each.subject == NamedNode(document.url)}
+    left = own.intersection(_DRAWN[1:])
     return {
         "offer": None,
         "messages": [each for each in messages if not each.aside],
         "asides": [each for each in messages if each.aside],
-        "contents": contents(page.document, page.site, page.listing),
-        "sections": sections,
-        "folded": (),
+        "contents": contents(document, site, page.listing),
+        "sections": describe(document, site, without=_DRAWN),
+        "endpoints": endpoints(document, site),
+        "folded": describe(document, site, without=own - left) if left else (),
     }
 
 

@@ -3,17 +3,33 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from urllib.parse import unquote, urlsplit
 
 from rosld.ontology.urls import TYPES, locate
 from rosld.ontology.vocab import PREFIXES, ros
 
-SECTIONS = ("resources", "nodes", "topics", "services", "parameters", "types", "mappings", "data", "queries")
+SECTIONS = (
+    "resources",
+    "nodes",
+    "topics",
+    "services",
+    "actions",
+    "parameters",
+    "types",
+    "mappings",
+    "data",
+    "queries",
+)
 """What the navigation of every page offers, beside SPARQL."""
 
 _NAMED = frozenset({"nodes", "topics", "services", "actions", "parameters", "resources"})
 _UNSAFE = re.compile(r"[\x00-\x20\x7f-\xa0\\\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+
+
+def _anything(method: str, url: str) -> bool:
+    return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +57,16 @@ class Site:
     sections: tuple[str, ...] = SECTIONS
     types: str = TYPES
     vocabulary: str = ros.iri
+    stop_token: str = ""
+    """The token of the form that stops the robot; empty where it cannot be stopped from here."""
+    stopped: str = ""
+    """Who stopped the robot, when and why, in a sentence; empty while it is not stopped."""
+    may: Callable[[str, str], bool] = field(default=_anything, compare=False)
+    """Whether the reader may use a method at a URL."""
+    may_below: Callable[[str, str], bool] = field(default=_anything, compare=False)
+    """The same of a URL and everything below it."""
+    veiled: bool = False
+    """Whether there are things here that the reader may not know of."""
 
     def __post_init__(self) -> None:
         if not self.base.endswith("/") or urlsplit(self.base).scheme not in ("http", "https"):
@@ -64,14 +90,16 @@ class Site:
     def href(self, iri: str) -> str | None:
         """What to put into an `href` for `iri`, None for what must not be a link.
 
-        Only http and https are ever linked. URLs of this server become references without scheme and host (RFC 3986
-        4.2), so that they work under every name the server is reached by.
+        Only http and https are ever linked, and of this server what the reader may read. URLs of this server become
+        references without scheme and host (RFC 3986 4.2), so that they work under every name the server is reached by.
         """
         if _UNSAFE.search(iri) or not iri.lower().startswith(("http://", "https://")):
             return None
         url = self.local(iri)
         if url is None:
             return iri
+        if not self.may("GET", url):
+            return None
         path = self.root + url.removeprefix(self.base)
         return url if path.startswith("//") else path
 

@@ -4,21 +4,39 @@ from __future__ import annotations
 
 import asyncio
 import sys
-from collections.abc import AsyncIterator, Coroutine
+import time
+from collections.abc import AsyncIterator, Coroutine, Mapping
+from typing import Protocol
 
 import anyio
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import ClientDisconnect
 from starlette.types import Receive
 
 from rosld.server.http.problem import Problem
 
 TIMEOUT = 30.0
 """Seconds a client has to send its body."""
+LEAST_BYTES = 1024
+"""Bytes a second that a body must come at on the whole, where it is read as it comes."""
 LINGER_SECONDS = 2.0
 """How long a body that is too large is read on and thrown away, so that its client hears why."""
 
 
-async def read_body(request: Request, *, limit: int, timeout: float = TIMEOUT) -> bytes:
+class Incoming(Protocol):
+    """A request, as far as its body is concerned: Starlette's is one."""
+
+    @property
+    def headers(self) -> Mapping[str, str]:
+        """Its header fields; names are in lower case."""
+        ...
+
+    @property
+    def receive(self) -> Receive:
+        """Gives its body, message by message."""
+        ...
+
+
+async def read_body(request: Incoming, *, limit: int, timeout: float = TIMEOUT) -> bytes:
     """The body of a request, of at most `limit` bytes, sent within `timeout` seconds.
 
     Raises Problems: 413 too large (before reading where Content-Length says so), 415 compressed, 408 too slow, 400 cut
@@ -44,15 +62,21 @@ async def read_body(request: Request, *, limit: int, timeout: float = TIMEOUT) -
     return body
 
 
-async def read_chunks(request: Request, *, limit: int, timeout: float = TIMEOUT) -> AsyncIterator[bytes]:
-    """The body of a request as it comes, each chunk within `timeout` seconds; Problems as `read_body`'s."""
+async def read_chunks(request: Incoming, *, limit: int, timeout: float = TIMEOUT) -> AsyncIterator[bytes]:
+    """The body of a request as it comes, each chunk within `timeout` seconds; Problems as `read_body`'s.
+
+    All of it may take that long and a second more for each `LEAST_BYTES`, so that no trickle goes on for ever.
+    """
     refuse_coding(request.headers.get("content-encoding"))
     declared = declared_length(request.headers.get("content-length"))
     if declared is not None and declared > limit:
         await _let_finish(request)
         raise _too_large(limit)
-    size, more = 0, True
+    size, more, begun = 0, True, time.monotonic()
     while more:
+        if time.monotonic() - begun > timeout + size / LEAST_BYTES:
+            words = f"The body came at less than {LEAST_BYTES} bytes a second, {size} bytes of it."
+            raise Problem(408, words, headers=_CLOSE)
         try:
             with anyio.fail_after(timeout):
                 message = await request.receive()
@@ -138,7 +162,7 @@ async def _within(seconds: float, work: Coroutine[object, object, bytes]) -> byt
         timer.cancel()
 
 
-async def _let_finish(request: Request) -> None:
+async def _let_finish(request: Incoming) -> None:
     """Read on and throw away: a connection closed while its client sends is reset, and the answer with it.
 
     A client that waits for 100 Continue is sent its answer at once.

@@ -3,16 +3,93 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import cast
 
+import uvicorn
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from rosld.server.http import problem
 from rosld.server.http.problem import Problem
 
-HEAD_BYTES = 64 * 1024
-HEAD_SECONDS = 20.0
+_JOINED = 64 * 1024
 LINGER_SECONDS = 2.0
 """How long a client may go on sending after its answer: closing at once would reset it before it has read why."""
+
+
+def _nothing() -> None:
+    pass
+
+
+def _welcome(address: str | None) -> Callable[[], None]:
+    return _nothing
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What a client has before it is cut off: bytes of a head, seconds to send one, seconds to read what it is sent.
+
+    `connect` is asked whether the client at an address may have one more connection. It raises a Problem if not; what
+    it answers is called when the connection ends.
+    """
+
+    head_bytes: int = 64 * 1024
+    head_seconds: float = 20.0
+    read_seconds: float = 60.0
+    connect: Callable[[str | None], Callable[[], None]] = _welcome
+
+
+class Bounded(uvicorn.Config):
+    """uvicorn's configuration with bounds for its connections."""
+
+    bounds = Bounds()
+
+
+class Together:
+    """A transport that sends the head of an answer together with the first of its body: one call of the system less."""
+
+    def __init__(self, transport: asyncio.Transport, loop: asyncio.AbstractEventLoop) -> None:
+        self._transport = transport
+        self._soon = loop.call_soon
+        self._head = b""
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._transport, name)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; a head waits for what is written next, or for the loop's next turn."""
+        if self._head:
+            head, self._head = self._head, b""
+            self._transport.write(head + data if len(data) < _JOINED else head)
+            if len(data) >= _JOINED:
+                self._transport.write(data)
+        elif data.startswith(b"HTTP/1.1 "):
+            self._head = data
+            self._soon(self.flush)
+        else:
+            self._transport.write(data)
+
+    def writelines(self, parts: Iterable[bytes]) -> None:
+        """Send several pieces."""
+        self.flush()
+        self._transport.writelines(parts)
+
+    def write_eof(self) -> None:
+        """Send no more."""
+        self.flush()
+        self._transport.write_eof()
+
+    def close(self) -> None:
+        """Close when all is sent."""
+        self.flush()
+        self._transport.close()
+
+    def flush(self) -> None:
+        """Send a head that still waits."""
+        if self._head:
+            head, self._head = self._head, b""
+            self._transport.write(head)
 
 
 class Connection(HttpToolsProtocol):
@@ -21,16 +98,28 @@ class Connection(HttpToolsProtocol):
     _head_is_open = True
     _head_size = 0
     _impatience: asyncio.TimerHandle | None = None
+    _unread: asyncio.TimerHandle | None = None
+    _let_go: Callable[[], None] = staticmethod(_nothing)
     _is_over = False
+
+    @property
+    def _bounds(self) -> Bounds:
+        return self.config.bounds if isinstance(self.config, Bounded) else Bounded.bounds
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """A client connected, and has a while to say what it wants."""
-        super().connection_made(transport)
-        self._impatience = self.loop.call_later(HEAD_SECONDS, self._too_slow)
+        super().connection_made(cast("asyncio.Transport", Together(transport, self.loop)))
+        self._impatience = self.loop.call_later(self._bounds.head_seconds, self._too_slow)
+        try:
+            self._let_go = self._bounds.connect(self.client[0] if self.client else None)
+        except Problem as problem:
+            self._end(problem)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """The client has gone."""
         self._be_patient()
+        self.resume_writing()
+        self._leave()
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
@@ -42,15 +131,17 @@ class Connection(HttpToolsProtocol):
         super().data_received(data)
         if self._is_over or not self._head_is_open or not self._head_size or self.transport.is_closing():
             return
-        if self._head_size > HEAD_BYTES:
-            self._end(Problem(431, f"The request line and the headers are larger than {HEAD_BYTES} bytes."))
+        most = self._bounds.head_bytes
+        if self._head_size > most:
+            self._end(Problem(431, f"The request line and the headers are larger than {most} bytes."))
         elif self._impatience is None:
-            self._impatience = self.loop.call_later(HEAD_SECONDS, self._too_slow)
+            self._impatience = self.loop.call_later(self._bounds.head_seconds, self._too_slow)
 
     def on_headers_complete(self) -> None:
-        """The head of a request is there."""
+        """The head of a request is there. Its scope has the transport, for who must know when the client is silent."""
         self._head_is_open, self._head_size = False, 0
         self._be_patient()
+        self.scope["rosld.transport"] = self.transport  # type: ignore[typeddict-unknown-key]
         super().on_headers_complete()
 
     def on_message_complete(self) -> None:
@@ -64,7 +155,34 @@ class Connection(HttpToolsProtocol):
 
     def _too_slow(self) -> None:
         self._impatience = None
-        self._end(Problem(408, f"No whole request came within {HEAD_SECONDS:g} s."))
+        self._end(Problem(408, f"No whole request came within {self._bounds.head_seconds:g} s."))
+
+    def pause_writing(self) -> None:
+        """The client reads more slowly than it is sent to: for a while it may."""
+        super().pause_writing()
+        if self._unread is None:
+            self._unread = self.loop.call_later(self._bounds.read_seconds, self._give_up)
+
+    def resume_writing(self) -> None:
+        """The client has read what was sent, or nearly."""
+        super().resume_writing()
+        if self._unread is not None:
+            self._unread.cancel()
+            self._unread = None
+
+    def _give_up(self) -> None:
+        """Nothing can be told to a client that reads nothing."""
+        self._unread = None
+        self.transport.abort()
+
+    def handle_websocket_upgrade(self) -> None:
+        """The connection is a WebSocket's from now on."""
+        self._leave()
+        super().handle_websocket_upgrade()
+
+    def _leave(self) -> None:
+        let_go, self._let_go = self._let_go, _nothing
+        let_go()
 
     def _be_patient(self) -> None:
         if self._impatience is not None:

@@ -20,9 +20,10 @@ _OWN_FETCH_SITES = (None, "same-origin", "none")
 _METHODS = "GET, HEAD, OPTIONS, PUT, POST, PATCH, DELETE"
 _READS = "GET, HEAD, OPTIONS"
 _REQUEST_HEADERS = "Accept, Content-Type, If-Match, If-None-Match, Prefer, Link, Slug, Idempotency-Key, Last-Event-ID"
+_NAMED_HEADERS = f"{_REQUEST_HEADERS}, Authorization"
 _EXPOSED = (
     "ETag, Link, Location, Content-Location, Allow, Accept-Post, Accept-Patch, Accept-Put, Age, Retry-After, "
-    "Preference-Applied"
+    "Preference-Applied, WAC-Allow, WWW-Authenticate"
 )
 ANYBODY = "*"
 """`--cors-origin '*'` shares reads with every page; writes stay with the origins that are named."""
@@ -52,7 +53,7 @@ def site(base: str, bound_host: str, bound_port: int, shared: Iterable[str] = ()
     if is_loopback(bound_host):
         local = {normal_authority(f"{name}:{bound_port}", "http") for name in _LOOPBACK_NAMES}
         hosts |= local
-        origins |= {f"http://{name}" for name in local}
+        origins |= {f"{each}://{name}" for name in local for each in ("http", scheme)}
     named = frozenset(map(normal_origin, shared))
     return Site(base, frozenset(hosts), frozenset(origins), named - {ANYBODY}, ANYBODY in named)
 
@@ -130,7 +131,7 @@ def sharing(site: Site, method: str, origin: str | None, *, preflight: bool = Fa
     if preflight:
         return headers | {
             "access-control-allow-methods": _METHODS if named else _READS,
-            "access-control-allow-headers": _REQUEST_HEADERS,
+            "access-control-allow-headers": _NAMED_HEADERS if named else _REQUEST_HEADERS,
             "access-control-max-age": "600",
         }
     return headers | {"access-control-expose-headers": _EXPOSED}

@@ -40,11 +40,6 @@ class Preferences:
         return self.value("return") == "representation"
 
     @property
-    def respond_async(self) -> bool:
-        """respond-async (RFC 7240 4.1)."""
-        return "respond-async" in self.named
-
-    @property
     def wait(self) -> int | None:
         """wait=SECONDS (RFC 7240 4.3); None where it is missing or no whole number."""
         value = self.value("wait") or ""

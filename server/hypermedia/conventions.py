@@ -11,14 +11,15 @@ or a setter stays what it is: an action under its own name.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import translate
 from functools import lru_cache
 from types import MappingProxyType
 from typing import TypeAlias, TypeVar
 
-from rosld.adapters.model import Graph, MessageSchema, Schema, ServiceSchema, TypeRef
+from rosld.adapters.model import Graph, MessageSchema, Parameter, Schema, ServiceSchema, Topic, TypeRef
+from rosld.adapters.model.names import action_of
 from rosld.ontology.namespaces import members_of
 from rosld.server.hypermedia.catalogue import (
     Action,
@@ -40,6 +41,7 @@ SchemaOf: TypeAlias = Callable[[TypeRef], "Schema | None"]
 _S = TypeVar("_S", Getter, Setter)
 
 _PLACE = re.compile(r"\{([nN]ame)\}")
+_OF_ROS_2 = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +121,12 @@ CONVENTIONS = Conventions(
 """What is shipped: how getters and setters are called in the wild, and the services that ROS gives every node."""
 
 
+def _every_node_has(parameter: Parameter) -> bool:
+    """Whether a parameter is one that ROS 2 gives its nodes."""
+    owner = parameter.node
+    return owner is not None and _OF_ROS_2.fullmatch(parameter.name.removeprefix(f"{owner}/")) is not None
+
+
 @lru_cache(maxsize=16)
 def _any_of(globs: tuple[str, ...]) -> re.Pattern[str]:
     return re.compile("|".join(map(translate, globs)) or r"(?!)")
@@ -156,7 +164,7 @@ def _decapitalized(name: str) -> str:
 
 def needed_types(graph: Graph, conventions: Conventions = CONVENTIONS) -> tuple[TypeRef, ...]:
     """The types whose schemas `catalogue` would know of this graph, each once."""
-    topics = (ref for topic in graph.topics.values() for ref in topic.types)
+    topics = (ref for topic in _topics(graph) for ref in topic.types)
     services = (service.type for service in graph.services.values() if not conventions.excludes(service.name))
     return tuple(dict.fromkeys((*topics, *(ref for ref in services if ref is not None))))
 
@@ -168,13 +176,11 @@ def catalogue(graph: Graph, schema_of: SchemaOf, conventions: Conventions = CONV
     all others are actions; and so with setters.
     """
     services = _services(graph, schema_of, conventions)
-    topics = {
-        topic.name: TopicSource(topic.name, _message_schema(topic.type, schema_of)) for topic in graph.topics.values()
-    }
+    topics = {topic.name: TopicSource(topic.name, _message_schema(topic.type, schema_of)) for topic in _topics(graph)}
     parameters = {
         parameter.name: ParameterSource(parameter.name)
         for parameter in graph.parameters.values()
-        if parameter.node is None
+        if not _every_node_has(parameter)
     }
     getters = _by_property(services, conventions.getters, _getter)
     setters = _by_property(services, conventions.setters, _setter)
@@ -197,6 +203,11 @@ def catalogue(graph: Graph, schema_of: SchemaOf, conventions: Conventions = CONV
         MappingProxyType(by_service),
         MappingProxyType({name: name for name in parameters}),
     )
+
+
+def _topics(graph: Graph) -> Iterator[Topic]:
+    """The topics that are in resources: all but those that ROS 2 makes an action of."""
+    return (topic for topic in graph.topics.values() if action_of(topic.name) is None)
 
 
 def _services(graph: Graph, schema_of: SchemaOf, conventions: Conventions) -> Mapping[str, ServiceSchema | None]:

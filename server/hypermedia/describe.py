@@ -228,6 +228,7 @@ def _property_affordance(one: PropertyAffordance, document: NamedNode, node: str
         (rdf.type, td.PropertyAffordance),
         (td.name, text(one.name)),
         (dcterms.title, text(one.title)),
+        (dcterms.description, text(one.description)),
         (mapping.predicate, one.predicate),
         (td.isObservable, boolean(observable)),
         (qudt.hasUnit, measure.unit),

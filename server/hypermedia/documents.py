@@ -18,14 +18,21 @@ from typing import TypeAlias, TypeVar
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rdflib.namespace import SH
 
-from rosld.ontology.body import RdfBody, Term, parse_body
+from rosld.ontology.body import BodyError, RdfBody, Term, parse_body, parse_json
 from rosld.ontology.syntax import Syntax
 from rosld.ontology.turtle import shortened
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.violations import shortened as brief
 from rosld.ontology.vocab import mapping, rdf, rdfs, sh
-from rosld.server.hypermedia.mapping import ComplexResource, Condition, MappedAction, MappedLink, MappedProperty
+from rosld.server.hypermedia.mapping import (
+    ComplexResource,
+    Condition,
+    MappedAction,
+    MappedLink,
+    MappedProperty,
+    MappedStop,
+)
 from rosld.shapes.constraints import compiled
 from rosld.shapes.mapping import misfits
 from rosld.shapes.reading import ShapesGraph
@@ -41,7 +48,7 @@ _MOST_VIOLATIONS = 20
 _LONGEST_READING = 5.0
 """Seconds that the conditions of a document may take to be read."""
 _WHEN = (mapping.writableWhen, mapping.availableWhen, mapping.existsWhen)
-_TELLING = (mapping.name, mapping.member, mapping.service, mapping.target)
+_TELLING = (mapping.name, mapping.member, mapping.service, mapping.target, mapping.call, mapping.publish)
 _TERMS = frozenset(mapping.terms().values())
 _NEUTRAL = frozenset(
     NamedNode(sh.iri + name)
@@ -66,17 +73,17 @@ class MappingRefused(LoweringError):
     """A document that is no mapping, or none that can be in force beside the others."""
 
 
-def read_mapping(data: bytes, media_type: str, url: str) -> MappingDocument:
-    """The mapping that `data` describes, its relative IRIs resolved against `url`.
+def read_mapping(data: bytes, media_type: str, url: str, *, judged: bool = False) -> MappingDocument:
+    """The mapping that `data` describes, its relative IRIs resolved against `url`; `judged` as in `mapping_of`.
 
     Raises BodyError for what cannot be parsed, MappingRefused for what is no mapping, ValueError for a media type that
     is no RDF syntax. Takes seconds for the largest documents: call it off the loop.
     """
-    return mapping_of(parse_body(data, media_type, url), url)
+    return mapping_of(parse_body(data, media_type, url), url, judged=judged)
 
 
-def load_mapping(path: Path, space: Space, name: str | None = None) -> MappingDocument:
-    """The mapping in a file, by its `name` (the file's by default) under `/mappings/`.
+def load_mapping(path: Path, space: Space, name: str | None = None, *, judged: bool = False) -> MappingDocument:
+    """The mapping in a file, by its `name` (the file's by default) under `/mappings/`; `judged` as in `mapping_of`.
 
     Raises OSError where there is no such file, and ValueError for one that is no mapping: each with the file's name.
     """
@@ -85,13 +92,18 @@ def load_mapping(path: Path, space: Space, name: str | None = None) -> MappingDo
         known = ", ".join(f".{each.extension}" for each in Syntax)
         raise ValueError(f"{path} is no mapping that can be read: its name must end in {known}.")
     try:
-        return read_mapping(path.read_bytes(), syntax.media_type, space.url("mappings", (name or path.stem,)))
+        return read_mapping(
+            path.read_bytes(), syntax.media_type, space.url("mappings", (name or path.stem,)), judged=judged
+        )
     except ValueError as error:
         raise ValueError(f"{path} is no mapping: {error}") from error
 
 
-def mapping_of(body: RdfBody, url: str) -> MappingDocument:
-    """The mapping that the triples of a body describe. Raises MappingRefused."""
+def mapping_of(body: RdfBody, url: str, *, judged: bool = False) -> MappingDocument:
+    """The mapping that the triples of a body describe. Raises MappingRefused.
+
+    Where it was `judged` by the shape of mappings before, it is not judged by it again: that takes its time.
+    """
     triples = tuple(_triples(body))
     if len(triples) > MOST_TRIPLES:
         raise MappingRefused(
@@ -100,6 +112,8 @@ def mapping_of(body: RdfBody, url: str) -> MappingDocument:
     if strange := next((each for each in triples if Triple in (type(each.subject), type(each.object))), None):
         raise MappingRefused(Violation("", "a mapping has no triple terms", brief(strange)))
     reader = _Reader(url, _conditions_named(triples, url))
+    if not judged:
+        reader.judge()
     return MappingDocument(url, triples, reader.resources())
 
 
@@ -135,11 +149,14 @@ class _Reader:
         self.found: dict[Violation, None] = {}
         self.conditions: dict[Term, Condition] = {}
 
-    def resources(self) -> tuple[ComplexResource, ...]:
-        """The complex resources by path. Raises MappingRefused."""
+    def judge(self) -> None:
+        """Judge the document by the shape of mappings. Raises MappingRefused."""
         for misfit in misfits(self.triples):
             self.wrong(misfit.focus, misfit.message, misfit.value, misfit.predicate, misfit.component)
         self.refuse()
+
+    def resources(self) -> tuple[ComplexResource, ...]:
+        """The complex resources by path. Raises MappingRefused."""
         self.check_terms()
         self.check_demands()
         self.refuse()
@@ -163,6 +180,7 @@ class _Reader:
         properties = [self.property(each, path) for each in self.objects(node, mapping.property)]
         actions = [self.action(each, path) for each in self.objects(node, mapping.action)]
         links = [self.link(each) for each in self.objects(node, mapping.link)]
+        stops = [self.stop(each, path) for each in self.objects(node, mapping.stop)]
         found = ComplexResource(
             node.value,
             path,
@@ -171,6 +189,9 @@ class _Reader:
             tuple(sorted(links, key=lambda one: (one.relation.value, one.target))),
             self.when(node, mapping.existsWhen),
             self.title(node),
+            tuple(
+                sorted(stops, key=lambda one: (one.service is None, one.service or "", one.topic or "", one.content))
+            ),
         )
         self.check_names(found)
         return found
@@ -206,6 +227,20 @@ class _Reader:
             self.text(node, mapping.target),
             self.when(node, mapping.availableWhen),
         )
+
+    def stop(self, node: Term, path: str) -> MappedStop:
+        """One thing that stops the robot; the names in it are made full ones."""
+        service, topic = self.text(node, mapping.call), self.text(node, mapping.publish)
+        if bool(service) == bool(topic):
+            self.wrong(node, "a map:stop either calls (map:call) or publishes (map:publish): say one of the two")
+        content = self.text(node, mapping.content) or "{}"
+        try:
+            is_object = isinstance(parse_json(content.encode("utf-8", "replace")), dict)
+        except BodyError:
+            is_object = False
+        if not is_object:
+            self.wrong(node, "map:content is the JSON of a message: an object, such as {}", content, mapping.content)
+        return MappedStop(_full(service, path) if service else None, _full(topic, path) if topic else None, content)
 
     def when(self, node: Term, predicate: NamedNode) -> tuple[Condition, ...]:
         """The conditions that a node names."""

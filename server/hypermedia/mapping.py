@@ -63,6 +63,18 @@ class MappedLink:
 
 
 @dataclass(frozen=True, slots=True)
+class MappedStop:
+    """What stops the robot: a `service` to call, or a `topic` to publish on, and the JSON of what it is told.
+
+    What the JSON leaves out is ROS's default.
+    """
+
+    service: str | None = None
+    topic: str | None = None
+    content: str = "{}"
+
+
+@dataclass(frozen=True, slots=True)
 class ComplexResource:
     """A complex resource as a mapping has it: what it lists is what there is at `path`."""
 
@@ -73,6 +85,7 @@ class ComplexResource:
     links: tuple[MappedLink, ...] = ()
     exists_when: tuple[Condition, ...] = ()
     title: str | None = None
+    stops: tuple[MappedStop, ...] = ()
 
     def conditions(self) -> Iterator[Condition]:
         """Every condition of it, of its properties, actions and links."""

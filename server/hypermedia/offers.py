@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rosld.adapters.base import Watch
-from rosld.adapters.model import Graph, Kind, Operation, Ref, RosError, Schema, TypeRef
+from rosld.adapters.model import Descriptor, Graph, Kind, Operation, Ref, RosError, Schema, TypeRef
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import in_words
 from rosld.server.events.watches import Signal, every, together
@@ -24,7 +24,7 @@ from rosld.server.hypermedia.conditions import Verdicts, url_of
 from rosld.server.hypermedia.conventions import CONVENTIONS, Conventions, catalogue, needed_types
 from rosld.server.hypermedia.layout import ActionPlan, ComplexPlan, Layout, MemberPlan, PropertyPlan
 from rosld.server.hypermedia.mapping import Arrangement, Condition
-from rosld.server.hypermedia.shape import field_shape, value_shape
+from rosld.server.hypermedia.shape import as_declared, field_shape, value_shape
 from rosld.server.hypermedia.value import Reading
 from rosld.server.hypermedia.views import (
     ActionAffordance,
@@ -76,6 +76,11 @@ class Offers:
         if kept is None or kept[0] is not robot.graph or kept[2] is not robot.mappings.arrangement:
             return None
         return kept[3] if kept[1] == robot.schemas.count else None
+
+    @property
+    def latest(self) -> Layout | None:
+        """The layout that was made last, which may be of before a change."""
+        return None if self._kept is None else self._kept[3]
 
     async def layout(self) -> Layout:
         """The layout of now; the types of services that are new are learnt before."""
@@ -233,6 +238,9 @@ class Offers:
         url = url_of(plan.at or own.name, robot.space)
         measure = mapped.measure if mapped else NO_MEASURE
         shape = value_shape(own.kind, robot.limits, url, measure)
+        declared = self._declared(own)
+        if declared is not None:
+            shape = as_declared(shape, declared)
         if plan.field is not None:
             shape = field_shape(shape, plan.field, robot.limits.bounds_of_resource(url), measure)
         return PropertyAffordance(
@@ -243,7 +251,14 @@ class Offers:
             read=plan.at is not None and bool(own.readers),
             write=plan.at is not None and write and self.is_writable(own),
             observe=plan.at is not None and is_observable(own),
+            description=None if declared is None else declared.description or None,
         )
+
+    def _declared(self, own: Property) -> Descriptor | None:
+        """What its node declares of the parameter that a property is written by before anything else."""
+        first = own.writers[0] if own.writers else None
+        parameter = self._robot.graph.parameters.get(first.name) if isinstance(first, ParameterSource) else None
+        return None if parameter is None else parameter.descriptor
 
     def action_affordance(self, plan: ActionPlan) -> ActionAffordance:
         """An action as it can be used."""

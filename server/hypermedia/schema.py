@@ -48,6 +48,8 @@ def value_schema(shape: ValueShape, lifting: LiftSettings = _SETTINGS) -> DataSc
     if isinstance(shape, MessageShape):
         fields = [field for field in shape.schema.type.fields if field.name in shape.fields]
         return _Schemas(shape.schema, shape.bounds, lifting).fields(fields)
+    if isinstance(shape, ScalarShape) and shape.is_parameter:
+        return _stored(shape) | _unit(shape.measure)
     return _scalar(shape.kind if isinstance(shape, ScalarShape) else None, shape.bounds) | _unit(shape.measure)
 
 
@@ -143,6 +145,16 @@ def _scalar(kind: Primitive | None, bounds: Bounds) -> DataSchema:
     if kind.name in RANGES:
         return _integer(kind, limits)
     return {"type": "number", **limits} if limits else {"oneOf": [{"type": "number"}, _SPECIALS]}
+
+
+def _stored(shape: ScalarShape) -> DataSchema:
+    """The scalar of a parameter, whose numbers are JSON's."""
+    name, limits, step = shape.kind.name, _limits(shape.bounds), _number(shape.bounds.step)
+    if shape.bounds.choices or not (name in RANGES or name.startswith("float")):
+        return _scalar(shape.kind, shape.bounds)
+    ends = (limits.get("minimum"), limits.get("maximum"))
+    even = isinstance(step, int) and all(isinstance(each, int) and each % step == 0 for each in ends)
+    return {"type": "integer" if name in RANGES else "number", **limits, **_given(multipleOf=step if even else None)}
 
 
 def _type(kind: Primitive | None) -> DataSchema:

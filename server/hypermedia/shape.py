@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rosld.adapters.model import Array, MessageSchema, Nested, Primitive
+from rosld.adapters.model import Array, Descriptor, MessageSchema, Nested, Primitive
 from rosld.server.hypermedia.catalogue import MessageKind, ScalarKind, ValueKind
 from rosld.shapes.bounds import narrowed
+from rosld.shapes.parameter import declared_shape
 from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
 
 if TYPE_CHECKING:
@@ -24,6 +26,15 @@ def value_shape(kind: ValueKind, limits: Limits, url: str, measure: Measure) -> 
             return MessageShape(kind.schema, names, limits.bounds_of_message(kind.schema))
         case _:
             return OpenShape(bounds, measure)
+
+
+def as_declared(shape: ValueShape, descriptor: Descriptor) -> ValueShape:
+    """The shape of a value that is a parameter's, with what the node declares of that."""
+    if isinstance(shape, MessageShape):
+        return shape
+    declared = declared_shape(descriptor, shape.measure)
+    bounds = narrowed(shape.bounds, declared.bounds)
+    return replace(declared if isinstance(shape, OpenShape) else shape, bounds=bounds)
 
 
 def field_shape(shape: ValueShape, path: str, bounds: Bounds, measure: Measure) -> ValueShape:

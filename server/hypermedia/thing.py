@@ -33,6 +33,9 @@ _CONTEXT = (
 _SECURITY: Members = {"nosec_sc": {"scheme": "nosec"}}
 """The security schemes by name; each of them must be met (WoT TD 1.1, 5.3.3)."""
 
+STOP = "stopRobot"
+"""What the action that stops the whole robot is called in every Thing Description."""
+
 _SETTINGS = LiftSettings()
 
 
@@ -54,12 +57,13 @@ def thing_description(
     links: Sequence[ThingLink] = (),
     description: str | None = None,
     whole: bool = False,
+    stop: str | None = None,
     lifting: LiftSettings = _SETTINGS,
 ) -> bytes:
     """The Thing Description of what is at `url`, in JSON-LD; its affordances go by their names.
 
-    `whole`: GET of `url` reads all these properties at once. An affordance that has no form, because nothing can ever
-    be done with it, is left out.
+    `whole`: GET of `url` reads all these properties at once. `stop` is the URL at which the whole robot is stopped. An
+    affordance that has no form, because nothing can ever be done with it, is left out.
     """
     thing: Members = {
         "@context": _CONTEXT,
@@ -69,7 +73,10 @@ def thing_description(
         "securityDefinitions": _SECURITY,
         "security": list(_SECURITY),
         "properties": {one.name: _property(one, lifting) for one in properties if one.read or one.write},
-        "actions": {one.name: _action(one, lifting) for one in actions if one.request is not None},
+        "actions": {
+            **{one.name: _action(one, lifting) for one in actions if one.request is not None},
+            **({} if stop is None else {STOP: _stop(stop)}),
+        },
         "links": [_link(link) for link in links],
     }
     if whole:
@@ -90,7 +97,7 @@ def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment
     measure = one.shape.measure if isinstance(one.shape, ScalarShape | OpenShape) else NO_MEASURE
     return _fragment(
         {
-            **_given(title=one.title),
+            **_given(title=one.title, description=one.description),
             **value_schema(one.shape, lifting),
             "readOnly": not one.write,
             "writeOnly": not one.read,
@@ -117,6 +124,27 @@ def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
             "synchronous": True,
             **_led_to("map:relation", one.relation),
             "forms": [_form(one.url, "invokeaction", "POST")],
+        }
+    )
+
+
+@lru_cache(maxsize=4)
+def _stop(url: str) -> orjson.Fragment:
+    """The action that stops the whole robot: invoked to stop, queried for how that stands, canceled to release."""
+    reason = {"type": "object", "properties": {"reason": {"type": "string", "maxLength": 500}}}
+    return _fragment(
+        {
+            "title": "Stop the whole robot",
+            "input": reason,
+            "output": {"type": "object"},
+            "safe": False,
+            "idempotent": True,
+            "synchronous": True,
+            "forms": [
+                _form(url, "invokeaction", "POST"),
+                _form(url, "queryaction", "GET"),
+                _form(url, "cancelaction", "DELETE"),
+            ],
         }
     )
 

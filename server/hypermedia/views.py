@@ -31,6 +31,7 @@ class PropertyAffordance:
     write: bool = False
     observe: bool = False
     title: str | None = None
+    description: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

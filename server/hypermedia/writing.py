@@ -48,7 +48,7 @@ from rosld.server.hypermedia.value import (
     scalar_field,
 )
 from rosld.server.publication import Publication, publish
-from rosld.server.writable import refusal
+from rosld.server.writable import kept, refusal
 
 if TYPE_CHECKING:
     from rosld.server.robot import Robot
@@ -117,6 +117,8 @@ def _setter_refusal(robot: Robot, name: str) -> str | None:
 def _parameter_refusal(robot: Robot, name: str) -> str | None:
     if name not in robot.graph.parameters:
         return f"There is no parameter {name} any more."
+    if (words := kept(robot.graph, name)) is not None:
+        return words
     if Operation.SET_PARAMETER in robot.adapter.allows(Ref(Kind.PARAMETER, name)):
         return None
     return f"The parameter {name} of this {robot.adapter.capabilities.system} cannot be set."

@@ -2,27 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from functools import cached_property, lru_cache
 from types import MappingProxyType
 from urllib.parse import parse_qsl
 
 from starlette.requests import Request
+from starlette.types import Receive, Scope
 
+from rosld.server.access.agent import Agent
+from rosld.server.access.door import OPEN
+from rosld.server.access.gate import Judged
+from rosld.server.access.judge import Judge
+from rosld.server.clients import Client
 from rosld.server.http import media, prefer
-from rosld.server.http.body import read_body, read_chunks
+from rosld.server.http.body import TIMEOUT, read_body, read_chunks
 from rosld.server.http.problem import Problem
+from rosld.server.ldp.account import Account
 
 
 class Exchange:
     """A request: `method` (after a form said which), `query` (the first value of each name), headers, body."""
 
-    def __init__(self, request: Request, body_limit: int) -> None:
+    def __init__(self, request: Request, body_limit: int, body_seconds: float = TIMEOUT) -> None:
         self.request = request
         self.method = request.method
+        self.headers = _fields(request.scope["headers"])
+        """The header fields by lower-case name; several of one name are joined by commas (RFC 9110 5.3)."""
         self._body_limit = body_limit
+        self._body_seconds = body_seconds
         self._body: bytes | None = None
         self.typed: Sequence[tuple[str, str]] = ()
+        self.visit = OPEN
+        """Who asks, and what they may do."""
+        self.client: Client | None = None
+        """Whose limits it counts against, once it was let pass."""
+        self.account = Account()
+        """What it tells of its write, for its receipt."""
+        self.answering: Judged | None = None
+        """The resource that answers, once it is known."""
+
+    @property
+    def agent(self) -> Agent:
+        """Who asks."""
+        return self.visit.judge.agent
+
+    @property
+    def judge(self) -> Judge:
+        """What who asks may do."""
+        return self.visit.judge
 
     @cached_property
     def query(self) -> Mapping[str, str]:
@@ -30,18 +58,9 @@ class Exchange:
         raw = self.request.scope["query_string"]
         return _remembered(raw) if len(raw) <= 4096 else _query(raw)
 
-    @cached_property
-    def _headers(self) -> Mapping[str, str]:
-        """The header fields by lower-case name; several of one name are joined by commas (RFC 9110 5.3)."""
-        found: dict[str, str] = {}
-        for raw_name, raw_value in self.request.scope["headers"]:
-            name, value = raw_name.decode("latin-1"), raw_value.decode("latin-1")
-            found[name] = f"{found[name]}, {value}" if name in found else value
-        return found
-
     def header(self, name: str) -> str | None:
         """The value of a header field, None where it is missing; `name` is in lower case."""
-        return self._headers.get(name)
+        return self.headers.get(name)
 
     @property
     def hosts(self) -> Sequence[str]:
@@ -49,16 +68,21 @@ class Exchange:
         return [value.decode("latin-1") for name, value in self.request.scope["headers"] if name == b"host"]
 
     @property
+    def receive(self) -> Receive:
+        """Gives the body, message by message."""
+        return self.request.receive
+
+    @property
     def accept(self) -> str | None:
         """The Accept field."""
-        return self._headers.get("accept")
+        return self.headers.get("accept")
 
-    @cached_property
+    @property
     def prefer(self) -> prefer.Preferences:
         """The request's preferences (RFC 7240)."""
         return prefer.parse(self.header("prefer"))
 
-    @cached_property
+    @property
     def media_type(self) -> str:
         """The media type of a body that is to be read, without parameters.
 
@@ -74,9 +98,10 @@ class Exchange:
     @property
     def essence(self) -> str | None:
         """The media type of the body without parameters, whatever its charset; None where it states none."""
-        return None if self._content_type is None else self._content_type.essence
+        found = self._content_type
+        return None if found is None else found.essence
 
-    @cached_property
+    @property
     def _content_type(self) -> media.MediaType | None:
         stated = self.header("content-type")
         try:
@@ -87,18 +112,30 @@ class Exchange:
     def become(self, method: str, media_type: str, body: bytes) -> None:
         """Turn into the request that a form meant."""
         self.method = method
-        self.media_type = media_type
+        self.headers = {**self.headers, "content-type": media_type}
         self._body = body
+
+    def readdress(self, scope: Scope) -> None:
+        """Turn into the same request to another URL of this server, which `scope` has."""
+        self.request = Request(scope, self.request.receive)
+        self.__dict__.pop("query", None)
 
     async def body(self) -> bytes:
         """The whole body; raises Problems for one that is too large (413), compressed (415) or cut off (400)."""
         if self._body is None:
-            self._body = await read_body(self.request, limit=self._body_limit)
+            self._body = await read_body(self, limit=self._body_limit, timeout=self._body_seconds)
         return self._body
 
-    def chunks(self, *, limit: int) -> AsyncIterator[bytes]:
+    @property
+    def received(self) -> bytes | None:
+        """The body as far as it was asked for and read whole: what a form meant, where it was one."""
+        return self._body
+
+    async def chunks(self, *, limit: int) -> AsyncIterator[bytes]:
         """The body as it comes, for a write that streams; raises the Problems of `body`."""
-        return read_chunks(self.request, limit=limit)
+        async for chunk in read_chunks(self, limit=limit, timeout=self._body_seconds):
+            self.account.passes(chunk)
+            yield chunk
 
     def flag(self, name: str) -> bool:
         """Whether `?name=true` is asked for; raises a 400 Problem for anything but true and false."""
@@ -108,6 +145,14 @@ class Exchange:
         if value not in ("true", "false", ""):
             raise Problem(400, f"?{name}={value} is neither true nor false.")
         return value != "false"
+
+
+def _fields(raw: Iterable[tuple[bytes, bytes]]) -> Mapping[str, str]:
+    found: dict[str, str] = {}
+    for raw_name, raw_value in raw:
+        name, value = raw_name.decode("latin-1"), raw_value.decode("latin-1")
+        found[name] = f"{found[name]}, {value}" if name in found else value
+    return found
 
 
 def _query(raw: bytes) -> Mapping[str, str]:

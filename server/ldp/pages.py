@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from datetime import datetime, timezone
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlsplit
@@ -12,9 +12,11 @@ from starlette.responses import Response
 
 from rosld.adapters.model import Stale
 from rosld.ontology.lower import LoweringError
+from rosld.ontology.urls import Space
 from rosld.server import html
+from rosld.server.access.judge import EVERYTHING, Judge
 from rosld.server.errors import problem_of_body
-from rosld.server.html import Csrf, DeleteForm, Form, Notice, ParameterForm, ProblemPage, Site, ValueForm
+from rosld.server.html import ChoiceForm, Csrf, DeleteForm, Form, Notice, ParameterForm, ProblemPage, Site, ValueForm
 from rosld.server.html.page import Tone
 from rosld.server.html.site import SECTIONS
 from rosld.server.http import negotiation
@@ -40,9 +42,18 @@ class Pages:
         self._robot = robot
 
     @property
+    def space(self) -> Space:
+        """The URLs of this server."""
+        return self._robot.space
+
+    @property
     def site(self) -> Site:
         """What every page says of this server."""
-        robot = self._robot
+        return self.site_for(EVERYTHING)
+
+    def site_for(self, judge: Judge) -> Site:
+        """The same, for one who may do this much."""
+        robot, standstill = self._robot, self._robot.stops.standstill
         state = robot.graph.state
         stale = f"since {_moment(state.since_ns)}: {state.why}" if isinstance(state, Stale) else None
         return Site(
@@ -53,17 +64,37 @@ class Pages:
             robot.settings.read_only,
             (*SECTIONS, "bags") if robot.adapter.recordings else SECTIONS,
             robot.space.types,
+            stop_token=self._stop_token(judge),
+            stopped="" if standstill is None or not judge.may_read(robot.space.stop) else standstill.words,
+            may=judge.may,
+            may_below=lambda method, url: (place := judge.place(url)) is None or judge.may_below(method, place),
+            veiled=not judge.whole,
         )
 
-    async def page(self, resource: Resource, state: State, notices: Sequence[Notice] = ()) -> bytes:
-        """The page of a resource as it is."""
-        return resource.page(self.site, state, await resource.forms(), self._csrf(resource), notices)
+    def _stop_token(self, judge: Judge) -> str:
+        """The token of the form that stops the robot, empty where it is not for this reader to stop."""
+        robot = self._robot
+        usable = robot.stops.is_usable and judge.may("POST", robot.space.stop)
+        return robot.forms.token(_of_agent(robot.space.stop, judge)) if usable else ""
+
+    @property
+    def edition(self) -> Hashable:
+        """Changes whenever what every page says does: who keeps a page keeps it for one edition."""
+        return self._robot.stops.standstill
+
+    async def page(
+        self, resource: Resource, state: State, notices: Sequence[Notice] = (), judge: Judge = EVERYTHING
+    ) -> bytes:
+        """The page of a resource as it is, for one who may do this much."""
+        return resource.page(self.site_for(judge), state, await resource.forms(), self._csrf(resource, judge), notices)
 
     def problem(self, exchange: Exchange, problem: Problem, url: str) -> Response | None:
         """A problem with the resource at `url` as a page, for those who prefer one; None for all others."""
         if negotiation.choose(exchange.accept, _PROBLEM_OFFERS) != "text/html":
             return None
-        page = ProblemPage(self.site, problem.status, problem.title, problem.detail, url, problem.violations)
+        page = ProblemPage(
+            self.site_for(exchange.judge), problem.status, problem.title, problem.detail, url, problem.violations
+        )
         headers = {**problem.headers, **self.headers, "Vary": "Accept", "Cache-Control": "no-store"}
         return Response(html.render_problem(page), problem.status, headers, "text/html; charset=utf-8")
 
@@ -74,7 +105,7 @@ class Pages:
         """
         pairs = await self._pairs(exchange)
         token, method, typed = html.split_hidden(pairs)
-        self._robot.forms.require(token, resource.url)
+        self._robot.forms.require(token, _of_agent(resource.url, exchange.judge))
         forms = await resource.forms()
         form = next((form for form in forms if form.method == method and not form.action), None)
         if form is None:
@@ -87,7 +118,7 @@ class Pages:
         exchange.typed = typed
         return form
 
-    async def refused(self, resource: Resource, refusal: FormRefused) -> Response:
+    async def refused(self, resource: Resource, refusal: FormRefused, judge: Judge = EVERYTHING) -> Response:
         """The page again with the form as it was filled in, and with what is wrong: beside the fields that do not fit.
 
         Raises the problem itself where there is no page to tell it on.
@@ -97,18 +128,21 @@ class Pages:
             raise problem
         fields = problem.violations if problem.status == 422 else ()
         notice = Notice(_sentence(len(fields)) if fields else problem.detail, Tone.ERROR, problem.violations)
-        again = form.refilled(refusal.typed, fields)
+        again = await resource.forms() if isinstance(form, ChoiceForm) else [form.refilled(refusal.typed, fields)]
         try:
             state = await resource.state()
+            state = state if judge.whole else resource.veiled(state, judge)
         except Problem:
             raise problem from None
-        body = resource.page(self.site, state, [again], self._csrf(resource), [notice])
+        body = resource.page(self.site_for(judge), state, again, self._csrf(resource, judge), [notice])
         headers = {**problem.headers, **self.headers, "Cache-Control": "no-store"}
         return Response(body, problem.status, headers, "text/html; charset=utf-8")
 
-    async def told(self, resource: Resource, sentence: str) -> Response:
+    async def told(self, resource: Resource, sentence: str, judge: Judge = EVERYTHING) -> Response:
         """The page with a notice, after a form that was carried out with a reservation (202)."""
-        body = await self.page(resource, await resource.state(), [Notice(sentence, Tone.WARNING)])
+        state = await resource.state()
+        state = state if judge.whole else resource.veiled(state, judge)
+        body = await self.page(resource, state, [Notice(sentence, Tone.WARNING)], judge)
         return Response(body, 202, {**self.headers, "Cache-Control": "no-store"}, "text/html; charset=utf-8")
 
     def came_from(self, exchange: Exchange) -> str | None:
@@ -130,9 +164,14 @@ class Pages:
         except (UnicodeDecodeError, ValueError) as error:
             raise Problem(400, f"The form cannot be read: {error}.") from error
 
-    def _csrf(self, resource: Resource) -> Csrf:
-        """Tokens for the forms of its page, each for the URL it posts to."""
-        return lambda action: self._robot.forms.token(action or resource.url)
+    def _csrf(self, resource: Resource, judge: Judge) -> Csrf:
+        """Tokens for the forms of its page, each for the URL it posts to and for who reads the page."""
+        return lambda action: self._robot.forms.token(_of_agent(action or resource.url, judge))
+
+
+def _of_agent(url: str, judge: Judge) -> str:
+    """What a form's token is for: a URL, and who may send it where that is known."""
+    return f"{url} {judge.mark}" if judge.mark else url
 
 
 class FormRefused(Exception):
@@ -152,6 +191,8 @@ def _sentence(count: int) -> str:
 def _value(form: Form, typed: Sequence[tuple[str, str]]) -> object:
     if isinstance(form, DeleteForm):
         return None
+    if isinstance(form, ChoiceForm):
+        return html.parse_choice(form.name, typed)
     if isinstance(form, ParameterForm):
         return html.parse_parameter(typed)
     if isinstance(form, ValueForm):

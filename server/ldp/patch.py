@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from typing import TypeAlias
 
 from pyoxigraph import Literal, NamedNode, Quad, Store, Triple
 
 from rosld.ontology.body import RdfBody, indexed
-from rosld.ontology.vocab import rdf
+from rosld.ontology.vocab import rdf, xsd
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.lexer import check_update_of_one_graph
 
@@ -48,22 +49,49 @@ def updated(data: bytes, before: Iterable[Triple], base: str) -> RdfBody:
     return indexed(_as_spelt(store, said), base)
 
 
-def _as_spelt(after: Iterable[Quad], before: Iterable[Triple]) -> Iterator[Quad]:
-    """Quads of a store, with the literals that were there before spelt as they were: a store keeps values only, and
-    01 is 1 to it."""
-    spellings: dict[Literal, list[Literal]] = {}
-    for literal, normal in _normal(each.object for each in before if isinstance(each.object, Literal)):
-        spellings.setdefault(normal, []).append(literal)
-    odd = {normal for normal, spelt in spellings.items() if spelt != [normal]}
-    if not odd:
-        yield from after
-        return
-    there = set(before)
-    for quad in after:
-        spelt = spellings[quad.object] if isinstance(quad.object, Literal) and quad.object in odd else ()
-        known = [each for each in spelt if Triple(quad.subject, quad.predicate, each) in there]
-        for each in known or (quad.object,):
-            yield Quad(quad.subject, quad.predicate, each, quad.graph_name)
+def spelt(after: Iterable[Triple], before: Iterable[Triple]) -> list[Triple]:
+    """Triples of a store, with the literals that were there before spelt as they were."""
+    triples, said = list(after), tuple(before)
+    spellings = _spellings(triples, said)
+    if not spellings:
+        return triples
+    there = set(said)
+    return [each for triple in triples for each in _as_they_were(triple, spellings, there)]
+
+
+def _as_spelt(after: Iterable[Quad], before: Sequence[Triple]) -> Iterator[Quad]:
+    """Quads of a store, with the literals that were there before spelt as they were."""
+    quads = list(after)
+    spellings = _spellings(quads, before)
+    there = set(before) if spellings else set()
+    for quad in quads:
+        for subject, predicate, object in _as_they_were(quad.triple, spellings, there):
+            yield Quad(subject, predicate, object, quad.graph_name)
+
+
+_Spellings: TypeAlias = "Mapping[Literal, Sequence[Literal]]"
+"""Ways to write a literal, by the one in which a store gives it back."""
+
+
+def _spellings(after: Iterable[Triple | Quad], before: Sequence[Triple]) -> _Spellings:
+    """How literals were written that a store may have given back otherwise: it keeps values only, and 01 is 1 to it."""
+    kept = {each.object for each in after}
+    others = [
+        each.object
+        for each in before
+        if isinstance(each.object, Literal) and each.object.datatype != xsd.string and each.object not in kept
+    ]
+    found: dict[Literal, list[Literal]] = {}
+    for literal, normal in _normal(others) if others else ():
+        found.setdefault(normal, [normal]).append(literal)
+    return found
+
+
+def _as_they_were(triple: Triple, spellings: _Spellings, there: Set[Triple]) -> Sequence[Triple]:
+    """A triple as it was written before: as often as it was, and as it is where it was not there."""
+    spelt = spellings.get(triple.object, ()) if isinstance(triple.object, Literal) else ()
+    known = [each for each in (Triple(triple.subject, triple.predicate, one) for one in spelt) if each in there]
+    return known or (triple,)
 
 
 def _normal(literals: Iterable[Literal]) -> Iterator[tuple[Literal, Literal]]:

@@ -6,19 +6,24 @@ A resource is made for a request and holds no state of its own: `state()` tells 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from pyoxigraph import Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.ontology.serialize import Syntax
+from rosld.server.access.judge import Judge
 from rosld.server.html import Csrf, Form, Listing, Notice, Page, Site, Step, render_page
 from rosld.server.http.link import Link, uri
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.plan import Plan
 from rosld.server.ldp.state import State
+from rosld.server.ldp.veiling import veiled_state
 
 READ = frozenset({"GET", "HEAD", "OPTIONS"})
 LDP = "http://www.w3.org/ns/ldp#"
@@ -49,6 +54,22 @@ class Resource:
     def __init__(self, url: str) -> None:
         self.url = url
 
+    @property
+    def shows(self) -> Hashable:
+        """What of its URL's state it shows, where that is not the whole: a page, some parts."""
+        return None
+
+    def __eq__(self, other: object) -> bool:
+        """One may be made for each request: those that show the same are the same, to whoever follows them."""
+        return (
+            isinstance(other, Resource)
+            and type(other) is type(self)
+            and (other.url, other.shows) == (self.url, self.shows)
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.url, self.shows))
+
     async def ready(self) -> None:
         """Learn what must be known before anything else can be told. Called first on each request."""
 
@@ -64,6 +85,10 @@ class Resource:
         """What it is like now. Raises a 404 (or 410) Problem where there is nothing."""
         raise NotImplementedError
 
+    def veiled(self, state: State, judge: Judge) -> State:
+        """Its state as an agent may see it who may not know of everything."""
+        return veiled_state(state, judge)
+
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         """Call `wake` on the loop whenever its state may have changed, until the watch is closed.
 
@@ -75,6 +100,16 @@ class Resource:
 
     async def forms(self) -> Sequence[Form]:
         """What its page offers to send."""
+        return ()
+
+    @property
+    def reaches_below(self) -> bool:
+        """Whether its writes change what lies below it, too, so that they take the right to all of that."""
+        return False
+
+    @property
+    def also_changes(self) -> Sequence[str]:
+        """The URLs of what its writes change beside itself, so that they take the right to each."""
         return ()
 
     @property
@@ -90,15 +125,28 @@ class Resource:
                 self.kind,
                 self.title or self.url.removeprefix(site.base),
                 state.document,
-                tuple(sorted(self.methods())),
+                tuple(sorted(each for each in self.methods() if self._is_for(site, each))),
                 tuple(forms),
                 csrf,
                 tuple(notices),
                 self.listing(),
                 self.steps(),
                 offer=state.view,
+                query=self.query,
             )
         )
+
+    def _is_for(self, site: Site, method: str) -> bool:
+        """Whether the reader of a page may use a method of this resource."""
+        if method in READ or not site.veiled:
+            return site.may(method, self.url)
+        may = all(site.may(method, url) for url in (self.url, *self.also_changes))
+        return may and (not self.reaches_below or site.may_below(method, self.url))
+
+    @property
+    def query(self) -> str:
+        """What its URL ends in after the question mark: which page of several it is, or which variant."""
+        return self.url.partition("?")[2]
 
     def listing(self) -> Listing | None:
         """What its page tells of its members beside their names."""
@@ -116,9 +164,24 @@ class Resource:
         """Whether a write reads its body itself, as it comes, because it may be larger than memory."""
         return False
 
+    def followed(self, exchange: Exchange) -> AbstractContextManager[float | None]:
+        """What lasts as long as an event stream of its changes. Raises Problems; entering what it gives raises nothing.
+
+        Entered, that gives the seconds after which the stream says that it is alive, None for the usual.
+        """
+        return nullcontext()
+
     async def special(self, exchange: Exchange) -> Response | None:
         """An answer to a GET that is no representation of the whole, such as the bytes of one field."""
         return None
+
+    async def planned(self, triples: Sequence[Triple] | None) -> Plan:
+        """How its graph comes to say these triples and nothing else; None: how it comes to be no more.
+
+        Everything that can be refused is, and nothing moves. Raises Problems (403 where it cannot be written at all),
+        LoweringError for what does not fit, and RosError.
+        """
+        raise Problem(403, self.why_not("PUT"))
 
     async def put(self, exchange: Exchange) -> Answer:
         raise _not_there(self, "PUT")

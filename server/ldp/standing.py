@@ -16,11 +16,12 @@ def standing_headers(resource: Resource) -> dict[str, str]:
     links = resource.links
     if resource.constrained_by is not None:
         links = (*links, Link(resource.constrained_by, f"{LDP}constrainedBy"))
-    headers = {"allow": ", ".join(sorted(methods)), "link": _rendered(links)}
+    headers = {"allow": ", ".join(sorted(methods)), "link": rendered(links)}
     for method, accepted in resource.accepts.items():
         if method in methods:
             headers[ACCEPT_FIELDS[method].lower()] = ", ".join(accepted)
     return headers
 
 
-_rendered = lru_cache(maxsize=4096)(render)
+rendered = lru_cache(maxsize=4096)(render)
+"""The Link field of links that are the same from one request to the next."""

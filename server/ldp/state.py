@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import secrets
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,6 +14,8 @@ from rosld.ontology.serialize import Syntax, serialize
 
 if TYPE_CHECKING:
     from rosld.server.hypermedia.views import View
+
+_SECRET = secrets.token_bytes(32)
 
 
 class Rendering(NamedTuple):
@@ -46,6 +49,8 @@ class State:
     part: str = ""
     headers: Mapping[str, str] = field(default_factory=dict)
     renderings: dict[str, Rendering] = field(default_factory=dict)
+    veils: dict[str, State] = field(default_factory=dict)
+    """What agents see of it who may not know of everything, by their rights."""
 
     @cached_property
     def document(self) -> Document:
@@ -59,5 +64,8 @@ class State:
 
 
 def digest(data: bytes) -> str:
-    """A short name for these bytes: another one for other bytes."""
-    return hashlib.blake2b(data, digest_size=9).hexdigest()
+    """A short name for these bytes: another one for other bytes.
+
+    It tells nothing of them, not even to one who has all of them but a word to guess.
+    """
+    return hashlib.blake2b(data, digest_size=9, key=_SECRET).hexdigest()

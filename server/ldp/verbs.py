@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 from starlette.responses import Response
 
@@ -12,6 +13,10 @@ from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.serialize import CannotCarry, Syntax, serialize
+from rosld.ontology.urls import Location
+from rosld.server.access import gate
+from rosld.server.access.judge import EVERYTHING, Judge
+from rosld.server.access.refusals import unproven
 from rosld.server.errors import problem_of, problem_of_body
 from rosld.server.events import asked
 from rosld.server.events.feed import Feeds
@@ -25,12 +30,16 @@ from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import FORM, FormRefused, Pages
 from rosld.server.ldp.prepared import Prepared
 from rosld.server.ldp.resource import JSON, LDP, RDF_BODIES, Answer, Created, Resource, Shown, allow
-from rosld.server.ldp.standing import ACCEPT_FIELDS, standing_headers
+from rosld.server.ldp.standing import ACCEPT_FIELDS, rendered, standing_headers
 from rosld.server.ldp.state import Rendering, State, digest
+from rosld.server.records import StorageError
 
 HTML = "text/html"
 VARIANTS: Mapping[str, str] = {syntax.media_type: syntax.extension for syntax in Syntax} | {JSON: "json", HTML: "html"}
-FORMATS: Mapping[str, str] = {extension: media_type for media_type, extension in VARIANTS.items()}
+FORMATS: Mapping[str, str] = {extension: media_type for media_type, extension in VARIANTS.items()} | {
+    "turtle": Syntax.TURTLE.media_type
+}
+"""What `?format=` may ask for."""
 OFFERS = (*RDF_BODIES, JSON, HTML)
 """What every resource can be read as, the default first. `application/json` is JSON-LD where there is no ROS value."""
 _JSON_IS_JSONLD = {JSON: Syntax.JSON_LD.media_type}
@@ -50,12 +59,23 @@ class Verbs:
         try:
             resource = await resource.narrowed(exchange)
             await resource.ready()
+            if not exchange.judge.whole:
+                self._judge(exchange, resource)
+                exchange.answering = resource
             response = await self._answered(exchange, resource)
         except (BodyError, LoweringError, RosError, Problem) as error:
             raise _linked(resource, _problem(error)) from error
-        if response.status_code == 204 and "link" not in response.headers:
-            response.headers["link"] = link.render(resource.links)
+        if response.status_code == 204 and not any(name == b"link" for name, _ in response.raw_headers):
+            response.raw_headers = [*response.raw_headers, (b"link", rendered(resource.links).encode("latin-1"))]
         return response
+
+    def _judge(self, exchange: Exchange, resource: Resource) -> None:
+        """Refuse what who asks may not do here. A form is judged once it has said what it means."""
+        if not _is_form(exchange, resource):
+            gate.require(exchange.judge, exchange.method, self._place(exchange), resource)
+
+    def _place(self, exchange: Exchange) -> Location | None:
+        return gate.place_of(exchange.request.scope, self.pages.space)
 
     async def _answered(self, exchange: Exchange, resource: Resource) -> Response:
         method = exchange.method
@@ -63,7 +83,7 @@ class Verbs:
             return await self.read(exchange, resource)
         if method == "OPTIONS":
             return Response(status_code=204, headers=options(resource))
-        if method == "POST" and resource.takes_forms and (exchange.header("content-type") or "").startswith(FORM):
+        if _is_form(exchange, resource):
             return await self._form(exchange, resource)
         if method not in resource.methods():
             raise Problem(405, resource.why_not(method), headers={"Allow": allow(resource)})
@@ -83,6 +103,7 @@ class Verbs:
     async def _written(self, exchange: Exchange, resource: Resource) -> Answer:
         """What a write comes to; what is conditional is judged and carried out alone."""
         write = _VERBS[exchange.method]
+        exchange.account.begin()
         if exchange.header("if-match") is None and exchange.header("if-none-match") is None:
             return await write(resource, exchange)
         async with self.alone.at(resource.url):
@@ -100,6 +121,8 @@ class Verbs:
         unchanged = False
         if b"after=" in exchange.request.scope["query_string"] and "after" in exchange.query:
             await self._wait_for_another(exchange, resource, state)
+            if not exchange.visit.still():
+                raise unproven("Your rights have changed meanwhile.")
             state = await resource.state()
             unchanged = asked.is_state(exchange.query["after"], self._name(state))
         rendering = await self.rendering(exchange, resource, state)
@@ -113,25 +136,39 @@ class Verbs:
 
     async def rendering(self, exchange: Exchange, resource: Resource, state: State) -> Rendering:
         """The representation that the request prefers, kept with the state or made now. Raises a 406 Problem."""
-        return await self.represented(resource, state, chosen(exchange))
+        return await self.represented(resource, state, chosen(exchange), exchange.judge)
 
-    async def represented(self, resource: Resource, state: State, media_type: str) -> Rendering:
-        """The representation in a media type, kept with the state or made now. Raises a 406 Problem."""
+    async def represented(
+        self, resource: Resource, state: State, media_type: str, judge: Judge = EVERYTHING
+    ) -> Rendering:
+        """The representation in a media type, kept with the state or made now. Raises a 406 Problem.
+
+        Bytes are shared by agents of the same rights; a page, which has forms, is one agent's.
+        """
         variant = VARIANTS[media_type]
+        if not judge.whole:
+            state = seen(resource, state, judge)
+            variant = f"{variant}-{judge.key}"
+        if media_type == HTML:
+            variant += judge.mark
+        if media_type == HTML and self.pages.edition is not None:
+            return await self._render(resource, state, media_type, variant, judge)
         found = state.renderings.get(variant)
         if found is None:
-            found = state.renderings[variant] = await self._render(resource, state, media_type)
+            if len(state.renderings) >= _MOST_RENDERINGS:
+                state.renderings.clear()
+            found = state.renderings[variant] = await self._render(resource, state, media_type, variant, judge)
         return found
 
-    async def _render(self, resource: Resource, state: State, media_type: str) -> Rendering:
+    async def _render(self, resource: Resource, state: State, media_type: str, variant: str, judge: Judge) -> Rendering:
         if media_type == HTML:
-            body = await self.pages.page(resource, state)
+            body = await self.pages.page(resource, state, judge=judge)
         elif media_type == JSON and state.plain is not None:
             body = state.plain()
         else:
             body = _serialized(state, _JSON_IS_JSONLD.get(media_type, media_type))
         name = f"{self.boot}-{digest(body)}" if media_type == HTML else self._name(state)  # a page shows more
-        etag = str(ETag(name, VARIANTS[media_type] + state.part))
+        etag = str(ETag(name, variant + state.part))
         headers = {
             "content-type": f"{media_type}; charset=utf-8" if media_type.startswith("text/") else media_type,
             "content-length": str(len(body)),
@@ -155,15 +192,20 @@ class Verbs:
         rate = asked.rate(exchange.query)
 
         async def render(state: State) -> bytes:
-            return (await self.represented(resource, state, media_type)).body
+            return (await self.represented(resource, state, media_type, exchange.judge)).body
 
         await render(await resource.state())
         self.feeds.require_room()
         headers = _encoded(standing_headers(resource))
         if exchange.method == "HEAD":
             return Prepared(200, b"", [*HEADERS, *headers])
-        telling = Telling(VARIANTS[media_type], render, self._name)
-        return EventStream(self.feeds, resource, telling, rate, exchange.header("last-event-id"), headers)
+        variant = f"{VARIANTS[media_type]}-{exchange.judge.key}{exchange.judge.mark if media_type == HTML else ''}"
+        told = partial(gate.told, exchange.judge)
+        telling = Telling(variant, render, self._name, exchange.visit.still, told)
+        if media_type == HTML:
+            telling = replace(telling, edition=lambda: self.pages.edition)
+        known, lasting = exchange.header("last-event-id"), resource.followed(exchange)
+        return EventStream(self.feeds, resource, telling, rate, known, headers, lasting)
 
     async def _wait_for_another(self, exchange: Exchange, resource: Resource, state: State) -> None:
         """Until the state is another than `?after=`, at most `?timeout=`."""
@@ -187,6 +229,9 @@ class Verbs:
         """A form of one of our pages: the write it means, then the way back to a page (303)."""
         try:
             form = await self.pages.meant(exchange, resource)
+            if not exchange.judge.whole:
+                gate.require(exchange.judge, form.method, self._place(exchange), resource)
+            exchange.account.begin()
             try:
                 answer = await _VERBS[form.method](resource, exchange)
             except (LoweringError, RosError, Problem) as error:
@@ -195,11 +240,14 @@ class Verbs:
                     raise
                 raise FormRefused(form, exchange.typed, problem) from error
         except FormRefused as refusal:
-            return await self.pages.refused(resource, refusal)
-        if isinstance(answer, Response) and answer.status_code == 202:
-            return await self.pages.told(resource, "It was published, but no subscriber was there to get it.")
+            exchange.account.refused(refusal.problem.detail)
+            return await self.pages.refused(resource, refusal, exchange.judge)
+        if isinstance(answer, Response) and answer.status_code == 202 and form.method != "DELETE":
+            return await self.pages.told(
+                resource, "It was published, but no subscriber was there to get it.", exchange.judge
+            )
         back = _back(resource, answer, self.pages.came_from(exchange))
-        if form.method == "DELETE":
+        if form.method == "DELETE" and not (isinstance(answer, Response) and answer.status_code == 202):
             back = resource.url.rstrip("/").rpartition("/")[0] + "/"
         return Response(status_code=303, headers={"Location": link.uri(back)})
 
@@ -212,7 +260,7 @@ class Verbs:
         is_member = created.location != resource.url
         links, rendering = created.links, None
         if created.state is not None and not exchange.prefer.minimal:
-            rendering = await self._outcome(exchange, created.resource, created.state)
+            rendering = await self._outcome(exchange, created.resource, created.state, answer=is_member)
         if rendering is None:
             links = (*(resource if is_member else created.resource).links, *links)
             headers += [(b"link", link.render(links).encode("latin-1")), (b"content-length", b"0")]
@@ -241,26 +289,51 @@ class Verbs:
         """The representation after a write instead of an empty 204, where the request prefers it (RFC 7240 4.2)."""
         if not exchange.prefer.representation or response.status_code != 204 or exchange.method == "DELETE":
             return response
-        state = await resource.state()
-        rendering = await self._outcome(exchange, resource, state)
+        rendering = await self._outcome(exchange, resource)
         if rendering is None:
             return response
         headers = [*rendering.headers, (b"preference-applied", b"return=representation")]
         headers.append((b"content-location", link.uri(resource.url).encode("ascii")))
         return Prepared(200, rendering.body, headers)
 
-    async def _outcome(self, exchange: Exchange, resource: Resource, state: State) -> Rendering | None:
-        """What shows a write that was done; None where it cannot be had as the request prefers: it is not undone."""
+    async def _outcome(
+        self, exchange: Exchange, resource: Resource, state: State | None = None, *, answer: bool = False
+    ) -> Rendering | None:
+        """What shows a write that was done; None where it cannot be had now, or not as preferred: it is not undone.
+
+        What who asks may not read is not shown, unless it is the `answer` to what was asked, such as a call.
+        """
+        if not answer and not exchange.judge.may_read(resource.url):
+            return None
         try:
-            return await self.rendering(exchange, resource, state)
-        except Problem as problem:
-            if problem.status != 406:
-                raise
+            return await self.rendering(exchange, resource, await resource.state() if state is None else state)
+        except (Problem, RosError, StorageError):
             return None
 
 
+def _is_form(exchange: Exchange, resource: Resource) -> bool:
+    """Whether it is a form of one of our pages."""
+    return (
+        exchange.method == "POST" and resource.takes_forms and (exchange.header("content-type") or "").startswith(FORM)
+    )
+
+
+def seen(resource: Resource, state: State, judge: Judge) -> State:
+    """A state as an agent may see it: made once for the same rights."""
+    if judge.whole:
+        return state
+    found = state.veils.get(judge.key)
+    if found is None:
+        if len(state.veils) >= _MOST_RENDERINGS:
+            state.veils.clear()
+        found = state.veils[judge.key] = resource.veiled(state, judge)
+    return found
+
+
+_MOST_RENDERINGS = 64
+"""Representations, and what they are made from, that are kept with a state."""
 _REFUSED_BODIES = frozenset({400, 409, 415, 422})
-_TOLD_ON_THE_PAGE = frozenset({409, 422, 429, 502, 503, 504})
+_TOLD_ON_THE_PAGE = frozenset({409, 422, 423, 429, 502, 503, 504})
 """What may become of a form that was in order: the reader stays on its page."""
 _CONTENT = (b"content-type", b"content-length")
 _VERBS: Mapping[str, Callable[[Resource, Exchange], Awaitable[Answer]]] = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from rosld.adapters.base import Adapter
-from rosld.adapters.model import MessageSchema, Schema, ServiceSchema, TypeRef, UnknownType
+from rosld.adapters.model import ActionSchema, MessageSchema, Schema, ServiceSchema, TypeRef, UnknownType
 
 
 class Schemas:
@@ -46,15 +46,22 @@ class Schemas:
         return schema
 
     async def message(self, ref: TypeRef) -> MessageSchema:
-        """The schema of a message type; raises UnknownType also where the name is a service's."""
+        """The schema of a message type; raises UnknownType also where the name is another kind's."""
         schema = await self.find(ref)
         if not isinstance(schema, MessageSchema):
-            raise UnknownType(f"{ref.name} is a service type where a message type is needed")
+            raise UnknownType(f"{ref.name} is no message type, which is needed here")
         return schema
 
     async def service(self, ref: TypeRef) -> ServiceSchema:
-        """The schema of a service type; raises UnknownType also where the name is a message's."""
+        """The schema of a service type; raises UnknownType also where the name is another kind's."""
         schema = await self.find(ref)
         if not isinstance(schema, ServiceSchema):
-            raise UnknownType(f"{ref.name} is a message type where a service type is needed")
+            raise UnknownType(f"{ref.name} is no service type, which is needed here")
+        return schema
+
+    async def action(self, ref: TypeRef) -> ActionSchema:
+        """The schema of an action type; raises UnknownType also where the name is another kind's."""
+        schema = await self.find(ref)
+        if not isinstance(schema, ActionSchema):
+            raise UnknownType(f"{ref.name} is no action type, which is needed here")
         return schema

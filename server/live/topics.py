@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
 from rosld.adapters.base import Adapter, Subscription, Watch
-from rosld.adapters.model import Graph, Message, MessageSchema, RosError, Sample
+from rosld.adapters.model import Endpoint, Graph, Message, MessageSchema, RosError, Sample
 from rosld.server.live.fold import DEPTH, FOLDS, Folded, decoder
 from rosld.server.live.schemas import Schemas
-from rosld.server.live.view import Rates, View
+from rosld.server.live.view import NOTHING, Rates, View
 
 _SWEEP = 0.5
 """Seconds between sweeps, which fold what came and give back what nobody looks at any more."""
@@ -33,7 +33,7 @@ class LiveSettings:
 
 @dataclass(slots=True)
 class _Look:
-    """One subscription and what was made of it last."""
+    """One subscription and what was made of it last; `awaited` are the publishers that were waited for in vain."""
 
     subscription: Subscription
     looked_at: float
@@ -43,6 +43,7 @@ class _Look:
     rates: Rates = field(default_factory=Rates)
     latest: Sequence[Sample] | None = None
     view: View = field(default_factory=View)
+    awaited: tuple[Endpoint, ...] = ()
 
     @property
     def is_kept(self) -> bool:
@@ -95,6 +96,10 @@ class LiveTopics:
         """The topics subscribed to now."""
         return list(self._looks)
 
+    def kept(self) -> Sequence[str]:
+        """The topics that stay subscribed to whether anybody looks or not, as far as they have a value."""
+        return [topic for topic, look in self._looks.items() if look.is_kept and look.subscription.latest()]
+
     def peek(self, topic: str) -> View | None:
         """The view of a topic if it is subscribed to and has a value: at once, asking nobody."""
         look = self._looks.get(topic)
@@ -104,23 +109,39 @@ class LiveTopics:
         view = self._refresh(look)
         return view if view.samples else None
 
+    def known(self, topic: str) -> View:
+        """The view as of now, without values where none has come: at once, asking nobody."""
+        return self.peek(topic) or self.last_seen(topic) or NOTHING
+
     def last_seen(self, topic: str) -> View | None:
         """The view as somebody saw it last; from any thread."""
         look = self._looks.get(topic)
         return None if look is None else look.view
 
+    def is_settled(self, topic: str) -> bool:
+        """Whether a look would find no more than `known` does: it would neither subscribe nor wait."""
+        look = self._looks.get(topic)
+        if look is None or look.view.samples:
+            return look is not None
+        return not look.subscription.latest() and set(self._publishers(topic)) <= set(look.awaited)
+
     async def look(self, topic: str) -> View:
-        """The view of a topic, subscribing if need be and then waiting a moment where somebody publishes it."""
+        """The view of a topic, subscribing if need be and then waiting a moment where somebody publishes it.
+
+        The same publishers are waited for once: a topic that is silent holds nobody up again.
+        """
         view = self.peek(topic)
         if view is not None:
             return view
         look = await self._open(topic)
         await self._know_types(look)
         view = self._refresh(look)
-        if not view.samples and self._is_published(topic):
+        publishers = self._publishers(topic)
+        if not view.samples and not set(publishers) <= set(look.awaited):
             await self._wait(look, self._settings.first_value)
             await self._know_types(look)
             view = self._refresh(look)
+            look.awaited = () if view.samples else publishers
         return view
 
     async def watch(self, topic: str, wake: Callable[[], None]) -> Watch:
@@ -134,9 +155,10 @@ class LiveTopics:
             if topic not in self._looks and any(fnmatchcase(topic, glob) for glob in self._settings.eager):
                 (await self._open(topic)).eager = True
 
-    def _is_published(self, topic: str) -> bool:
+    def _publishers(self, topic: str) -> tuple[Endpoint, ...]:
+        """Those from which a message can come."""
         entry = self._adapter.graph.topics.get(topic)
-        return entry is not None and any(publisher.unreachable is None for publisher in entry.publishers)
+        return () if entry is None else tuple(one for one in entry.publishers if one.unreachable is None)
 
     async def _open(self, topic: str) -> _Look:
         async with self._opening.setdefault(topic, asyncio.Lock()):
@@ -229,6 +251,9 @@ class LiveTopics:
             for topic, look in list(self._looks.items()):
                 if not look.is_kept and look.looked_at < horizon:
                     self._close(topic)
-                elif look.folded is not None:
+                    continue
+                if look.awaited:  # who comes back is waited for again
+                    look.awaited = tuple(one for one in look.awaited if one in self._publishers(topic))
+                if look.folded is not None:
                     await self._know_types(look)
                     self._refresh(look)

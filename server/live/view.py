@@ -34,6 +34,10 @@ class View:
         return digest.hexdigest()
 
 
+NOTHING = View()
+"""Nothing was seen."""
+
+
 @dataclass(slots=True)
 class _Anchor:
     """Where counting began for one publisher, and a younger place to begin anew from."""

@@ -87,6 +87,21 @@ PARAMETERS: Mapping[str, Json] = {
         "schema": TEXT,
         "example": "*",
     },
+    "page": {
+        "name": "page",
+        "in": "query",
+        "description": "One of the pages that a large container comes in: follow the links from `?page=0`.",
+        "schema": TEXT,
+        "example": "0",
+    },
+    "Prefer.container": {
+        "name": "Prefer",
+        "in": "header",
+        "description": "`return=representation`, with `max-member-count` for pages of so many members (LDP Paging), "
+        "and with `include` or `omit` of what a container tells (LDP 7.2).",
+        "schema": TEXT,
+        "example": "return=representation; max-member-count=100",
+    },
     "Prefer": {
         "name": "Prefer",
         "in": "header",
@@ -109,6 +124,8 @@ _WORDS = {
     413: "The body is too large.",
     415: "The body is of a media type, a coding or a charset that is not read here.",
     422: "The body is well-formed and does not fit; the violations say where.",
+    423: "The robot is stopped: nothing is written to it.",
+    426: "It is received by WebSocket.",
     428: "The request must state with If-Match what it changes.",
     429: "Too many requests, or too fast.",
     502: "The robot's answer cannot be read.",
@@ -123,12 +140,12 @@ _TOLD: Mapping[int, tuple[str, ...]] = {
 _EMPTY = frozenset({303, 304})
 _CERTAIN = {(405, "Allow"), (308, "Location"), (303, "Location")}
 READING = (304, 308, 400, 404, 406, 412, 502, 503, 504)
-WRITING = (400, 404, 405, 406, 409, 412, 413, 415, 422, 428, 429, 502, 503, 504)
+WRITING = (400, 404, 405, 406, 409, 412, 413, 415, 422, 423, 428, 429, 502, 503, 504)
 """Statuses of refusals and failures: of GET and HEAD, of what writes. Some resources have more (`Place.also`)."""
-ANY = (403, 408, 421, 431, 500)
+ANY = (403, 408, 421, 429, 431, 500)
 """What any request may meet, before it comes to the resource or because the server fails: `default`."""
 _STANDING = ("ETag", "Link", "Allow", "Accept-Put", "Accept-Post", "Accept-Patch")
-_FURTHER = (303, 410, 507)
+_FURTHER = (303, 410, 426, 507)
 
 
 def reference(kind: str, name: str) -> dict[str, Json]:

@@ -146,7 +146,9 @@ def _operation(place: Place, method: str, names: _Names | None) -> dict[str, Jso
 
 def _parameters(place: Place, method: str) -> Iterator[Json]:
     if method == "GET":
-        yield from (_query(one) for one in place.query)
+        yield from (_query(one) for one in place.query if one.of_reads)
+        if place.pages:
+            yield from (reference("parameters", name) for name in ("page", "Prefer.container"))
         yield reference("parameters", "If-None-Match")
         if place.streams:
             yield from (reference("parameters", name) for name in ("after", "timeout", "rate"))
@@ -180,11 +182,16 @@ def _answers(place: Place, method: str) -> dict[str, Json]:
     if method == "OPTIONS":
         return {"204": reference("responses", "options"), **refusals((308, 400, 404, 503, *place.also))}
     if method == "HEAD":
-        return {"200": reference("responses", "head"), **refusals((*READING, *place.also), body=False)}
+        return {"200": reference("responses", "head"), **refusals((*READING, *_ways(place)), body=False)}
     if method == "GET":
-        return {"200": _read(place), **refusals((*READING, *place.also))}
+        return {"200": _read(place), **refusals((*READING, *_ways(place)))}
     done = {str(status): _done(place, method, status) for status in place.done.get(method, _DONE[method])}
     return {**done, **refusals((*WRITING, *place.also))}
+
+
+def _ways(place: Place) -> tuple[int, ...]:
+    """What reading a place may come to besides."""
+    return (303, *place.also) if place.pages else place.also
 
 
 def _read(place: Place) -> dict[str, Json]:

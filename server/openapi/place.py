@@ -19,6 +19,8 @@ class Query:
     required: bool = False
     of: frozenset[str] = frozenset()
     """The methods beside GET and HEAD that take it."""
+    of_reads: bool = True
+    """Whether GET and HEAD take it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,8 @@ class Place:
     streams: bool = True
     also: tuple[int, ...] = ()
     alike: str | None = None
+    pages: bool = False
+    """Whether it is a container that may come in pages: GET then takes `page` and the preferences of LDP."""
     notes: Mapping[str, str] = field(default_factory=dict)
     """A sentence for a method, where its summary does not say enough."""
 

@@ -37,6 +37,10 @@ class Records(Protocol):
         """The members of a container in the order of their numbers, those after one of them."""
         ...
 
+    def numbers(self, path: str, *, upto: int | None = None, most: int = 1000) -> Sequence[int]:
+        """The numbers of the last members of a container, the newest first: of all, or of those up to a number."""
+        ...
+
     def changed(self, after: int, *, most: int = 10_000) -> Sequence[Changed]:
         """What has changed after a version, each path once, with its latest version, in the order of versions.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from rosld.server.records.paths import container_of
@@ -38,6 +38,9 @@ _PRESENT = """SELECT r.id, r.container, r.model, r.version, r.created, r.modifie
     l.modified, l.count FROM record r LEFT JOIN list l ON l.container = r.id WHERE r.path = ?"""
 _MEMBERS = """SELECT id, path, model, member FROM record
     WHERE container = (SELECT id FROM record WHERE path = ?) AND id > ? ORDER BY id LIMIT ?"""
+_NUMBERS = """SELECT id FROM record
+    WHERE container = (SELECT id FROM record WHERE path = ?) AND id <= ? ORDER BY id DESC LIMIT ?"""
+_GREATEST = (1 << 63) - 1
 _CHANGED = """
     SELECT r.path, r.version AS at, 0 FROM record r LEFT JOIN list l ON l.container = r.id
         WHERE r.version > ?1 AND (l.version IS NULL OR l.version < r.version)
@@ -54,6 +57,7 @@ _INSERT = """INSERT INTO record (id, path, container, model, version, created, m
     membership, triples) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"""
 _UPDATE = """UPDATE record SET version = ?, modified = ?, member = ?, blob = ?, size = ?, media_type = ?,
     membership = ?, triples = ? WHERE id = ?"""
+_REWRITE = "UPDATE record SET version = ?, modified = ?, triples = ? WHERE path = ? AND version = ?"
 
 
 class Busy(Exception):
@@ -119,11 +123,17 @@ class Applied:
 
 
 class Ledger:
-    """Records in a database whose tables are there. Belongs to one thread at a time."""
+    """Records in a database whose tables are there. Belongs to one thread at a time.
 
-    def __init__(self, connection: sqlite3.Connection) -> None:
+    `known` tells of a record without asking the database; it may be out of date.
+    """
+
+    def __init__(
+        self, connection: sqlite3.Connection, known: Callable[[str], Record | None] = lambda path: None
+    ) -> None:
         self._execute = connection.execute
         self._connection = connection
+        self._known = known
         self._next = 0
         self._seen = self._data_version()
         self.identity = str(self._execute("SELECT value FROM property WHERE name = 'identity'").fetchone()[0])
@@ -153,6 +163,14 @@ class Ledger:
         except sqlite3.Error as error:
             raise failure(error) from error
         return [Member(number, name, _MODELS[model], member) for number, name, model, member in rows]
+
+    def numbers(self, path: str, upto: int | None, most: int) -> list[int]:
+        """The numbers of the last members of a container, the newest first."""
+        try:
+            rows = self._execute(_NUMBERS, (path, _GREATEST if upto is None else upto, most)).fetchall()
+        except sqlite3.Error as error:
+            raise failure(error) from error
+        return [row[0] for row in rows]
 
     def changed(self, after: int, most: int) -> list[Changed]:
         """What has changed after a version."""
@@ -235,6 +253,19 @@ class Ledger:
             raise failure(error) from error
         return applied
 
+    def alone(self, put: Put, now: int) -> Record | None:
+        """Do a write that is one statement, and so a transaction by itself; None, with nothing done, where it is more.
+
+        Neither between `begin` and `commit`, nor where another process may write.
+        """
+        self._next = self.version
+        try:
+            record = self._rewritten(put, now)
+        except sqlite3.Error as error:
+            raise failure(error) from error
+        self.version = self._next
+        return record
+
     def restore(self, entries: Iterable[Entry], gone: Iterable[str], now: int) -> list[str]:
         """Put these in place of all records, with new versions, between `begin` and `commit`; the blobs set free.
 
@@ -293,11 +324,29 @@ class Ledger:
         return None if row is None else Present(*row)
 
     def _put(self, put: Put, applied: Applied, now: int) -> None:
+        rewritten = self._rewritten(put, now)
+        if rewritten is not None:
+            applied.records[put.path] = rewritten
+            return
         present = self._present(put.path)
         if present is None:
             self._make(put, applied, now)
         else:
             self._replace(put, present, applied, now)
+
+    def _rewritten(self, put: Put, now: int) -> Record | None:
+        """An RDF source that says something else now, and is as it was known otherwise; None where it is not."""
+        path, triples = put.path, put.triples
+        known = self._known(path) if put.model is Model.RDF_SOURCE else None
+        if known is None or known.model is not Model.RDF_SOURCE:
+            return None
+        if put.expected not in (None, known.version) or put.member not in (None, known.member):
+            return None
+        version, modified = self._next + 1, max(now, known.modified_ns)
+        if self._execute(_REWRITE, (version, modified, triples, path, known.version)).rowcount != 1:
+            return None
+        self._next = version
+        return Record(path, known.model, version, known.created_ns, modified, triples, member=known.member)
 
     def _make(self, put: Put, applied: Applied, now: int) -> None:
         path = put.path

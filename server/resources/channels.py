@@ -25,6 +25,8 @@ from rosld.ontology.notifications import (
     with_context,
 )
 from rosld.ontology.urls import Location, locate
+from rosld.server.access import gate
+from rosld.server.access.judge import Judge
 from rosld.server.errors import problem_of
 from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.feed import Feeds
@@ -33,12 +35,12 @@ from rosld.server.events.subscriptions import JSON_LD, MEDIA_TYPES, MOST_BYTES, 
 from rosld.server.events.websocket import Receiver
 from rosld.server.http import negotiation
 from rosld.server.http.body import read_body
-from rosld.server.http.conditional import ETag, guard
+from rosld.server.http.conditional import ETag
 from rosld.server.http.link import Link
 from rosld.server.http.origin import Site, normal_authority
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.prepared import Prepared
+from rosld.server.ldp.prepared import Prepared, held
 from rosld.server.ldp.resource import (
     BASIC_CONTAINER,
     JSON,
@@ -95,8 +97,9 @@ class Notifications:
         media_type = exchange.media_type
         data = await read_body(exchange.request, limit=MOST_BYTES)
         wish = read_subscription(data, media_type, service.url, service.type, time.time_ns())
-        resource, state = await self._topic(wish.topic)
-        return self.channels.open(wish, service.type, resource, state, partial(self.place, service.type))
+        resource, state = await self._topic(wish.topic, exchange.judge)
+        place = partial(self.place, service.type)
+        return self.channels.open(wish, service.type, resource, state, place, exchange.visit)
 
     def receiver(self, scope: Scope) -> Receiver:
         """Who receives over the WebSocket that is to be opened. Raises Problems: 404 for every other path, 503."""
@@ -111,18 +114,24 @@ class Notifications:
                 return Receiver(self.channels, self.feeds, channel_of(self, kind, token))
         raise Problem(404, f"No WebSocket is there: subscribe at {self.robot.space.url(ROOM, (WEBSOCKET,))} first.")
 
-    async def _topic(self, url: str) -> tuple[Resource, State]:
+    async def _topic(self, url: str, judge: Judge) -> tuple[Resource, State]:
         """The resource to tell of, and what it is like now. Raises a 422 Problem where nothing can be told of it."""
         scope = self._scope(url)
         exchange = Exchange(Request(scope), 0)
+        place = None if judge.whole else gate.place_of(scope, self.robot.space)
         try:
-            resource = await self._resolve(scope).narrowed(exchange)
+            if not judge.whole:
+                gate.require_path(judge, "GET", place)
+            resource = await _narrowed(self._resolve(scope), exchange)
             await resource.ready()
+            if not judge.whole:
+                gate.require(judge, "GET", place, resource)
             return resource, await resource.state()
         except NotImplementedError as error:
             raise Problem(422, f"The topic {url} has no state that could change.") from error
         except (Problem, RosError) as error:
             problem = error if isinstance(error, Problem) else problem_of(error)
+            problem = gate.told(judge, problem)
             if problem.status >= 500:
                 raise problem from error
             raise Problem(422, f"There is nothing to tell of the topic {url}: {problem.detail}") from error
@@ -147,6 +156,16 @@ class Notifications:
             "query_string": query,
             "headers": [],
         }
+
+
+async def _narrowed(resource: Resource, exchange: Exchange) -> Resource:
+    """What query and preferences ask for; a container that is read in pages is followed as a whole."""
+    try:
+        return await resource.narrowed(exchange)
+    except Problem as problem:
+        if problem.status != 303:
+            raise
+        return resource
 
 
 def prefers_json(exchange: Exchange, offers: tuple[str, ...] = OFFERS) -> bool:
@@ -180,11 +199,7 @@ class _Described(Resource):
             return None
         body = orjson.dumps(with_context(members))
         etag = ETag(f"{self.notifications.robot.boot}-{digest(body)}", "jsonld")
-        asked = {name: exchange.header(name.replace("_", "-")) for name in ("if_match", "if_none_match")}
-        headers = [*self._headers(), (b"etag", str(etag).encode()), (b"cache-control", b"no-cache")]
-        if guard(exchange.method, etag, if_match=asked["if_match"], if_none_match=asked["if_none_match"]):
-            return Prepared(304, b"", headers)
-        return Prepared(200, body, [*headers, *_content(body)])
+        return held(exchange, body, JSON_LD, etag, standing_headers(self).items())
 
     def _headers(self) -> list[tuple[bytes, bytes]]:
         standing = {**standing_headers(self), "vary": "Accept"}

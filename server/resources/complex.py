@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from pyoxigraph import Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
+from rosld.ontology.body import body_of
 from rosld.ontology.lower import parse_json
+from rosld.server.access.judge import Judge
 from rosld.server.html import Form, forms_of
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
@@ -19,8 +22,11 @@ from rosld.server.hypermedia.describe import complex_document, complex_json
 from rosld.server.hypermedia.layout import ComplexPlan, Layout
 from rosld.server.hypermedia.offers import Sight
 from rosld.server.hypermedia.thing import MEDIA_TYPE
+from rosld.server.hypermedia.veiling import veiled_view
+from rosld.server.hypermedia.views import ComplexView
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.patch import updated
+from rosld.server.ldp.plan import Move, Plan
 from rosld.server.ldp.resource import (
     BASIC_CONTAINER,
     MERGE_PATCH,
@@ -33,6 +39,7 @@ from rosld.server.ldp.resource import (
     moved,
 )
 from rosld.server.ldp.state import State
+from rosld.server.ldp.veiling import veiled_state
 from rosld.server.resources.changes import Change, carried_out, changes_in_graph, changes_in_json, planned_changes
 from rosld.server.resources.guarding import seen_anew
 from rosld.server.resources.things import complex_thing, thing_response, wants_thing
@@ -56,6 +63,12 @@ class ComplexResource(Resource):
             BASIC_CONTAINER,
             Link(f"{self.url}?format=td", "describedby", type=MEDIA_TYPE),
         )
+
+    @property
+    def also_changes(self) -> Sequence[str]:
+        layout = self.robot.offers.at_hand() or self.robot.offers.latest
+        plan = None if layout is None else layout.complex(self.path)
+        return () if plan is None else [url_of(one.at or one.of.name, self.robot.space) for one in plan.members]
 
     @property
     def constrained_by(self) -> str | None:
@@ -95,6 +108,17 @@ class ComplexResource(Resource):
             view=view,
         )
 
+    def veiled(self, state: State, judge: Judge) -> State:
+        robot, view = self.robot, state.view
+        assert isinstance(view, ComplexView)
+        left = veiled_view(view, judge)
+        return veiled_state(
+            state,
+            judge,
+            lambda: complex_document(left, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time),
+            lambda: complex_json(left, robot.lifting),
+        )
+
     async def _plan(self) -> tuple[Layout, ComplexPlan]:
         layout = await self.robot.offers.layout()
         plan = layout.complex(self.path)
@@ -129,6 +153,27 @@ class ComplexResource(Resource):
             sight = await seen_anew(self.robot, layout, plan.reads)
             changes = self._changes(exchange.media_type, plan, sight, data)
             return await carried_out(self.robot, await planned_changes(self.robot, plan, sight, changes))
+
+    async def planned(self, triples: Sequence[Triple] | None) -> Plan:
+        """Within a turn that names `concerned`."""
+        robot, (layout, plan) = self.robot, await self._plan()
+        if "PATCH" not in self.methods() or triples is None:
+            raise Problem(403, self.why_not("PATCH" if triples is not None else "DELETE"))
+        sight = await seen_anew(robot, layout, plan.reads)
+        view = robot.offers.complex_view(plan, sight)
+        body = body_of(triples)
+        writes = await planned_changes(robot, plan, sight, changes_in_graph(body, plan, view, robot))
+
+        async def carried_out_all() -> bool:
+            await carried_out(robot, writes)
+            return True
+
+        return Move(f"write {', '.join(name for name, _ in writes) or 'nothing'} of {self.path}", carried_out_all)
+
+    def concerned(self, layout: Layout) -> tuple[str, ...]:
+        """The names that a write through its graph concerns."""
+        plan = layout.complex(self.path)
+        return (self.path, *(member.of.name for member in plan.members)) if plan is not None else (self.path,)
 
     def _changes(self, media_type: str, plan: ComplexPlan, sight: Sight, data: bytes) -> Sequence[Change]:
         robot = self.robot

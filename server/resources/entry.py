@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 
 from rosld.ontology.describe_graph import ROOMS, entry_document
 from rosld.server.html import Count, Csrf, EntryPage, Form, Notice, Site, render_entry
 from rosld.server.http.link import Link
 from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.ldp.state import State
+from rosld.server.resources.namespaces import listed
 from rosld.server.robot import Robot
 from rosld.server.writable import RESERVED
 
 _FIRST = "What the robot is like now, and what it can do: values to read and to set, actions, links."
+
+
+def _seen(names: Collection[str], url: Callable[[str], str], site: Site) -> int:
+    """How many of these the reader may read."""
+    return sum(site.may("GET", url(name)) for name in names) if site.veiled else len(names)
 
 
 class EntryResource(Resource):
@@ -27,33 +33,37 @@ class EntryResource(Resource):
         self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, described)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        graph, space = self.robot.graph, self.robot.space
+        graph, space = listed(self.robot), self.robot.space
         numbers = {
-            "topics": len(graph.topics),
-            "services": len(graph.services),
-            "nodes": len(graph.nodes),
-            "parameters": len(graph.parameters),
-            "bags": len(self.robot.adapter.recordings),
+            "topics": _seen(graph.topics, space.topic, site),
+            "services": _seen(graph.services, space.service, site),
+            "actions": _seen(graph.actions, space.action, site),
+            "nodes": _seen(graph.nodes, space.node, site),
+            "parameters": _seen(graph.parameters, space.parameter, site),
+            "bags": _seen(self.robot.adapter.recordings, space.bag, site),
         }
         first = Count(ROOMS["resources"], None, space.container("resources"), _FIRST, first=True)
+        goals = ("goals",) if graph.actions else ()
         counts = (
             first,
             *(Count(ROOMS[room], number, space.container(room)) for room, number in numbers.items() if number),
             *(
                 Count(ROOMS[room], None, space.container(room))
-                for room in ("types", "mappings", "data", "calls", "queries")
+                for room in ("types", "mappings", "data", "calls", *goals, "holds", "queries")
             ),
         )
-        return render_entry(EntryPage(site, state.document, counts, self._example(), tuple(notices)))
+        counts = tuple(each for each in counts if site.may("GET", each.url))
+        return render_entry(EntryPage(site, state.document, counts, self._example(site), tuple(notices)))
 
-    def _example(self) -> str | None:
+    def _example(self, site: Site) -> str | None:
         """The URL of a topic worth trying: a small one that somebody publishes."""
         topics = [topic for topic in self.robot.graph.topics.values() if topic.publishers and topic.type is not None]
+        topics = [topic for topic in topics if site.may("GET", self.robot.space.topic(topic.name))]
         topics.sort(key=lambda topic: (topic.name in RESERVED, len(topic.name), topic.name))
         return self.robot.space.topic(topics[0].name) if topics else None
 
     async def state(self) -> State:
-        graph = self.robot.graph
+        graph = listed(self.robot)
         system = self.robot.adapter.capabilities.system
         return self.robot.states.get(
             self.url, graph.revision, lambda: State(lambda: entry_document(graph, self.robot.space, system))

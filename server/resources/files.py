@@ -53,14 +53,19 @@ def script(robot: Robot) -> FileResource:
     return FileResource(robot, "live.js", html.SCRIPT, "text/javascript; charset=utf-8")
 
 
-def icon(robot: Robot) -> FileResource:
+def icon(robot: Robot, name: str = "icon.svg") -> FileResource:
     """`/icon.svg`."""
-    return FileResource(robot, "icon.svg", html.ICON, "image/svg+xml")
+    return FileResource(robot, name, html.ICON, "image/svg+xml")
+
+
+def favicon(robot: Robot) -> FileResource:
+    """`/favicon.ico`: the icon where browsers look for it."""
+    return icon(robot, "favicon.ico")
 
 
 FILES: dict[str, Callable[[Robot], FileResource]] = {
     "style.css": style,
     "live.js": script,
     "icon.svg": icon,
-    "favicon.ico": icon,
+    "favicon.ico": favicon,
 }

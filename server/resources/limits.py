@@ -1,6 +1,6 @@
 """Limits on what is written, wherever it is written: by the type of the message, by the URL it is sent to, and by the
 
-property that the topic, service or parameter behind that URL belongs to.
+property that the topic, service or parameter behind that URL belongs to. What a node declares of a parameter is one.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from rosld.ontology.vocab import rdf, ros
 from rosld.server.hypermedia.conditions import url_of, value_triples
 from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Value
 from rosld.server.robot import Robot
+from rosld.shapes.parameter import violations
 
-_LINKS = {"#message": ros.latest, "#request": ros.request}
+_LINKS = {"#message": ros.latest, "#request": ros.request, "#goal": ros.goal}
 
 
 async def require_message(
     robot: Robot, kind: Kind, name: str, schema: MessageSchema, message: Message, url: str, node: str
 ) -> None:
-    """Raise LoweringError where a message breaks a limit; it is about to be sent to the topic or service `name`."""
+    """Raise LoweringError where a message breaks a limit; it is about to be sent to what is called `name`."""
     limits = robot.limits
     if not limits:
         return
@@ -38,12 +39,23 @@ async def require_message(
 
 
 async def require_parameter(robot: Robot, name: str, value: ParameterValue) -> None:
-    """Raise LoweringError where the value of a parameter, or of one in a tree, breaks a limit."""
-    if not robot.limits:
-        return
-    broken = await _of_parameter(robot, name, value)
+    """Raise LoweringError where the value of a parameter, or of one in a tree, breaks a limit or what is declared."""
+    broken = _undeclared(robot, name, value)
+    if robot.limits and not broken:
+        broken = await _of_parameter(robot, name, value)
     if broken:
         raise LoweringError(*broken)
+
+
+def _undeclared(robot: Robot, name: str, value: ParameterValue) -> list[Violation]:
+    """What a value, or one in a tree, breaks of what the nodes declare."""
+    parameter = robot.graph.parameters.get(name)
+    if parameter is not None and parameter.descriptor is not None:
+        return list(violations(parameter.descriptor, name, robot.space.parameter(name), value))
+    if not isinstance(value, dict):
+        return []
+    inner = (_undeclared(robot, f"{name.rstrip('/')}/{key}", each) for key, each in value.items())
+    return [violation for found in inner for violation in found]
 
 
 async def _of_parameter(robot: Robot, name: str, value: ParameterValue) -> list[Violation]:
@@ -64,7 +76,7 @@ async def _of_property(robot: Robot, kind: Kind, name: str, value: Value) -> lis
     layout = await robot.offers.layout()
     catalogue = layout.catalogue
     ways = {Kind.TOPIC: catalogue.by_topic, Kind.SERVICE: catalogue.by_service, Kind.PARAMETER: catalogue.by_parameter}
-    found = ways[kind].get(name)
+    found = ways[kind].get(name) if kind in ways else None
     if found is None or (kind is Kind.SERVICE and all(way.name != name for way in catalogue.properties[found].writers)):
         return []  # what a getter is asked with is no value
     broken: list[Violation] = []

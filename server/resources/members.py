@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from pyoxigraph import NamedNode
+from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Kind
-from rosld.ontology.body import RdfBody, parse_body
+from rosld.ontology.body import RdfBody, body_of, parse_body
 from rosld.ontology.fields import field_bytes
 from rosld.ontology.lower import parse_json
 from rosld.ontology.vocab import rdf, ros
@@ -27,10 +27,11 @@ from rosld.server.hypermedia.layout import ActionPlan, Layout, PropertyPlan, par
 from rosld.server.hypermedia.offers import Sight
 from rosld.server.hypermedia.value import MessageValue
 from rosld.server.hypermedia.views import PropertyView
-from rosld.server.hypermedia.writing import carry_out
+from rosld.server.hypermedia.writing import PlannedWrite, Written, carry_out
 from rosld.server.hypermedia.writing import why_not as why_not_writable
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.patch import merge_patch, updated
+from rosld.server.ldp.plan import Move, Plan
 from rosld.server.ldp.resource import (
     JSON,
     MERGE_PATCH,
@@ -186,12 +187,36 @@ class MemberResource(Resource):
         content = self._content(exchange, plan, await exchange.body())
         changed = () if plan.member.field is None else (plan.of.name,)
         async with self.robot.offers.turn(layout, self.name, changed=changed):
-            if plan.conditional or plan.member.field is not None:
-                sight = await seen_anew(self.robot, layout, plan.reads)
-                require_writable(self.robot, plan, sight)
-                content = self._whole(plan, sight, content)
-            written = await planned(self.robot, plan.of, content)
+            written = await self._write(layout, plan, content)
             return told(written, await carry_out(self.robot, written), exchange.accept)
+
+    async def _write(self, layout: Layout, plan: PropertyPlan, content: object) -> PlannedWrite:
+        """How the property comes to be what `content` says, if it may be written now; nothing moves."""
+        if plan.conditional or plan.member.field is not None:
+            sight = await seen_anew(self.robot, layout, plan.reads)
+            require_writable(self.robot, plan, sight)
+            content = self._whole(plan, sight, content)
+        return await planned(self.robot, plan.of, content)
+
+    async def planned(self, triples: Sequence[Triple] | None) -> Plan:
+        """Within a turn that names `concerned`."""
+        layout, plan = await self._property()
+        if "PUT" not in self.methods():
+            raise Problem(403, self.why_not("PUT"))
+        if triples is None:
+            raise Problem(403, f"{self.name} is there for as long as the robot has it: it cannot be dropped.")
+        body = body_of(triples)
+        written = await self._write(layout, plan, self._stated(plan, body))
+
+        async def carried_out() -> bool:
+            return await carry_out(self.robot, written) is Written.DONE
+
+        return Move(f"write {self.name} by {written.writer.name}", carried_out)
+
+    def concerned(self, layout: Layout) -> tuple[str, ...]:
+        """The names that a write through its graph concerns."""
+        plan = layout.property(self.name)
+        return (self.name,) if plan is None else (self.name, plan.of.name)
 
     async def patch(self, exchange: Exchange) -> Answer:
         layout, plan = await self._property()

@@ -1,21 +1,26 @@
-"""Containers of nodes, topics and services: the namespaces of their names (LDP 5)."""
+"""Containers of nodes, topics, services and actions: the namespaces of their names (LDP 5)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar
 
 from pyoxigraph import NamedNode
 
-from rosld.adapters.model import Graph, Service, Topic, names
+from rosld.adapters.model import Action, Graph, Parameter, Service, Topic, frozen, names
 from rosld.ontology.describe_containers import namespace_document
+from rosld.ontology.document import Document
 from rosld.ontology.namespaces import Kept, Members, members_of
-from rosld.ontology.urls import Space
-from rosld.server.html import Listing
+from rosld.ontology.urls import Space, decode_segment, encode_segment
+from rosld.server.html import Listing, Step
 from rosld.server.html.page import Cell
+from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.paging import Page, Place, page_among, page_query, read_named_place, send_to_first
 from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
-from rosld.server.ldp.state import State
+from rosld.server.ldp.state import State, digest
 from rosld.server.robot import Robot
 
 Namespaces = Mapping[tuple[str, ...], Members]
@@ -23,7 +28,11 @@ Namespaces = Mapping[tuple[str, ...], Members]
 MOST_ROWS = 1000
 """Rows of a table on the page of a namespace."""
 
-_namespaces: Kept[Mapping[str, object], Namespaces] = Kept(members_of)
+HIDDEN = "hidden=true"
+"""The query that asks a listing for hidden names too."""
+
+_V = TypeVar("_V")
+_namespaces: Kept[Mapping[str, object], Namespaces] = Kept(members_of, 24)
 
 
 def of_room(graph: Graph, room: str) -> Mapping[str, object]:
@@ -32,6 +41,7 @@ def of_room(graph: Graph, room: str) -> Mapping[str, object]:
         "nodes": graph.nodes,
         "topics": graph.topics,
         "services": graph.services,
+        "actions": graph.actions,
         "parameters": graph.parameters,
     }
     return rooms[room]
@@ -40,6 +50,83 @@ def of_room(graph: Graph, room: str) -> Mapping[str, object]:
 def namespaces(graph: Graph, room: str) -> Namespaces:
     """The namespaces of one room with their members."""
     return _namespaces(of_room(graph, room))
+
+
+def is_of_hidden(parameter: Parameter) -> bool:
+    """Whether a parameter belongs to a node that is hidden."""
+    return parameter.node is not None and names.is_hidden(parameter.node)
+
+
+def _kept_if(is_kept: Callable[[str, _V], bool], things: Mapping[str, _V]) -> Mapping[str, _V]:
+    found = {name: thing for name, thing in things.items() if is_kept(name, thing)}
+    return things if len(found) == len(things) else frozen(found)
+
+
+def _unhidden(graph: Graph) -> Graph:
+    """The graph without hidden names; parameters are hidden where their nodes are, whatever those call them."""
+
+    def shown(things: Mapping[str, _V]) -> Mapping[str, _V]:
+        return _kept_if(lambda name, _: not names.is_hidden(name), things)
+
+    return replace(
+        graph,
+        nodes=shown(graph.nodes),
+        topics=shown(graph.topics),
+        services=shown(graph.services),
+        actions=shown(graph.actions),
+        parameters=_kept_if(lambda _, one: not is_of_hidden(one), graph.parameters),
+    )
+
+
+_listed: Kept[Graph, Graph] = Kept(_unhidden)
+
+
+def listed(robot: Robot) -> Graph:
+    """The graph as listings tell it: without hidden names, where the robot's kind of system has them."""
+    return _listed(robot.graph) if robot.adapter.capabilities.hidden_names else robot.graph
+
+
+def with_hidden(url: str) -> str:
+    """The URL at which a container tells its hidden members too."""
+    return f"{url}?{HIDDEN}"
+
+
+def listed_members(robot: Robot, room: str, namespace: tuple[str, ...], *, hidden: bool = False) -> Members | None:
+    """The members of a namespace as its listing tells them; None where there is no such namespace.
+
+    Within a namespace that is hidden itself nothing is, and neither where hidden ones are asked for.
+    """
+    whole = namespaces(robot.graph, room).get(namespace)
+    if whole is None or hidden or names.is_hidden(names.join(namespace)):
+        return whole
+    return namespaces(listed(robot), room).get(namespace, Members())
+
+
+def namespace_described(
+    robot: Robot, room: str, namespace: tuple[str, ...], members: Members, *, hidden: bool = False
+) -> Document:
+    """A namespace with these members, or these of them; where its listing leaves some out it links to all."""
+    url = robot.space.container(room, namespace)
+    is_name = names.join(namespace) in of_room(robot.graph, room)
+    leaves_out = listed_members(robot, room, namespace, hidden=hidden) != namespaces(robot.graph, room).get(namespace)
+    whole = with_hidden(url) if leaves_out else None
+    return namespace_document(room, namespace, members, robot.space, is_name=is_name, whole=whole)
+
+
+def count(members: Members) -> int:
+    """How many members a namespace has: names, and namespaces below."""
+    return len(members.leaves) + len(members.namespaces)
+
+
+def ordered(members: Members) -> list[str]:
+    """The members as they end their URLs, in the order of pages."""
+    return sorted([*map(encode_segment, members.leaves), *(f"{encode_segment(one)}/" for one in members.namespaces)])
+
+
+def members_named(ends: Sequence[str]) -> Members:
+    """The members whose URLs end so: the inverse of `ordered`."""
+    leaves = tuple(sorted(decode_segment(end) for end in ends if not end.endswith("/")))
+    return Members(leaves, tuple(sorted(decode_segment(end[:-1]) for end in ends if end.endswith("/"))))
 
 
 def moved_to_namespace(robot: Robot, room: str, name: str) -> Problem | None:
@@ -61,44 +148,135 @@ def _service_cells(service: Service, space: Space) -> tuple[Cell, ...]:
     return (kind, NamedNode(space.node(service.providers[0])) if service.providers else "")
 
 
+def _action_cells(action: Action, space: Space) -> tuple[Cell, ...]:
+    kind = NamedNode(space.class_of(action.type.name)) if action.type else ""
+    return (kind, NamedNode(space.node(action.servers[0])) if action.servers else "")
+
+
 class NamespaceContainer(Resource):
-    """A namespace of one kind of names: `/topics/`, `/topics/camera/`, ..."""
+    """A namespace of one kind of names: `/topics/`, `/topics/camera/`, ...; in pages where there are many."""
 
     kind = "Namespace"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(self, robot: Robot, room: str, namespace: tuple[str, ...]) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        room: str,
+        namespace: tuple[str, ...],
+        place: Place | None = None,
+        *,
+        hidden: bool = False,
+    ) -> None:
         super().__init__(robot.space.container(room, namespace))
         self.title = names.join(namespace) if namespace else room.capitalize()
         self.robot = robot
         self.room = room
         self.namespace = namespace
+        self._place = place
+        self._hidden = hidden
+        self._sequence = with_hidden(self.url) if hidden else self.url
+
+    @property
+    def shows(self) -> tuple[Place | None, bool]:
+        return self._place, self._hidden
+
+    async def narrowed(self, exchange: Exchange) -> Resource:
+        """The page that `?page=` asks for, the first of many pages (303)."""
+        if exchange.method not in ("GET", "HEAD"):
+            return self
+        hidden, token = exchange.flag("hidden"), exchange.query.get("page")
+        place = None if token is None else read_named_place(token)
+        asked = NamespaceContainer(self.robot, self.room, self.namespace, place, hidden=hidden)
+        if place is None:
+            send_to_first(exchange, self.url, count(asked._members()))
+        return asked
 
     async def state(self) -> State:
-        members = namespaces(self.robot.graph, self.room).get(self.namespace)
+        members = self._members()
+        version = (members, self._is_name, self.robot.graph.revision)  # the page tells of what lies below, too
+        if self._place is None:
+            return self.robot.states.get(self._sequence, version, lambda: State(lambda: self._document(members)))
+        page, told = self._page(self._place, members)
+
+        def make() -> State:
+            headers = {"link": render([*self.links, *page.links()]), "vary": "Accept, Prefer"}
+            return State(
+                lambda: page.told_with(self._document(told)), part=f"p{digest(page.token.encode())}", headers=headers
+            )
+
+        return self.robot.states.get(page.url, version, make)
+
+    def _document(self, members: Members) -> Document:
+        return namespace_described(self.robot, self.room, self.namespace, members, hidden=self._hidden)
+
+    @property
+    def _is_name(self) -> bool:
+        return names.join(self.namespace) in of_room(self.robot.graph, self.room)
+
+    def _members(self) -> Members:
+        """The members; a Problem where there is no such namespace."""
+        members = self._found()
         if members is None:
             raise self._missing()
-        is_name = names.join(self.namespace) in of_room(self.robot.graph, self.room)
-        describe = partial(namespace_document, self.room, self.namespace, members, self.robot.space, is_name=is_name)
-        version = (members, is_name, self.robot.graph.revision)  # the page tells of what lies below, too
-        return self.robot.states.get(self.url, version, lambda: State(describe))
+        return members
+
+    def _found(self) -> Members | None:
+        return listed_members(self.robot, self.room, self.namespace, hidden=self._hidden)
+
+    def _page(self, place: Place, members: Members) -> tuple[Page, Members]:
+        """A page, and the members it tells of."""
+        page, told = page_among(self._sequence, place, ordered(members))
+        return page, members_named(told)
+
+    @property
+    def query(self) -> str:
+        parts = [HIDDEN] if self._hidden else []
+        return "&".join(parts if self._place is None else [*parts, page_query(self._place.token)])
+
+    def steps(self) -> tuple[Step, ...]:
+        members = self._found()
+        return () if self._place is None or members is None else self._page(self._place, members)[0].steps()
 
     def listing(self) -> Listing | None:
-        """Everything below, with types and endpoints."""
-        prefix = "".join(f"/{part}" for part in self.namespace) + "/"
-        graph, space = self.robot.graph, self.robot.space
+        """Everything below, or below what a page tells of, with types and endpoints."""
+        whole = self._hidden or names.is_hidden(names.join(self.namespace))
+        graph, space = self.robot.graph if whole else listed(self.robot), self.robot.space
+        members = self._found()
+        total = None if self._place is None or members is None else count(members)
         if self.room == "topics":
-            topics = [topic for name, topic in sorted(graph.topics.items()) if name.startswith(prefix)][:MOST_ROWS]
+            topics = {name: graph.topics[name] for name in self._below(graph.topics, members)}
             return Listing(
                 ("type", "publishers", "subscribers"),
-                {space.topic(topic.name): _topic_cells(topic, space) for topic in topics},
+                {space.topic(name): _topic_cells(topic, space) for name, topic in topics.items()},
+                total,
             )
         if self.room == "services":
-            services = [one for name, one in sorted(graph.services.items()) if name.startswith(prefix)][:MOST_ROWS]
+            services = {name: graph.services[name] for name in self._below(graph.services, members)}
             return Listing(
-                ("type", "provider"), {space.service(one.name): _service_cells(one, space) for one in services}
+                ("type", "provider"),
+                {space.service(name): _service_cells(service, space) for name, service in services.items()},
+                total,
             )
-        return None
+        if self.room == "actions":
+            actions = {name: graph.actions[name] for name in self._below(graph.actions, members)}
+            return Listing(
+                ("type", "server"),
+                {space.action(name): _action_cells(action, space) for name, action in actions.items()},
+                total,
+            )
+        return None if total is None else Listing(total=total)
+
+    def _below(self, known: Mapping[str, object], members: Members | None) -> list[str]:
+        """The names in this namespace that its page lists, in order: at most `MOST_ROWS`."""
+        prefix = "".join(f"/{part}" for part in self.namespace) + "/"
+        below = sorted(name for name in known if name.startswith(prefix))
+        if self._place is not None and members is not None:
+            told = self._page(self._place, members)[1]
+            leaves, inner = set(told.leaves), set(told.namespaces)
+            rests = ((name, name[len(prefix) :].partition("/")) for name in below)
+            below = [name for name, (part, slash, _) in rests if part in (inner if slash else leaves)]
+        return below[:MOST_ROWS]
 
     def _missing(self) -> Problem:
         """308 where the name is a leaf, else 404."""

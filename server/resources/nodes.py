@@ -1,32 +1,165 @@
-"""Nodes: what each publishes, subscribes to and provides."""
+"""Nodes: what each takes part in, and the lifecycle of a managed one: POST has it make a transition."""
 
 from __future__ import annotations
 
-from rosld.adapters.model import Graph
-from rosld.ontology.describe_graph import node_document
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+from pyoxigraph import Literal, NamedNode, Triple
+from starlette.responses import Response
+
+from rosld.adapters.model import Kind, Lifecycle, Operation, Ref, Refused, Transition, TypeRef
+from rosld.ontology.body import parse_body
+from rosld.ontology.describe_graph import NodeView, node_document, node_views
+from rosld.ontology.lower import lowerer, parse_json
+from rosld.ontology.violations import LoweringError, Violation
+from rosld.ontology.vocab import ros
+from rosld.server.errors import problem_of
+from rosld.server.html import ChoiceForm, Form
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.resource import Resource
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.resource import JSON, RDF_BODIES, READ, Answer, Resource
 from rosld.server.ldp.state import State
+from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import moved_to_namespace
 from rosld.server.robot import Robot
+from rosld.server.writable import closed
+
+TRANSITION = "transition"
+"""The member of a JSON body, and the field of a form, that names a transition."""
 
 
 class NodeResource(Resource):
     """One node."""
 
     kind = "Node"
+    accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON)}
 
     def __init__(self, robot: Robot, name: str) -> None:
         super().__init__(robot.space.node(name))
         self.robot = robot
         self.name = self.title = name
 
-    async def state(self) -> State:
-        graph: Graph = self.robot.graph
-        node = graph.nodes.get(self.name)
-        if node is None:
-            raise moved_to_namespace(self.robot, "nodes", self.name) or Problem(404, f"There is no node {self.name}.")
-        found = node
-        return self.robot.states.get(
-            self.url, graph.revision, lambda: State(lambda: node_document(found, graph, self.robot.space))
+    @property
+    def view(self) -> NodeView:
+        """The node and what it takes part in; a 404 Problem where there is none."""
+        found = node_views(self.robot.graph).get(self.name)
+        if found is None:
+            missing = Problem(404, f"There is no node {self.name}.")
+            raise moved_to_namespace(self.robot, "nodes", self.name) or missing
+        return self.seen(found)
+
+    def seen(self, found: NodeView) -> NodeView:
+        """The view of this node with what is on offer here now."""
+        return replace(found, offers=self._offers) if found.node.lifecycle else found
+
+    @property
+    def lifecycle(self) -> Lifecycle | None:
+        """Its lifecycle, None where it has none."""
+        found = self.robot.graph.nodes.get(self.name)
+        return None if found is None else found.lifecycle
+
+    @property
+    def _offers(self) -> bool:
+        """Whether a transition can be asked for here now."""
+        return "POST" in self.methods() and Operation.CHANGE_STATE in self.robot.adapter.allows(
+            Ref(Kind.NODE, self.name)
         )
+
+    def methods(self) -> frozenset[str]:
+        lifecycle = self.lifecycle
+        if self.robot.settings.read_only or lifecycle is None or lifecycle.state is None:
+            return READ
+        return READ if self._closed(lifecycle) else READ | {"POST"}
+
+    def _closed(self, lifecycle: Lifecycle) -> str | None:
+        """The name by which its lifecycle belongs to what is written under /resources/ only."""
+        return next((name for name in (self.name, lifecycle.service) if self.robot.is_closed(name)), None)
+
+    def why_not(self, method: str) -> str:
+        lifecycle = self.lifecycle
+        if self.robot.settings.read_only:
+            return "This server is read-only."
+        if method != "POST" or lifecycle is None:
+            return f"{self.name} has no lifecycle: it does not answer {method}."
+        name = self._closed(lifecycle)
+        return closed(name) if name is not None else f"No transition can be asked for: {lifecycle.unknown}."
+
+    async def state(self) -> State:
+        view, space, simulated = self.view, self.robot.space, self.robot.graph.simulated_time
+        return self.robot.states.get(
+            self.url, (view, simulated), lambda: State(partial(node_document, view, space, simulated_time=simulated))
+        )
+
+    async def forms(self) -> Sequence[Form]:
+        lifecycle = self.lifecycle
+        if lifecycle is None or not self._offers:
+            return ()
+        labels = tuple(each.label for each in lifecycle.transitions)
+        return (ChoiceForm(TRANSITION, labels, "Change the state"),)
+
+    async def post(self, exchange: Exchange) -> Answer:
+        label = await _label_in(exchange, self.url)
+        robot, lifecycle = self.robot, self.lifecycle
+        transition = next((each for each in lifecycle.transitions if each.label == label), None) if lifecycle else None
+        if transition is not None and lifecycle is not None:
+            await self._require(transition, lifecycle.service)
+        try:
+            deadline = robot.deadline(robot.settings.call_deadline)
+            await robot.adapter.change_state(self.name, label, deadline=deadline)
+        except Refused as error:
+            raise self._refusal(error) from error
+        finally:
+            if lifecycle is not None:
+                robot.written(Kind.SERVICE, lifecycle.service)
+        return Response(status_code=204)
+
+    async def _require(self, transition: Transition, service: str) -> None:
+        """Raise LoweringError where the transition breaks a limit: on this node, or on the service that makes it."""
+        robot = self.robot
+        shape = robot.limits.resource(self.url)
+        if shape is not None:
+            subject = NamedNode(self.url)
+            broken = tuple(shape.violations(subject, [Triple(subject, ros.transition, Literal(transition.label))]))
+            if broken:
+                raise LoweringError(*broken)
+        if robot.limits:
+            found = robot.graph.services.get(service)
+            ref = found.type if found is not None else None
+            schema = await robot.schemas.service(ref or TypeRef("lifecycle_msgs/srv/ChangeState"))
+            sent = {"transition": {"id": transition.id, "label": transition.label}}
+            message = lowerer(schema.request, robot.lifting).from_json(sent)
+            url = robot.space.service(service)
+            await require_message(robot, Kind.SERVICE, service, schema.request, message, url, "#request")
+
+    def _refusal(self, error: Refused) -> Problem:
+        """409 with the state of the node, and the transitions that are legal in it."""
+        problem, lifecycle = problem_of(error), self.lifecycle
+        problem.status, problem.title = 409, "Not done"
+        if lifecycle is not None:
+            problem.extra |= {
+                "state": None if lifecycle.state is None else lifecycle.state.label,
+                "transitions": [each.label for each in lifecycle.transitions],
+            }
+        return problem
+
+
+async def _label_in(exchange: Exchange, url: str) -> str:
+    """The transition that a body asks for. Raises BodyError, LoweringError."""
+    data = await exchange.body()
+    found: Sequence[object]
+    if exchange.media_type == JSON:
+        content = parse_json(data)
+        if not isinstance(content, dict):
+            raise LoweringError(Violation("", 'expected an object: {"transition": "activate"}'))
+        strange = [Violation(name, "is nothing that a node takes") for name in content if name != TRANSITION]
+        if strange:
+            raise LoweringError(*strange)
+        found = [content[TRANSITION]] if TRANSITION in content else []
+    else:
+        terms = parse_body(data, exchange.media_type, url).objects(NamedNode(url), ros.transition)
+        found = [term.value if isinstance(term, Literal) else term for term in terms]
+    if len(found) != 1 or not isinstance(found[0], str):
+        raise LoweringError(Violation(TRANSITION, "expected the name of one transition, such as activate"))
+    return found[0]

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import secrets
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
+from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
-from rosld.adapters.model import Kind, Operation, ParameterValue, Ref, names
-from rosld.ontology.body import parse_body
+from rosld.adapters.model import Descriptor, Kind, Operation, ParameterValue, Ref, names
+from rosld.ontology.body import body_of, parse_body
+from rosld.ontology.document import Document
 from rosld.ontology.lower import parse_json
+from rosld.ontology.namespaces import Members
 from rosld.ontology.parameters import (
+    Json,
     lower_json,
     lower_parameter,
     parameter_container_document,
@@ -19,11 +25,21 @@ from rosld.ontology.parameters import (
     parameter_json,
     plain,
 )
+from rosld.ontology.urls import encode_segment
+from rosld.ontology.vocab import ros
+from rosld.server.access.gate import require_below
+from rosld.server.access.judge import Judge
+from rosld.server.events.asked import EVENT_STREAM
 from rosld.server.events.watches import every, together
-from rosld.server.html import DeleteForm, Form, ParameterForm
+from rosld.server.html import DeleteForm, Form, Listing, ParameterForm, Step, ValueForm
+from rosld.server.html.view import visible
+from rosld.server.http import negotiation
+from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.paging import MOST, Page, Place, page_among, page_query, read_named_place, send_to_first
 from rosld.server.ldp.patch import merge_patch, updated
+from rosld.server.ldp.plan import Move, Plan
 from rosld.server.ldp.resource import (
     BASIC_CONTAINER,
     JSON,
@@ -39,9 +55,14 @@ from rosld.server.ldp.resource import (
     moved,
 )
 from rosld.server.ldp.state import State, digest
+from rosld.server.ldp.veiling import veiled_state
+from rosld.server.ldp.verbs import OFFERS
 from rosld.server.resources.limits import require_parameter
+from rosld.server.resources.namespaces import HIDDEN, count, is_of_hidden, listed_members, ordered, with_hidden
 from rosld.server.robot import Robot
-from rosld.server.writable import closed
+from rosld.server.writable import closed, kept
+from rosld.shapes.parameter import constraint_url, declared_shape, declared_triples
+from rosld.shapes.value import OpenShape
 
 _MOST_SLUG = 100
 _LOOK_AGAIN_SECONDS = 1.0
@@ -68,6 +89,15 @@ class _Parameters(Resource):
     def constrained_by(self) -> str | None:
         return self.robot.space.shape("limits")
 
+    def _descriptor(self, name: str) -> Descriptor | None:
+        """What is declared of a parameter."""
+        parameter = self.robot.graph.parameters.get(name)
+        return None if parameter is None else parameter.descriptor
+
+    @property
+    def reaches_below(self) -> bool:
+        return bool(_below(self.name, self.robot))
+
     def _can(self, operation: Operation) -> bool:
         if self.robot.settings.read_only or self.robot.is_closed(self.name):
             return False
@@ -88,10 +118,22 @@ class _Parameters(Resource):
         told = self.robot.parameter_changes.watch(wake, lambda name: _related(name, self.name))
         return together(told, every(_LOOK_AGAIN_SECONDS, wake))
 
-    async def _set(self, values: Mapping[str, ParameterValue]) -> None:
+    async def _require_settable(self, values: Mapping[str, ParameterValue]) -> None:
+        """Raise a Problem or a LoweringError where a value must not be set."""
         for name, value in values.items():
             self._require_open(name, value)
+            for each in _leaves(name, value):
+                self._require_not_kept(each)
             await require_parameter(self.robot, name, value)
+
+    def _require_not_kept(self, name: str, *, delete: bool = False) -> None:
+        """Raise a 409 Problem where the node of a parameter declares that this is never done with it."""
+        words = kept(self.robot.graph, name, delete=delete)
+        if words is not None:
+            raise Problem(409, words)
+
+    async def _set(self, values: Mapping[str, ParameterValue]) -> None:
+        await self._require_settable(values)
         deadline = self.robot.deadline(self.robot.settings.call_deadline)
         try:
             await self.robot.adapter.set_parameters(values, deadline=deadline)
@@ -101,6 +143,7 @@ class _Parameters(Resource):
     async def _delete(self, gone: Sequence[str]) -> None:
         for name in gone:
             self._require_open(name, {})
+            self._require_not_kept(name, delete=True)
         deadline = self.robot.deadline(self.robot.settings.call_deadline)
         try:
             await self.robot.adapter.delete_parameters(gone, deadline=deadline)
@@ -134,6 +177,16 @@ class ParameterResource(_Parameters):
     def __init__(self, robot: Robot, name: str) -> None:
         super().__init__(robot, name, robot.space.parameter(name))
 
+    @property
+    def constrained_by(self) -> str | None:
+        return constraint_url(self.url, self._descriptor(self.name)) or super().constrained_by
+
+    def why_not(self, method: str) -> str:
+        if self.robot.settings.read_only or self.robot.is_closed(self.name):
+            return super().why_not(method)
+        words = kept(self.robot.graph, self.name, delete=method == "DELETE")
+        return words or super().why_not(method)
+
     def methods(self) -> frozenset[str]:
         methods = READ
         if self._can(Operation.SET_PARAMETER):
@@ -148,30 +201,37 @@ class ParameterResource(_Parameters):
             raise Problem(404, f"There is no parameter {self.name}.")
         if isinstance(value, dict):
             raise moved(self._tree_url())
-        return self._shown(value)
+        return self.shown(value)
 
     def _tree_url(self) -> str:
         return self.robot.space.container("parameters", names.segments(self.name))
 
-    def _shown(self, value: ParameterValue) -> State:
-        plain = self._plain(value)
-        return self.robot.states.get(
-            self.url,
-            plain,
-            lambda: State(lambda: parameter_document(self.name, value, self.robot.space), lambda: plain, digest(plain)),
-        )
+    def shown(self, value: ParameterValue) -> State:
+        """The state with this value, which is no tree. Raises Problem 406 for one that is nested too deep."""
+        plain, descriptor = self._plain(value), self._descriptor(self.name)
+
+        def described() -> Document:
+            document = parameter_document(self.name, value, self.robot.space)
+            if descriptor is None:
+                return document
+            declared = declared_triples(descriptor, self.url, self.robot.space)
+            return replace(document, triples=(*document.triples, *declared))
+
+        token = digest(plain if descriptor is None else plain + repr(descriptor).encode("utf-8", "surrogatepass"))
+        return self.robot.states.get(self.url, token, lambda: State(described, lambda: plain, token))
 
     async def forms(self) -> Sequence[Form]:
         methods, value = self.methods(), await self._value()
         forms: list[Form] = []
         if "PUT" in methods and value is not None:
-            forms.append(ParameterForm(plain(value)))
+            forms.append(_form(plain(value), self._descriptor(self.name)))
         if "DELETE" in methods:
             forms.append(DeleteForm("Delete the parameter"))
         return forms
 
     async def put(self, exchange: Exchange) -> Answer:
         value = await self._parsed(exchange)
+        _require_below(exchange, self.url, value)
         before = await self._value()
         self._check_place(value, before)
         await self._set({self.name: value})
@@ -180,7 +240,32 @@ class ParameterResource(_Parameters):
         if isinstance(value, dict):
             tree = ParameterTree(self.robot, names.segments(self.name))
             return Created(tree.url, tree, await tree.state())
-        return Created(self.url, self, self._shown(value))
+        return Created(self.url, self, self.shown(value))
+
+    async def planned(self, triples: Sequence[Triple] | None) -> Plan:
+        methods = self.methods()
+        body = body_of(triples or ())
+        if not body.objects(NamedNode(self.url), ros.value):
+            if "DELETE" not in methods:
+                raise Problem(403, self.why_not("DELETE"))
+            self._require_open(self.name, {})
+
+            async def deleted() -> bool:
+                await self._delete([self.name])
+                return True
+
+            return Move(f"delete the parameter {self.name}", deleted)
+        if "PUT" not in methods:
+            raise Problem(403, self.why_not("PUT"))
+        value = lower_parameter(body, self.url)
+        self._check_place(value, await self._value())
+        await self._require_settable({self.name: value})
+
+        async def set_to() -> bool:
+            await self._set({self.name: value})
+            return True
+
+        return Move(f"set the parameter {self.name} to {parameter_json(value).decode()}", set_to)
 
     async def _parsed(self, exchange: Exchange) -> ParameterValue:
         data = await exchange.body()
@@ -212,31 +297,57 @@ class ParameterResource(_Parameters):
         else:
             document = parameter_document(self.name, before, self.robot.space)
             value = lower_parameter(updated(data, document.triples, self.url), self.url)
+        _require_below(exchange, self.url, value)
         self._check_place(value, before)
         await self._set({self.name: value})
         return Response(status_code=204)
 
 
 class ParameterTree(_Parameters):
-    """A namespace of parameters: a container, and as plain JSON the object of its members' values."""
+    """A namespace of parameters: a container, and as plain JSON the object of its members' values.
+
+    Where there are many members the container comes in pages. The object is one value, and never does unasked. Neither
+    tells of the parameters of hidden nodes unasked.
+    """
 
     kind = "Parameters"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON), "PATCH": (MERGE_PATCH,)}
 
-    def __init__(self, robot: Robot, namespace: tuple[str, ...]) -> None:
+    def __init__(
+        self, robot: Robot, namespace: tuple[str, ...], place: Place | None = None, *, hidden: bool = False
+    ) -> None:
         super().__init__(robot, names.join(namespace), robot.space.container("parameters", namespace))
         self.namespace = namespace
+        self._place = place
+        self._hidden = hidden
+        self._sequence = with_hidden(self.url) if hidden else self.url
+
+    @property
+    def shows(self) -> tuple[Place | None, bool]:
+        return self._place, self._hidden
+
+    @property
+    def reaches_below(self) -> bool:
+        return True
 
     def methods(self) -> frozenset[str]:
         if not self.robot.adapter.capabilities.parameter_trees:
-            return READ
+            return READ | {"POST", "PATCH"} if self._can_change_node() else READ
         methods = READ
         if self._can(Operation.SET_PARAMETER) or (not self.namespace and self._may_create()):
             methods |= {"POST", "PATCH"}
         if self.namespace and self._can(Operation.DELETE_PARAMETER):
             methods |= {"DELETE"}
         return methods
+
+    def _can_change_node(self) -> bool:
+        """Whether this is the container of a node whose parameters can be set."""
+        settings, allows = self.robot.settings, self.robot.adapter.allows
+        return not (settings.read_only or self.robot.is_closed(self.name)) and any(
+            one.node == self.name and Operation.SET_PARAMETER in allows(Ref(Kind.PARAMETER, one.name))
+            for one in self.robot.graph.parameters.values()
+        )
 
     def _may_create(self) -> bool:
         allowed = self.robot.adapter.allows(Ref(Kind.PARAMETER, "/rosld"))
@@ -248,17 +359,83 @@ class ParameterTree(_Parameters):
             value = {}
         if not isinstance(value, dict):
             raise Problem(404, f"There is no tree of parameters {self.name}.")
-        plain = self._plain(value)
-        tree = value
+        tree = self._listed(value)
+        whole = with_hidden(self.url) if tree is not value else None
+        plain = self._plain(tree)
+        if self._place is not None:
+            return self._page_shown(self._place, tree, plain)
         return self.robot.states.get(
-            self.url,
-            plain,
+            self._sequence,
+            (plain, whole),
             lambda: State(
-                lambda: parameter_container_document(self.namespace, tree, self.robot.space),
+                lambda: parameter_container_document(self.namespace, tree, self.robot.space, MOST, whole=whole),
                 lambda: plain,
                 digest(plain),
             ),
         )
+
+    def _listed(self, value: dict[str, ParameterValue]) -> dict[str, ParameterValue]:
+        """The tree as it is listed; the same object where nothing is left out."""
+        capabilities = self.robot.adapter.capabilities
+        if self._hidden or not capabilities.hidden_names or names.is_hidden(self.name):
+            return value
+        hidden = {each.name for each in self.robot.graph.parameters.values() if is_of_hidden(each)}
+        return _without(self.name, value, hidden) if hidden else value
+
+    def _members(self) -> Members | None:
+        return listed_members(self.robot, "parameters", self.namespace, hidden=self._hidden)
+
+    async def narrowed(self, exchange: Exchange) -> Resource:
+        """The page that `?page=` asks for, the first of many pages (303) where the container is asked for."""
+        if exchange.method not in ("GET", "HEAD"):
+            return self
+        token = exchange.query.get("page")
+        place = None if token is None else read_named_place(token)
+        asked = ParameterTree(self.robot, self.namespace, place, hidden=exchange.flag("hidden"))
+        members = asked._members()
+        if place is None and members is not None and not _wants_value(exchange):
+            send_to_first(exchange, self.url, count(members))
+        return asked
+
+    def _page_shown(self, place: Place, tree: Mapping[str, ParameterValue], whole: bytes) -> State:
+        page, held = self._page(place, tree)
+
+        def make() -> State:
+            return State(
+                lambda: page.told_with(parameter_container_document(self.namespace, held, self.robot.space, MOST)),
+                lambda: self._plain(held),
+                digest(whole),
+                part=f"p{digest(page.token.encode())}",
+                headers={"link": render([*self.links, *page.links()]), "vary": "Accept, Prefer"},
+            )
+
+        return self.robot.states.get(page.url, whole, make)
+
+    def _page(self, place: Place, tree: Mapping[str, ParameterValue]) -> tuple[Page, dict[str, ParameterValue]]:
+        """A page, and what of the tree it tells."""
+        keys = {encode_segment(key) + ("/" if isinstance(tree[key], dict) else ""): key for key in tree}
+        page, told = page_among(self._sequence, place, sorted(keys))
+        return page, {keys[end]: tree[keys[end]] for end in told}
+
+    @property
+    def query(self) -> str:
+        parts = [HIDDEN] if self._hidden else []
+        return "&".join(parts if self._place is None else [*parts, page_query(self._place.token)])
+
+    def steps(self) -> tuple[Step, ...]:
+        members = self._members()
+        if self._place is None or members is None:
+            return ()
+        return page_among(self._sequence, self._place, ordered(members))[0].steps()
+
+    def listing(self) -> Listing | None:
+        members = self._members()
+        return None if self._place is None or members is None else Listing(total=count(members))
+
+    def veiled(self, state: State, judge: Judge) -> State:
+        plain = state.plain
+        assert plain is not None
+        return veiled_state(state, judge, plain=lambda: _pruned(plain(), self.url, judge))
 
     async def post(self, exchange: Exchange) -> Answer:
         """A new member, named by Slug where it is free (LDP 5.2.3.10)."""
@@ -275,13 +452,16 @@ class ParameterTree(_Parameters):
         return f"{name}_{secrets.token_hex(3)}" if taken else name
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """Merge patch: members are set, those that are null are deleted."""
+        """Merge patch: members are set, those that are null are deleted. Those of a node are set all or none."""
         before = await self._value()
         patch = parse_json(await exchange.body())
         if not isinstance(patch, dict) or not isinstance(before, dict | None):
             raise Problem(422, f"A patch of the tree {self.name} is a JSON object of its members.")
         merged = lower_json(merge_patch(parse_json(parameter_json(before or {})), patch))
         assert isinstance(merged, dict)
+        if not self.robot.adapter.capabilities.parameter_trees:
+            await self._patch_node(dict(_values(self.name, before or {})), dict(_values(self.name, merged)))
+            return Response(status_code=204)
         gone = [name for name in (before or {}) if name not in merged]
         changed = {name: value for name, value in merged.items() if not _same((before or {}).get(name), value)}
         prefix = "" if self.name == "/" else self.name
@@ -289,6 +469,62 @@ class ParameterTree(_Parameters):
         if gone:
             await self._delete([f"{prefix}/{name}" for name in gone])
         return Response(status_code=204)
+
+    async def _patch_node(self, before: Mapping[str, ParameterValue], after: Mapping[str, ParameterValue]) -> None:
+        """Set what changes of this node's parameters at once, then delete what is gone."""
+        changed = {name: value for name, value in after.items() if not _same(before.get(name), value)}
+        gone = [name for name in before if name not in after]
+        for name in (*changed, *gone):
+            known = self.robot.graph.parameters.get(name)
+            if known is not None and known.node != self.name:
+                raise Problem(409, f"{name} belongs to the node {known.node}: PATCH its own container.")
+        for name in gone:
+            self._require_not_kept(name, delete=True)
+        if changed:
+            await self._set(changed)
+        if gone:
+            await self._delete(gone)
+
+
+def _form(value: Json, descriptor: Descriptor | None) -> Form:
+    """The form for a value, drawn from what is declared of the parameter; an open one where that does not say."""
+    if descriptor is None:
+        return ParameterForm(value)
+    about = visible(" ".join(filter(None, (descriptor.description, descriptor.constraints))))
+    shape = declared_shape(descriptor)
+    if isinstance(shape, OpenShape) or isinstance(value, dict | list):
+        return ParameterForm(value, about=about)
+    return ValueForm(shape, value=value, title="Set the parameter", about=about)
+
+
+def _without(name: str, tree: dict[str, ParameterValue], hidden: Container[str]) -> dict[str, ParameterValue]:
+    """The tree without these parameters, and without what holds nothing else; the same object where it has none."""
+    kept: dict[str, ParameterValue] = {}
+    for key, value in tree.items():
+        path = f"{name.rstrip('/')}/{key}"
+        shown = _without(path, value, hidden) if isinstance(value, dict) else value
+        if path not in hidden and (shown is value or shown):
+            kept[key] = shown
+    return tree if len(kept) == len(tree) and all(kept[key] is tree[key] for key in tree) else kept
+
+
+def _require_below(exchange: Exchange, url: str, value: ParameterValue) -> None:
+    """Refuse a tree where not everything in it is for who asks to write."""
+    place = exchange.judge.place(url)
+    if isinstance(value, dict) and place is not None:
+        require_below(exchange.judge, exchange.method, place)
+
+
+def _pruned(data: bytes, url: str, judge: Judge) -> bytes:
+    """The object of a tree's values at a URL, without those that may not be read."""
+
+    def pruned(value: object, at: str) -> object:
+        if not isinstance(value, dict):
+            return value
+        ends = {key: encode_segment(key) + ("/" if isinstance(inner, dict) else "") for key, inner in value.items()}
+        return {key: pruned(value[key], at + end) for key, end in ends.items() if judge.may_read(at + end)}
+
+    return json.dumps(pruned(json.loads(data), url), ensure_ascii=False, separators=(",", ":")).encode()
 
 
 def _below(name: str, robot: Robot) -> list[str]:
@@ -306,10 +542,27 @@ def _leaves(name: str, value: ParameterValue) -> Iterator[str]:
         yield from _leaves(f"{name.rstrip('/')}/{key}", inner)
 
 
+def _values(name: str, value: ParameterValue) -> Iterator[tuple[str, ParameterValue]]:
+    """The parameters that a value comes to, with the value of each."""
+    if not isinstance(value, dict):
+        yield name, value
+        return
+    for key, inner in value.items():
+        yield from _values(f"{name.rstrip('/')}/{key}", inner)
+
+
 def _related(one: str, other: str) -> bool:
     """Whether two names are the same, or one is a tree that holds the other."""
     ones, others = one.rstrip("/") + "/", other.rstrip("/") + "/"
     return ones.startswith(others) or others.startswith(ones)
+
+
+def _wants_value(exchange: Exchange) -> bool:
+    """Whether what is asked for is the value of a tree, in JSON or as a stream of it, rather than the container."""
+    wanted = exchange.query.get("format")
+    if wanted:
+        return wanted == "json"
+    return negotiation.choose(exchange.accept, (*OFFERS, EVENT_STREAM)) in (JSON, EVENT_STREAM)
 
 
 def _same(one: ParameterValue | None, other: ParameterValue) -> bool:

@@ -9,7 +9,7 @@ from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
 
 from rosld.adapters.model import Kind, Message, MessageSchema, Topic, TypeRef, UnknownType
-from rosld.ontology.body import RdfBody, parse_body
+from rosld.ontology.body import RdfBody, body_of, parse_body
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.lower import find_message, lowerer, parse_json
 from rosld.ontology.vocab import rdf, ros
@@ -48,21 +48,45 @@ class Publishing:
 
     async def plan(self, exchange: Exchange) -> Publish:
         """What a PUT asks to be published. Raises whatever there is to refuse."""
-        data = await exchange.body()
         latch = exchange.flag("latch")
+        return await self._publish(*await self.asked(exchange), latch)
+
+    async def asked(self, exchange: Exchange) -> tuple[MessageSchema, Message]:
+        """The message in a body that was sent to the topic, with its schema. Raises LoweringError, and Problems."""
+        data = await exchange.body()
         if exchange.media_type == JSON:
             if self.topic is None:
                 raise Problem(
                     404, f"There is no topic {self.name}; to make it, PUT RDF that states the message's type."
                 )
             schema = await self._schema()
-            message = lowerer(schema, self.robot.lifting).from_json(
-                parse_json(data), defaults=exchange.flag("defaults")
-            )
-            return await self._publish(schema, message, latch)
+            return schema, self._from_json(exchange, schema, data)
         body = parse_body(data, exchange.media_type, self.url)
         schema = await (self._schema() if self._typed() else self._stated_schema(body))
-        return await self._publish(schema, self._lower(schema, body), latch)
+        return schema, self._lower(schema, body)
+
+    async def message_of(self, exchange: Exchange, schema: MessageSchema, url: str) -> Message:
+        """The message of a schema in a body that was sent to `url`. Raises LoweringError, and Problems."""
+        data = await exchange.body()
+        if exchange.media_type == JSON:
+            return self._from_json(exchange, schema, data)
+        body = parse_body(data, exchange.media_type, url)
+        root = find_message(body, url, self.robot.space.class_of(schema.ref.name))
+        return lowerer(schema, self.robot.lifting).from_graph(body, root, url)
+
+    def _from_json(self, exchange: Exchange, schema: MessageSchema, data: bytes) -> Message:
+        lowering = lowerer(schema, self.robot.lifting)
+        return lowering.from_json(parse_json(data), defaults=exchange.flag("defaults"))
+
+    async def require(self, schema: MessageSchema, message: Message) -> None:
+        """Raise a LoweringError where a message is outside the limits on what is published here."""
+        await require_message(self.robot, Kind.TOPIC, self.name, schema, message, self.url, "#message")
+
+    async def plan_graph(self, triples: Sequence[Triple]) -> Publish:
+        """What the graph of the topic asks to be published, if it is to say these triples."""
+        body = body_of(triples)
+        schema = await (self._schema() if self._typed() else self._stated_schema(body))
+        return await self._publish(schema, self._lower(schema, body), latch=False)
 
     async def plan_patch(self, exchange: Exchange, description: Sequence[Triple]) -> Publish:
         """What a PATCH of the latest message asks to be published; `description` is said of the topic beside it."""
@@ -83,7 +107,7 @@ class Publishing:
         return await self._publish(base.schema, message, exchange.flag("latch"))
 
     async def _publish(self, schema: MessageSchema, message: Message, latch: bool) -> Publish:
-        await require_message(self.robot, Kind.TOPIC, self.name, schema, message, self.url, "#message")
+        await self.require(schema, message)
         data = schema.codec.encode(message, self.robot.adapter.capabilities.encoding)
         return Publish(Publication(self.name, schema.ref, data, latch), creates=self.topic is None)
 

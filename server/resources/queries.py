@@ -1,171 +1,344 @@
-"""Stored queries: `/queries/` lists them, `/queries/NAME?param=value` runs one in any result format."""
+"""Stored queries: `/queries/` keeps and lists them, `/queries/NAME?param=value` runs one in any result format.
+
+Those that rosld ships are there to be read; what clients put beside them are files of SPARQL, kept as `/data/` is.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeAlias
+from typing import ClassVar
 
-from pyoxigraph import NamedNode
+from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
 
-from rosld.ontology.describe_containers import container_document
+from rosld.adapters.base import Watch
 from rosld.ontology.document import Document
-from rosld.ontology.triples import RDF_SOURCE, about, text
-from rosld.ontology.urls import Location, Space
-from rosld.ontology.vocab import dcterms, rdf, ros
+from rosld.ontology.triples import RDF_SOURCE, about, each, text
+from rosld.ontology.urls import Location
+from rosld.ontology.vocab import dcterms, ldp, rdfs
 from rosld.server import html
-from rosld.server.html import Notice, QueryPage, QueryParameter, Results
+from rosld.server.html import Listing, Notice, QueryPage, QueryParameter, Results
 from rosld.server.html.page import Tone
 from rosld.server.http import negotiation
+from rosld.server.http.body import declared_length
 from rosld.server.http.conditional import ETag, guard
 from rosld.server.http.problem import Problem
+from rosld.server.in_force.queries import ROOM, query_triples
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import Pages
 from rosld.server.ldp.prepared import Prepared
-from rosld.server.ldp.resource import BASIC_CONTAINER, RESOURCE, Resource, moved
-from rosld.server.ldp.resource import RDF_SOURCE as SOURCE_LINK
+from rosld.server.ldp.resource import Resource
 from rosld.server.ldp.standing import standing_headers
 from rosld.server.ldp.state import State, digest
+from rosld.server.records import Put, Record
+from rosld.server.records.describe import record_document
+from rosld.server.resources.kept.containers import ContainerResource
+from rosld.server.resources.kept.files import KeptFile
+from rosld.server.resources.kept.room import AbsentResource, kept_room
+from rosld.server.resources.kept.showing import all_members, page_at, shown
+from rosld.server.resources.kept.sources import DescriptionResource
 from rosld.server.resources.sparql import HTML, OFFERS, results_of, told, wished
-from rosld.server.robot import Robot
+from rosld.server.robot import Robot, Same
+from rosld.server.sparql import hangup
 from rosld.server.sparql.endpoint import QueryService
-from rosld.server.sparql.protocol import DIRECT, QueryRequest
-from rosld.server.sparql.stored import Parameter, StoredQuery, bind
+from rosld.server.sparql.protocol import DIRECT, QueryRequest, timeout_asked
+from rosld.server.sparql.stored import OTHERS, StoredQuery, bind
 
-Queries: TypeAlias = Mapping[str, StoredQuery]
 _DESCRIPTIONS = ("text/turtle", "application/ld+json", "application/n-triples", "application/rdf+xml", "text/n3")
+_ANYTHING = {"iri": "/", "string": "", "integer": "0", "double": "0"}
+_GRAPH_FORMS = ("CONSTRUCT", "DESCRIBE")
+_TITLE = "Queries"
 
 
-class QueryContainer(Resource):
-    """`/queries/`."""
+@dataclass(frozen=True, slots=True)
+class Runner:
+    """Runs stored queries, and draws the pages that show what they find."""
 
-    kind = "Queries"
-    title = "Queries"
-    links = (RESOURCE, SOURCE_LINK, BASIC_CONTAINER)
+    service: QueryService
+    pages: Pages
+    base: str
 
-    def __init__(self, robot: Robot, queries: Queries) -> None:
-        super().__init__(robot.space.container("queries"))
-        self.robot = robot
-        self._queries = queries
+    async def answer(
+        self, exchange: Exchange, resource: Resource, query: StoredQuery, state: str | None = None
+    ) -> Response | None:
+        """The results in the form that is preferred; None where the description of the query is.
 
-    async def state(self) -> State:
-        return self.robot.states.get(self.url, 0, lambda: State(partial(container, self._queries, self.robot.space)))
-
-
-def container(queries: Queries, space: Space) -> Document:
-    """The container of the stored queries, each with its purpose."""
-    document = container_document(space.container("queries"), map(space.query, queries), "Queries")
-    said = [triple for query in queries.values() for triple in describe(query, space).triples]
-    return Document(document.url, (*document.triples, *said))
-
-
-def describe(query: StoredQuery, space: Space) -> Document:
-    """A stored query: its purpose, its parameters, its text."""
-    url = space.query(query.name)
-    triples = about(
-        NamedNode(url),
-        (rdf.type, ros.Query),
-        *RDF_SOURCE,
-        (ros.name, text(query.name)),
-        (dcterms.description, text(query.purpose)),
-        *((ros.queryParameter, text(parameter.name)) for parameter in query.parameters),
-        (ros.text, text(query.text)),
-    )
-    return Document(url, tuple(triples))
-
-
-class QueryResource(Resource):
-    """One stored query. Its results come in every format; its RDF description and its text are there too."""
-
-    kind = "Stored query"
-
-    def __init__(self, robot: Robot, query: StoredQuery, service: QueryService, pages: Pages) -> None:
-        super().__init__(robot.space.query(query.name))
-        self.title = query.name
-        self.robot = robot
-        self._query = query
-        self._service = service
-        self._pages = pages
-
-    async def state(self) -> State:
-        return self.robot.states.get(self.url, 0, lambda: State(partial(describe, self._query, self.robot.space)))
-
-    async def special(self, exchange: Exchange) -> Response | None:
+        `state` is the state part of the ETags of a query that may change; else it is a digest of the results.
+        """
         accept = wished(exchange)
-        given = {name: value for name, value in exchange.query.items() if name != "format"}
-        chosen = negotiation.choose(accept, (*OFFERS, DIRECT))
-        if chosen == DIRECT:
-            return Response(self._query.text, media_type=f"{DIRECT}; charset=utf-8")
+        given = {name: value for name, value in exchange.query.items() if name not in OTHERS}
+        timeout = timeout_asked((name, value) for name, value in exchange.query.items() if value)
+        chosen = negotiation.choose(accept, OFFERS)
         if chosen == HTML:
-            return await self._page(given)
-        sample = bind(self._query, self._samples(given), self.robot.space.base)
-        is_graph = self._service.check(sample).form in _GRAPH_FORMS
+            return await self._page(exchange, resource, query, given, timeout)
+        sample = bind(query, self._samples(query, given), self.base)
+        is_graph = self.service.check(sample).form in _GRAPH_FORMS
         if chosen in _DESCRIPTIONS and not is_graph and not given:
             return None
-        return self._identified(exchange, told(await self._service.answer(self._request(given), accept)))
+        request = QueryRequest(bind(query, given, self.base), timeout=timeout)
+        hung_up = hangup.of(exchange.request.receive)
+        answer = told(await self.service.answer(request, accept, hung_up, exchange.judge))
+        return self._identified(exchange, resource, answer, state)
 
-    def _identified(self, exchange: Exchange, answer: Response) -> Response:
+    def _identified(self, exchange: Exchange, resource: Resource, answer: Response, state: str | None) -> Response:
         """Results with what every answer about the query says, and an entity tag where they are there at once."""
-        for name, value in standing_headers(self).items():
+        for name, value in standing_headers(resource).items():
             answer.headers[name] = value
         if isinstance(answer, Prepared):
-            etag = ETag(digest(bytes(answer.body)), "results")
+            found = digest(bytes(answer.body))
+            etag = ETag(found, "results") if state is None else ETag(state, f"results-{found}")
             answer.headers["etag"] = str(etag)
             if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
             if guard(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
-                headers = {**standing_headers(self), "etag": str(etag), "vary": "Accept"}
+                headers = {**standing_headers(resource), "etag": str(etag), "vary": "Accept"}
                 return Response(status_code=304, headers=headers)
         return answer
 
-    def _samples(self, given: Mapping[str, str]) -> Mapping[str, str]:
+    def _samples(self, query: StoredQuery, given: Mapping[str, str]) -> Mapping[str, str]:
         """What is given, and for what must be given and is not, anything: to see which form the query has."""
-        lacking = {one.name: _ANYTHING[one.type.value] for one in self._query.parameters if one.default is None}
+        lacking = {one.name: _ANYTHING[one.type.value] for one in query.parameters if one.default is None}
         return {**lacking, **given}
 
-    def _request(self, given: Mapping[str, str]) -> QueryRequest:
-        return QueryRequest(bind(self._query, given, self.robot.space.base))
-
-    async def _page(self, given: Mapping[str, str]) -> Response:
+    async def _page(
+        self,
+        exchange: Exchange,
+        resource: Resource,
+        query: StoredQuery,
+        given: Mapping[str, str],
+        timeout: float | None,
+    ) -> Response:
         """The page: with results where all parameters are there, with the reason where they are not."""
         results: Results | None = None
         notices: tuple[Notice, ...] = ()
         status = 200
-        if given or all(one.default is not None for one in self._query.parameters):
+        if given or all(one.default is not None for one in query.parameters):
             try:
-                results = await results_of(self._service, self._request(given))
+                request = QueryRequest(bind(query, given, self.base), timeout=timeout)
+                results = await results_of(self.service, request, hangup.of(exchange.request.receive), exchange.judge)
             except Problem as problem:
                 notices, status = (Notice(problem.detail, Tone.ERROR),), problem.status
-        query = self._query
         page = QueryPage(
-            self._pages.site,
-            html.StoredQuery(self.url, query.name, query.purpose, query.text),
+            self.pages.site_for(exchange.judge),
+            html.StoredQuery(resource.url, query.name, query.purpose, query.text),
             tuple(
                 QueryParameter(one.name, one.about, given.get(one.name, one.default or "")) for one in query.parameters
             ),
             results,
             notices,
         )
-        headers = {**self._pages.headers, "Vary": "Accept", "Cache-Control": "no-cache"}
+        headers = {**standing_headers(resource), **self.pages.headers, "vary": "Accept", "cache-control": "no-cache"}
         return Response(html.render_query(page), status, headers, "text/html; charset=utf-8")
 
 
-def _parameter(one: Parameter, given: Mapping[str, str]) -> QueryParameter:
-    return QueryParameter(one.name, one.about, given.get(one.name, one.default or ""))
+class ShippedQuery(Resource):
+    """A query that comes with rosld. Results come in every format; its RDF description and its text are there too."""
+
+    kind = "Stored query"
+    lasting = False
+
+    def __init__(self, robot: Robot, query: StoredQuery, runner: Runner) -> None:
+        super().__init__(robot.space.query(query.name))
+        self.title = query.name
+        self.robot = robot
+        self._query = query
+        self._runner = runner
+
+    def why_not(self, method: str) -> str:
+        if self.robot.settings.read_only:
+            return "This server is read-only."
+        room = self.robot.space.container("queries")
+        return f"{self._query.name} comes with rosld and stays as it is: PUT a query of another name to {room}NAME."
+
+    async def state(self) -> State:
+        return self.robot.states.get(self.url, 0, lambda: State(partial(shipped_document, self.url, self._query)))
+
+    async def special(self, exchange: Exchange) -> Response | None:
+        if negotiation.choose(wished(exchange), (*OFFERS, DIRECT)) == DIRECT:
+            return Response(self._query.text, media_type=f"{DIRECT}; charset=utf-8")
+        return await self._runner.answer(exchange, self, self._query)
 
 
-_ANYTHING = {"iri": "/", "string": "", "integer": "0", "double": "0"}
-_GRAPH_FORMS = ("CONSTRUCT", "DESCRIBE")
+def shipped_document(url: str, query: StoredQuery) -> Document:
+    """The description of a query that comes with rosld."""
+    return Document(url, (*about(NamedNode(url), *RDF_SOURCE), *query_triples(url, query)))
 
 
-def query_room(robot: Robot, location: Location, *, queries: Queries, service: QueryService, pages: Pages) -> Resource:
+# What clients keep
+
+
+class KeptQuery(KeptFile):
+    """A query that a client keeps: its text is a file, byte for byte; its results come in every format."""
+
+    kind = "Stored query"
+    writes: ClassVar[frozenset[str]] = frozenset({"PUT", "DELETE"})
+    accepts: Mapping[str, Sequence[str]] = {"PUT": (DIRECT,)}
+
+    def __init__(self, robot: Robot, path: str, runner: Runner) -> None:
+        super().__init__(robot, path)
+        self._runner = runner
+
+    async def narrowed(self, exchange: Exchange) -> Resource:
+        await _require_size(self.robot, exchange)
+        return self
+
+    async def state(self) -> State:
+        return _described(self.robot, self.there())
+
+    async def special(self, exchange: Exchange) -> Response | None:
+        if negotiation.choose(wished(exchange), (*OFFERS, DIRECT)) == DIRECT:
+            return await super().special(exchange)
+        record = self.there()
+        query = await self.robot.queries.usable(record)
+        state = f"{self.robot.records.identity}-{record.version}"
+        return await self._runner.answer(exchange, self, query, state)
+
+
+class QueryDescription(DescriptionResource):
+    """The description of a query that a client keeps: what the text says of itself is not to be written there."""
+
+    async def state(self) -> State:
+        return _described(self.robot, self.there())
+
+    def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
+        own = set(self.robot.queries.said(record))
+        return super().with_triples(record, [one for one in triples if one not in own])
+
+
+class AbsentQuery(AbsentResource):
+    """No query yet: PUT makes it."""
+
+    async def narrowed(self, exchange: Exchange) -> Resource:
+        if exchange.method == "PUT":
+            await _require_size(self.robot, exchange)
+        return await super().narrowed(exchange)
+
+
+class QueryContainer(ContainerResource):
+    """`/queries/`: what clients keep there, and beside it what comes with rosld."""
+
+    async def narrowed(self, exchange: Exchange) -> Resource:
+        if exchange.method == "POST":
+            await _require_size(self.robot, exchange)
+        found = await super().narrowed(exchange)
+        if type(found) is ContainerResource:
+            return QueryContainer(self.robot, self.path, found._parts, found._place)
+        return found
+
+    def is_taken(self, name: str) -> bool:
+        return name in self.robot.queries.shipped or super().is_taken(name)
+
+    async def watch(self, wake: Callable[[], None]) -> Watch | None:
+        return self.robot.kept_changes.watch(wake, lambda path: path.startswith(ROOM))
+
+    async def state(self) -> State:
+        kept = await super().state()
+        version = self.robot.queries.version
+        return self.robot.states.get(
+            f"{self.url}?{self._place}#{self._parts.variant} with what is shipped",
+            (Same(kept), version),
+            lambda: replace(
+                kept, describe=lambda: self._with_shipped(kept.document), token=f"{kept.tag}-{version}", renderings={}
+            ),
+        )
+
+    def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
+        own = set(self._with_shipped(Document(self.url, ())).triples)
+        about_members = {one for one in triples if one.predicate == rdfs.comment and one.subject != NamedNode(self.url)}
+        return super().with_triples(record, [one for one in triples if one not in own and one not in about_members])
+
+    def listing(self) -> Listing:
+        listed = self._shipped() | {url: query.purpose for url, query in self._kept()}
+        return Listing(("purpose",), {url: (purpose,) for url, purpose in listed.items()})
+
+    def _with_shipped(self, document: Document) -> Document:
+        shown_here = {one.object.value for one in document.triples if one.predicate == ldp.contains}  # type: ignore[union-attr]
+        kept = {url: query.purpose for url, query in self._kept() if url in shown_here}
+        shipped = self._shipped() if self._parts.containment else {}
+        return _listed(document, shipped, kept, titled=self._parts.minimal)
+
+    def _shipped(self) -> dict[str, str]:
+        """The purposes of the queries that come with rosld, on the page that tells of them: the first."""
+        return _shipped(self.robot) if self._place is None or self._place.after == 0 else {}
+
+    def _kept(self) -> list[tuple[str, StoredQuery]]:
+        """The queries that this page tells of."""
+        robot = self.robot
+        if self._place is None:
+            records = list(robot.queries.kept())
+        else:
+            members = page_at(robot, self.there(), self._place)[1]
+            records = [one for member in members if (one := robot.records.get(member.path)) and one.blob is not None]
+        return [(robot.space.base + one.path, robot.queries.outline(one)) for one in records]
+
+
+def _shipped(robot: Robot) -> dict[str, str]:
+    urls = {robot.space.query(name): query.purpose for name, query in robot.queries.shipped.items()}
+    there = {url: robot.records.get(url[len(robot.space.base) :]) is not None for url in urls}
+    return {url: purpose for url, purpose in urls.items() if not there[url]}
+
+
+def _listed(document: Document, shipped: Mapping[str, str], kept: Mapping[str, str], *, titled: bool) -> Document:
+    """The container with its queries' purposes. That they are queries they say themselves, and nobody else."""
+    container = NamedNode(document.url)
+    more = about(
+        container,
+        (dcterms.title, text(_TITLE) if titled else None),
+        *each(ldp.contains, map(NamedNode, shipped)),
+    )
+    purposes = {**shipped, **kept}.items()
+    said = [triple for url, purpose in purposes for triple in about(NamedNode(url), (rdfs.comment, text(purpose)))]
+    return Document(document.url, tuple(dict.fromkeys((*document.triples, *more, *said))))
+
+
+def whole_container(robot: Robot) -> Callable[[], Document]:
+    """What describes `/queries/` with all that is in it, as it is now. What is returned may be called in any thread."""
+    record = robot.records.get(ROOM)
+    assert record is not None
+    url, shipped, kept = robot.space.container("queries"), _shipped(robot), list(robot.queries.kept())
+    members = [robot.space.base + member.path for member in all_members(robot, record)]
+
+    def describe() -> Document:
+        purposes = {robot.space.base + one.path: robot.queries.outline(one).purpose for one in kept}
+        return _listed(record_document(record, url, members, ()), shipped, purposes, titled=True)
+
+    return describe
+
+
+def _described(robot: Robot, record: Record) -> State:
+    """The description of a kept query: that of the file, and what its text says."""
+    state = shown(robot, record)
+
+    def describe() -> Document:
+        document = state.document
+        return Document(document.url, tuple(dict.fromkeys((*document.triples, *robot.queries.said(record)))))
+
+    url = f"{robot.space.base}{record.path}# with what it says"
+    return robot.states.get(url, Same(state), lambda: replace(state, describe=describe, renderings={}))
+
+
+async def _require_size(robot: Robot, exchange: Exchange) -> None:
+    """Raise a 413 Problem for a text that says that it is longer than a query may be."""
+    most = 4 * robot.queries.bounds.size
+    if exchange.method in ("PUT", "POST") and (declared_length(exchange.header("content-length")) or 0) > most:
+        async for _ in exchange.chunks(limit=most):
+            pass
+
+
+def query_room(robot: Robot, location: Location, *, runner: Runner) -> Resource:
     """`/queries/` and below."""
-    match location.segments:
-        case ():
-            url = robot.space.container("queries")
-            if not location.is_container:
-                raise moved(url)
-            return QueryContainer(robot, queries)
-        case (name,) if name in queries and not location.is_container:
-            return QueryResource(robot, queries[name], service, pages)
-    raise Problem(404, f"There is no stored query there; {robot.space.container('queries')} lists them.")
+    found = kept_room(robot, location)
+    match found:
+        case KeptFile():
+            return KeptQuery(robot, found.path, runner)
+        case DescriptionResource():
+            return QueryDescription(robot, found.path + ".meta")
+        case ContainerResource() if found.path == ROOM:
+            return QueryContainer(robot, ROOM)
+        case AbsentResource():
+            query = robot.queries.shipped.get(location.segments[0]) if len(location.segments) == 1 else None
+            if query is not None and not location.is_container:
+                return ShippedQuery(robot, query, runner)
+            return AbsentQuery(robot, found.path)
+    return found

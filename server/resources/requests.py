@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rosld.adapters.model import Message, Refused, Sent, ServiceSchema
+from rosld.adapters.model import Message, MessageSchema, Refused, Sent, ServiceSchema
 from rosld.ontology.body import parse_body
 from rosld.ontology.lower import find_message, lowerer, parse_json
 from rosld.server.calls import KeyReused, Outcome
@@ -16,14 +16,19 @@ from rosld.server.robot import Robot
 
 async def request_in(exchange: Exchange, robot: Robot, schema: ServiceSchema, url: str) -> Message:
     """The request in a body sent to `url`; an empty one where the request has no fields."""
+    return await message_in(exchange, robot, schema.request, url, "#request")
+
+
+async def message_in(exchange: Exchange, robot: Robot, schema: MessageSchema, url: str, node: str) -> Message:
+    """The message in a body sent to `url`, in RDF the one at `node`; an empty one where it has no fields."""
     data = await exchange.body()
-    lowering = lowerer(schema.request, robot.lifting)
+    lowering = lowerer(schema, robot.lifting)
     if not data.strip():
         return lowering.from_json({}, defaults=exchange.flag("defaults"))
     if exchange.media_type == JSON:
         return lowering.from_json(parse_json(data), defaults=exchange.flag("defaults"))
     body = parse_body(data, exchange.media_type, url)
-    root = find_message(body, url, robot.space.class_of(schema.request.ref.name), "#request")
+    root = find_message(body, url, robot.space.class_of(schema.ref.name), node)
     return lowering.from_graph(body, root, url)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
-from rosld.adapters.model import Kind, Operation, Ref, RosError, Service, ServiceSchema
+from rosld.adapters.model import Kind, Operation, Ref, RosError, Service, ServiceSchema, UnknownType
 from rosld.ontology.describe_services import CallView, call_document, service_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
@@ -78,7 +78,7 @@ class ServiceResource(Resource):
         try:
             request = (await self._schema()).request
             return (MessageForm(request, "POST", "Call the service", "Call"),)
-        except RosError:
+        except (Problem, RosError):
             return ()
 
     async def post(self, exchange: Exchange) -> Answer:
@@ -96,7 +96,10 @@ class ServiceResource(Resource):
         service = self.service
         if service.type is None:
             raise Problem(409, f"{self.name} cannot be called: {service.uncallable or 'its type is not known'}.")
-        return await self.robot.schemas.service(service.type)
+        try:
+            return await self.robot.schemas.service(service.type)
+        except UnknownType as error:
+            raise Problem(409, f"{self.name} cannot be called: {error.sentence}") from error
 
 
 class CallResource(Resource):

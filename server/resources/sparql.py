@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 
-from pyoxigraph import Literal, NamedNode, Triple
+from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response, StreamingResponse
 
 from rosld.ontology.document import Document
-from rosld.ontology.vocab import rdf, ros, xsd
+from rosld.ontology.triples import about, each
+from rosld.ontology.vocab import rdf, rdfs, ros, sd
 from rosld.server import html
+from rosld.server.access.judge import EVERYTHING, Judge
 from rosld.server.html import Notice, Results, SparqlPage, StoredQuery
 from rosld.server.html.page import Tone
 from rosld.server.http import negotiation
@@ -17,14 +19,18 @@ from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import Pages
 from rosld.server.ldp.prepared import Prepared
-from rosld.server.ldp.resource import READ, Answer, Resource
+from rosld.server.ldp.resource import RDF_BODIES, READ, Answer, Resource
 from rosld.server.ldp.state import State
 from rosld.server.robot import Robot
+from rosld.server.sparql import hangup
 from rosld.server.sparql.endpoint import QueryAnswer, QueryService
-from rosld.server.sparql.protocol import DIRECT, FORM, QueryRequest, query_request
+from rosld.server.sparql.functions import functions
+from rosld.server.sparql.hangup import HangUp
+from rosld.server.sparql.limits import described
+from rosld.server.sparql.protocol import DIRECT, FORM, UPDATE, QueryRequest, UpdateRequest, posted, query_request
 from rosld.server.sparql.results import GRAPHS, SOLUTIONS
+from rosld.server.sparql.update.base import Updates
 
-SD = "http://www.w3.org/ns/sparql-service-description#"
 HTML = "text/html"
 ROWS = 500
 """Rows of a result that a page shows."""
@@ -45,7 +51,12 @@ FORMATS: Mapping[str, str] = {
     "trig": "application/trig",
 }
 """What `?format=` stands for; results and graphs have different names for JSON and XML."""
+_ALSO: Mapping[str, str] = {"turtle": "ttl", "json-ld": "jsonld", "rdf+xml": "rdf", "rdf xml": "rdf", "ntriples": "nt"}
+"""Names of formats that clients of other endpoints send on their own (SPARQLWrapper does, with every query)."""
 OFFERS = (*SOLUTIONS, *(media_type for media_type in GRAPHS if media_type not in SOLUTIONS), HTML)
+
+_PROTOCOL = frozenset({"query", "update", "default-graph-uri", "named-graph-uri"})
+"""The parameters that make a GET a query, or an attempt at one."""
 
 
 def wished(exchange: Exchange) -> str | None:
@@ -53,6 +64,7 @@ def wished(exchange: Exchange) -> str | None:
     wanted = exchange.query.get("format")
     if not wanted:
         return exchange.accept
+    wanted = _ALSO.get(wanted, wanted)
     if wanted not in FORMATS:
         raise Problem(406, f"?format={wanted} is unknown; there are {', '.join(FORMATS)}.")
     return FORMATS[wanted]
@@ -77,10 +89,49 @@ def told(answer: QueryAnswer) -> Response:
 _STANDING = ((b"vary", b"Accept"), (b"cache-control", b"no-cache"))
 
 
-async def results_of(service: QueryService, request: QueryRequest) -> Results:
+async def results_of(
+    service: QueryService, request: QueryRequest, hung_up: HangUp | None = None, judge: Judge = EVERYTHING
+) -> Results:
     """The first rows of the answer to a query, for a page."""
-    table = await service.table(request, ROWS + 1)
+    table = await service.table(request, ROWS + 1, hung_up, judge)
     return Results(table.variables, table.rows, table.boolean, ROWS)
+
+
+_FORMATS: Mapping[str, str] = {
+    "application/sparql-results+json": "SPARQL_Results_JSON",
+    "application/sparql-results+xml": "SPARQL_Results_XML",
+    "text/csv": "SPARQL_Results_CSV",
+    "text/tab-separated-values": "SPARQL_Results_TSV",
+    "text/turtle": "Turtle",
+    "application/ld+json": "JSON-LD",
+    "application/n-triples": "N-Triples",
+    "application/rdf+xml": "RDF_XML",
+    "text/n3": "N3",
+    "application/n-quads": "N-Quads",
+    "application/trig": "TriG",
+}
+"""What W3C calls the formats (https://www.w3.org/ns/formats/)."""
+
+
+def _formats(media_types: Iterable[str]) -> list[NamedNode]:
+    names = sorted({_FORMATS[media_type] for media_type in media_types if media_type in _FORMATS})
+    return [NamedNode(f"http://www.w3.org/ns/formats/{name}") for name in names]
+
+
+def _dataset(service: NamedNode) -> Iterable[Triple]:
+    """Every resource is a named graph under its URL, and the default graph is their union."""
+    dataset, default = (NamedNode(f"{service.value}#{name}") for name in ("dataset", "default"))
+    return (
+        *about(service, (sd.feature, sd.UnionDefaultGraph), (sd.defaultDataset, dataset)),
+        *about(dataset, (rdf.type, sd.Dataset), (sd.defaultGraph, default)),
+        *about(default, (rdf.type, sd.Graph)),
+    )
+
+
+def _extensions(service: NamedNode) -> Iterable[Triple]:
+    for iri in sorted(functions(lambda url: None)):
+        yield from about(service, (sd.extensionFunction, NamedNode(iri)))
+        yield from about(NamedNode(iri), (rdf.type, sd.Function))
 
 
 class SparqlResource(Resource):
@@ -88,14 +139,23 @@ class SparqlResource(Resource):
 
     kind = "SPARQL"
     takes_forms = False
-    accepts: Mapping[str, Sequence[str]] = {"POST": (DIRECT, FORM)}
 
-    def __init__(self, robot: Robot, service: QueryService, pages: Pages, examples: Sequence[StoredQuery]) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        service: QueryService,
+        pages: Pages,
+        examples: Callable[[], Sequence[StoredQuery]],
+        updates: Updates | None = None,
+    ) -> None:
         super().__init__(f"{robot.space.base}sparql")
         self.robot = robot
         self._service = service
         self._pages = pages
-        self._examples = tuple(examples)
+        self._examples = examples
+        self._updates = None if robot.settings.read_only else updates
+        taken = (DIRECT, FORM) if self._updates is None else (DIRECT, UPDATE, FORM)
+        self.accepts: Mapping[str, Sequence[str]] = {"POST": taken}
 
     def methods(self) -> frozenset[str]:
         return READ | {"POST"}
@@ -104,53 +164,84 @@ class SparqlResource(Resource):
         return self.robot.states.get(self.url, 0, lambda: State(lambda: Document(self.url, self._description())))
 
     def _description(self) -> tuple[Triple, ...]:
-        """SPARQL 1.1 Service Description: what this endpoint speaks, and how long a query may take."""
+        """SPARQL 1.1 Service Description: what this endpoint speaks, and what a query may take."""
         service = NamedNode(self.url)
-        formats = {media_type for media_type in (*SOLUTIONS, *GRAPHS) if "/json" not in media_type}
         return (
-            Triple(service, rdf.type, NamedNode(f"{SD}Service")),
-            Triple(service, NamedNode(f"{SD}endpoint"), service),
-            Triple(service, NamedNode(f"{SD}supportedLanguage"), NamedNode(f"{SD}SPARQL11Query")),
-            Triple(service, NamedNode(f"{SD}feature"), NamedNode(f"{SD}UnionDefaultGraph")),
-            Triple(
-                service,
-                ros.timeLimit,
-                Literal(str(self.robot.settings.query_time_limit), datatype=xsd.double),
-            ),
-            *(
-                Triple(
-                    service,
-                    NamedNode(f"{SD}resultFormat"),
-                    NamedNode(f"https://www.iana.org/assignments/media-types/{each}"),
-                )
-                for each in sorted(formats)
-            ),
+            *self._languages(service),
+            *_dataset(service),
+            *described(service, self._service.limits),
+            *about(service, *each(sd.resultFormat, _formats((*SOLUTIONS, *GRAPHS)))),
+            *_extensions(service),
+            *about(service, (rdfs.seeAlso, NamedNode(f"{self.robot.space.base}graphs"))),
+            *about(service, (ros.mirror, self._mirror())),
         )
+
+    def _mirror(self) -> NamedNode | None:
+        """Where it is told how far another store is with this dataset, where there is one (`--store`)."""
+        return NamedNode(f"{self.robot.space.base}mirror") if self.robot.settings.store_endpoints else None
+
+    def _languages(self, service: NamedNode) -> Iterable[Triple]:
+        languages = [sd.SPARQL11Query] if self._updates is None else [sd.SPARQL11Query, sd.SPARQL11Update]
+        inputs = () if self.robot.settings.read_only else _formats(RDF_BODIES)
+        return about(
+            service,
+            (rdf.type, sd.Service),
+            (sd.endpoint, service),
+            *each(sd.supportedLanguage, languages),
+            *each(sd.inputFormat, inputs),
+            (sd.defaultEntailmentRegime, NamedNode("http://www.w3.org/ns/entailment/Simple")),
+        )
+
+    async def narrowed(self, exchange: Exchange) -> Resource:
+        if exchange.method == "POST" and exchange.essence == UPDATE and self._updates is None:
+            raise self._no_updates()
+        return self
+
+    def _no_updates(self) -> Problem:
+        if self.robot.settings.read_only:
+            return Problem(403, "This server is read-only: it answers queries, and takes no updates.")
+        taken = ", ".join(self.accepts["POST"])
+        return Problem(415, "Updates are not taken here, only queries.", headers={"Accept-Post": taken})
 
     async def special(self, exchange: Exchange) -> Response | None:
         accept = wished(exchange)
-        if "query" not in exchange.query:
-            return self._page() if prefers_page(accept) else None
-        return await self._answer(query_request("GET", exchange.request.scope["query_string"]), accept)
+        if exchange.query.keys().isdisjoint(_PROTOCOL):
+            return self._page(exchange.judge) if prefers_page(accept) else None
+        request = query_request("GET", exchange.request.scope["query_string"])
+        return await self._answer(request, accept, exchange)
 
     async def post(self, exchange: Exchange) -> Answer:
         body = await exchange.body()
         query_string = exchange.request.scope["query_string"]
-        return await self._answer(
-            query_request("POST", query_string, exchange.header("content-type"), body), wished(exchange)
-        )
+        asked = posted(query_string, exchange.header("content-type"), body)
+        if isinstance(asked, QueryRequest):
+            exchange.account.only_reads()
+            return await self._answer(asked, wished(exchange), exchange)
+        return await self._updated(asked, exchange)
 
-    async def _answer(self, request: QueryRequest, accept: str | None) -> Response:
+    async def _updated(self, request: UpdateRequest, exchange: Exchange) -> Response:
+        if self._updates is None:
+            raise self._no_updates()
+        dry_run, judge = exchange.flag("dry-run"), exchange.judge
+        if dry_run:
+            exchange.account.only_reads()
+        return await self._updates.answer(request, dry_run=dry_run, accept=wished(exchange), judge=judge)
+
+    async def _answer(self, request: QueryRequest, accept: str | None, exchange: Exchange) -> Response:
+        hung_up, judge = hangup.of(exchange.request.receive), exchange.judge
         if not prefers_page(accept):
-            return told(await self._service.answer(request, accept))
+            return told(await self._service.answer(request, accept, hung_up, judge))
         try:
-            return self._page(request.text, await results_of(self._service, request))
+            return self._page(judge, request.text, await results_of(self._service, request, hung_up, judge))
         except Problem as problem:
-            return self._page(request.text, None, problem)
+            return self._page(judge, request.text, None, problem)
 
-    def _page(self, text: str = "", results: Results | None = None, problem: Problem | None = None) -> Response:
+    def _page(
+        self, judge: Judge, text: str = "", results: Results | None = None, problem: Problem | None = None
+    ) -> Response:
         notices = () if problem is None else (Notice(problem.detail, Tone.ERROR),)
-        page = SparqlPage(self._pages.site, text, self._examples, results, notices)
+        examples = tuple(each for each in self._examples() if judge.may_read(each.url))
+        page = SparqlPage(self._pages.site_for(judge), text, examples, results, notices)
         headers = {**self._pages.headers, "Vary": "Accept", "Cache-Control": "no-cache"}
         status = 200 if problem is None else problem.status
         return Response(html.render_sparql(page), status, headers, "text/html; charset=utf-8")

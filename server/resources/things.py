@@ -7,14 +7,16 @@ from dataclasses import replace
 
 from starlette.responses import Response
 
+from rosld.server.access.door import OPEN
 from rosld.server.http import negotiation
-from rosld.server.http.conditional import ETag, guard
+from rosld.server.http.conditional import ETag
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.layout import ComplexPlan, Layout
 from rosld.server.hypermedia.thing import MEDIA_TYPE, ThingLink, thing_description
+from rosld.server.hypermedia.thing_rights import thing_for
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.prepared import Prepared
+from rosld.server.ldp.prepared import held
 from rosld.server.ldp.resource import RDF_BODIES, RESOURCE, Resource
 from rosld.server.ldp.state import digest
 from rosld.server.robot import Robot
@@ -32,18 +34,10 @@ def wants_thing(exchange: Exchange) -> bool:
 
 
 def thing_response(exchange: Exchange, robot: Robot, data: bytes) -> Response:
-    """The answer with a Thing Description."""
-    etag = ETag(f"{robot.boot}-{digest(data)}", FORMAT)
-    headers = [
-        (b"content-type", MEDIA_TYPE.encode()),
-        (b"content-length", b"%d" % len(data)),
-        (b"etag", str(etag).encode()),
-        (b"vary", b"Accept"),
-        (b"cache-control", b"no-cache"),
-    ]
-    if guard("GET", etag, if_match=exchange.header("if-match"), if_none_match=exchange.header("if-none-match")):
-        return Prepared(304, b"", headers[2:])
-    return Prepared(200, data, headers)
+    """The answer with a Thing Description, as it is for who asks."""
+    if exchange.visit is not OPEN:
+        data = thing_for(data, exchange.judge)
+    return held(exchange, data, MEDIA_TYPE, ETag(f"{robot.boot}-{digest(data)}", FORMAT))
 
 
 def complex_thing(robot: Robot, plan: ComplexPlan) -> bytes:
@@ -61,6 +55,7 @@ def complex_thing(robot: Robot, plan: ComplexPlan) -> bytes:
         actions,
         links=(*related, *up, *down),
         whole=bool(properties),
+        stop=space.stop if robot.stops.is_usable else None,
         lifting=robot.lifting,
     )
 
@@ -80,7 +75,14 @@ def robot_thing(robot: Robot, layout: Layout) -> bytes:
             links.append(ThingLink("item", url_of(path, robot.space)))
     system = robot.adapter.capabilities.system
     return thing_description(
-        robot.name, robot.space.base, properties, actions, links=links, description=system, lifting=robot.lifting
+        robot.name,
+        robot.space.base,
+        properties,
+        actions,
+        links=links,
+        description=system,
+        stop=robot.space.stop if robot.stops.is_usable else None,
+        lifting=robot.lifting,
     )
 
 

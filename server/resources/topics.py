@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import cast
 
+from pyoxigraph import Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
@@ -20,9 +21,12 @@ from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import require_if_match
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.plan import Move, Plan
 from rosld.server.ldp.resource import JSON, MERGE_PATCH, RDF_BODIES, READ, SPARQL_UPDATE, Answer, Resource
 from rosld.server.ldp.state import State, digest
 from rosld.server.live.view import View
+from rosld.server.publication import publish
+from rosld.server.resources.holds import hold_topic
 from rosld.server.resources.messages import Decoded, decode, field_response, lifted
 from rosld.server.resources.namespaces import moved_to_namespace
 from rosld.server.resources.publishing import Publishing
@@ -36,10 +40,16 @@ class TopicResource(Resource):
     """One topic."""
 
     kind = "Topic"
-    accepts: Mapping[str, Sequence[str]] = {"PUT": (*RDF_BODIES, JSON), "PATCH": (MERGE_PATCH, SPARQL_UPDATE)}
+    accepts: Mapping[str, Sequence[str]] = {
+        "PUT": (*RDF_BODIES, JSON),
+        "PATCH": (MERGE_PATCH, SPARQL_UPDATE),
+        "POST": (*RDF_BODIES, JSON),
+    }
 
-    def __init__(self, robot: Robot, name: str) -> None:
+    def __init__(self, robot: Robot, name: str, find: Callable[[str], Resource] | None = None) -> None:
+        """`find` gives the resource at a path below the base, where a request may name one."""
         super().__init__(robot.space.topic(name))
+        self._find = find
         self.title = name
         self.robot = robot
         self.name = name
@@ -71,7 +81,8 @@ class TopicResource(Resource):
         if topic is None:
             return READ | {"PUT"}
         own = any(endpoint.node == self.robot.graph.own_node for endpoint in topic.publishers)
-        return READ | {"PUT", "PATCH", "DELETE"} if own else READ | {"PUT", "PATCH"}
+        verbs = READ | {"PUT", "PATCH", "POST"} if topic.type is not None else READ | {"PUT", "PATCH"}
+        return verbs | {"DELETE"} if own else verbs
 
     def _refusal(self) -> str | None:
         robot, topic = self.robot, self.topic
@@ -99,9 +110,15 @@ class TopicResource(Resource):
             if self.name not in robot.graph.topics:
                 raise moved_to_namespace(robot, "topics", self.name) or Problem(404, f"There is no topic {self.name}.")
             view = await robot.topics.look(self.name)
+        return await self.shown(view)
+
+    async def shown(self, view: View) -> State:
+        """The state with these values; at once where the types of their messages are at hand."""
+        robot = self.robot
         topic = robot.graph.topics.get(self.name) or Topic(self.name)
         graph = robot.graph
-        version = (Same(topic), Same(view), graph.simulated_time)
+        hold, methods = robot.holds.on(self.name), self.methods()
+        version = (Same(topic), Same(view), graph.simulated_time, hold and hold.id, "POST" in methods)
         known = robot.states.known(self.url, version)
         if known is None:
             decoded = [await decode(robot, sample) for sample in view.samples]
@@ -109,7 +126,8 @@ class TopicResource(Resource):
         return known
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        return together(await self.robot.topics.watch(self.name, wake), self.robot.changes.watch(wake))
+        holds = self.robot.holds.changes.watch(wake, lambda about: about == self.name)
+        return together(await self.robot.topics.watch(self.name, wake), self.robot.changes.watch(wake), holds)
 
     def _state(self, topic: Topic, view: View, decoded: Sequence[Decoded]) -> State:
         newest = decoded[-1] if decoded else None
@@ -121,7 +139,9 @@ class TopicResource(Resource):
                 raise Problem(406, f"The messages of {self.name} cannot be read: {newest.reason}.")
             return lifter(newest.schema, self.robot.lifting).json(newest.message, self.url)
 
-        token = digest(f"{topic!r}{view.identity()}{[one.reason for one in decoded]}".encode("utf-8", "replace"))
+        hold, can = self.robot.holds.on(self.name), "POST" in self.methods()
+        said = f"{topic!r}{view.identity()}{hold and hold.id}{can}{[one.reason for one in decoded]}"
+        token = digest(said.encode("utf-8", "replace"))
         recorded = bool(self.robot.adapter.recordings)  # a recording's times are of the past: no Age (RFC 9111 5.1)
         received = view.newest.received_ns if view.newest and not recorded else None
         return State(lambda: self._document(topic, view, decoded), plain, token, received)
@@ -129,8 +149,12 @@ class TopicResource(Resource):
     def _document(self, topic: Topic, view: View, decoded: Sequence[Decoded]) -> Document:
         robot = self.robot
         found = [lifted(robot, one) for one in decoded if one.message is not None]
+        hold = robot.holds.on(self.name)
         reason = next((one.reason for one in decoded if one.reason), topic.unreadable)
-        return topic_document(topic, robot.space, robot.graph, view.rate, found, unreadable=reason)
+        return topic_document(
+            topic, robot.space, robot.graph, view.rate, found, unreadable=reason,
+            holdable="POST" in self.methods(), hold=None if hold is None else hold.id,
+        )  # fmt: skip
 
     @property
     def constrained_by(self) -> str | None:
@@ -169,8 +193,24 @@ class TopicResource(Resource):
             raise Problem(404, f"{self.name} has no message yet, so no field {exchange.query['field']!r}.")
         return await field_response(self.robot, view.newest, exchange.query["field"])
 
+    async def planned(self, triples: Sequence[Triple] | None) -> Plan:
+        refusal = self.why_unwritable()
+        if refusal is not None:
+            raise Problem(403, refusal)
+        if triples is None:
+            raise Problem(403, f"{self.name} is there for as long as a node has it: it cannot be dropped.")
+        plan = await self._publishing.plan_graph(triples)
+
+        async def carried_out() -> bool:
+            return (await publish(self.robot, plan.publication)).matched > 0
+
+        return Move(f"publish a {plan.publication.type.name} on {self.name}", carried_out)
+
     async def put(self, exchange: Exchange) -> Answer:
         return await self._publishing.carry_out(await self._publishing.plan(exchange), exchange.accept)
+
+    async def post(self, exchange: Exchange) -> Answer:
+        return await hold_topic(exchange, self.robot, self.name, self._find)
 
     async def patch(self, exchange: Exchange) -> Answer:
         require_if_match(exchange.header("if-match"), "PATCH changes the latest message, which changes often.")

@@ -1,33 +1,45 @@
 """Types and their shapes: `/types/PKG/msg/NAME` and `/shapes/PKG/msg/NAME`, within containers of packages.
 
-`/shapes/mapping` is there too: the shape of mapping documents.
+Beside the packages of `/shapes/` lie `/shapes/mapping` and the like, and the limits that clients keep.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
-from rosld.adapters.model import Schema, ServiceSchema, TypeRef
+from pyoxigraph import Triple
+
+from rosld.adapters.model import Schema, TypeRef, halves_of
 from rosld.ontology.describe_containers import type_container_document
 from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Location
+from rosld.ontology.vocab import dcterms, rdf
 from rosld.server.http.problem import Problem
+from rosld.server.in_force import limits
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
-from rosld.server.ldp.state import State
+from rosld.server.ldp.state import State, digest
+from rosld.server.records import Put, Record
+from rosld.server.records.describe import record_document
+from rosld.server.resources.kept.containers import ContainerResource
+from rosld.server.resources.kept.room import kept_room
+from rosld.server.resources.kept.showing import all_members
 from rosld.server.robot import Robot, Same, used_types
-from rosld.shapes.data import data_shape
+from rosld.shapes.data import data_shape, query_shape
 from rosld.shapes.mapping import mapping_shape
 from rosld.shapes.message import shape_document
 
-DATA, LIMITS, MAPPING = "data", "limits", "mapping"
-"""What lies below `/shapes/` beside the shapes of types: what constrains kept data, limits, mapping documents."""
-WHOLE = (DATA, LIMITS, MAPPING)
+DATA, LIMITS, MAPPING, QUERY = "data", "limits", "mapping", "query"
+WHOLE = (DATA, LIMITS, MAPPING, QUERY)
+"""What lies below `/shapes/` beside the shapes of types: what constrains kept data, the limits in force, and
+
+what constrains mapping documents and stored queries."""
 
 
 class TypeResource(Resource):
-    """One message or service type; `?hash=` asks for one of several definitions."""
+    """One message, service or action type; `?hash=` asks for one of several definitions."""
 
     kind = "Type"
 
@@ -68,7 +80,7 @@ class ShapeResource(Resource):
 
 
 class WholeShapeResource(Resource):
-    """`/shapes/data`, `/shapes/limits` and `/shapes/mapping`: a shapes graph by itself."""
+    """`/shapes/data`, `/shapes/limits`, `/shapes/mapping`, `/shapes/query`: a shapes graph by itself."""
 
     kind = "Shape"
 
@@ -77,8 +89,13 @@ class WholeShapeResource(Resource):
         self.robot = robot
         self.title = name
 
+    def why_not(self, method: str) -> str:
+        return _why_not(self.robot, self.url, method)
+
     async def state(self) -> State:
-        return self.robot.states.get(self.url, 0, lambda: State(lambda: whole_shape(self.robot, self.title)))
+        return self.robot.states.get(
+            self.url, Same(self.robot.limits), lambda: State(lambda: whole_shape(self.robot, self.title))
+        )
 
 
 def whole_shape(robot: Robot, name: str) -> Document:
@@ -86,7 +103,10 @@ def whole_shape(robot: Robot, name: str) -> Document:
     url = robot.space.shape(name)
     if name == LIMITS:
         return Document(url, robot.limits.graph)
-    return mapping_shape(url) if name == MAPPING else data_shape(url)
+    return _SHAPES[name](url)
+
+
+_SHAPES: Mapping[str, Callable[[str], Document]] = {DATA: data_shape, MAPPING: mapping_shape, QUERY: query_shape}
 
 
 class TypeContainer(Resource):
@@ -114,13 +134,17 @@ class TypeContainer(Resource):
 
 
 async def schema_of(robot: Robot, ref: TypeRef) -> Schema:
-    """The schema of a type or of one half of a service; raises UnknownType."""
-    base, _, half = ref.name.rpartition("_")
-    if "/srv/" in ref.name and half in ("Request", "Response"):
-        service = await robot.schemas.find(TypeRef(base, ref.hash))
-        if isinstance(service, ServiceSchema):
-            return service.request if half == "Request" else service.response
+    """The schema of a type or of one of the messages of a service or an action; raises UnknownType."""
+    base, _, end = ref.name.rpartition("_")
+    if any(part in ref.name and end in ends for part, ends in _HALVES.items()):
+        whole = await robot.schemas.find(TypeRef(base, ref.hash))
+        for half in halves_of(whole):
+            if half.ref.name == ref.name:
+                return half
     return await robot.schemas.find(ref)
+
+
+_HALVES = {"/srv/": ("Request", "Response"), "/action/": ("Goal", "Result", "Feedback")}
 
 
 def known_types(robot: Robot) -> Sequence[TypeRef]:
@@ -143,12 +167,105 @@ def type_room(robot: Robot, location: Location) -> Resource:
 
 
 def shape_room(robot: Robot, location: Location) -> Resource:
-    """`/shapes/` and below."""
-    if len(location.segments) == 1 and location.segments[0] in WHOLE and not location.is_container:
-        return WholeShapeResource(robot, location.segments[0])
+    """`/shapes/` and below: shapes of types, and beside their packages the limits that clients keep."""
+    if location.is_container and not location.segments:
+        return LimitsContainer(robot, limits.ROOM)
+    if len(location.segments) == 1:
+        name = location.segments[0]
+        if name in WHOLE and not location.is_container:
+            return WholeShapeResource(robot, name)
+        if not location.is_container and name in _packages(robot):
+            return PackageName(robot, name)
+        if not location.is_container:
+            return kept_room(robot, location)
     if location.is_container or len(location.segments) < 3:
         return _container(robot, "shapes", location)
     return ShapeResource(robot, "/".join(location.segments))
+
+
+class PackageName(Resource):
+    """`/shapes/PKG`: the shapes of a package are at the URL that ends in a slash, and nothing else has its name."""
+
+    kind = "Shape"
+    lasting = False
+
+    def __init__(self, robot: Robot, name: str) -> None:
+        super().__init__(robot.space.shape(name))
+        self.robot = robot
+
+    def why_not(self, method: str) -> str:
+        return _why_not(self.robot, self.url, method)
+
+    async def narrowed(self, exchange: Exchange) -> Resource:
+        if exchange.method in ("GET", "HEAD"):
+            raise moved(f"{self.url}/")
+        return self
+
+
+class LimitsContainer(ContainerResource):
+    """`/shapes/`: the packages with the shapes of their types, and the limits that clients keep."""
+
+    async def narrowed(self, exchange: Exchange) -> Resource:
+        found = await super().narrowed(exchange)
+        if type(found) is ContainerResource:
+            return LimitsContainer(self.robot, self.path, found._parts, found._place)
+        return found
+
+    def is_taken(self, name: str) -> bool:
+        return name in WHOLE or name in _packages(self.robot) or super().is_taken(name)
+
+    async def state(self) -> State:
+        kept = await super().state()
+        listed = _generated(self.robot)
+        is_here = self._parts.containment and (self._place is None or self._place.after == 0)
+        more = tuple(one for one in listed.triples if _is_of(one, containment=is_here, minimal=self._parts.minimal))
+
+        def describe() -> Document:
+            return Document(kept.document.url, tuple(dict.fromkeys((*kept.document.triples, *more))))
+
+        return self.robot.states.get(
+            f"{self.url}?{self._place}#{self._parts.variant} with what is generated",
+            (Same(kept), more),
+            lambda: replace(kept, describe=describe, token=f"{kept.tag}-{digest(repr(more).encode())}", renderings={}),
+        )
+
+    def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
+        own = set(_generated(self.robot).triples)
+        return super().with_triples(record, [one for one in triples if one not in own])
+
+
+def _is_of(triple: Triple, *, containment: bool, minimal: bool) -> bool:
+    """Whether a part of the container tells this triple."""
+    return minimal if triple.predicate in (dcterms.title, rdf.type) else containment
+
+
+def _generated(robot: Robot) -> Document:
+    """What `/shapes/` says of what nobody keeps there."""
+    return type_container_document("shapes", (), names_below(_listed(robot), "shapes", ()), robot.space)
+
+
+def whole_container(robot: Robot) -> Document:
+    """What `/shapes/` says with all that is in it, as it is now."""
+    record = robot.records.get(limits.ROOM)
+    assert record is not None
+    members = [robot.space.base + member.path for member in all_members(robot, record)]
+    kept = record_document(record, robot.space.container("shapes"), members, ())
+    return Document(kept.url, tuple(dict.fromkeys((*kept.triples, *_generated(robot).triples))))
+
+
+def _listed(robot: Robot) -> list[str]:
+    return sorted({ref.name for ref in known_types(robot)})
+
+
+def _packages(robot: Robot) -> set[str]:
+    return {ref.name.partition("/")[0] for ref in known_types(robot)}
+
+
+def _why_not(robot: Robot, url: str, method: str) -> str:
+    if robot.settings.read_only:
+        return "This server is read-only."
+    room = robot.space.container("shapes")
+    return f"{url} is the server's own and does not answer {method}: limits may be kept at {room}NAME, by another name."
 
 
 def _container(robot: Robot, room: str, location: Location) -> Resource:

@@ -10,17 +10,20 @@ from rosld.ontology.vocab import PREFIXES
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.cursor import Unrecognised
 from rosld.server.sparql.functions import AGE
-from rosld.server.sparql.grammar import read
-from rosld.server.sparql.lexer import BOUNDS, Bounds, Checked, Kind, Token, check, place, update_keyword
+from rosld.server.sparql.grammar import ELSEWHERE, read
+from rosld.server.sparql.lexer import BOUNDS, NOWHERE, Bounds, Checked, Kind, Reach, Token, check, place, update_keyword
 from rosld.server.sparql.modest import is_modest
 from rosld.server.sparql.narrowing import needs
 from rosld.server.sparql.needs import EVERYTHING, Needs
-from rosld.server.sparql.quick import is_quick
+from rosld.server.sparql.patterns import graphs_around
+from rosld.server.sparql.small import Plan, plan
 from rosld.server.sparql.terms import Terms
 
-_CHANGING = frozenset({"NOW", "RAND", "UUID", "STRUUID", "BNODE", AGE})
+_CHANGING = frozenset({"NOW", "RAND", "UUID", "STRUUID", "BNODE", AGE, ELSEWHERE})
 _FORMS = ("SELECT", "ASK", "CONSTRUCT", "DESCRIBE")
 _MOST_UNREAD = 60
+_SHORT = 512
+"""Characters of a CONSTRUCT whose template makes few triples of each solution."""
 _KEPT = 512
 
 
@@ -30,40 +33,56 @@ class Analysis:
 
     `form` is SELECT, ASK, CONSTRUCT or DESCRIBE, None where only the store can tell. `needs` are over all graphs, its
     FROM and FROM NAMED being `default_graphs` and `named_graphs`. `lasting`: the answer is the same for as long as the
-    dataset is. `quick`: it follows single values from constants, so that its answer is small and takes less time than
-    going to another thread. `modest`: it cannot grow out of hand, so that it needs no process of its own. `prefixes`:
-    those of the server that its names use.
+    dataset is. `modest`: its form keeps it small where no resource has many values. `prefixes`: those of the server
+    that its names use. `enclosed` are the graphs that all its patterns stand in (GRAPH), None where one may match in
+    others. `plan` is how to find out whether it is small over a dataset, None where it may be anything. `streams`:
+    every statement that is looked at is told. `filters`: the store may scan what a constraint leaves nothing of.
+    `elsewhere`: it asks other endpoints (SERVICE).
     """
 
     text: str
     form: str | None
     needs: Needs
     lasting: bool
-    quick: bool
     modest: bool
     prefixes: Mapping[str, str]
     default_graphs: tuple[str, ...] = ()
     named_graphs: tuple[str, ...] = ()
+    enclosed: frozenset[str] | None = None
+    plan: Plan | None = None
+    streams: bool = False
+    filters: bool = True
+    elsewhere: bool = False
 
 
 class Analyser:
     """Analyses queries for one server: `base` resolves their relative IRIs, `types` is the namespace of message types.
 
-    `prefixes` hold where a query does not declare them itself.
+    `prefixes` hold where a query does not declare them itself; `reach` is where SERVICE may lead.
     """
 
     def __init__(
-        self, base: str, types: str, *, prefixes: Mapping[str, str] = PREFIXES, bounds: Bounds = BOUNDS
+        self,
+        base: str,
+        types: str,
+        *,
+        prefixes: Mapping[str, str] = PREFIXES,
+        bounds: Bounds = BOUNDS,
+        reach: Reach = NOWHERE,
     ) -> None:
         self.base = base
         self.prefixes = dict(prefixes)
         self._types = types
         self._bounds = bounds
-        self.analyse = lru_cache(maxsize=_KEPT)(self._analyse)
+        self._reach = reach
+        self.analyse = lru_cache(maxsize=_KEPT)(self.analyse_once)
 
-    def _analyse(self, text: str) -> Analysis:
-        """The analysis of a query. Raises Problems: those of `check`, and 400 for an update."""
-        checked = check(text, self._bounds)
+    def analyse_once(self, text: str) -> Analysis:
+        """The analysis of a query, to be had from `analyse` where it is asked again and again.
+
+        Raises Problems: those of `check`, and 400 for an update.
+        """
+        checked = check(text, self._bounds, reach=self._reach)
         if keyword := update_keyword(checked.tokens):
             raise Problem(400, f"{keyword} is an update, and this is the endpoint for queries: it only reads.")
         try:
@@ -72,18 +91,26 @@ class Analyser:
             return self._unread(checked)
         lasting = not reading.functions & _CHANGING
         terms = Terms(self._types)
-        quick = reading.form == "SELECT" and reading.plain and is_quick(reading.where, terms)
         words = [token.text.upper() for token in checked.tokens if token.kind is Kind.WORD]
+        steps = sum(token.kind in (Kind.WORD, Kind.MARK) for token in checked.tokens)
+        found = None
+        if reading.form != "DESCRIBE" and (reading.form != "CONSTRUCT" or len(text) <= _SHORT):
+            found = plan(reading.where, words, steps, len(reading.default) + len(reading.named))
+        single = found is not None and len(found) == len(found[0]) == 1
         return Analysis(
             checked.text,
             reading.form,
             needs(reading, terms),
             lasting,
-            quick,
             is_modest(reading.where, words, terms),
             self._used_prefixes(checked),
             reading.default,
             reading.named,
+            graphs_around(reading.where),
+            found,
+            single and reading.plain and "OFFSET" not in words,
+            any("FILTER" in word or "HAVING" in word for word in words),
+            ELSEWHERE in words,
         )
 
     def _used_prefixes(self, checked: Checked) -> Mapping[str, str]:
@@ -98,7 +125,8 @@ class Analyser:
         if len(terms) > _MOST_UNREAD:
             raise Problem(400, "The query is no SPARQL 1.1, or begins to be none, somewhere: cut it to find the place.")
         form = next((token.text.upper() for token in checked.tokens if token.is_word(*_FORMS)), None)
-        return Analysis(checked.text, form, EVERYTHING, False, False, False, self.prefixes)
+        elsewhere = any(token.is_word(ELSEWHERE) for token in checked.tokens)
+        return Analysis(checked.text, form, EVERYTHING, False, False, self.prefixes, elsewhere=elsewhere)
 
 
 def _check_comparisons(checked: Checked) -> None:

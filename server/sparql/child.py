@@ -3,12 +3,13 @@
 A query may sort a cross product of everything: it takes all time and all memory there is, and the store cannot be told
 to stop. So each query that is not known to be small is answered in a child of this process, which sees the dataset as
 it is at that moment, has a limit on its memory, and is killed when the time is over or nobody reads any more. It sends
-what it writes through a pipe, in frames: bytes, and at last how it ended.
+what it writes through a pipe, in frames: bytes, and at last how it ended. A child that ends without saying so crashed.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import io
 import os
 import pickle
@@ -16,14 +17,17 @@ import select
 import signal
 import struct
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from enum import Enum
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, NoReturn, TypeAlias, cast
+from queue import Queue
+from typing import BinaryIO, NoReturn, TypeAlias, cast
 
 from rosld.server.http.problem import Problem
+from rosld.server.sparql.limits import Limits, crashed, out_of_memory, out_of_time
 from rosld.server.sparql.results import Check
 from rosld.server.store import QueryError
 
@@ -31,9 +35,14 @@ AVAILABLE = sys.platform == "linux"
 """Elsewhere a process with threads cannot be forked safely, and queries run in threads."""
 _FRAME = struct.Struct("<cI")
 _CHUNK = 64 * 1024
+_PIPE = 1024 * 1024
+"""Bytes that a child may be ahead of its reader."""
 _GLANCE = 0.05
-"""Seconds between looks at whether somebody still wants the answer."""
-_MIB = 1024 * 1024
+"""Seconds between looks at whether the time is over."""
+_BEHIND = 5
+"""How much nicer than the server a child is: whoever moves or stops the robot never waits for a query's processor."""
+_NO_MEMORY = 86
+"""How a child exits that was refused memory."""
 
 warnings.filterwarnings("ignore", message=".*multi-threaded, use of fork.*", category=DeprecationWarning)
 
@@ -51,11 +60,32 @@ class _Kind(Enum):
     PROBLEM = b"p"
 
 
-class Limits(NamedTuple):
-    """What a child may use: seconds, and bytes of memory beyond what it begins with."""
+class Leash:
+    """What a child is killed by, at once and from any thread: before it began, while it is at work, or too late."""
 
-    seconds: float
-    memory: int
+    def __init__(self) -> None:
+        self._child: int | None = None
+        self._pulled = False
+        self._lock = threading.Lock()
+
+    def pull(self) -> None:
+        """Kill the child, or whichever comes to be held."""
+        with self._lock:
+            self._pulled = True
+            if self._child is not None:
+                os.kill(self._child, signal.SIGKILL)
+
+    def hold(self, child: int) -> None:
+        """From now on it is killed by `pull`."""
+        with self._lock:
+            self._child = child
+            if self._pulled:
+                os.kill(child, signal.SIGKILL)
+
+    def let_go(self) -> None:
+        """It is about to be waited for: its number may be another's then."""
+        with self._lock:
+            self._child = None
 
 
 def answer(
@@ -64,25 +94,82 @@ def answer(
     check: Check,
     limits: Limits,
     still: AbstractContextManager[None],
+    leash: Leash,
 ) -> None:
     """Have a child write to `output` what `work` writes. To be called in a worker thread.
 
     Within `still` the store does not change, so that the child gets it whole. Raises what `check` raises (looked at
-    many times a second), QueryError and Problem as `work` does, and a 503 Problem where the memory did not suffice.
+    many times a second, and as soon as the leash was pulled), QueryError and Problem as `work` does; Problems 503 where
+    the memory did not suffice and 500 where the child crashed.
     """
     reading, writing = os.pipe()
+    with contextlib.suppress(OSError):  # an ordinary pipe does as well
+        fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, _PIPE)
     with still:
         child = os.fork()
         if child == 0:
             _live(work, writing, limits)
+    leash.hold(child)
     os.close(writing)
+    said = True
     try:
         with io.FileIO(reading, "rb") as pipe:
-            _copy(pipe, output, check, limits)
+            said = _copy(pipe, output, check)
     finally:
-        with contextlib.suppress(ProcessLookupError):
+        leash.let_go()
+        if said:
             os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
+            _undertaker.bury(child)
+    if not said:
+        _, status = os.waitpid(child, 0)
+        check()
+        raise _why(status, limits)
+
+
+def _why(status: int, limits: Limits) -> Problem:
+    """Why a child ended that did not say so."""
+    if os.WIFSIGNALED(status):
+        number = os.WTERMSIG(status)
+        if number == signal.SIGABRT:  # what an allocator does that gets no memory
+            return out_of_memory(limits.memory)
+        return out_of_time(limits.seconds) if number == signal.SIGALRM else crashed(f"signal {number}")
+    code = os.WEXITSTATUS(status)
+    return out_of_memory(limits.memory) if code == _NO_MEMORY else crashed(f"exit {code}")
+
+
+class _Undertaker:
+    """Waits for children whose answer is there: their memory takes the system longer than a small answer."""
+
+    def __init__(self) -> None:
+        self._ended: Queue[int] = Queue()
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+
+    def bury(self, child: int) -> None:
+        with self._lock:
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._work, name="sparql-undertaker", daemon=True)
+                self._thread.start()
+        self._ended.put(child)
+
+    def done(self) -> None:
+        """Return when all are buried."""
+        self._ended.join()
+
+    def _work(self) -> None:
+        while True:
+            child = self._ended.get()
+            with contextlib.suppress(ChildProcessError):
+                os.waitpid(child, 0)
+            self._ended.task_done()
+
+
+_undertaker = _Undertaker()
+
+
+def buried() -> None:
+    """Return when no child is left that has ended."""
+    _undertaker.done()
 
 
 # --- in the child
@@ -90,20 +177,25 @@ def answer(
 
 def _live(work: Work, writing: int, limits: Limits) -> NoReturn:
     """The child's whole life. It shares nothing that it could harm, and ends by itself should its parent be gone."""
+    code = 1
     try:
         _be_alone(writing, limits)
         frames = _Frames(writing)
         try:
             work(cast("BinaryIO", frames))
+            frames.flush()
         except QueryError as error:
             frames.send(_Kind.WORDS, str(error).encode("utf-8", "replace"))
         except Problem as problem:
-            frames.send(_Kind.PROBLEM, pickle.dumps((problem.status, problem.detail, problem.headers)))
+            told = (problem.status, problem.detail, problem.headers, problem.extra)
+            frames.send(_Kind.PROBLEM, pickle.dumps(told))
         else:
-            frames.flush()
             frames.send(_Kind.END, b"")
+        code = 0
+    except MemoryError:
+        code = _NO_MEMORY
     finally:
-        os._exit(0)
+        os._exit(code)
 
 
 def _be_alone(writing: int, limits: Limits) -> None:
@@ -116,6 +208,7 @@ def _be_alone(writing: int, limits: Limits) -> None:
     signal.setitimer(signal.ITIMER_REAL, limits.seconds + 1)
     os.closerange(3, writing)
     os.closerange(writing + 1, resource.getrlimit(resource.RLIMIT_NOFILE)[0])
+    os.nice(_BEHIND)
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     most = pages * resource.getpagesize() + limits.memory
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
@@ -157,19 +250,19 @@ class _Frames(io.RawIOBase):
 # --- in the parent
 
 
-def _copy(pipe: io.FileIO, output: BinaryIO, check: Check, limits: Limits) -> None:
+def _copy(pipe: io.FileIO, output: BinaryIO, check: Check) -> bool:
+    """Copy the answer; whether all of it came."""
     for kind, data in _frames(pipe, check):
         if kind is _Kind.DATA:
             output.write(data)
         elif kind is _Kind.WORDS:
             raise QueryError(data.decode())
         elif kind is _Kind.PROBLEM:
-            status, detail, headers = pickle.loads(data)  # our own child's
-            raise Problem(status, detail, headers=headers)
+            status, detail, headers, extra = pickle.loads(data)  # our own child's
+            raise Problem(status, detail, headers=headers, extra=extra)
         else:
-            return
-    mebibytes = limits.memory // _MIB
-    raise Problem(503, f"The query needed more than {mebibytes} MiB of memory, this server's limit: ask for less.")
+            return True
+    return False
 
 
 def _frames(pipe: io.FileIO, check: Check) -> Iterator[tuple[_Kind, bytes]]:
@@ -181,7 +274,7 @@ def _frames(pipe: io.FileIO, check: Check) -> Iterator[tuple[_Kind, bytes]]:
         check()
         if not waiting.poll(_GLANCE * 1000):
             continue
-        found = pipe.read(_CHUNK)
+        found = pipe.read(_PIPE)
         if not found:
             return
         buffer += found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, wraps
 from typing import TypeAlias
@@ -26,28 +25,23 @@ class _NoAnswer(Exception):
     """The arguments are not what the function is about."""
 
 
-def functions(received_ns: Callable[[str], int | None]) -> Mapping[str, Function]:
-    """The functions by IRI.
+def functions(seconds_since: Callable[[str], float | None]) -> Mapping[str, Function]:
+    """The functions of one query, by IRI: within it a topic has one age, as there is one NOW() (SPARQL 1.1, 17.4.5.1).
 
-    `received_ns`, called in any thread, tells when the newest message of the topic at a URL was received (nanoseconds
-    of the wall clock), None where none was.
+    `seconds_since`, called in any thread, tells how long ago the newest message of the topic at a URL was received,
+    None where none was.
     """
+    told: dict[str, float | None] = {}
 
     def age(topic: Term) -> Term:
-        received = received_ns(topic.value) if isinstance(topic, NamedNode) else None
-        if received is None:
+        if not isinstance(topic, NamedNode):
             raise _NoAnswer
-        return Literal(max(0, time.time_ns() - received) / 1e9)
+        seconds = told[topic.value] if topic.value in told else told.setdefault(topic.value, seconds_since(topic.value))
+        if seconds is None:
+            raise _NoAnswer
+        return Literal(seconds)
 
-    named: Mapping[str, Callable[..., Term]] = {
-        ros.at.value: at,
-        ros.length.value: length,
-        ros.min.value: least,
-        ros.max.value: greatest,
-        ros.mean.value: mean,
-        AGE: age,
-    }
-    return {iri: _guarded(function) for iri, function in named.items()}
+    return {**_LASTING, AGE: _guarded(age)}
 
 
 def at(array: Term, index: Term) -> Term:
@@ -162,3 +156,9 @@ def _term(element: object, *, numeric: bool) -> Term:
     if isinstance(element, dict) and isinstance(element.get("@value"), str) and isinstance(element.get("@type"), str):
         return Literal(element["@value"], datatype=NamedNode(element["@type"]))
     raise _NoAnswer
+
+
+_LASTING: Mapping[str, Function] = {
+    iri.value: _guarded(function)
+    for iri, function in ((ros.at, at), (ros.length, length), (ros.min, least), (ros.max, greatest), (ros.mean, mean))
+}

@@ -14,6 +14,8 @@ from rosld.server.sparql.lexer import Bounds, Checked, Kind, Token, place
 from rosld.server.sparql.patterns import Child, Group, Iri, Pattern, Reading, Term, Variable, variables
 from rosld.server.sparql.triples import TripleReader
 
+ELSEWHERE = "SERVICE"
+"""Among the functions of a reading: it asks another endpoint."""
 _FORMS = ("SELECT", "ASK", "CONSTRUCT", "DESCRIBE")
 _MODIFIERS = ("GROUP", "ORDER", "BY", "HAVING", "LIMIT", "OFFSET", "ASC", "DESC")
 _OPERANDS = frozenset({Kind.VARIABLE, Kind.STRING, Kind.LANGUAGE, Kind.NUMBER, Kind.NAME, Kind.IRI})
@@ -33,6 +35,7 @@ class _Reader(TripleReader):
         self._age = age
         self._functions: set[str] = set()
         self._plain = True
+        self._assigned: set[int] = set()
 
     # --- the query
 
@@ -177,12 +180,26 @@ class _Reader(TripleReader):
         elif token.is_word("BIND"):
             self.skip()
             self._bind(group)
+            self._assigned.add(id(group))
         elif token.is_word("VALUES"):
             self.skip()
             self.join()
             self._values(group)
+        elif token.is_word("SERVICE"):
+            self._elsewhere()
         elif not self.take("."):
+            group.mixed = group.mixed or id(group) in self._assigned
             self.triples(group)
+
+    def _elsewhere(self) -> None:
+        """What another endpoint is asked concerns nothing that is here."""
+        self.skip()
+        self.take_word("SILENT")
+        self.term()
+        self.join()
+        self._group(None)
+        self._functions.add(ELSEWHERE)
+        self._plain = False
 
     def _child(self, group: Group, graph: Term | None) -> None:
         group.children.append(Child(self._group(graph), len(group.patterns), dict(group.bound)))
@@ -215,6 +232,8 @@ class _Reader(TripleReader):
                 break
         if not single:
             self.expect(")")
+        elif not names:
+            raise Unrecognised
         self.expect("{")
         columns: list[set[str] | None] = [set() for _ in names]
         while not self.take("}"):

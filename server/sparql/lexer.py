@@ -75,6 +75,16 @@ class Bounds:
 
 BOUNDS = Bounds()
 
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """Where a text may have the server send requests to: URLs that SERVICE may name, letter by letter."""
+
+    services: frozenset[str] = frozenset()
+
+
+NOWHERE = Reach()
+
 _BASE = (
     "A-Za-z\u00c0-\u00d6\u00d8-\u00f6\u00f8-\u02ff\u0370-\u037d\u037f-\u1fff\u200c\u200d\u2070-\u218f\u2c00-\u2fef"
     "\u3001-\ud7ff\uf900-\ufdcf\ufdf0-\ufffd\U00010000-\U000effff"
@@ -102,6 +112,7 @@ _TOKEN = re.compile(
     ),
     re.DOTALL,
 )
+_KINDS = {**Kind.__members__, "STRING1": Kind.STRING}
 _ESCAPE = re.compile(r"\\u([0-9A-Fa-f]{4})|\\U([0-9A-Fa-f]{8})")
 _UPDATES = frozenset({"INSERT", "DELETE", "LOAD", "CLEAR", "DROP", "CREATE", "ADD", "MOVE", "COPY", "WITH"})
 _OPEN, _CLOSE = frozenset("([{"), frozenset(")]}")
@@ -139,8 +150,7 @@ def _other(text: str, at: int) -> Token:
     match = _TOKEN.match(text, at)
     if match is None:  # a string without an end leaves nothing to be cut after it
         return Token(Kind.ERROR, text[at:] if text[at] in "\"'" else text[at], at)
-    kind = match.lastgroup or ""
-    return Token(Kind.STRING if kind == "STRING1" else Kind[kind], match[0], at)
+    return Token(_KINDS[match.lastgroup or ""], match[0], at)
 
 
 def unescaped(text: str) -> str:
@@ -162,29 +172,49 @@ class Checked(NamedTuple):
     tokens: tuple[Token, ...]
 
 
-def check(text: str, bounds: Bounds = BOUNDS, *, what: str = "query") -> Checked:
+def check(text: str, bounds: Bounds = BOUNDS, *, what: str = "query", reach: Reach = NOWHERE) -> Checked:
     """The text, if it may be shown to the store's parser at all.
 
     Raises Problems: 413 too long, 400 for characters that cannot be there, nesting or length beyond the bounds, escapes
-    outside strings and IRIs, triple terms, and SERVICE.
+    outside strings and IRIs, triple terms, and SERVICE beyond the reach.
     """
     if len(text) > bounds.size:
         raise Problem(413, f"The {what} has {len(text)} characters; at most {bounds.size} are read.")
-    found = []
+    meaning: list[Token] = []
+    pieces: list[str] = []
     for token in tokens(text):
-        _check_token(token, text)
-        found.append(token)
-    meaning = tuple(token for token in found if token.kind not in (Kind.SPACE, Kind.COMMENT))
-    _check_shape(meaning, text, bounds, what)
-    blanked = "".join(" " * len(token.text) if token.kind is Kind.COMMENT else token.text for token in found)
-    return Checked(blanked, meaning)
+        pieces.append(" " * len(token.text) if token.kind is Kind.COMMENT else token.text)
+        if token.kind is not Kind.SPACE and token.kind is not Kind.COMMENT:
+            _check_token(token, text, reach)
+            meaning.append(token)
+    found = tuple(meaning)
+    _check_targets(found, text, "SERVICE", reach.services)
+    _check_shape(found, text, bounds, what)
+    return Checked("".join(pieces), found)
 
 
-def _check_token(token: Token, text: str) -> None:
+def _check_targets(found: tuple[Token, ...], text: str, keyword: str, allowed: frozenset[str]) -> None:
+    """Hold that what follows the keyword (and SILENT) is one of these URLs, written in full."""
+    for at, token in enumerate(found):
+        if token.is_word(keyword):
+            following = found[at + 1 : at + 3]
+            target = following[-1] if following and following[0].is_word("SILENT") else (*following, None)[0]
+            if target is None or target.kind is not Kind.IRI or target.text[1:-1] not in allowed:
+                named = "nothing" if target is None else target.text
+                raise Problem(
+                    400,
+                    f"{keyword} at {place(text, token.start)} names {named}: this server asks only what its settings "
+                    "list, by its whole URL.",
+                )
+
+
+def _check_token(token: Token, text: str, reach: Reach) -> None:
     if token.kind is Kind.ERROR:
         raise Problem(400, f"{_unread(token, text)} at {place(text, token.start)} begins nothing of SPARQL.")
     if token.kind in (Kind.WORD, Kind.NAME):
         word = token.text.partition(":")[0]
+        if reach.services and token.is_word("SERVICE"):
+            return
         if "SERVICE" in word.upper() or "service" in word.casefold():
             raise Problem(
                 400,

@@ -1,22 +1,23 @@
-"""Queries that cannot grow out of hand: they start at one place and follow links, so their solutions are few. Pure.
-
-These are answered in a thread. All others could take any time and memory, and get a process that can be killed.
-"""
+"""Queries that start at one place and follow links: over graphs of the server's own making, solutions are few. Pure."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from rosld.ontology.vocab import ros
 from rosld.server.sparql.patterns import TYPE, Group, Iri, Pattern, Variable
-from rosld.server.sparql.quick import is_single
 from rosld.server.sparql.terms import Terms
 
+_SINGLE = frozenset(
+    term.value
+    for term in (ros.name, ros.messageType, ros.latest, ros.rate, ros.received, ros.sequence, ros.dateTime, ros.value)
+)
 _MOST_PATTERNS = 16
 _MOST_BRANCHING = 2
 """Patterns with any number of values for a subject: each multiplies the solutions."""
 _MOST_UNIONS = 2
 """Each doubles the solutions."""
-_GROWING = ("CONCAT", "REPLACE", "ENCODE_FOR_URI", "VALUES")
+_GROWING = ("CONCAT", "REPLACE", "ENCODE_FOR_URI", "VALUES", "SERVICE")
 """What makes more of what goes in: text that grows at each nesting, tables that multiply each other."""
 
 
@@ -68,3 +69,11 @@ def _reaches_all(root: str, patterns: list[Pattern]) -> bool:
 def _is_reached(pattern: Pattern, reached: set[str]) -> bool:
     subject = pattern.subject
     return isinstance(subject, Iri) or (isinstance(subject, Variable) and subject.name in reached)
+
+
+def is_single(predicates: frozenset[str] | None, terms: Terms) -> bool:
+    """Whether a subject has one value at most for these predicates."""
+    if predicates is None or len(predicates) != 1:
+        return False
+    [predicate] = predicates
+    return predicate in _SINGLE or predicate.startswith(terms.types)

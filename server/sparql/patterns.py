@@ -53,11 +53,13 @@ class Child(NamedTuple):
 class Group:
     """What must hold together: `patterns`, and variables `bound` to constants (VALUES, BIND).
 
-    `graph` is the GRAPH it stands in; `scoped` says that nothing of what is around it narrows it (a subquery).
+    `graph` is the GRAPH it stands in; `scoped` says that nothing of what is around it narrows it (a subquery),
+    `mixed` that patterns follow an assignment: the store may join these in an order of its own.
     """
 
     graph: Term | None = None
     scoped: bool = False
+    mixed: bool = False
     patterns: list[Pattern] = field(default_factory=list)
     bound: dict[str, frozenset[str]] = field(default_factory=dict)
     children: list[Child] = field(default_factory=list)
@@ -134,6 +136,17 @@ def may_be_empty(path: Path) -> bool:
     if isinstance(path, Choice):
         return any(map(may_be_empty, path.parts))
     return isinstance(path, Inverse) and may_be_empty(path.path)
+
+
+def graphs_around(group: Group) -> frozenset[str] | None:
+    """The graphs that all patterns stand in, by their names; None where one stands in any other or in none."""
+    inner = [child.group for child in group.children] + group.filters
+    found = [graphs_around(each) for each in inner]
+    if group.patterns:
+        found.append(frozenset({group.graph.value}) if isinstance(group.graph, Iri) else None)
+    if None in found:
+        return None
+    return frozenset().union(*(each for each in found if each is not None))
 
 
 def variables(group: Group) -> Iterator[Variable]:

@@ -1,20 +1,23 @@
-"""The SPARQL 1.1 Protocol for queries (its section 2.1): from a request to a `QueryRequest`. Pure."""
+"""The SPARQL 1.1 Protocol (its section 2): from a request to a `QueryRequest` or an `UpdateRequest`. Pure."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+from math import inf
 from urllib.parse import parse_qsl
 
 from pyoxigraph import NamedNode
 
 from rosld.server.http import media
 from rosld.server.http.problem import Problem
+from rosld.server.sparql.lexer import Kind, place, tokens
 
 FORM = "application/x-www-form-urlencoded"
 DIRECT = "application/sparql-query"
 UPDATE = "application/sparql-update"
-ACCEPT_POST = f"{DIRECT}, {FORM}"
+ACCEPT_POST = f"{DIRECT}, {UPDATE}, {FORM}"
 _MOST_PARAMETERS = 1000
 _LONGEST_CACHED = 4096
 
@@ -24,11 +27,25 @@ class QueryRequest:
     """A query and its dataset: the graphs to merge into the default graph, and those to be named graphs.
 
     Without either the dataset is all there is: every graph under its name, and their union as the default graph.
+    `timeout` in seconds, where the client wants to wait no longer (`?timeout=`).
     """
 
     text: str
     default_graphs: tuple[str, ...] = ()
     named_graphs: tuple[str, ...] = ()
+    timeout: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class UpdateRequest:
+    """An update and the dataset of its WHERE: the graphs to merge into the default graph, and the named graphs.
+
+    Without either an operation's own USING holds, and else the dataset of a query that names none.
+    """
+
+    text: str
+    using_graphs: tuple[str, ...] = ()
+    using_named_graphs: tuple[str, ...] = ()
 
 
 def query_request(method: str, query_string: bytes, content_type: str | None = None, body: bytes = b"") -> QueryRequest:
@@ -39,17 +56,46 @@ def query_request(method: str, query_string: bytes, content_type: str | None = N
     """
     if method in ("GET", "HEAD"):
         return _remembered(query_string) if len(query_string) <= _LONGEST_CACHED else _from_url(query_string)
+    asked = posted(query_string, content_type, body)
+    if isinstance(asked, UpdateRequest):
+        raise Problem(400, "This is an update, and only queries are taken here.")
+    return asked
+
+
+def update_request(query_string: bytes, content_type: str | None, body: bytes) -> UpdateRequest:
+    """The update that a POST asks for (SPARQL 1.1 Protocol 2.2).
+
+    Raises Problems: 400 for no update, several, a query, text that is not UTF-8, graph names that are no IRIs, and
+    graphs named beside a text that names its own (USING, WITH); 415 for bodies of other media types.
+    """
+    asked = posted(query_string, content_type, body)
+    if isinstance(asked, QueryRequest):
+        raise Problem(400, "This is a query, and only updates are taken here.")
+    return asked
+
+
+def posted(query_string: bytes, content_type: str | None, body: bytes) -> QueryRequest | UpdateRequest:
+    """The query or the update that a POST asks for. Raises Problems as `query_request` and `update_request` do."""
     in_url = _parameters(query_string, "query string")
+    if any(name == "update" for name, _ in in_url):
+        raise Problem(400, "An update stands in the body of a POST, never in the URL (SPARQL 1.1 Protocol 2.2).")
     essence = _essence(content_type)
     if essence == FORM:
+        in_form = _parameters(body, "form")
+        if any(name == "update" for name, _ in in_form):
+            return _update([*in_url, *in_form])
         if any(name == "query" for name, _ in in_url):
             raise Problem(400, "The query stands in the URL and the form: send it in one of them.")
-        return _request([*in_url, *_parameters(body, "form")])
+        return _request([*in_url, *in_form])
     if essence == DIRECT:
-        return _request([*in_url, ("query", _decoded(body))])
+        return _request([*in_url, ("query", _decoded(body, "query"))])
     if essence == UPDATE:
-        raise Problem(415, "Updates are not taken here; this is the endpoint for queries.", headers=_ACCEPTED)
-    raise Problem(415, f"A query comes as {DIRECT} or as a form ({FORM}), not as {content_type}.", headers=_ACCEPTED)
+        return _update([*in_url, ("update", _decoded(body, "update"))])
+    raise Problem(
+        415,
+        f"A query comes as {DIRECT}, an update as {UPDATE}, either as a form ({FORM}), not as {content_type}.",
+        headers=_ACCEPTED,
+    )
 
 
 def _from_url(query_string: bytes) -> QueryRequest:
@@ -64,22 +110,27 @@ _ACCEPTED = {"Accept-Post": ACCEPT_POST}
 
 def _essence(content_type: str | None) -> str:
     if content_type is None:
-        raise Problem(415, f"The request has no Content-Type; a query comes as {DIRECT}.", headers=_ACCEPTED)
+        raise Problem(
+            415,
+            f"The request has no Content-Type; a query comes as {DIRECT}, an update as {UPDATE}.",
+            headers=_ACCEPTED,
+        )
     try:
         found = media.parse(content_type)
     except ValueError as error:
         raise Problem(415, f"{error}.", headers=_ACCEPTED) from error
     charset = found.parameter("charset")
     if charset not in (None, "utf-8", "utf8"):
-        raise Problem(415, f"A query is in UTF-8, not in {charset} (SPARQL 1.1 Protocol 2.1.3).", headers=_ACCEPTED)
+        sentence = f"Queries and updates are in UTF-8, not in {charset} (SPARQL 1.1 Protocol 2.1.3)."
+        raise Problem(415, sentence, headers=_ACCEPTED)
     return found.essence
 
 
-def _decoded(body: bytes) -> str:
+def _decoded(body: bytes, what: str) -> str:
     try:
         return body.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise Problem(400, f"The query is not UTF-8: {error.reason} at byte {error.start}.") from error
+        raise Problem(400, f"The {what} is not UTF-8: {error.reason} at byte {error.start}.") from error
 
 
 def _parameters(raw: bytes, where: str) -> list[tuple[str, str]]:
@@ -93,14 +144,61 @@ def _parameters(raw: bytes, where: str) -> list[tuple[str, str]]:
 
 def _request(parameters: list[tuple[str, str]]) -> QueryRequest:
     queries = [value for name, value in parameters if name == "query"]
-    if not queries and any(name == "update" for name, _ in parameters):
-        raise Problem(400, "There is an update and no query; updates are not taken here.")
+    if any(name == "update" for name, _ in parameters):
+        raise Problem(400, "An update stands in the body of a POST, never in the URL (SPARQL 1.1 Protocol 2.2).")
     if not queries:
         raise Problem(400, "There is no query: give one as ?query= (SPARQL 1.1 Protocol 2.1).")
     if len(queries) > 1:
         raise Problem(400, f"There are {len(queries)} queries in one request; send one.")
-    default, named = (_graphs(parameters, name) for name in ("default-graph-uri", "named-graph-uri"))
-    return QueryRequest(queries[0], default, named)
+    _refuse(parameters, _USING, "are for updates; a query has default-graph-uri and named-graph-uri")
+    default, named = (_graphs(parameters, name) for name in _DATASET)
+    return QueryRequest(queries[0], default, named, timeout_asked(parameters))
+
+
+def timeout_asked(parameters: Iterable[tuple[str, str]]) -> float | None:
+    """The seconds of `?timeout=`, None where it is not given. Raises a 400 Problem for what is no such number."""
+    given = [value for name, value in parameters if name == "timeout"]
+    if not given:
+        return None
+    try:
+        seconds = float(given[0]) if given[0].isascii() else 0.0
+    except ValueError:
+        seconds = 0.0
+    if len(given) > 1 or not 0 < seconds < inf:
+        raise Problem(400, f"timeout={given[0]} is no number of seconds above 0, such as 2.5, given once.")
+    return seconds
+
+
+def _update(parameters: list[tuple[str, str]]) -> UpdateRequest:
+    updates = [value for name, value in parameters if name == "update"]
+    if any(name == "query" for name, _ in parameters):
+        raise Problem(400, "There is a query and an update in one request; send one of them.")
+    if len(updates) > 1:
+        raise Problem(400, f"There are {len(updates)} updates in one request; send one, its operations joined by ';'.")
+    _refuse(parameters, _DATASET, "are for queries; an update has using-graph-uri and using-named-graph-uri")
+    using, named = (_graphs(parameters, name) for name in _USING)
+    if using or named:
+        _refuse_own_dataset(updates[0])
+    return UpdateRequest(updates[0], using, named)
+
+
+_DATASET = ("default-graph-uri", "named-graph-uri")
+_USING = ("using-graph-uri", "using-named-graph-uri")
+
+
+def _refuse(parameters: list[tuple[str, str]], names: tuple[str, str], why: str) -> None:
+    if any(name in names for name, _ in parameters):
+        raise Problem(400, f"{' and '.join(names)} {why}.")
+
+
+def _refuse_own_dataset(text: str) -> None:
+    """Raise a 400 Problem for an update that says itself which graphs it reads (SPARQL 1.1 Protocol 2.2.3)."""
+    for token in tokens(text):
+        if token.is_word("WITH") or (token.kind is Kind.WORD and token.text.upper().startswith("USING")):
+            where = place(text, token.start)
+            raise Problem(
+                400, f"{token.text} at {where}: the graphs are named beside the update already, name them once."
+            )
 
 
 def _graphs(parameters: list[tuple[str, str]], name: str) -> tuple[str, ...]:

@@ -114,6 +114,8 @@ def _write_graph(results: QueryTriples, syntax: RdfFormat, output: BinaryIO, che
         _write_xml(results, output, check, base)
     elif syntax in _PREFIXED:
         serialize(_checked(results, check), output, syntax, prefixes=_PREFIXES)
+    elif syntax is RdfFormat.JSON_LD:
+        serialize(_checked(results, check), output, syntax)
     else:
         results.serialize(output, syntax)
 

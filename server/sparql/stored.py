@@ -8,29 +8,38 @@ query needs (`narrowing.py`) is seen from the constants.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from importlib.resources import files
+from itertools import count
 
-from pyoxigraph import NamedNode, Store
+from pyoxigraph import BlankNode, Literal, NamedNode, Store, Triple, Variable
 
 from rosld.ontology.describe_graph import ROOMS
 from rosld.ontology.fitting import Misfit
 from rosld.ontology.lexical import NUMBERS
+from rosld.ontology.lift import TYPES
 from rosld.ontology.triples import double
 from rosld.ontology.urls import Space, locate
 from rosld.ontology.vocab import xsd
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.lexer import Kind, check, tokens
+from rosld.server.sparql.analysis import Analyser
+from rosld.server.sparql.lexer import BOUNDS, Bounds, Kind, check, place, tokens, update_keyword
 
 _SUFFIX = ".rq"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 _PARAMETER = re.compile(r"@param\s+(?P<name>\S+)\s+(?P<type>\S+)(?:\s+(?P<default>.*?))??\s+--\s+(?P<about>\S.*)")
-_FORMAT = "format"
+OTHERS = {"format": "in which format the results come", "timeout": "how long the query may take"}
+"""What else the query of a URL says, whatever the parameters are."""
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _INT64 = range(-(2**63), 2**63)
 _LONGEST_TOLD = 200
+_MOST_PARAMETERS = 50
+_MOST_BOUND = 4 * 1024 * 1024
+"""Characters of a query with its parameters bound, one of which may stand in many places."""
+_LINE_END = re.compile(r"\r\n?|\n")
+_PLACE = re.compile(r"error at (\d+):")
 
 
 class Type(Enum):
@@ -66,37 +75,54 @@ class StoredQuery:
 
 
 def shipped() -> Mapping[str, StoredQuery]:
-    """The queries that come with rosld, by name in order. Raises ValueError, saying where one is malformed."""
+    """The queries that come with rosld, by name in order. They were looked at when they were made."""
     found = (file for file in files("rosld.queries").iterdir() if file.name.endswith(_SUFFIX))
     ordered = sorted(found, key=lambda file: file.name)
     texts = {file.name.removesuffix(_SUFFIX): file.read_text("utf-8") for file in ordered}
-    return {name: read(name, text) for name, text in texts.items()}
+    return {name: outline(name, text) for name, text in texts.items()}
 
 
-def read(name: str, text: str) -> StoredQuery:
+def read(name: str, text: str, bounds: Bounds = BOUNDS) -> StoredQuery:
     """The stored query that a text is.
 
     Raises ValueError naming the query and the line (or the parameter) that is not as it should be.
     """
+    query, lines = _outlined(name, text)
+    _check(query, lines, bounds)
+    return query
+
+
+def outline(name: str, text: str) -> StoredQuery:
+    """What the comments say that a text begins with; the query below them is not looked at. Raises as `read` does."""
+    return _outlined(name, text)[0]
+
+
+def _outlined(name: str, text: str) -> tuple[StoredQuery, Mapping[str, int]]:
+    """The query, and the line in which each parameter is told of."""
     purpose: list[str] = []
     parameters: list[Parameter] = []
+    lines: dict[str, int] = {}
     for number, line in enumerate(_comments(text), 1):
         if line.startswith("@"):
-            parameters.append(_parameter(line, f"{name}:{number}"))
+            parameter = _parameter(line, f"{name}:{number}")
+            if parameter.name in lines:
+                raise ValueError(f"{name}:{number}: the parameter {parameter.name} is told of twice")
+            parameters.append(parameter)
+            lines[parameter.name] = number
         elif parameters and line:
-            raise ValueError(f"{name}:{number}: {line!r} must stand before the parameters, with the purpose")
+            raise ValueError(f"{name}:{number}: {_told(line)} must stand before the parameters, with the purpose")
         elif line:
             purpose.append(line)
     if not purpose:
-        raise ValueError(f"{name}: must begin with a comment that says in plain words what it is for")
-    query = StoredQuery(name, " ".join(purpose), tuple(parameters), text)
-    _check(query)
-    return query
+        raise ValueError(f"{name}:1: must begin with a comment that says in plain words what it is for")
+    if len(parameters) > _MOST_PARAMETERS:
+        raise ValueError(f"{name}:{number}: a query has at most {_MOST_PARAMETERS} parameters")
+    return StoredQuery(name, " ".join(purpose), tuple(parameters), text), lines
 
 
 def _comments(text: str) -> Iterable[str]:
     """The comment lines that the text begins with, without their marks."""
-    for line in text.splitlines():
+    for line in _LINE_END.split(text):
         if not line.startswith("#"):
             return
         yield line[1:].strip()
@@ -105,40 +131,50 @@ def _comments(text: str) -> Iterable[str]:
 def _parameter(line: str, where: str) -> Parameter:
     match = _PARAMETER.fullmatch(line)
     if match is None:
-        raise ValueError(f"{where}: {line!r} should look like '@param seconds double 5 -- what it is'")
+        raise ValueError(f"{where}: {_told(line)} should look like '@param seconds double 5 -- what it is'")
     name, kind, default = match["name"], match["type"], match["default"]
     if not _NAME.fullmatch(name):
-        raise ValueError(f"{where}: the parameter {name!r} must be named with ASCII letters, digits and underscores")
-    if name == _FORMAT:
-        raise ValueError(f"{where}: no parameter can be called {name}: it chooses the format of the results")
+        raise ValueError(f"{where}: the parameter {_told(name)} must be named with ASCII letters, digits, underscores")
+    if name in OTHERS:
+        raise ValueError(f"{where}: no parameter can be called {name}: it says {OTHERS[name]}")
     if kind not in (one.value for one in Type):
-        raise ValueError(f"{where}: {kind!r} is no type of parameter: take {', '.join(one.value for one in Type)}")
+        raise ValueError(f"{where}: {_told(kind)} is no type of parameter: take {', '.join(one.value for one in Type)}")
     return Parameter(name, Type(kind), "" if default == '""' else default, match["about"])
 
 
-def _check(query: StoredQuery) -> None:
-    """That the parameters are told once each, fit their types, and stand where terms may stand."""
-    names = [parameter.name for parameter in query.parameters]
-    if repeated := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(f"{query.name}: the parameter {repeated[0]} is told of twice")
+def _check(query: StoredQuery, lines: Mapping[str, int], bounds: Bounds) -> None:
+    """That the parameters fit their types and stand where terms may stand, and that it is a query then."""
+    name = query.name
+    for parameter in query.parameters:
+        try:
+            _bound(parameter, _SAMPLES[parameter.type] if parameter.default is None else None, _ANYWHERE)
+        except ValueError as error:
+            raise ValueError(f"{name}:{lines[parameter.name]}: the default of {parameter.name}: {error}") from error
     try:
-        if unused := set(names) - _variables(query.text):
-            raise ValueError(f"{query.name}: no ?{min(unused)} is in the query, though it is told of as a parameter")
-        bound = bind(
-            query, {one.name: _SAMPLES[one.type] for one in query.parameters if one.default is None}, _ANYWHERE
-        )
-        check(bound)
-        Store().query(bound)
+        checked = check(query.text, bounds)
+        if keyword := update_keyword(checked.tokens):
+            word = next(token for token in checked.tokens if token.text.upper() == keyword)
+            line = place(checked.text, word.start).partition(":")[0]
+            raise ValueError(f"{name}:{line}: {keyword} is an update, and a stored query only reads")
+        there = {token.text[1:] for token in checked.tokens if token.kind is Kind.VARIABLE}
+        if unused := [one for one in lines if one not in there]:
+            raise ValueError(
+                f"{name}:{lines[unused[0]]}: no ?{unused[0]} is in the query, though it is told of as a parameter"
+            )
+        samples = {one.name: _SAMPLES[one.type] for one in query.parameters if one.default is None}
+        analysis = Analyser(_ANYWHERE, TYPES, bounds=bounds).analyse(bind(query, samples, _ANYWHERE))
+        nobodys = next(variable for number in count() if (variable := f"nobodys{number}") not in there)
+        # A value for a variable that is not there is refused after the text was parsed, and before it is evaluated.
+        values: dict[Variable, NamedNode | BlankNode | Literal | Triple] = {Variable(nobodys): Literal("")}
+        Store().query(analysis.text, base_iri=_ANYWHERE, prefixes=dict(analysis.prefixes), substitutions=values)
     except Problem as problem:
-        raise ValueError(f"{query.name}: {problem.detail}") from problem
+        raise ValueError(f"{name}: {problem.detail}") from problem
     except SyntaxError as error:
-        raise ValueError(f"{query.name}: with its parameters bound it is no query: {error}") from error
+        found = _PLACE.match(str(error))
+        where = f"{name}:{found[1]}" if found else name
+        raise ValueError(f"{where}: with its parameters bound it is no query: {error}") from error
     except RuntimeError:
-        pass  # it parsed; which functions there are is for whoever asks it
-
-
-def _variables(text: str) -> set[str]:
-    return {token.text[1:] for token in check(text).tokens if token.kind is Kind.VARIABLE}
+        pass  # it parsed
 
 
 # Binding
@@ -161,11 +197,19 @@ def bind(query: StoredQuery, given: Mapping[str, str], base: str) -> str:
             wrong.append(f"{parameter.name}: {error}")
     if wrong:
         raise _refused(query, wrong)
-    return "".join(
+    return "".join(_with_terms(query, terms))
+
+
+def _with_terms(query: StoredQuery, terms: Mapping[str, str]) -> Iterator[str]:
+    size = 0
+    for token in tokens(query.text):
         # A blank on either side: a term never joins with what it stands next to.
-        f" {terms[token.text[1:]]} " if token.kind is Kind.VARIABLE and token.text[1:] in terms else token.text
-        for token in tokens(query.text)
-    )
+        is_bound = token.kind is Kind.VARIABLE and token.text[1:] in terms
+        text = f" {terms[token.text[1:]]} " if is_bound else token.text
+        size += len(text)
+        if size > _MOST_BOUND:
+            raise Problem(413, f"With these values the query {query.name} would be too long: give shorter ones.")
+        yield text
 
 
 def _bound(parameter: Parameter, given: str | None, base: str) -> str:

@@ -104,6 +104,13 @@ class _Look(NamedTuple):
         return [entry.iri for entry in self.entries if entry.iri not in self.described]
 
 
+class Seen(NamedTuple):
+    """The tokens of the graphs with live values, and the version of what clients keep, that a query sees."""
+
+    tokens: Mapping[str, Hashable]
+    kept: int
+
+
 class _Synced:
     """One query's use of the store."""
 
@@ -130,13 +137,13 @@ class Synchroniser:
         store: Store,
         source: GraphSource,
         kept: KeptSource = NOTHING,
-        *,
+        *more: KeptSource,
         interval: float = WILDCARD_INTERVAL,
     ) -> None:
         self._store = store
         self._source = source
-        self._kept = kept
-        self._kept_version = 0
+        self._kept = (kept, *more)
+        self._versions = [0] * len(self._kept)
         self._interval = interval
         self._held: dict[str, _Held] = {}
         self._live: set[str] = set()
@@ -147,6 +154,11 @@ class Synchroniser:
         self._applied: Hashable = object()
         self._everything: tuple[float, Needs] = (float("-inf"), Needs())
         self._changing = asyncio.Lock()
+
+    @property
+    def held(self) -> Sequence[str]:
+        """The graphs in the store that come from the source: all but those that clients keep."""
+        return list(self._held)
 
     def synced(self, needs: Needs, *, deadline: float) -> AbstractAsyncContextManager[None]:
         """Within it the store holds what the needs ask for: begin the query there. Raises what the source raises."""
@@ -174,12 +186,17 @@ class Synchroniser:
     async def keep_up(self) -> None:
         """Catch up whenever much has changed since a query asked, at once and then for ever: to be cancelled."""
         while True:
-            if self._kept.version - self._kept_version >= _MUCH:
+            if self._kept[0].version - self._versions[0] >= _MUCH:
                 try:
                     await self.catch_up()
                 except Exception:  # the next query, or the next time, may have more luck
                     _log.exception("what clients keep cannot be brought to the dataset now")
             await asyncio.sleep(_GLANCE)
+
+    @property
+    def seen(self) -> Seen:
+        """What the store holds now of values that change by themselves, and of what clients keep."""
+        return Seen({iri: self._held[iri].token for iri in self._live}, self._versions[0])
 
     def leave(self, extras: Sequence[str]) -> None:
         """The query has begun: graphs that were there for it alone may go."""
@@ -259,43 +276,48 @@ class Synchroniser:
         if self._changing.locked():
             return False
         changes = self._changes(look)
-        backlog, version = self._first_part()
+        backlog, versions = self._first_part()
         if backlog is None or backlog.size > _INLINE or not _is_small(changes):
             return False
         self._carried_out(look, changes, _replace(self._store, changes, backlog))
-        self._kept_version = version
+        self._versions = versions
         return True
 
-    def _first_part(self) -> tuple[Backlog | None, int]:
-        """What changed of what clients keep, if the first part of it is all, and of which version this is."""
-        backlog, version = Backlog(), self._kept.version
-        if version != self._kept_version:
-            parts = self._kept.changes(self._kept_version)
-            for part in islice(parts, 1):
-                backlog.add(part)
-            if next(parts, None) is not None:
-                return None, version
-        return backlog, version
+    def _first_part(self) -> tuple[Backlog | None, list[int]]:
+        """What changed of what is kept, if the first part of each is all, and of which versions this is."""
+        backlog, versions = Backlog(), [kept.version for kept in self._kept]
+        for kept, version, before in zip(self._kept, versions, self._versions, strict=True):
+            if version != before:
+                parts = kept.changes(before)
+                for part in islice(parts, 1):
+                    backlog.add(part)
+                if next(parts, None) is not None:
+                    return None, versions
+        return backlog, versions
 
-    async def _all_parts(self) -> tuple[Backlog, int]:
-        """All of it, whatever changes while it is being found."""
-        backlog, version = Backlog(), self._kept.version
-        if version != self._kept_version:
-            for part in self._kept.changes(self._kept_version):
-                backlog.add(part)
-                await asyncio.sleep(0)
-                version = self._kept.version  # of before the search for the next part: there may be none
-        return backlog, version
+    async def _all_parts(self, sources: Sequence[KeptSource]) -> tuple[Backlog, list[int]]:
+        """All of it of these sources, whatever changes while it is being found."""
+        backlog, versions = Backlog(), [*self._versions]
+        for place, kept in enumerate(sources):
+            version = kept.version
+            if version != versions[place]:
+                for part in kept.changes(versions[place]):
+                    backlog.add(part)
+                    await asyncio.sleep(0)
+                    version = kept.version  # of before the search for the next part: there may be none
+            versions[place] = version
+        return backlog, versions
 
     async def _apply(self, look: _Look | None) -> None:
         """One change at a time; what another query has brought meanwhile is not brought again."""
         async with self._changing:
-            backlog, version = await self._all_parts()
+            sources = self._kept[:1] if look is None else self._kept  # the others only where a query asks
+            backlog, versions = await self._all_parts(sources)
             changes = self._changes(look) if look is not None else {}
             sizes = await asyncio.to_thread(_replace, self._store, changes, backlog)
             if look is not None:
                 self._carried_out(look, changes, sizes)
-            self._kept_version = version
+            self._versions = versions
 
     def _carried_out(self, look: _Look, changes: Mapping[str, _Change], sizes: Mapping[str, int]) -> None:
         for iri, change in changes.items():

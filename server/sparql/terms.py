@@ -81,14 +81,18 @@ _DESCRIBED = frozenset(
         ros.staleSince, ros.reason, ros.definition, ros.md5, ros.typeHash, ros.variant, ros.field, ros.fieldName,
         ros.fieldType, ros.position, ros.arrayLength, ros.arrayBound, ros.stringBound, ros.constant, ros.nestedType,
         ros.requestType, ros.responseType, ros.bag, ros.format, ros.start, ros.end, ros.count, ros.topic, ros.message,
-        ros.index, ros.recordedAt, ros.queryParameter, ros.text,
+        ros.index, ros.recordedAt, ros.queryParameter, ros.text, ros.qos, ros.reliability, ros.durability, ros.history,
+        ros.depth, ros.deadline, ros.lifespan, ros.liveliness, ros.lease, ros.qosMismatch, ros.policy, ros.offered,
+        ros.requested, ros.qosMismatchCount, ros.readOnly, ros.parameterType, ros.step,
+        ros.parameter, ros.lifecycleState, ros.lifecycleStateWord, ros.lifecycleUnknown, ros.transition, ros.goalState,
+        ros.goalStateWord, ros.touches, ros.matched, ros.does, ros.duration, ros.digest, ros.excerpt, ros.withheld,
     )
 )  # fmt: skip
 """Never said of what is live. Terms of the vocabulary that are not listed anywhere here count as live."""
 _PREDICATES: Mapping[str, Said] = {
     **{one.value: _TOPIC for one in (ros.rate, ros.latest, ros.latestFrom, ros.messageType)},
     **{one.value: _RESOURCE for one in (ros.name, ros.subscriber, ros.endpoint, ros.namespace, ros.conflictingType)},
-    **{one.value: _OTHER for one in (ros.publishes, ros.subscribes, ros.provides)},
+    **{one.value: _OTHER for one in (ros.publishes, ros.subscribes, ros.provides, ros.parameter, ros.lifecycleState)},
     **{one.value: _MESSAGE for one in (ros.received, ros.sequence, ros.dateTime, ros.elided)},
     ros.value.value: _PARAMETER,
 }
@@ -101,7 +105,7 @@ _CLASSES: Mapping[str, Said] = {
         term.value: _OTHER
         for term in (
             ros.Graph, ros.Master, ros.Node, ros.Service, ros.Action, ros.Bag, ros.MessageType, ros.ServiceType,
-            ros.ActionType, ros.Field, ros.Constant, ros.Query,
+            ros.ActionType, ros.Field, ros.Constant, ros.Query, ros.Write, ros.Qos, ros.QosMismatch, ros.ManagedNode,
         )
     },
 }  # fmt: skip

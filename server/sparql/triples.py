@@ -27,7 +27,7 @@ from rosld.server.sparql.patterns import (
 
 _FIRST = "http://www.w3.org/1999/02/22-rdf-syntax-ns#first"
 _REST = "http://www.w3.org/1999/02/22-rdf-syntax-ns#rest"
-MEMBERS = ("OPTIONAL", "MINUS", "GRAPH", "FILTER", "BIND", "VALUES")
+MEMBERS = ("OPTIONAL", "MINUS", "GRAPH", "FILTER", "BIND", "VALUES", "SERVICE")
 """The keywords that begin something of a group that is no triple."""
 
 

@@ -1,4 +1,4 @@
-"""Workers: a bounded number of threads that answer queries, off the loop.
+"""Workers: a bounded number of threads that answer queries, off the loop, and a bounded queue for them.
 
 They are daemons, because an evaluation cannot be stopped: the server must be able to end while one runs on.
 """
@@ -7,46 +7,66 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from collections import deque
 from collections.abc import Callable
-from queue import SimpleQueue
+from typing import TypeAlias
 
-from rosld.server.http.problem import Problem
+from rosld.server.sparql.limits import busy
 
-_RETRY_AFTER = {"Retry-After": "1"}
+Job: TypeAlias = Callable[[], None]
 
 
 class Workers:
-    """`count` threads, and a queue of at most `waiting` jobs for them. Belongs to one loop."""
+    """`count` threads, and a queue of at most `waiting` jobs for them."""
 
     def __init__(self, count: int = 4, waiting: int = 256) -> None:
         self._count = count
         self._waiting = waiting
         self._started = False
-        self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._busy = 0
+        self._jobs: deque[Job] = deque()
+        self._changed = threading.Condition()
 
-    def submit(self, job: Callable[[], None]) -> None:
+    def submit(self, job: Job) -> None:
         """Run the job in a thread as soon as one is free; it must not raise.
 
         Raises Problem 503 where too many wait already.
         """
-        if self._jobs.qsize() >= self._waiting:
-            raise busy()
-        if not self._started:
-            self._started = True
-            for number in range(self._count):
-                threading.Thread(target=self._work, name=f"sparql-{number}", daemon=True).start()
-        self._jobs.put(job)
+        with self._changed:
+            if len(self._jobs) >= self._waiting + self._count - self._busy:
+                raise busy()
+            if not self._started:
+                self._started = True
+                for number in range(self._count):
+                    threading.Thread(target=self._work, name=f"sparql-{number}", daemon=True).start()
+            self._jobs.append(job)
+            self._changed.notify()
+
+    @property
+    def occupied(self) -> bool:
+        """Whether no thread is free."""
+        return self._busy >= self._count
+
+    def withdraw(self, job: Job) -> bool:
+        """Give up the place of a job that still waits; whether it did."""
+        with self._changed:
+            try:
+                self._jobs.remove(job)
+            except ValueError:
+                return False
+            return True
 
     def _work(self) -> None:
         while True:
-            job = self._jobs.get()
+            with self._changed:
+                while not self._jobs:
+                    self._changed.wait()
+                job = self._jobs.popleft()
+                self._busy += 1
             job()
             del job
-
-
-def busy() -> Problem:
-    """All workers are at work and enough requests wait: come again."""
-    return Problem(503, "All threads for queries are busy; try again in a moment.", headers=_RETRY_AFTER)
+            with self._changed:
+                self._busy -= 1
 
 
 def call_soon(loop: asyncio.AbstractEventLoop, function: Callable[..., object], *arguments: object) -> None:

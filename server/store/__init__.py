@@ -1,4 +1,4 @@
-"""The RDF dataset that SPARQL is answered from: one named graph a resource."""
+"""The RDF dataset that SPARQL is answered from, one named graph a resource, and its mirror in another store."""
 
 from rosld.server.store.base import Edit, Function, QueryError, Results, Store
 from rosld.server.store.memory import MemoryStore

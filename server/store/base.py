@@ -45,6 +45,11 @@ class Store(Protocol):
         """Whether the whole dataset is in this process, so that a fork of it holds the dataset too."""
         ...
 
+    @property
+    def takes_functions(self) -> bool:
+        """Whether queries may be given functions of this process; a store elsewhere refuses them (QueryError)."""
+        ...
+
     def still(self) -> AbstractContextManager[None]:
         """Within it nothing is replaced."""
         ...

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import re
+import sys
 import threading
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import count, islice
 from typing import IO, TypeAlias, cast
 
 import pyoxigraph
 
-from rosld.server.store.base import Edit, Function, QueryError, Results
+from rosld.server.store.base import Edit, Function, QueryError, Results, Term
+from rosld.server.store.update import operations
 from rosld.server.store.wear import Wear
 
 _log = logging.getLogger("rosld.sparql")
@@ -30,15 +33,17 @@ class MemoryStore:
     """The `Store` that rosld brings along. It renews itself whenever it is worn (`wear.py`)."""
 
     in_memory = True
+    takes_functions = True
 
-    def __init__(self) -> None:
-        self._store = pyoxigraph.Store()
+    def __init__(self, dataset: pyoxigraph.Store | None = None) -> None:
+        self._store = pyoxigraph.Store() if dataset is None else dataset
         self._changing = threading.Lock()
         self._versions = count(1)
         self._version = 0
         self._wear = Wear()
         self._renewal: threading.Thread | None = None
         self._meanwhile: list[_Change] = []  # what changed since the renewal began
+        self._told: list[Callable[[Collection[str], Sequence[Edit]], None]] = []
         self._functions: tuple[Mapping[str, Function], dict[pyoxigraph.NamedNode, Function]] = ({}, {})
 
     @property
@@ -49,6 +54,13 @@ class MemoryStore:
     def still(self) -> Iterator[None]:
         with self._changing:
             yield
+
+    def lookup(
+        self, subject: Term | None, predicate: pyoxigraph.NamedNode | None, object: Term | None, most: int
+    ) -> Sequence[pyoxigraph.Quad]:
+        """At most so many statements, of all graphs, with this subject, predicate and object (None: any)."""
+        place = cast("pyoxigraph.NamedNode | None", subject)
+        return [*islice(self._store.quads_for_pattern(place, predicate, object, None), most)]
 
     def graphs(self) -> Collection[str]:
         return [graph.value for graph in self._store.named_graphs() if isinstance(graph, pyoxigraph.NamedNode)]
@@ -66,6 +78,25 @@ class MemoryStore:
                 raise ValueError(f"no N-Triples for {_first(graphs, edits)}: {error}") from error
         # Drawn after the change: a version read before a query begins is never newer than what the query sees.
         self._version = next(self._versions)
+        for told in self._told:
+            told(graphs, edits)
+
+    def laid_open(self) -> pyoxigraph.Store:
+        """The dataset itself, for whoever may change it: a process of its own, which takes it along when it ends."""
+        return self._store
+
+    def watch(self, told: Callable[[Collection[str], Sequence[Edit]], None]) -> None:
+        """Call `told` after each change from now on, with the graphs replaced and the edits; in any thread."""
+        self._told.append(told)
+
+    def ntriples(self, graph: str) -> str | None:
+        """What a graph holds now, None where there is none of that name."""
+        node, store = pyoxigraph.NamedNode(graph), self._store
+        if not store.contains_named_graph(node):
+            return None
+        held = store.dump(format=pyoxigraph.RdfFormat.N_TRIPLES, from_graph=node)
+        assert held is not None
+        return held.decode()
 
     def _carry_out(self, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> None:
         with self._changing:
@@ -94,6 +125,7 @@ class MemoryStore:
                 self._wear.renewed()
                 self._meanwhile.clear()
                 self._renewal = None
+        _give_back()
 
     def _repeat(self, new: pyoxigraph.Store) -> None:
         """Carry out on the new store what was done to the old. What the copy had already is done once more: no harm."""
@@ -135,6 +167,16 @@ class MemoryStore:
         return named
 
 
+def _give_back() -> None:
+    """Let the system have the memory of what is no more.
+
+    The allocator keeps it for the thread that asked for it, and the next store is made by another thread.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if trim is not None:
+        trim(0)
+
+
 class _Text:
     """A file to be read, of pieces that are made as they are read."""
 
@@ -160,7 +202,7 @@ def _change(store: pyoxigraph.Store, graphs: Mapping[str, str | None], edits: Se
         source = cast("IO[bytes]", _Text(_blocks(_relabelled(graphs), edits)))
         store.load(source, pyoxigraph.RdfFormat.TRIG)
     else:
-        store.update("\n".join(_operations(graphs, edits)))
+        store.update("\n".join(operations(graphs, edits)))
 
 
 def _only_adds(store: pyoxigraph.Store, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> bool:
@@ -171,21 +213,6 @@ def _only_adds(store: pyoxigraph.Store, graphs: Mapping[str, str | None], edits:
 def _first(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> str:
     names = [repr(name) for name in dict.fromkeys((*graphs, *(edit.graph for edit in edits)))]
     return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
-
-
-def _operations(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> Iterator[str]:
-    """One DROP and one INSERT DATA a graph: parsed faster than one INSERT DATA for all."""
-    for name, ntriples in graphs.items():
-        iri = str(pyoxigraph.NamedNode(name))  # ValueError for what is no IRI
-        yield f"DROP SILENT GRAPH {iri};"
-        if ntriples:
-            yield f"INSERT DATA{{GRAPH {iri}{{{ntriples}}}}};"
-    for edit in edits:
-        iri = str(pyoxigraph.NamedNode(edit.graph))
-        if edit.removed:
-            yield f"DELETE DATA{{GRAPH {iri}{{{edit.removed}}}}};"
-        if edit.added:
-            yield f"INSERT DATA{{GRAPH {iri}{{{edit.added}}}}};"
 
 
 def _blocks(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> Iterator[str]:

@@ -45,7 +45,7 @@ print(json.dumps(found))
 
 
 def hash_of(name: str) -> str | None:
-    return TypeLibrary(ros_version=1).find(TypeRef(name)).ref.hash
+    return TypeLibrary(ros_version=2 if name.startswith("action_msgs/") else 1).find(TypeRef(name)).ref.hash
 
 
 @pytest.mark.parametrize("name", NAMES)

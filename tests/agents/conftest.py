@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,25 +12,18 @@ from typing import Any
 
 import pytest
 
+import tests.agents.node
+import tests.agents.pilot
+from tests.adapters.ros1.system import running
+from tests.server.conftest import start_server
+
+__all__ = ["start_server"]
+"""The fixture that starts servers; it belongs to the server's tests."""
+
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 SERVICES = ("start", "stop", "get_power", "set_power", "engine/set_speed", "engine/set_direction")
 PATIENCE = 30.0
-
-
-def load(name: str, path: Path) -> ModuleType:
-    """A module by its path: tests are no packages."""
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, path)
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
-start_server = load("server_tests_conftest", HERE.parent / "server" / "conftest.py").start_server
-"""The fixture that starts servers; it belongs to the server's tests."""
 
 
 def until(true: Callable[[], Any], what: str) -> Any:
@@ -89,11 +80,7 @@ def embedded(start_server: Callable[..., Any]) -> Aircraft:
 @pytest.fixture(scope="session")
 def rospy(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Aircraft]:
     """The same as a rospy node, with the mapping and the limits that are shipped with the embedded one."""
-    module = load("ros1_tests_system", HERE.parent / "adapters" / "ros1" / "system.py")
-    module.require_ros()
-    system = module.RosSystem(tmp_path_factory.mktemp("ros"))
-    try:
-        system.start_master()
+    with running(tmp_path_factory.mktemp("ros")) as system:
         system.node("aircraft_node.py", str(tmp_path_factory.mktemp("classes")))
         files = ROOT / "adapters" / "aircraft"
         options = ("--mapping", str(files / "mapping.ttl"), "--shapes", str(files / "limits.ttl"))
@@ -102,8 +89,6 @@ def rospy(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFac
             allowed = f"/services/aircraft/{name}"
             until(lambda url=allowed: "POST" in found.http.options(url).headers.get("allow", ""), allowed)
         yield found
-    finally:
-        system.close()
 
 
 @pytest.fixture(params=["embedded", "rospy"])
@@ -117,15 +102,14 @@ def aircraft(request: pytest.FixtureRequest) -> Aircraft:
 @pytest.fixture(scope="session")
 def pilot() -> ModuleType:
     """The agent in Python."""
-    return load("pilot", HERE / "pilot.py")
+    return tests.agents.pilot
 
 
 @pytest.fixture(scope="session")
 def node() -> ModuleType:
     """Node, where there is one."""
-    found = load("agents_tests_node", HERE / "node.py")
-    found.require_node()
-    return found
+    tests.agents.node.require_node()
+    return tests.agents.node
 
 
 @pytest.fixture(scope="session")

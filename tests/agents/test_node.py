@@ -12,13 +12,7 @@ from subprocess import run
 import pytest
 
 HERE = Path(__file__).parent
-CODE = """
-import importlib.util, sys
-spec = importlib.util.spec_from_file_location("node", sys.argv[1])
-module = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(module)
-print(module.node_modules())
-"""
+CODE = "from tests.agents.node import node_modules; print(node_modules())"
 WANTED: dict[str, str] = json.loads((HERE / "package.json").read_text())["dependencies"]
 
 
@@ -29,7 +23,7 @@ def test_packages_are_named_by_exact_versions() -> None:
 @pytest.mark.usefixtures("node")
 def test_processes_that_ask_at_once_find_what_was_named() -> None:
     def ask(_: int) -> Path:
-        done = run([sys.executable, "-c", CODE, str(HERE / "node.py")], capture_output=True, text=True, check=False)
+        done = run([sys.executable, "-c", CODE], cwd=HERE.parents[1], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         return Path(done.stdout.strip())
 

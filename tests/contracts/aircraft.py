@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from rosld.adapters.aircraft import adapter
 from rosld.adapters.base import AdapterOptions
+from tests.contracts.robot import Acted, Asked, Robot, Spoken
 
-_robot = sys.modules["rosld_tests_contracts_robot"]
-
-HAS = frozenset(["writable", "answering", "parameter"])
+HAS = frozenset(["writable", "answering", "acting", "rejecting", "parameter"])
 
 
 @contextmanager
 def robot(folder: Path) -> Iterator[object]:
     """An aircraft that nothing can go wrong with: it neither hangs nor vanishes, and is always there."""
-    yield _robot.Robot(
+    yield Robot(
         name="aircraft",
         adapter=lambda: adapter("aircraft", AdapterOptions()),
         nowhere=None,
         readable="/aircraft/engine/speed",
-        writable=_robot.Spoken("/cockpit/display", "std_msgs/msg/String", {"data": "cleared for take-off"}),
-        answering=_robot.Asked("/aircraft/get_power", "rosld_aircraft/srv/GetText", {}, response={"data": "off"}),
+        writable=Spoken("/cockpit/display", "std_msgs/msg/String", {"data": "cleared for take-off"}),
+        answering=Asked("/aircraft/get_power", "rosld_aircraft/srv/GetText", {}, response={"data": "off"}),
+        acting=Acted(
+            "/aircraft/fly",
+            "rosld_aircraft/action/Fly",
+            quick={"distance": 30.0},
+            lasting={"distance": 1e5},
+            before=(Asked("/aircraft/start", "std_srvs/srv/Trigger", {}),),
+        ),
+        rejecting=("/aircraft/fly", "rosld_aircraft/action/Fly", {"distance": -1.0}),
         parameter=("/aircraft/seats", 2),
     )

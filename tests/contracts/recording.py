@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.recording import adapter
-
-_robot = sys.modules["rosld_tests_contracts_robot"]
-_recorder = sys.modules["rosld_tests_recording_recorder"]
+from tests.adapters.recording import recorder
+from tests.contracts.robot import Robot
 
 HAS = frozenset(["nowhere", "trace", "read_only"])
 
@@ -19,8 +17,8 @@ HAS = frozenset(["nowhere", "trace", "read_only"])
 @contextmanager
 def robot(folder: Path) -> Iterator[object]:
     """A ROS 1 bag of one minute, so that no loop begins while the suite looks; "vanishing" is not for files."""
-    path = _recorder.write_rosbag1(folder / "run.bag", _recorder.lines(count=1200, every=0.05), compression="lz4")
-    yield _robot.Robot(
+    path = recorder.write_rosbag1(folder / "run.bag", recorder.lines(count=1200, every=0.05), compression="lz4")
+    yield Robot(
         name="recording",
         adapter=lambda: adapter(str(path), AdapterOptions()),
         nowhere=lambda: adapter(str(folder / "missing.bag"), AdapterOptions()),

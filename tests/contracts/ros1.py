@@ -2,26 +2,39 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.ros1 import adapter
+from tests.adapters.ros1.system import RosSystem, free_port, require_ros
+from tests.contracts.robot import Acted, Asked, Robot, Spoken
 
-_robot = sys.modules["rosld_tests_contracts_robot"]
-_system = sys.modules["rosld_tests_ros1_system"]
-
-HAS = frozenset(["nowhere", "writable", "answering", "raising", "hanging", "parameter", "vanish", "come_back", "trace"])
+HAS = frozenset(
+    [
+        "nowhere",
+        "writable",
+        "answering",
+        "raising",
+        "hanging",
+        "acting",
+        "rejecting",
+        "other",
+        "parameter",
+        "vanish",
+        "come_back",
+        "trace",
+    ]
+)
 
 
 class Twin:
     """The aircraft on a real rosmaster, which can be killed and started anew with all its nodes."""
 
     def __init__(self, folder: Path) -> None:
-        self.system = _system.RosSystem(folder)
+        self.system = RosSystem(folder)
         self._classes = folder / "classes"
         self._nodes: list[Any] = []
 
@@ -32,6 +45,7 @@ class Twin:
             self.system.node("aircraft_node.py", str(self._classes)),
             self.system.node("cockpit_node.py"),
             self.system.node("services_node.py"),
+            self.system.node("action_node.py"),
         ]
 
     def vanish(self) -> None:
@@ -39,6 +53,11 @@ class Twin:
         self.system.kill_master()
         for node in self._nodes:
             node.kill()
+
+    def send(self) -> Callable[[], None]:
+        """Another node sends a goal that lasts."""
+        ending: Callable[[], None] = self.system.node("action_client.py", "/simple", "600").kill
+        return ending
 
     def trace(self) -> object:
         """What the master knows, but for the parameters that every node may set."""
@@ -50,19 +69,22 @@ class Twin:
 @contextmanager
 def robot(folder: Path) -> Iterator[object]:
     """The twin, running."""
-    _system.require_ros()
+    require_ros()
     twin = Twin(folder)
     try:
         twin.start()
-        yield _robot.Robot(
+        yield Robot(
             name="ros1",
             adapter=lambda: adapter(twin.system.source, AdapterOptions()),
-            nowhere=lambda: adapter(f"ros1://127.0.0.1:{_system.free_port()}", AdapterOptions()),
+            nowhere=lambda: adapter(f"ros1://127.0.0.1:{free_port()}", AdapterOptions()),
             readable="/aircraft/engine/speed",
-            writable=_robot.Spoken("/cockpit/display", "std_msgs/msg/String", {"data": "cleared for take-off"}),
-            answering=_robot.Asked("/aircraft/get_power", "rosld_aircraft/srv/GetText", {}, response={"data": "off"}),
-            raising=_robot.Asked("/raises", "std_srvs/srv/Trigger", {}, words="the gripper is jammed"),
-            hanging=_robot.Asked("/hangs", "std_srvs/srv/Trigger", {}),
+            writable=Spoken("/cockpit/display", "std_msgs/msg/String", {"data": "cleared for take-off"}),
+            answering=Asked("/aircraft/get_power", "rosld_aircraft/srv/GetText", {}, response={"data": "off"}),
+            raising=Asked("/raises", "std_srvs/srv/Trigger", {}, words="the gripper is jammed"),
+            hanging=Asked("/hangs", "std_srvs/srv/Trigger", {}),
+            acting=Acted("/simple", "actionlib/action/Test", quick={"goal": 5}, lasting={"goal": 600}),
+            rejecting=("/ways", "actionlib/action/Test", {"goal": 3}),
+            other=twin.send,
             parameter=("/aircraft/seats", 2),
             vanish=twin.vanish,
             come_back=twin.start,

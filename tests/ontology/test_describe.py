@@ -11,12 +11,14 @@ from hypothesis import strategies as st
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import (
+    Action,
     Encoding,
     Endpoint,
     Graph,
     Master,
     MessageSchema,
     Node,
+    Qos,
     Sample,
     Service,
     ServiceSchema,
@@ -29,6 +31,7 @@ from rosld.ontology.describe import (
     ROOMS,
     CallView,
     Members,
+    NodeView,
     bag_document,
     bag_message_document,
     bag_messages_document,
@@ -38,6 +41,7 @@ from rosld.ontology.describe import (
     members_of,
     namespace_document,
     node_document,
+    node_views,
     service_document,
     topic_document,
     type_container_document,
@@ -112,14 +116,30 @@ def test_a_stale_graph_says_since_when_and_why() -> None:
 
 
 def test_a_node_says_what_it_takes_part_in() -> None:
-    document = node_document(GRAPH.nodes["/talker"], GRAPH, SPACE)
+    document = node_document(node_views(GRAPH)["/talker"], SPACE)
     assert own(document, ros.publishes) == [url("topics/chatter"), url("topics/chatter/fast")]
     assert own(document, ros.provides) == [url("services/talker/reset")]
-    assert own(node_document(GRAPH.nodes["/listener"], GRAPH, SPACE), ros.subscribes) == [url("topics/chatter")]
+    assert own(node_document(node_views(GRAPH)["/listener"], SPACE), ros.subscribes) == [url("topics/chatter")]
+
+
+def test_a_node_tells_of_its_action_and_not_of_what_ros_2_makes_that_of() -> None:
+    inner = Topic("/fly/_action/status", publishers=(Endpoint("/pilot"),))
+    service = Service("/fly/_action/send_goal", providers=("/pilot",))
+    action = Action("/fly", servers=("/pilot",))
+    graph = Graph(
+        1,
+        nodes={"/pilot": Node("/pilot")},
+        topics={inner.name: inner},
+        services={service.name: service},
+        actions={action.name: action},
+    )
+    document = node_document(node_views(graph)["/pilot"], SPACE)
+    assert own(document, ros.publishes) == []
+    assert own(document, ros.provides) == [url("actions/fly")]
 
 
 def test_a_node_that_does_not_answer_says_why() -> None:
-    document = node_document(Node("/a", "http://gone:1/", "gone does not resolve"), GRAPH, SPACE)
+    document = node_document(NodeView(Node("/a", "http://gone:1/", "gone does not resolve")), SPACE)
     assert own(document, ros.unreachable) == [Literal("gone does not resolve")]
 
 
@@ -188,6 +208,71 @@ def test_an_unreachable_or_latched_publisher_is_an_endpoint_of_its_own() -> None
     document = topic_document(topic, SPACE, GRAPH)
     assert own(document, ros.endpoint) == [url("topics/t#publisher/a/b"), url("topics/t#publisher/c")]
     assert said(document, url("topics/t#publisher/c"), ros.unreachable) == [Literal("no such host")]
+
+
+SECONDS = 1_000_000_000
+FULL = Qos("reliable", "volatile", "keep_last", 5, SECONDS // 2, 2 * SECONDS, "automatic", SECONDS)
+
+
+def test_the_quality_of_service_of_an_endpoint_is_told_in_seconds() -> None:
+    document = topic_document(Topic("/t", (POINT,), (Endpoint("/a/b", POINT, qos=FULL),)), SPACE, GRAPH)
+    endpoint, qos = url("topics/t#publisher/a/b"), url("topics/t#qos/publisher/a/b")
+    assert own(document, ros.endpoint) == [endpoint]
+    assert said(document, endpoint, ros.qos) == [qos]
+    assert {(t.predicate, t.object) for t in document.triples if t.subject == qos} == {
+        (rdf.type, ros.Qos),
+        (ros.reliability, Literal("reliable")),
+        (ros.durability, Literal("volatile")),
+        (ros.history, Literal("keep_last")),
+        (ros.depth, Literal("5", datatype=xsd.integer)),
+        (ros.deadline, Literal("0.5", datatype=xsd.double)),
+        (ros.lifespan, Literal("2.0", datatype=xsd.double)),
+        (ros.liveliness, Literal("automatic")),
+        (ros.lease, Literal("1.0", datatype=xsd.double)),
+    }
+
+
+def test_what_is_unknown_or_for_ever_of_a_quality_of_service_is_left_out() -> None:
+    document = topic_document(Topic("/t", (POINT,), (), (Endpoint("/a", POINT, qos=Qos("reliable")),)), SPACE, GRAPH)
+    about = {t.predicate for t in document.triples if t.subject == url("topics/t#qos/subscriber/a")}
+    assert about == {rdf.type, ros.reliability}
+
+
+def test_two_publishers_of_one_node_have_a_quality_of_service_each() -> None:
+    both = (Endpoint("/a", POINT, qos=Qos("reliable")), Endpoint("/a", POINT, qos=Qos("best_effort")))
+    document = topic_document(Topic("/t", (POINT,), (*both, Endpoint("/a/2", qos=FULL))), SPACE, GRAPH)
+    first, second, third = own(document, ros.endpoint)
+    assert (first, second, third) == tuple(url(f"topics/t#publisher/{one}") for one in ("a", "a;2", "a/2"))
+    assert said(document, url("topics/t#qos/publisher/a"), ros.reliability) == [Literal("reliable")]
+    assert said(document, url("topics/t#qos/publisher/a;2"), ros.reliability) == [Literal("best_effort")]
+
+
+def test_a_topic_says_who_does_not_hear_whom_and_why() -> None:
+    weak, strong = Endpoint("/weak", qos=Qos("best_effort")), Endpoint("/strong", qos=Qos("reliable"))
+    document = topic_document(Topic("/t", (POINT,), (weak, weak, strong), (strong, weak)), SPACE, GRAPH)
+    [mismatch] = own(document, ros.qosMismatch)
+    assert own(document, ros.qosMismatchCount) == [Literal("2", datatype=xsd.integer)]
+    assert {(t.predicate, t.object) for t in document.triples if t.subject == mismatch} == {
+        (rdf.type, ros.QosMismatch),
+        (ros.publisher, url("nodes/weak")),
+        (ros.subscriber, url("nodes/strong")),
+        (ros.policy, Literal("reliability")),
+        (ros.offered, Literal("best_effort")),
+        (ros.requested, Literal("reliable")),
+    }
+
+
+def test_of_many_that_do_not_hear_each_other_some_are_told_and_all_are_counted() -> None:
+    weak = tuple(Endpoint(f"/p{number}", qos=Qos("best_effort")) for number in range(20))
+    strong = tuple(Endpoint(f"/s{number}", qos=Qos("reliable")) for number in range(20))
+    document = topic_document(Topic("/t", (POINT,), weak, strong), SPACE, GRAPH)
+    assert len(own(document, ros.qosMismatch)) == 50
+    assert own(document, ros.qosMismatchCount) == [Literal("400", datatype=xsd.integer)]
+
+
+def test_a_topic_without_qualities_of_service_says_nothing_of_them() -> None:
+    document = topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH)
+    assert not {ros.endpoint, ros.qos, ros.qosMismatch} & {t.predicate for t in document.triples}
 
 
 def test_why_a_message_cannot_be_read_goes_before_what_the_topic_says() -> None:
@@ -403,12 +488,16 @@ def test_a_recorded_message_says_when_and_where_or_why_it_cannot_be_read() -> No
 # All of them
 
 
+UNFIT = Topic("/unfit", (POINT,), (Endpoint("/a", qos=Qos("best_effort")),), (Endpoint("/b", qos=FULL),))
+
+
 def documents() -> list[Document]:
     recorded = Recorded(3, "/a/b", Sample(b"", Encoding.ROS1, POINT, "", 10**18, 1))
     return [
         entry_document(GRAPH, SPACE),
-        node_document(GRAPH.nodes["/talker"], GRAPH, SPACE),
+        node_document(node_views(GRAPH)["/talker"], SPACE),
         topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH, 1.0, [lifted("/listener", 1), lifted("/talker", 2)]),
+        topic_document(UNFIT, SPACE, GRAPH),
         service_document(GRAPH.services["/talker/reset"], SPACE, GRAPH),
         namespace_document("topics", (), members_of(GRAPH.topics)[()], SPACE),
         type_document(point(), SPACE),

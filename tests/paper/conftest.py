@@ -1,4 +1,4 @@
-"""The paper's aircraft, embedded and as a rospy node under a real roscore, each behind a server of its own.
+"""The paper's aircraft, embedded, in rospy under a real roscore, and in rclpy, each behind a server of its own.
 
 A test brings it into the state that it needs over HTTP, and asks the robot itself what has become of it: on ROS that is
 asked with ROS's own tools.
@@ -6,16 +6,12 @@ asked with ROS's own tools.
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import subprocess
-import sys
-import time
 import xmlrpc.client
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Protocol
 
 import httpx
@@ -23,6 +19,13 @@ import pytest
 from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, parse
 
 from rosld.ontology.vocab import av, ldp, ros
+from tests.adapters.ros1 import system as ros1
+from tests.ros2 import system as ros2
+from tests.server.conftest import serve, start_server
+from tests.waiting import until
+
+__all__ = ["serve", "start_server"]
+"""The fixtures that start servers; they belong to the server's tests."""
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -36,38 +39,19 @@ CRUISE = 20.0
 """The speed that flying is here: a fifth of a second away from rest."""
 
 
-def load(name: str, path: Path) -> ModuleType:
-    """A module by its path: tests are no packages."""
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, path)
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
-_servers = load("server_tests_conftest", HERE.parent / "server" / "conftest.py")
-serve, start_server = _servers.serve, _servers.start_server
-"""The fixtures that start servers; they belong to the server's tests."""
-
-
-def until(true: Callable[[], Any], what: str) -> Any:
-    """Wait for something about the robot."""
-    end = time.monotonic() + PATIENCE
-    while not (found := true()):
-        assert time.monotonic() < end, f"never came: {what}"
-        time.sleep(0.02)
-    return found
-
-
 # The robot as it is without rosld's resources
 
 
 class Robot(Protocol):
-    """The robot's own view of itself. `spoken` are the transports of ROS that lead to it."""
+    """The robot's own view of itself.
+
+    `spoken` are the transports of ROS that lead to it, `hashed` is what a type's hash is called there, and `given` are
+    the parameters that every node has.
+    """
 
     spoken: frozenset[str]
+    hashed: NamedNode
+    given: frozenset[str]
 
     def ask(self, service: str) -> Any:
         """What one of its getters says."""
@@ -95,6 +79,8 @@ class Embedded:
     """The aircraft that rosld brings along: its level one is as near as one comes to it."""
 
     spoken: frozenset[str] = frozenset()  # within one process there is no transport
+    hashed = ros.md5
+    given: frozenset[str] = frozenset()
 
     def __init__(self, http: httpx.Client) -> None:
         self._http = http
@@ -139,6 +125,8 @@ class Rospy:
     """The aircraft as nodes of a real ROS 1: asked by a rospy node and with rostopic, the master by its own API."""
 
     spoken = frozenset(["TCPROS"])  # and not UDPROS
+    hashed = ros.md5
+    given: frozenset[str] = frozenset()
 
     def __init__(self, system: Any, cockpit: Any, witness: subprocess.Popen[str]) -> None:
         self.system = system
@@ -180,6 +168,47 @@ class Rospy:
         return {name for name, how in asked.items() if slave.requestTopic("/test", topic, [how])[0] == 1}
 
 
+class Rclpy:
+    """The aircraft as nodes of a real ROS 2, which a node of another process looks at."""
+
+    spoken: frozenset[str] = frozenset()  # DDS has one transport for all
+    hashed = ros.typeHash
+    given = frozenset(["use_sim_time", "start_type_description_service"])
+
+    def __init__(self, aircraft: Any, witness: subprocess.Popen[str]) -> None:
+        self._aircraft = aircraft
+        self._witness = witness
+
+    def ask(self, service: str) -> Any:
+        return self._told("ask", service)
+
+    def hear(self, topic: str) -> Any:
+        return self._told("hear", topic)
+
+    def names(self) -> dict[str, set[str]]:
+        return {kind: set(names) for kind, names in self._told("names").items()}
+
+    def parameter(self, name: str) -> Any:
+        return self._told("parameter", name)
+
+    def heard_in_the_cockpit(self, text: str) -> None:
+        self._aircraft.line(f"display {text}")
+
+    def publishers(self, topic: str) -> set[str]:
+        return set(self._told("publishers", topic))
+
+    def protocols(self, topic: str) -> set[str]:
+        return set()
+
+    def _told(self, *asked: str) -> Any:
+        assert self._witness.stdin is not None
+        assert self._witness.stdout is not None
+        print(*asked, file=self._witness.stdin, flush=True)
+        answer = json.loads(self._witness.stdout.readline())
+        assert not (isinstance(answer, dict) and "failed" in answer), answer["failed"]
+        return answer
+
+
 # The robot as rosld serves it
 
 
@@ -188,8 +217,9 @@ class Flight:
 
     until = staticmethod(until)
 
-    def __init__(self, served: Any, robot: Robot, source: str) -> None:
+    def __init__(self, served: Any, robot: Robot, source: str, how: Mapping[str, Any] | None = None) -> None:
         self.source = source
+        self.how = how or {}
         self.url: str = served.url
         self.http: httpx.Client = served.http
         self.robot = robot
@@ -334,30 +364,21 @@ def embedded(start: Callable[..., Any], _factory: pytest.TempPathFactory) -> Ite
 
 def rospy(start: Callable[..., Any], factory: pytest.TempPathFactory) -> Iterator[Flight]:
     """The rospy aircraft, with the mapping and the limits that are shipped with the embedded one."""
-    module = load("ros1_tests_system", HERE.parent / "adapters" / "ros1" / "system.py")
-    module.require_ros()
-    system = module.RosSystem(factory.mktemp("ros"))
-    classes = factory.mktemp("classes")
-    system.environment["PYTHONPATH"] = str(classes)  # where nodes find the types of the aircraft
-    try:
-        system.start_master()
+    with ros1.running(factory.mktemp("ros")) as system:
+        classes = factory.mktemp("classes")
+        system.environment["PYTHONPATH"] = str(classes)  # where nodes find the types of the aircraft
         system.node("aircraft_node.py", str(classes))
         cockpit = system.node("cockpit_node.py")
-        with witness(system) as looking:
+        with witness(["/usr/bin/python3", str(HERE / "witness.py")], system.environment) as looking:
             flight = Flight(start(system.source, *MAPPED), Rospy(system, cockpit, looking), system.source)
             flight.complete()
             yield flight
-    finally:
-        system.close()
 
 
 @contextmanager
-def witness(system: Any) -> Iterator[subprocess.Popen[str]]:
-    """The node beside this file, ready to look."""
-    command = ["/usr/bin/python3", str(HERE / "witness.py")]
-    process = subprocess.Popen(
-        command, env=system.environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
+def witness(command: Sequence[str], environment: Mapping[str, str]) -> Iterator[subprocess.Popen[str]]:
+    """A node of the tests' own, ready to look."""
+    process = subprocess.Popen(command, env=dict(environment), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
@@ -367,10 +388,29 @@ def witness(system: Any) -> Iterator[subprocess.Popen[str]]:
         process.communicate(timeout=PATIENCE)
 
 
-FLIGHTS = {"embedded": embedded, "rospy": rospy}
+def rclpy(distro: str) -> Callable[..., Iterator[Flight]]:
+    """The rclpy aircraft of a distro, with the same mapping and limits."""
+
+    def flown(start: Callable[..., Any], _factory: pytest.TempPathFactory) -> Iterator[Flight]:
+        with ros2.running(distro) as system:
+            aircraft = system.node("aircraft.py")
+            with witness([system.python, str(ros2.NODES / "witness.py")], system.environment) as looking:
+                how = {"python": system.python, "environment": system.environment}
+                flight = Flight(start(system.source, *MAPPED, **how), Rclpy(aircraft, looking), system.source, how)
+                flight.complete()
+                yield flight
+
+    return flown
 
 
-@pytest.fixture(scope="session", params=list(FLIGHTS))
+FLIGHTS = {"embedded": embedded, "rospy": rospy, "jazzy": rclpy("jazzy"), "kilted": rclpy("kilted")}
+ON_ROS2 = ("jazzy", "kilted")
+
+
+@pytest.fixture(
+    scope="session",
+    params=[pytest.param(name, marks=[pytest.mark.ros2] if name in ON_ROS2 else []) for name in FLIGHTS],
+)
 def flight(
     request: pytest.FixtureRequest, start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Flight]:
@@ -384,9 +424,9 @@ def beside(flight: Flight, serve: Callable[..., Any]) -> Callable[..., Flight]:
 
     def started(*options: str, mapped: bool = True) -> Flight:
         given = MAPPED if mapped and flight.source != "aircraft" else ()
-        served = serve(flight.source, *given, *options)
+        served = serve(flight.source, *given, *options, **flight.how)
         robot = Embedded(served.http) if flight.source == "aircraft" else flight.robot
-        other = Flight(served, robot, flight.source)
+        other = Flight(served, robot, flight.source, flight.how)
         other.complete()
         return other
 

@@ -377,7 +377,8 @@ def test_a_flight_needs_only_what_is_offered(flight: Any) -> None:
 def test_a_thing_description_lists_all_affordances_whatever_the_state(flight: Any) -> None:
     flight.off()
     thing = flight.get(AIRCRAFT, "application/td+json").json()
-    assert (thing["properties"].keys(), thing["actions"].keys()) == ({"power"}, {"start", "stop"})
+    # every Thing Description also says how to stop the robot as a whole
+    assert (thing["properties"].keys(), thing["actions"].keys()) == ({"power"}, {"start", "stop", "stopRobot"})
     flight.standing()
     assert flight.get(AIRCRAFT, "application/td+json").json() == thing
 

@@ -5,12 +5,17 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from typing import Any
 
 import httpx
 import pytest
 from pyoxigraph import RdfFormat, Triple, parse
+
+from tests.server.robots.made_up import robot, serving
+
+__all__ = ["robot", "serving"]
 
 
 class Served:
@@ -32,10 +37,10 @@ class Served:
         return self.process.wait(10)
 
 
-def start(*arguments: str) -> Served:
-    """`rosld serve ARGUMENTS` on a free port."""
-    command = [sys.executable, "-m", "rosld", "serve", *arguments, "--port", "0"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+def start(*arguments: str, python: str = sys.executable, environment: Mapping[str, str] | None = None) -> Served:
+    """`rosld serve ARGUMENTS` on a free port, with a Python and an environment (None: ours)."""
+    command = [python, "-m", "rosld", "serve", *arguments, "--port", "0"]
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     url = process.stdout.readline().strip()
     assert url.startswith("http"), f"{command} printed {url!r}"
@@ -47,8 +52,8 @@ def servers() -> Iterator[Callable[..., Served]]:
     """Starts servers, and ends those that still run."""
     running: list[Served] = []
 
-    def started(*arguments: str) -> Served:
-        running.append(start(*arguments))
+    def started(*arguments: str, **how: Any) -> Served:
+        running.append(start(*arguments, **how))
         return running[-1]
 
     try:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import shutil
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,6 +18,8 @@ from urllib.parse import urlencode, urlsplit
 
 import httpx
 import pytest
+
+from tests.adapters.ros1.system import running
 
 HERE = Path(__file__).parent
 STREAM = {"Accept": "text/event-stream"}
@@ -133,6 +133,7 @@ def test_head_tells_of_the_stream_and_has_none(aircraft: Any) -> None:
         ("?format=json", '{"data":'),
         ("?format=jsonld", "{"),
         ("?format=ttl", "@"),
+        ("?format=turtle", "@"),
         ("?format=nt", "<"),
         ("?format=html", "<!doctype html>"),
     ],
@@ -393,27 +394,11 @@ def test_an_event_source_of_a_real_browser_reads_it(serve: Callable[..., Any], t
     assert len({event["id"] for event in told[0]}) == 3
 
 
-def _system() -> Any:
-    """The module that starts a ROS system; it belongs to the adapter's tests."""
-    name = "ros1_tests_system"
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, HERE.parent / "adapters" / "ros1" / "system.py")
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
 @pytest.fixture(scope="module")
 def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A rosmaster, and whatever a test starts on it."""
-    module = _system()
-    module.require_ros()
-    system = module.RosSystem(tmp_path_factory.mktemp("ros"))
-    system.start_master()
-    yield system
-    system.close()
+    with running(tmp_path_factory.mktemp("ros")) as system:
+        yield system
 
 
 @pytest.fixture(scope="module")

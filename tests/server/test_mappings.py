@@ -277,7 +277,7 @@ def test_a_read_only_server_shows_its_mappings_and_changes_none(serve: Callable[
 
 def test_options_tell_what_is_taken(http: httpx.Client) -> None:
     one = http.options("/mappings/aircraft").headers
-    assert one["allow"] == "DELETE, GET, HEAD, OPTIONS, PATCH, PUT"
+    assert one["allow"] == "DELETE, GET, HEAD, OPTIONS, PATCH, POST, PUT"
     assert "text/turtle" in one["accept-put"]
     assert "application/json" not in one["accept-put"].replace("application/ld+json", "")
     assert one["accept-patch"] == "application/sparql-update, text/n3"

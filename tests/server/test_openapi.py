@@ -10,11 +10,15 @@ import httpx
 import pytest
 from openapi_spec_validator import OpenAPIV31SpecValidator
 
+from rosld.adapters.base import AdapterOptions
+from rosld.adapters.registry import adapter_for
+from rosld.server.app import create_app
 from rosld.server.ldp.resource import READ
 from rosld.server.ldp.verbs import OFFERS
 from rosld.server.openapi import json_schema
 from rosld.server.openapi.description import description
 from rosld.server.openapi.place import Place
+from rosld.server.settings import Settings
 
 METHODS = {"get", "head", "options", "put", "post", "patch", "delete"}
 SAMPLES = {"package": "std_msgs", "kind": "msg", "name": "String", "path": "described"}
@@ -35,12 +39,41 @@ def path_item(description: dict[str, Any], path: str) -> dict[str, Any]:
     return item
 
 
+HAS_PROVENANCE = "http://www.w3.org/ns/prov#has_provenance"
+
+
 def places(description: dict[str, Any], http: httpx.Client) -> Iterator[tuple[str, set[str]]]:
     """Every path, with segments where the template has names, and the methods it is told to answer."""
-    call = httpx.URL(http.post("/services/aircraft/get_power").headers["location"]).path
+    called = http.post("/services/aircraft/get_power")
+    made = {"/calls/{id}": httpx.URL(called.headers["location"]).path}
+    made["/activity/{id}"] = httpx.URL(called.links[HAS_PROVENANCE]["url"]).path
+    goal = http.post("/actions/aircraft/fly", json={"distance": -1})  # rejected, and kept
+    made["/goals/{id}"] = httpx.URL(goal.headers["location"]).path
+    made["/holds/{id}"] = "/holds/any"
+    for kind in ("WebSocketChannel2023", "StreamingHTTPChannel2023"):
+        channel = httpx.URL(subscribed(http, kind).headers["location"]).path
+        made[f"/channels/{kind}/{{token}}"] = channel
+        made[f"/channels/{kind}/{{token}}/messages"] = f"{channel}/messages"
     for path in description["paths"]:
-        at = call if path == "/calls/{id}" else re.sub(r"\{(\w+)\}", lambda name: SAMPLES[name[1]], path)
+        at = made.get(path) or re.sub(r"\{(\w+)\}", lambda name: SAMPLES[name[1]], path)
         yield at, {method.upper() for method in path_item(description, path).keys() & METHODS}
+
+
+def subscribed(http: httpx.Client, kind: str) -> httpx.Response:
+    """The answer to who asks for a channel."""
+    notify = "https://www.w3.org/ns/solid/notifications"
+    wish = {"@context": [f"{notify}-context/v1"], "type": f"{notify.replace('https', 'http')}#{kind}"}
+    answer = http.post(f"/channels/{kind}", json={**wish, "topic": str(http.base_url.join("/topics/"))})
+    assert answer.status_code == 201, answer.text
+    return answer
+
+
+def query_parameters(description: dict[str, Any], path: str) -> set[str]:
+    """The names of the query parameters that GET of a path is told to take."""
+    told = path_item(description, path).get("get", {}).get("parameters", ())
+    shared = description["components"]["parameters"]
+    found = [shared[one["$ref"].rpartition("/")[2]] if "$ref" in one else one for one in told]
+    return {one["name"] for one in found if one["in"] == "query"}
 
 
 def disagreements(http: httpx.Client) -> dict[str, tuple[set[str], set[str]]]:
@@ -52,6 +85,8 @@ def disagreements(http: httpx.Client) -> dict[str, tuple[set[str], set[str]]]:
         allowed = set(answer.headers["allow"].split(", "))
         if path.endswith("/described"):
             allowed |= {"GET", "POST", "PATCH", "DELETE"} if "PUT" in allowed else set()  # what may come to be there
+        if path in ("/queries/String", "/shapes/String") and "PUT" in allowed:
+            allowed |= {"DELETE"} if path.startswith("/queries/") else {"DELETE", "PATCH"}
         if allowed != methods:
             found[path] = (methods, allowed)
     return found
@@ -71,6 +106,53 @@ def test_each_path_is_told_to_answer_what_its_options_say(http: httpx.Client) ->
     assert not disagreements(http)
 
 
+def test_every_room_of_the_server_is_described(http: httpx.Client) -> None:
+    application = create_app(adapter_for("aircraft", AdapterOptions()), Settings())
+    rooms = {path.split("/")[1] for path in described(http)["paths"]}
+    assert application.rooms == rooms
+    assert {"/.well-known/solid", "/.well-known/wot"} <= described(http)["paths"].keys()
+
+
+def test_what_can_be_followed_is_told_and_nothing_else(http: httpx.Client) -> None:
+    description = described(http)
+    wrong = []
+    for template, (path, _) in zip(description["paths"], places(description, http), strict=True):
+        answer = http.head(path, headers={"Accept": "text/event-stream"})
+        if answer.status_code == 404:
+            continue
+        streams = answer.headers.get("content-type", "").startswith("text/event-stream")
+        told = query_parameters(description, template)
+        if path.startswith("/queries/") and not path.endswith("/"):
+            told = told - {"timeout"}  # of the query, not of a wait
+        if {"after", "timeout", "rate"} & told != ({"after", "timeout", "rate"} if streams else set()):
+            wrong.append((path, streams, told))
+    assert not wrong
+
+
+def test_what_can_be_followed_can_be_waited_for(http: httpx.Client) -> None:
+    description = described(http)
+    for path, _ in places(description, http):
+        if path not in description["paths"] or "after" not in query_parameters(description, path):
+            continue
+        answer = http.get(path, headers={"Accept": "text/turtle"})
+        if answer.status_code == 200:
+            asked = {"after": answer.headers["etag"], "timeout": 0}
+            answer = http.get(path, params=asked, headers={"Accept": "text/turtle"})
+            assert answer.status_code in (200, 304), path
+            assert answer.status_code == 304 or path.startswith(("/topics/", "/resources/")), path
+
+
+def test_containers_that_come_in_pages_are_told_to(http: httpx.Client) -> None:
+    description = described(http)
+    small = {"Prefer": "return=representation; max-member-count=1", "Accept": "text/turtle"}
+    for path, _ in places(description, http):
+        if path.endswith("/") and path in description["paths"]:
+            paged = http.get(path, headers=small).status_code == 303
+            told = "303" in path_item(description, path)["get"]["responses"]
+            assert not paged or told, path
+            assert ("page" in query_parameters(description, path)) is told, path
+
+
 def test_a_read_only_server_describes_reading_only(serve: Callable[..., Any]) -> None:
     http = serve("aircraft", "--read-only").http
     description = described(http)
@@ -78,7 +160,7 @@ def test_a_read_only_server_describes_reading_only(serve: Callable[..., Any]) ->
         method
         for path in description["paths"]
         for method in path_item(description, path).keys() & METHODS
-        if path != "/sparql"
+        if path != "/sparql" and not path.startswith("/channels/")  # who asks and who follows writes nothing
     }
     assert methods == {"get", "head", "options"}
 
@@ -118,7 +200,11 @@ def test_messages_are_described_by_the_schemas_of_their_types(http: httpx.Client
 
 def test_the_parameters_of_a_stored_query_are_told_with_their_types(http: httpx.Client) -> None:
     parameters = path_item(described(http), "/queries/silent-topics")["get"]["parameters"]
-    told = {one["name"]: one["schema"] for one in parameters if one.get("in") == "query" and one["name"] != "format"}
+    told = {
+        one["name"]: one["schema"]
+        for one in parameters
+        if one.get("in") == "query" and one["name"] not in ("format", "timeout")
+    }
     assert told == {"seconds": {"type": "number"}}
 
 

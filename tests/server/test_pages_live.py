@@ -14,9 +14,9 @@ DISPLAY = "/topics/cockpit/display"
 
 
 def hidden(page: str, method: str) -> str:
-    """The token of the form with this method."""
+    """The token of the form with this method that is sent to the page itself."""
     for form in re.findall(r"<form.*?</form>", page, re.DOTALL):
-        if f'name="method" value="{method}"' in form:
+        if f'name="method" value="{method}"' in form and " action=" not in form:
             return re.search(r'name="csrf" value="([^"]+)"', form)[1]  # type: ignore[index]
     raise AssertionError(f"no form for {method}")
 
@@ -27,7 +27,7 @@ def hidden(page: str, method: str) -> str:
         "/", "/nodes/", "/nodes/aircraft", "/topics/", "/topics/aircraft/", DISPLAY, "/services/", "/calls/",
         "/services/aircraft/engine/set_speed", "/parameters/", "/parameters/aircraft/", "/parameters/cockpit/night",
         "/types/", "/types/std_msgs/", "/types/std_msgs/msg/String", "/shapes/", "/shapes/std_msgs/msg/String",
-        "/bags/", "/ontology", "/queries/", "/queries/node", "/sparql",
+        "/bags/", "/ontology", "/queries/", "/queries/node", "/sparql", "/graphs",
     ],
 )  # fmt: skip
 def test_every_url_is_a_page_for_a_browser(http: httpx.Client, path: str) -> None:
@@ -44,7 +44,7 @@ def test_every_link_of_the_site_leads_somewhere(http: httpx.Client) -> None:
     waiting = ["/"]
     while waiting and len(seen) < 150:
         path = waiting.pop(0)
-        if path in seen:
+        if path in seen or path.startswith("/activity/"):  # what a receipt tells of may be gone
             continue
         seen.add(path)
         page = http.get(path, headers=HTML)

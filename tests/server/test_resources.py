@@ -2,38 +2,17 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import sys
 import threading
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import httpx
 import pytest
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import Refused
-
-
-def _sibling(name: str) -> Any:
-    """A module of `robots/`; tests are no package."""
-    full = f"server_tests_{name}"
-    if full not in sys.modules:
-        spec = importlib.util.spec_from_file_location(full, Path(__file__).parent / "robots" / f"{name}.py")
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[full] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[full])
-    return sys.modules[full]
-
-
-if TYPE_CHECKING:
-    from tests.server.robots import asking
-    from tests.server.robots.made_up import MadeUp, Serving, robot, serving
-else:
-    asking, _made_up = _sibling("asking"), _sibling("made_up")
-    MadeUp, Serving, robot, serving = _made_up.MadeUp, _made_up.Serving, _made_up.robot, _made_up.serving
+from tests.server.robots import asking
+from tests.server.robots.made_up import MadeUp, Serving
 
 value, triples, objects, detail = asking.value, asking.triples, asking.objects, asking.detail
 TYPES, ROS, RDF, LDP, XSD = asking.TYPES, asking.ROS, asking.RDF, asking.LDP, asking.XSD

@@ -3,38 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import json
-import sys
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import httpx
 import pytest
 
-from rosld.adapters.model import Refused
-
-
-def _sibling(name: str) -> Any:
-    """A module of `robots/`; tests are no package."""
-    full = f"server_tests_{name}"
-    if full not in sys.modules:
-        spec = importlib.util.spec_from_file_location(full, Path(__file__).parent / "robots" / f"{name}.py")
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[full] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[full])
-    return sys.modules[full]
-
-
-if TYPE_CHECKING:
-    from tests.server.robots import asking
-    from tests.server.robots.made_up import MadeUp, Serving, robot, serving
-else:
-    asking, _made_up = _sibling("asking"), _sibling("made_up")
-    MadeUp, Serving, robot, serving = _made_up.MadeUp, _made_up.Serving, _made_up.robot, _made_up.serving
+from rosld.adapters.model import Refused, Unreachable
+from tests.server.robots import asking
+from tests.server.robots.made_up import MadeUp, Serving, served
 
 value, objects, detail, mapped = asking.value, asking.objects, asking.detail, asking.mapped
 ROS, LDP, JSON, MERGE = asking.ROS, asking.LDP, asking.JSON, asking.MERGE
@@ -281,3 +260,38 @@ def test_of_several_writes_that_change_one_state_one_is_done(arm: MadeUp, servin
 
     with ThreadPoolExecutor(4) as pool:
         assert sorted(pool.map(write, range(2, 6))) == [204, 412, 412, 412]
+
+
+class Forgetful(MadeUp):
+    """A robot whose parameters can be written, and from then on not be read."""
+
+    async def get_parameters(self, names: Any, *, deadline: float) -> Any:
+        if self.was_written:
+            raise Unreachable("the parameter server does not answer")
+        return await super().get_parameters(names, deadline=deadline)
+
+    async def set_parameters(self, values: Any, *, deadline: float) -> None:
+        await super().set_parameters(values, deadline=deadline)
+        self.was_written = True
+
+    was_written = False
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body", "headers"),
+    [
+        ("PUT", "/parameters/arm/speed", "2", {"Content-Type": "application/json"}),
+        ("PATCH", "/parameters/arm/", '{"speed": 2}', MERGE),
+    ],
+)
+def test_a_write_that_was_done_is_told_as_done_where_it_cannot_be_shown(
+    method: str, path: str, body: str, headers: dict[str, str]
+) -> None:
+    robot = Forgetful()
+    robot.parameter("/arm/speed", 1)
+    with served(robot) as http:
+        answer = http.request(method, path, content=body, headers={"Prefer": "return=representation", **headers})
+        assert (answer.status_code, answer.content) == (204, b"")
+        assert robot.was_written
+        assert "preference-applied" not in answer.headers
+        assert http.get("/parameters/arm/speed").status_code in (502, 503)

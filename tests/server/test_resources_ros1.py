@@ -2,44 +2,24 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import httpx
 import pytest
 
+from tests.adapters.ros1.system import running
+from tests.processes import Process
+from tests.server.robots import asking
+
 HERE = Path(__file__).parent
 DEFINITIONS = HERE / "robots" / "definitions"
 FRESHNESS = 1.0
-
-
-def _module(name: str, path: Path) -> Any:
-    """A module of the tests; they are no package."""
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, path)
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
-if TYPE_CHECKING:
-    from tests.adapters.ros1 import system
-    from tests.adapters.ros1.system import Running
-    from tests.server.robots import asking
-else:
-    system = _module("ros1_tests_system", HERE.parent / "adapters" / "ros1" / "system.py")
-    asking = _module("server_tests_asking", HERE / "robots" / "asking.py")
-    Running = system.Running
-
 value, objects, detail, mapped = asking.value, asking.objects, asking.detail, asking.mapped
 ROS, LDP, EX, JSON, MERGE = asking.ROS, asking.LDP, asking.EX, asking.JSON, asking.MERGE
 
@@ -47,22 +27,19 @@ ROS, LDP, EX, JSON, MERGE = asking.ROS, asking.LDP, asking.EX, asking.JSON, aski
 @pytest.fixture(scope="module")
 def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A rosmaster."""
-    system.require_ros()
-    found = system.RosSystem(tmp_path_factory.mktemp("ros"))
-    found.start_master()
-    yield found
-    found.close()
+    with running(tmp_path_factory.mktemp("ros")) as found:
+        yield found
 
 
 @pytest.fixture(scope="module")
-def limb(ros: Any, tmp_path_factory: pytest.TempPathFactory) -> Running:
+def limb(ros: Any, tmp_path_factory: pytest.TempPathFactory) -> Process:
     """The limb."""
-    started: Running = ros.node("limb_node.py", str(tmp_path_factory.mktemp("classes")), str(DEFINITIONS))
+    started: Process = ros.node("limb_node.py", str(tmp_path_factory.mktemp("classes")), str(DEFINITIONS))
     return started
 
 
 @pytest.fixture(scope="module")
-def http(ros: Any, limb: Running, start_server: Callable[..., Any]) -> Iterator[httpx.Client]:
+def http(ros: Any, limb: Process, start_server: Callable[..., Any]) -> Iterator[httpx.Client]:
     """rosld on it, which hides the services that tell it what to do."""
     settings = ("--setting", "read_deadline", "0.7", "--setting", "freshness", str(FRESHNESS))
     served = start_server(ros.source, "--types", str(DEFINITIONS), "--exclude-service", "/limb_control/*", *settings)
@@ -262,7 +239,7 @@ def test_a_node_that_comes_later_is_arranged_as_a_mapping_has_it(http: httpx.Cli
 
 
 def test_a_node_that_dies_is_unreadable_and_one_that_returns_is_read(
-    http: httpx.Client, ros: Any, limb: Running, tmp_path: Path
+    http: httpx.Client, ros: Any, limb: Process, tmp_path: Path
 ) -> None:
     assert value(http, "/resources/limb/grip") == 1
     limb.kill()  # the master is not told

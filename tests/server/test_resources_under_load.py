@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import json
-import sys
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import httpx
@@ -18,6 +15,7 @@ from pyoxigraph import NamedNode, RdfFormat, parse
 
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
+from tests.server.robots.made_up import Counted, MadeUp, served
 
 CLIENTS = 200
 AV = "https://w3id.org/rosld/aircraft#"
@@ -28,18 +26,6 @@ AIRCRAFT, ENGINE, POWER, SPEED = (
     "/resources/aircraft/power",
     "/resources/aircraft/engine/speed",
 )
-
-
-def _made_up() -> Any:
-    """The module of robots that tests make up; tests are no package."""
-    name = "server_tests_made_up"
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, Path(__file__).parent / "robots" / "made_up.py")
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
 
 
 class Answer(NamedTuple):
@@ -153,9 +139,9 @@ class Pilot:
 
 
 def test_no_reader_sees_a_torn_state_or_one_from_before_a_write() -> None:
-    robot = _made_up().Counted(adapter_for("aircraft", AdapterOptions()))
+    robot = Counted(adapter_for("aircraft", AdapterOptions()))
     seen: Counter[str] = Counter()
-    with _made_up().served(robot) as http:
+    with served(robot) as http:
         base, pilot = http.base_url, Pilot(flights=3)
         urls = {path: str(base.join(path)) for path in (AIRCRAFT, ENGINE)}
 
@@ -204,8 +190,8 @@ def test_no_reader_sees_a_torn_state_or_one_from_before_a_write() -> None:
 
 
 def test_a_getter_is_asked_once_in_a_freshness_period_however_many_read() -> None:
-    robot = _made_up().Counted(adapter_for("aircraft", AdapterOptions()))
-    with _made_up().served(robot, freshness=0.5) as http:
+    robot = Counted(adapter_for("aircraft", AdapterOptions()))
+    with served(robot, freshness=0.5) as http:
         until = time.monotonic() + 1.6
 
         async def read(client: Client) -> int:
@@ -223,10 +209,10 @@ def test_a_getter_is_asked_once_in_a_freshness_period_however_many_read() -> Non
 
 
 def test_those_who_come_together_share_one_call() -> None:
-    robot = _made_up().MadeUp()
+    robot = MadeUp()
     robot.answer("/arm/get_grip", "made_up/srv/GetByte", value=3)
     robot.hold("/arm/get_grip")
-    with _made_up().served(robot) as http:
+    with served(robot) as http:
 
         async def read(client: Client, path: str) -> Answer:
             return await client.ask("GET", path)
@@ -243,7 +229,7 @@ def test_those_who_come_together_share_one_call() -> None:
 
 
 def test_an_answer_from_before_a_write_is_not_shown_after_it() -> None:
-    robot, value, slow = _made_up().MadeUp(), {"grip": 1}, asyncio.Event()
+    robot, value, slow = MadeUp(), {"grip": 1}, asyncio.Event()
 
     async def get(_: object) -> dict[str, int]:
         found = value["grip"]
@@ -255,7 +241,7 @@ def test_an_answer_from_before_a_write_is_not_shown_after_it() -> None:
     robot.offer(
         "/arm/set_grip", "made_up/srv/SetByte", lambda one: value.update(grip=one["value"]) or {"success": True}
     )
-    with _made_up().served(robot) as http:
+    with served(robot) as http:
 
         async def early(client: Client) -> Answer:
             return await client.ask("GET", "/resources/arm/grip")
@@ -276,8 +262,8 @@ def test_an_answer_from_before_a_write_is_not_shown_after_it() -> None:
 
 @pytest.mark.parametrize("write", [("POST", AIRCRAFT + "start", b""), ("PUT", POWER, b'"on"')])
 def test_of_many_who_start_it_at_once_one_does(write: tuple[str, str, bytes]) -> None:
-    robot = _made_up().Counted(adapter_for("aircraft", AdapterOptions()))
-    with _made_up().served(robot) as http:
+    robot = Counted(adapter_for("aircraft", AdapterOptions()))
+    with served(robot) as http:
 
         async def start(client: Client) -> Answer:
             return await client.ask(*write)
@@ -291,7 +277,7 @@ def test_of_many_who_start_it_at_once_one_does(write: tuple[str, str, bytes]) ->
 
 
 def test_actions_that_exclude_each_other_are_never_both_carried_out() -> None:
-    robot, taken = _made_up().MadeUp(), {"by": ""}
+    robot, taken = MadeUp(), {"by": ""}
     robot.offer("/dock/get_holder", "made_up/srv/GetWords", lambda _: {"words": taken["by"]})
 
     def take(who: str) -> Callable[[object], Awaitable[dict[str, Any]]]:
@@ -314,7 +300,7 @@ def test_actions_that_exclude_each_other_are_never_both_carried_out() -> None:
   map:action [ map:relation ex:take ; map:service "/right/take" ; map:availableWhen <#free> ] .
 <#free> a sh:NodeShape ; map:about "/dock/holder" ; sh:property [ sh:path rdf:value ; sh:hasValue "" ] .
 """
-    with _made_up().served(robot) as http:
+    with served(robot) as http:
         assert http.put("/mappings/dock", content=mapping, headers={"Content-Type": TURTLE}).status_code == 201
 
         async def take_left(client: Client) -> Answer:
@@ -329,12 +315,12 @@ def test_actions_that_exclude_each_other_are_never_both_carried_out() -> None:
 
 
 def test_what_hangs_holds_up_nobody_else() -> None:
-    robot = _made_up().MadeUp()
+    robot = MadeUp()
     robot.answer("/arm/get_grip", "made_up/srv/GetByte", value=3)
     robot.answer("/arm/get_label", "made_up/srv/GetLabel", success=True, label="red")
     robot.answer("/leg/get_grip", "made_up/srv/GetByte", value=4)
     robot.hold("/arm/get_grip")
-    with _made_up().served(robot, read_deadline=1.5) as http:
+    with served(robot, read_deadline=1.5) as http:
 
         async def held(client: Client) -> float:
             assert (await client.ask("GET", "/resources/arm/")).json == {"grip": None, "label": "red"}
@@ -355,10 +341,10 @@ def test_what_hangs_holds_up_nobody_else() -> None:
 
 
 def test_changes_of_one_value_made_side_by_side_lose_nothing() -> None:
-    robot = _made_up().MadeUp()
+    robot = MadeUp()
     values = robot.variable("/arm/span", "Range", low=0, high=0)
     patch = "application/merge-patch+json"
-    with _made_up().served(robot, freshness=0) as http:
+    with served(robot, freshness=0) as http:
 
         def changing(key: str, path: str) -> Callable[[Client], Coroutine[Any, Any, None]]:
             async def change(client: Client) -> None:

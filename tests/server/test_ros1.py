@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import subprocess
@@ -15,6 +14,8 @@ from typing import Any
 import httpx
 import pytest
 
+from tests.adapters.ros1.system import running
+
 HERE = Path(__file__).parent
 TYPES = "https://w3id.org/rosld/types/"
 ROS = "https://w3id.org/rosld#"
@@ -25,27 +26,11 @@ DOUBLE = f"{XSD}double"
 JSON = {"Accept": "application/json"}
 
 
-def _system() -> Any:
-    """The module that starts a ROS system; it belongs to the adapter's tests."""
-    name = "ros1_tests_system"
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, HERE.parent / "adapters" / "ros1" / "system.py")
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
 @pytest.fixture(scope="module")
 def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A rosmaster, and whatever a test starts on it."""
-    module = _system()
-    module.require_ros()
-    system = module.RosSystem(tmp_path_factory.mktemp("ros"))
-    system.start_master()
-    yield system
-    system.close()
+    with running(tmp_path_factory.mktemp("ros")) as system:
+        yield system
 
 
 @pytest.fixture(scope="module")
@@ -299,11 +284,7 @@ def test_the_paper_s_aircraft_as_a_rospy_node_flies_the_same_way(ros: Any, robot
 
 
 def test_a_killed_node_and_a_killed_master_are_survived(tmp_path: Path, start_server: Callable[..., Any]) -> None:
-    module = _system()
-    module.require_ros()
-    system = module.RosSystem(tmp_path)
-    try:
-        system.start_master()
+    with running(tmp_path) as system:
         publisher = system.publish("/beat", "std_msgs/String", "data: first", name="heart")
         served = start_server(system.source)
         ready(served, "/topics/beat")
@@ -324,8 +305,6 @@ def test_a_killed_node_and_a_killed_master_are_survived(tmp_path: Path, start_se
         )
         assert "Stale" not in served.http.get("/").text
         assert served.stop() == 0
-    finally:
-        system.close()
 
 
 @pytest.mark.parametrize("source", ["ros1://127.0.0.1:1", "ros1://no-such-host.invalid:11311"])

@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+from rosld.adapters.base import AdapterOptions
+from rosld.adapters.model import Qos
 from rosld.server import settings as declared
 from rosld.server.cli import main
 from rosld.server.settings import Settings
@@ -109,3 +111,35 @@ def test_the_adapter_gets_its_options() -> None:
     options = found.adapter_options
     assert (options.types, options.ros_ip, options.host_map) == ((Path("/a"),), "10.0.0.7", {"robot": "10.0.0.1"})
     assert (options.rate, options.once) == (2.0, True)
+
+
+def test_profiles_are_for_topics_by_glob_in_the_order_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    served: list[AdapterOptions] = []
+    monkeypatch.setattr(
+        "rosld.server.commands.serve.serve", lambda source, settings, **_: served.append(settings.adapter_options)
+    )
+    given = ["--qos", "/scan=best_effort,volatile,depth:5", "--qos", "/odd=name/*=reliable"]
+    result = CliRunner().invoke(main, ["serve", "aircraft", *given])
+    assert result.exit_code == 0, result.output
+    assert served[0].qos == (
+        ("/scan", Qos("best_effort", "volatile", depth=5)),
+        ("/odd=name/*", Qos("reliable")),
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("/scan", "is not GLOB=PROFILE"),
+        ("scan=reliable", "is not GLOB=PROFILE"),
+        ("=reliable", "is not GLOB=PROFILE"),
+        ("/scan=", "'' is no policy"),
+        ("/scan=fast", "'fast' is no policy"),
+        ("/scan=depth:many", "'depth:many': a depth is"),
+    ],
+)
+def test_a_profile_that_cannot_be_is_refused_before_anything_is_opened(value: str, words: str) -> None:
+    result = CliRunner().invoke(main, ["serve", "aircraft", "--qos", value], terminal_width=500)
+    assert result.exit_code == 2
+    assert "--qos" in result.output
+    assert words in result.output

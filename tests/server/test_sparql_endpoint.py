@@ -61,6 +61,19 @@ def test_construct_and_describe_come_in_every_rdf_syntax(http: httpx.Client, med
         assert "/cockpit/display" in answer.text
 
 
+@pytest.mark.parametrize(
+    ("name", "media_type"),
+    [("turtle", "text/turtle"), ("json-ld", "application/ld+json"), ("rdf+xml", "application/rdf+xml")],
+)
+def test_formats_have_the_names_that_other_endpoints_give_them_too(
+    http: httpx.Client, name: str, media_type: str
+) -> None:
+    query = "CONSTRUCT { ?t ros:name ?n } WHERE { ?t a ros:Topic ; ros:name ?n }"
+    answer = http.get("/sparql", params={"query": query, "format": name}, headers={"Accept": "*/*"})
+    assert answer.status_code == 200, answer.text
+    assert answer.headers["content-type"].startswith(media_type)
+
+
 def test_a_graph_is_what_a_get_of_its_url_says(http: httpx.Client, triples_of: object) -> None:
     url = str(http.base_url.join("/types/std_msgs/msg/String"))
     query = f"CONSTRUCT {{ ?s ?p ?o }} WHERE {{ GRAPH <{url}> {{ ?s ?p ?o }} }}"
@@ -124,7 +137,7 @@ def test_what_may_not_be_asked_is_refused_with_a_reason(http: httpx.Client, quer
     ("content_type", "body", "status"),
     [
         ("text/plain", b"SELECT * {}", 415),
-        ("application/sparql-update", b"INSERT DATA { <a:a> <b:b> <c:c> }", 415),
+        ("application/sparql-update", b"INSERT DATA { <a:a> <b:b> <c:c> }", 422),
         ("application/sparql-query", b"\xff", 400),
         ("application/x-www-form-urlencoded", b"query=SELECT+*+%7B%7D&query=ASK+%7B%7D", 400),
         ("application/x-www-form-urlencoded", b"nothing=here", 400),

@@ -308,7 +308,7 @@ def test_bounds_within_an_array_of_messages_are_those_of_each_element() -> None:
         ("<#l> sh:targetObjectsOf rdf:value ; sh:maxInclusive 1 .", "targetObjectsOf"),
         ("<#l> sh:target [ a sh:SPARQLTarget ] ; sh:maxInclusive 1 ; sh:targetNode <resources/a> .", "only SHACL Core"),
         ("<#l> sh:targetNode <http://elsewhere/resources/a> ; sh:nodeKind sh:IRI .", "relative IRI"),
-        ("<#l> sh:targetNode <data/a> ; sh:nodeKind sh:IRI .", "no resource, topic, service or parameter"),
+        ("<#l> sh:targetNode <data/a> ; sh:nodeKind sh:IRI .", "no resource, topic, service, parameter or node"),
         ("<#l> sh:targetNode <topics/a#message> ; sh:nodeKind sh:IRI .", "no resource, topic"),
         ('<#l> sh:targetNode "resources/a" ; sh:nodeKind sh:IRI .', "no resource, topic"),
         ("<#l> sh:targetClass <http://elsewhere/Twist> ; sh:nodeKind sh:IRI .", "no message type"),

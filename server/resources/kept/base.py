@@ -20,6 +20,7 @@ from rosld.server.ldp.resource import (
 )
 from rosld.server.records import Cause, Conflict, Record, Remove, Write
 from rosld.server.resources.kept.judging import judge_of
+from rosld.server.resources.kept.together import kept_together
 from rosld.server.robot import Robot
 
 ANYTHING = "*/*"
@@ -37,19 +38,13 @@ class Kept(Resource):
         self.path = path
         self.title = "/" + path
 
-    def __eq__(self, other: object) -> bool:
-        """One is made for each request: those of one URL are the same, to whoever follows it."""
-        return isinstance(other, Kept) and (type(other), other.url) == (type(self), self.url)
-
-    def __hash__(self) -> int:
-        return hash(self.url)
-
     writes: ClassVar[frozenset[str]] = frozenset()
 
     @property
     def makes(self) -> Sequence[str]:
-        """The media types of what may be made here: RDF only, where somebody judges it."""
-        return (*RDF_BODIES, ANYTHING) if judge_of(self.robot, self.path + "?") is None else RDF_BODIES
+        """The media types of what may be made here: those of its judge, where somebody judges it."""
+        judge = judge_of(self.robot, self.path + "?")
+        return (*RDF_BODIES, ANYTHING) if judge is None else judge.makes
 
     def methods(self) -> frozenset[str]:
         return READ if self.robot.settings.read_only else READ | self.writes
@@ -82,7 +77,7 @@ class Kept(Resource):
     async def do(self, *writes: Write) -> Sequence[Record | None]:
         """Do these writes if they are found good; a Problem where that is not possible as things are."""
         try:
-            return await self._judged(writes)
+            return await kept_together(self.robot, writes)
         except Conflict as error:
             raise told(self.robot, error) from error
 
@@ -94,22 +89,11 @@ class Kept(Resource):
         guarded = exchange.header("if-match") is not None
         for left in reversed(range(_ATTEMPTS)):
             try:
-                await self._judged([await make(self.there())])
+                await kept_together(self.robot, [await make(self.there())])
                 return
             except Conflict as error:
                 if error.cause is not Cause.CHANGED or guarded or not left:
                     raise told(self.robot, error) from error
-
-    async def _judged(self, writes: Sequence[Write]) -> Sequence[Record | None]:
-        judge = judge_of(self.robot, self.path)
-        if judge is None:
-            return await self.robot.records.write(*writes)
-        async with judge.turn:
-            sequels = [await judge.judged(write) for write in writes]
-            records = await self.robot.records.write(*writes)
-            for sequel in sequels:
-                sequel()
-            return records
 
     async def delete(self, exchange: Exchange) -> Answer:
         self.require_guard(exchange)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Iterable, Sequence
+from collections.abc import AsyncIterator, Iterable, Iterator, Sequence
+from functools import cached_property
+from typing import overload
 
-from pyoxigraph import NamedNode, Triple
+from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 
-from rosld.ontology.body import RdfBody, parse_triples
+from rosld.ontology.body import RdfBody, Term, read_ntriples
 from rosld.ontology.vocab import ldp
+from rosld.server.http.link import Link
 from rosld.server.http.link import parse as parse_links
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
@@ -19,49 +22,83 @@ from rosld.server.ldp.interaction import (
     rdf_types,
 )
 from rosld.server.records import Blob, Membership, Model, Record
-from rosld.server.records.describe import MEMBERSHIP, unmanaged
-from rosld.server.resources.kept.showing import all_members
+from rosld.server.records.describe import MEMBERSHIP, unmanaged, written
+from rosld.server.resources.kept.showing import all_members, stand_ins
 from rosld.server.robot import Robot
 
 
 def asked_model(exchange: Exchange, url: str, *, container: bool) -> Model:
     """The interaction model that a request to `url` asks for; `container`: what is made has a URL of a container."""
-    links = parse_links(exchange.header("link") or "")
-    return model_asked(links, url, exchange.essence, container_hint=container)
+    return model_asked(_links(exchange), url, exchange.essence, container_hint=container)
 
 
 def require_model(exchange: Exchange, model: Model, url: str) -> None:
     """Raise a 409 Problem where a request asks to turn a resource into one of another model (LDP 4.2.3, 5.2.3.4)."""
-    links = parse_links(exchange.header("link") or "")
-    asked = {link.target for link in links if "type" in link.rel.lower().split() and link.target.startswith(ldp.iri)}
+    types = (link.target for link in _links(exchange) if "type" in link.rel.lower().split())
+    asked = {target for target in types if target.startswith(ldp.iri)}
     if not asked <= {kind.value for kind in rdf_types(model)}:
         raise Problem(409, f"This is an ldp:{model.value}, and stays one: make another resource for another model.")
 
 
-async def statements(exchange: Exchange, url: str) -> list[Triple]:
+def _links(exchange: Exchange) -> Sequence[Link]:
+    stated = exchange.header("link")
+    return () if stated is None else parse_links(stated)
+
+
+class Statements(Sequence[Triple]):
+    """The triples of a body as N-Triples; parsed when somebody looks at one, as for most bodies nobody does."""
+
+    def __init__(self, ntriples: bytes) -> None:
+        self.ntriples = ntriples
+
+    @cached_property
+    def _triples(self) -> list[Triple]:
+        return [quad.triple for quad in parse(self.ntriples, RdfFormat.N_TRIPLES)]
+
+    @overload
+    def __getitem__(self, index: int) -> Triple: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Triple]: ...
+    def __getitem__(self, index: int | slice) -> Triple | Sequence[Triple]:
+        return self._triples[index]
+
+    def __len__(self) -> int:
+        return len(self._triples)
+
+    def __iter__(self) -> Iterator[Triple]:
+        return iter(self._triples)
+
+
+async def statements(exchange: Exchange, url: str) -> Statements:
     """The triples of a body, resolved against `url`. No body at all, of no type, states nothing.
 
     Raises BodyError, and a 422 Problem for triples about triples, which are not kept.
     """
     data = await exchange.body()
     if not data and exchange.header("content-type") is None:
-        return []
-    found = parse_triples(data, exchange.media_type, url)
-    if any(type(each.object) is Triple or type(each.subject) is Triple for each in found):
+        return Statements(b"")
+    return _kept(Statements(read_ntriples(data, exchange.media_type, url)))
+
+
+def as_statements(triples: Sequence[Triple]) -> Statements:
+    """Triples as a body states them. Raises a 422 Problem for triples about triples, which are not kept."""
+    return triples if isinstance(triples, Statements) else _kept(Statements(written(triples)))
+
+
+def _kept(stated: Statements) -> Statements:
+    if b"<<" in stated.ntriples and any(Triple in (type(each.subject), type(each.object)) for each in stated):
         raise Problem(422, "Triples about triples are not kept here.")
-    return found
+    return stated
 
 
-def triples_of(body: RdfBody) -> tuple[Triple, ...]:
-    """The triples of a body. Raises a 422 Problem for triples about triples, which are not kept."""
-    found = []
-    for subject, properties in body.subjects.items():
-        for predicate, objects in properties.items():
-            for each in objects:
-                if isinstance(subject, Triple) or isinstance(each, Triple):
-                    raise Problem(422, "Triples about triples are not kept here.")
-                found.append(Triple(subject, predicate, each))
-    return tuple(found)
+def triples_of(body: RdfBody) -> list[Triple]:
+    """The triples of a body."""
+    return [
+        Triple(subject, predicate, each)
+        for subject, properties in body.subjects.items()
+        for predicate, objects in properties.items()
+        for each in objects
+    ]
 
 
 def require_membership(membership: Membership, triples: Sequence[Triple], url: str, model: Model) -> None:
@@ -71,28 +108,26 @@ def require_membership(membership: Membership, triples: Sequence[Triple], url: s
         raise Problem(409, "What membership triples are made of was said when the container was made, and stays so.")
 
 
-def require_contained(robot: Robot, record: Record, triples: Sequence[Triple]) -> None:
+def require_contained(robot: Robot, record: Record, triples: Iterable[Triple]) -> None:
     """Raise a 409 Problem where a body would change what a container contains (LDP 5.2.4.1)."""
-    subject = NamedNode(robot.space.base + record.path)
-    stated = {each.object for each in triples if each.subject == subject and each.predicate == ldp.contains}
-    if not stated:
-        return
-    members = {NamedNode(robot.space.base + each.path) for each in all_members(robot, record)}
-    if stated != members:
-        raise Problem(
-            409, "What a container contains (ldp:contains) is changed by POST and DELETE, not by its triples."
-        )
+    stated = contained(triples, robot.space.base + record.path)
+    if stated and stated != {NamedNode(robot.space.base + each.path) for each in all_members(robot, record)}:
+        raise Problem(409, f"{_CONTAINED}, not by its triples.")
 
 
 def require_same_members(before: Iterable[Triple], after: Iterable[Triple], url: str) -> None:
     """Raise a 409 Problem where a patch would change what a container contains (LDP 5.2.4.1)."""
+    if contained(before, url) != contained(after, url):
+        raise Problem(409, f"{_CONTAINED}, not by a patch.")
+
+
+_CONTAINED = "What a container contains (ldp:contains) is changed by POST and DELETE"
+
+
+def contained(triples: Iterable[Triple], url: str) -> set[Term]:
+    """What triples say that the container at `url` contains."""
     subject = NamedNode(url)
-    told, left = (
-        {each.object for each in triples if each.predicate == ldp.contains and each.subject == subject}
-        for triples in (before, after)
-    )
-    if told != left:
-        raise Problem(409, "What a container contains (ldp:contains) is changed by POST and DELETE, not by a patch.")
+    return {each.object for each in triples if each.predicate == ldp.contains and each.subject == subject}
 
 
 async def received(robot: Robot, exchange: Exchange) -> Blob:
@@ -111,6 +146,5 @@ def own_triples(robot: Robot, record: Record, triples: Sequence[Triple]) -> list
     own = unmanaged(triples, robot.space.base + record.path)
     if record.membership is None:
         return own
-    members = (each.member or robot.space.base + each.path for each in all_members(robot, record))
-    servers = set(membership_triples(record.membership, members))
+    servers = set(membership_triples(record.membership, stand_ins(robot, all_members(robot, record))))
     return [each for each in own if each not in servers]

@@ -11,7 +11,7 @@ from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.interaction import (
     model_links,
 )
-from rosld.server.ldp.paging import Place, first_page, read_place
+from rosld.server.ldp.paging import Place, page_query, read_place, send_to_first
 from rosld.server.ldp.parts import ALL, Parts, wanted
 from rosld.server.ldp.resource import (
     RDF_BODIES,
@@ -48,6 +48,10 @@ class ContainerResource(SourceResource):
         record = robot.records.get(path)
         self.links = model_links(record.model if record is not None else Model.BASIC_CONTAINER)
 
+    @property
+    def shows(self) -> tuple[Parts, Place | None]:
+        return self._parts, self._place
+
     def methods(self) -> frozenset[str]:
         is_root = self.path.count("/") == 1
         return super().methods() - ({"DELETE"} if is_root else frozenset())
@@ -61,9 +65,7 @@ class ContainerResource(SourceResource):
         if page is not None:
             return ContainerResource(self.robot, self.path, parts, read_place(page))
         if parts.containment or parts.membership:
-            first = first_page(self.url, self.there().count, exchange.prefer)
-            if first is not None:
-                raise first
+            send_to_first(exchange, self.url, self.there().count)
         return self if parts is ALL else ContainerResource(self.robot, self.path, parts)
 
     async def state(self) -> State:
@@ -71,6 +73,10 @@ class ContainerResource(SourceResource):
         if self._place is None:
             return shown(self.robot, record, self._parts)
         return page_shown(self.robot, record, self._parts, self._place)
+
+    @property
+    def query(self) -> str:
+        return "" if self._place is None else page_query(self._place.token)
 
     def steps(self) -> tuple[Step, ...]:
         record = self.robot.records.get(self.path)
@@ -85,17 +91,23 @@ class ContainerResource(SourceResource):
     def _model(self, exchange: Exchange) -> Model:
         return asked_model(exchange, self.url, container=False)
 
+    def is_taken(self, name: str) -> bool:
+        """Whether a member of this name, not yet encoded, is there or ever was (LDP 5.2.3.11)."""
+        records = self.robot.records
+        paths = (self.path + encode_segment(name), f"{self.path}{encode_segment(name)}/")
+        return any(records.get(path) is not None or records.was_there(path) for path in paths)
+
     async def post(self, exchange: Exchange) -> Answer:
         """A member, named by Slug where that is free (LDP 5.2.3)."""
         self.there()
         model = self._model(exchange)
-        records = self.robot.records
+        judge = exchange.judge
 
-        def taken(name: str) -> bool:
-            paths = (self.path + encode_segment(name), f"{self.path}{encode_segment(name)}/")
-            return any(records.get(path) is not None or records.was_there(path) for path in paths)
+        def is_taken(name: str) -> bool:
+            """Whether it is taken, or not for who asks to give: which of both is not told."""
+            return not judge.may("PUT", self.url + encode_segment(name)) or self.is_taken(name)
 
-        name = encode_segment(free_name(exchange.header("slug"), taken))
+        name = encode_segment(free_name(exchange.header("slug"), is_taken))
         path = f"{self.path}{name}/" if model.is_container else self.path + name
         return await creation(self.robot, path, model, exchange)
 

@@ -9,6 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import TypeAlias
+
+from pyoxigraph import Triple
 
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
@@ -28,12 +31,27 @@ _OVERHEAD = 600
 """About how many characters the server adds to what a record says."""
 
 
-class RecordGraphs:
-    """The graphs of all records, each what a GET of its resource says: a `KeptSource`."""
+Said: TypeAlias = Callable[[Record], Sequence[Triple]]
+"""What a resource says of itself beside what its record says. Called in any thread."""
 
-    def __init__(self, records: Records, base: str) -> None:
+
+def _nothing(record: Record) -> Sequence[Triple]:
+    return ()
+
+
+class RecordGraphs:
+    """The graphs of all records, each what a GET of its resource says: a `KeptSource`.
+
+    The graphs of the containers `elsewhere` come from somewhere else.
+    """
+
+    def __init__(
+        self, records: Records, base: str, said: Said = _nothing, elsewhere: frozenset[str] = frozenset()
+    ) -> None:
         self._records = records
         self._base = base
+        self._said = said
+        self._elsewhere = elsewhere
         self._times = _Times(base)
 
     @property
@@ -43,7 +61,7 @@ class RecordGraphs:
 
     def changes(self, after: int) -> Iterator[Changes]:
         """What changed after a version, in parts."""
-        return _Search(self._records, self._base, after, self._times).parts()
+        return _Search(self._records, self._base, after, self._times, self._said, self._elsewhere).parts()
 
 
 class _Times:
@@ -74,8 +92,12 @@ class _Search:
     Containers that changed themselves are told whole, when all else was told; what is listed in them since is added.
     """
 
-    def __init__(self, records: Records, base: str, after: int, times: _Times) -> None:
+    def __init__(
+        self, records: Records, base: str, after: int, times: _Times, said: Said, elsewhere: frozenset[str]
+    ) -> None:
         self._records = records
+        self._said = said
+        self._elsewhere = elsewhere
         self._base = base
         self._after = after
         self._times = times
@@ -109,6 +131,8 @@ class _Search:
 
     def _look(self, changed: Changed) -> None:
         path = changed.path
+        if path in self._elsewhere:
+            return
         record = None if changed.gone else self._records.get(path)
         if record is None:
             self._drop(path)
@@ -119,7 +143,8 @@ class _Search:
         else:
             added, removed = self._times.tell(record, self._after)
             self._edit(path, added, removed)
-        container = self._records.get(container_of(path))
+        above = container_of(path)
+        container = None if above in self._elsewhere else self._records.get(above)
         if container is not None and container.listed > self._after and not self._is_to_be_whole(container):
             self._list(container, path, record)
 
@@ -129,7 +154,9 @@ class _Search:
 
     def _replace(self, record: Record) -> None:
         url = self._base + record.path
-        self._graphs[url + META if record.model is Model.NON_RDF_SOURCE else url] = partial(_text, record, url)
+        self._graphs[url + META if record.model is Model.NON_RDF_SOURCE else url] = partial(
+            _text, record, url, self._said
+        )
         self._size += len(record.triples) + _OVERHEAD
 
     def _drop(self, path: str) -> None:
@@ -195,10 +222,10 @@ def _membership(membership: Membership, member: str) -> str:
     return f"<{one}> <{relation}> <{other}> .\n"
 
 
-def _text(record: Record, url: str) -> str:
+def _text(record: Record, url: str, said: Said) -> str:
     """What it says, its members aside. What clients say stands as it is kept, which spares reading it."""
     membership = declared(record.membership, url) if record.membership is not None else ()
-    managed = record_document(replace(record, triples=b""), url, (), membership)
+    managed = record_document(replace(record, triples=b""), url, (), (*membership, *said(record)))
     return serialize(managed, Syntax.N_TRIPLES).decode() + record.triples.decode()
 
 

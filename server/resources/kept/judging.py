@@ -6,18 +6,18 @@ A judge is asked before a write is done, and told what to do with it afterwards;
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
-from pyoxigraph import RdfFormat, parse
-
-from rosld.ontology.body import indexed
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.documents import MappingDocument, mapping_of
+from rosld.server.in_force.limits import ROOM as SHAPES
+from rosld.server.in_force.mappings import ROOM as MAPPINGS
+from rosld.server.in_force.mappings import mapping_kept
+from rosld.server.in_force.queries import ROOM as QUERIES
+from rosld.server.ldp.resource import RDF_BODIES
 from rosld.server.records import Model, Put, Remove, Write
 from rosld.server.robot import Robot
-
-MAPPINGS = "mappings/"
+from rosld.server.sparql.protocol import DIRECT
 
 
 class Judge(Protocol):
@@ -25,6 +25,8 @@ class Judge(Protocol):
 
     shape: str
     """The name, below `/shapes/`, of what constrains it."""
+    makes: Sequence[str]
+    """The media types of what may be made."""
 
     @property
     def turn(self) -> asyncio.Lock:
@@ -40,6 +42,7 @@ class MappingJudge:
     """Keeps mapping documents: what is kept is in force."""
 
     shape = "mapping"
+    makes: Sequence[str] = RDF_BODIES
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -57,7 +60,7 @@ class MappingJudge:
             raise Problem(
                 409, f"A mapping is an RDF source directly under {room}: files and containers have no place there."
             )
-        document = await asyncio.to_thread(mapping_kept, write, url)  # a large one takes its time
+        document = await asyncio.to_thread(mapping_kept, write.triples, url)  # a large one takes its time
         robot.mappings.check(document)
         return self._told(lambda: robot.mappings.replace(document))
 
@@ -69,11 +72,79 @@ class MappingJudge:
         return sequel
 
 
-def mapping_kept(put: Put, url: str) -> MappingDocument:
-    """The mapping that is kept as these triples. Raises MappingRefused."""
-    return mapping_of(indexed(parse(put.triples, RdfFormat.N_TRIPLES), url), url)
+class QueryJudge:
+    """Keeps stored queries, byte for byte; they are read anew when they are run."""
+
+    shape = "query"
+    makes: Sequence[str] = (DIRECT,)
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+
+    @property
+    def turn(self) -> asyncio.Lock:
+        return self._robot.queries.turn
+
+    async def judged(self, write: Write) -> Callable[[], None]:
+        if isinstance(write, Put):
+            await self._judge(write)
+        return self._robot.changes.give
+
+    async def _judge(self, put: Put) -> None:
+        robot = self._robot
+        if put.blob is None or "/" in put.path.removeprefix(QUERIES):
+            room = robot.space.base + QUERIES
+            raise Problem(409, f"A stored query is {DIRECT} directly under {room}: nothing else has a place there.")
+        before = robot.records.get(put.path)
+        if before is not None and before.blob == put.blob:
+            return  # its description changes
+        try:
+            await asyncio.to_thread(robot.queries.check, put.path, put.blob)  # a long one takes its time
+        except ValueError as error:
+            robot.records.discard(put.blob)
+            raise Problem(422, f"This is no stored query: {error}.") from error
+
+
+class LimitsJudge:
+    """Keeps limits: what is kept bounds what may be written, from then on."""
+
+    shape = "limits"
+    makes: Sequence[str] = RDF_BODIES
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+
+    @property
+    def turn(self) -> asyncio.Lock:
+        return self._robot.limits_in_force.turn
+
+    async def judged(self, write: Write) -> Callable[[], None]:
+        limits, url = self._robot.limits_in_force, self._robot.space.base + write.path
+        if isinstance(write, Remove):
+            return self._told(lambda: limits.remove(url))
+        if write.model is not Model.RDF_SOURCE or "/" in write.path.removeprefix(SHAPES):
+            room = self._robot.space.base + SHAPES
+            raise Problem(409, f"Limits are an RDF source directly under {room}: nothing else has a place there.")
+        try:
+            graph = await asyncio.to_thread(limits.check, url, write.triples)  # a large one takes its time
+        except ValueError as error:
+            words = f"These limits cannot be put in force: {error}. Relative IRIs are relative to {url}."
+            raise Problem(422, words) from error
+        return self._told(lambda: limits.replace(url, graph))
+
+    def _told(self, act: Callable[[], None]) -> Callable[[], None]:
+        def sequel() -> None:
+            act()
+            self._robot.states.clear()  # bounds are part of what resources say of themselves
+            self._robot.changes.give()
+
+        return sequel
+
+
+_JUDGES: Mapping[str, Callable[[Robot], Judge]] = {MAPPINGS: MappingJudge, QUERIES: QueryJudge, SHAPES: LimitsJudge}
 
 
 def judge_of(robot: Robot, path: str) -> Judge | None:
     """Who judges what is kept at a path; nobody, for most."""
-    return MappingJudge(robot) if path.startswith(MAPPINGS) and path != MAPPINGS else None
+    room = path[: path.find("/") + 1]
+    return _JUDGES[room](robot) if room in _JUDGES and path != room else None

@@ -4,40 +4,51 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pyoxigraph import NamedNode, Quad, Triple
+from pyoxigraph import Triple
 
-from rosld.ontology.body import indexed
-from rosld.ontology.vocab import ldp
+from rosld.ontology.body import body_of
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.interaction import (
     member_of,
     membership_of,
 )
-from rosld.server.records import Membership, Model, Put, Record
-from rosld.server.records.describe import unmanaged, written
+from rosld.server.records import Model, Put, Record
+from rosld.server.records.describe import may_be_managed, unmanaged, written
+from rosld.server.records.paths import container_of
 from rosld.server.resources.kept.base import Kept
-from rosld.server.resources.kept.bodies import received, statements
+from rosld.server.resources.kept.bodies import as_statements, contained, received, statements
 from rosld.server.robot import Robot
 
 
 async def made(kept: Kept, model: Model, exchange: Exchange) -> Record:
     """Make the resource that `kept` stands for, and the containers on the way to it that are missing."""
-    robot, path, url = kept.robot, kept.path, kept.url
+    robot, path = kept.robot, kept.path
     require_free(robot, path)
     if model is Model.NON_RDF_SOURCE:
         put = Put(path, model, blob=await received(robot, exchange), expected=0)
-        triples: Sequence[Triple] = ()
+        writes = [*_ways_to(robot, path), _as_member(robot, put, (), kept.url)]
     else:
-        triples = await statements(exchange, url)
-        if any(each.subject == NamedNode(url) and each.predicate == ldp.contains for each in triples):
-            raise Problem(409, "A new container contains nothing: leave ldp:contains away, and POST its members to it.")
-        own = written(unmanaged(triples, url))
-        put = Put(path, model, own, membership=membership_asked(model, triples, url), expected=0)
-    records = await kept.do(*_ways_to(robot, path), _as_member(robot, put, triples, url))
-    record = records[-1]
+        writes = making(robot, path, model, await statements(exchange, kept.url))
+    record = (await kept.do(*writes))[-1]
     assert record is not None
     return record
+
+
+def making(robot: Robot, path: str, model: Model, triples: Sequence[Triple]) -> list[Put]:
+    """The writes that make an RDF source or a container that says these triples, the last being its own.
+
+    Raises 409 Problems for a name that is taken, and for containment that is stated; 422 for triples about triples.
+    """
+    require_free(robot, path)
+    url, stated = robot.space.base + path, as_statements(triples)
+    own = stated.ntriples
+    if may_be_managed(own):
+        if contained(stated, url):
+            raise Problem(409, "A new container contains nothing: leave ldp:contains away, and POST its members to it.")
+        own = written(unmanaged(stated, url))
+    put = Put(path, model, own, membership=membership_of(stated, url, model), expected=0)
+    return [*_ways_to(robot, path), _as_member(robot, put, stated, url)]
 
 
 def _as_member(robot: Robot, put: Put, triples: Sequence[Triple], url: str) -> Put:
@@ -45,8 +56,7 @@ def _as_member(robot: Robot, put: Put, triples: Sequence[Triple], url: str) -> P
     container = robot.records.get(container_of(put.path))
     if container is None or container.membership is None:
         return put
-    body = indexed((Quad(each.subject, each.predicate, each.object) for each in triples), url)
-    member = member_of(container.membership, body, url)
+    member = member_of(container.membership, body_of(triples), url)
     return Put(put.path, put.model, put.triples, put.blob, put.membership, member, put.expected)
 
 
@@ -54,7 +64,7 @@ def _ways_to(robot: Robot, path: str) -> list[Put]:
     """The containers to be made first."""
     found: list[Put] = []
     above = container_of(path)
-    while above != "/" and robot.records.get(above) is None:
+    while above and robot.records.get(above) is None:
         found.insert(0, Put(above, Model.BASIC_CONTAINER, expected=0))
         above = container_of(above)
     return found
@@ -65,13 +75,3 @@ def require_free(robot: Robot, path: str) -> None:
     other = path[:-1] if path.endswith("/") else path + "/"
     if robot.records.get(other) is not None:
         raise Problem(409, f"There is {robot.space.base}{other} already: choose another name.")
-
-
-def container_of(path: str) -> str:
-    """The path of the container that a path lies in."""
-    return path.rstrip("/").rpartition("/")[0] + "/"
-
-
-def membership_asked(model: Model, triples: Sequence[Triple], url: str) -> Membership | None:
-    """The membership of a Direct or Indirect container, as its body says."""
-    return membership_of(triples, url, model) if model in (Model.DIRECT_CONTAINER, Model.INDIRECT_CONTAINER) else None

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from pyoxigraph import Triple
+
 from rosld.ontology.urls import Location
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.plan import Keep
 from rosld.server.ldp.resource import (
     Answer,
     Resource,
@@ -16,6 +21,7 @@ from rosld.server.records.describe import META
 from rosld.server.resources.kept.base import Kept, missing
 from rosld.server.resources.kept.bodies import asked_model
 from rosld.server.resources.kept.containers import creation, resource_of
+from rosld.server.resources.kept.making import making
 from rosld.server.resources.kept.showing import shown
 from rosld.server.resources.kept.sources import DescriptionResource
 from rosld.server.robot import Robot
@@ -48,6 +54,14 @@ class AbsentResource(Kept):
 
     def _model(self, exchange: Exchange) -> Model:
         return asked_model(exchange, self.url, container=self.url.endswith("/"))
+
+    async def planned(self, triples: Sequence[Triple] | None) -> Keep:
+        if "PUT" not in self.methods():
+            raise Problem(403, self.why_not("PUT"))
+        if triples is None or self.robot.records.was_there(self.path):
+            raise missing(self.robot, self.path)
+        model = Model.BASIC_CONTAINER if self.path.endswith("/") else Model.RDF_SOURCE
+        return Keep(f"make {self.title}", tuple(making(self.robot, self.path, model, triples)))
 
     async def put(self, exchange: Exchange) -> Answer:
         if self.robot.records.was_there(self.path):

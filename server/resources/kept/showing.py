@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from pyoxigraph import Triple
@@ -14,7 +14,7 @@ from rosld.server.ldp.interaction import (
     membership_triples,
     model_links,
 )
-from rosld.server.ldp.paging import Page, Place, page_of
+from rosld.server.ldp.paging import MOST, Page, Place, last_place, left_on_last, page_of
 from rosld.server.ldp.parts import ALL, Parts
 from rosld.server.ldp.state import State
 from rosld.server.records import Member, Record
@@ -31,8 +31,18 @@ def all_members(robot: Robot, record: Record) -> list[Member]:
     return found
 
 
+def stand_ins(robot: Robot, members: Iterable[Member]) -> list[str]:
+    """What stands for members in the membership triples of their container (LDP 5.4.1.5, 5.5.1.2)."""
+    return [each.member or robot.space.base + each.path for each in members]
+
+
 def shown(robot: Robot, record: Record, parts: Parts = ALL) -> State:
-    """A record as it is, or the parts of a container that are asked for: kept while it does not change."""
+    """A record as it is, or the parts of a container that are asked for: kept while it does not change.
+
+    A container that comes in pages is shown without its members: what is done with it does not grow with them.
+    """
+    if record.count > MOST:
+        parts = replace(parts, containment=False, membership=False)
     url = robot.space.base + record.path
     return robot.states.get(
         f"{url}#{parts.variant}",
@@ -47,7 +57,8 @@ def page_shown(robot: Robot, record: Record, parts: Parts, place: Place) -> Stat
 
     def make() -> State:
         page, found = page_at(robot, record, place)
-        headers = {"link": render([*model_links(record.model), *page.links()])}
+        links = page.links(f"{robot.records.identity}-{_tag(record)}.any")
+        headers = {"link": render([*model_links(record.model), *links])}
         return _state(robot, record, parts, found, headers=headers, page=f"p{place.token}", said=page.triples())
 
     return robot.states.get(f"{url}?page={place.token}#{parts.variant}", (record.version, record.listed), make)
@@ -55,13 +66,22 @@ def page_shown(robot: Robot, record: Record, parts: Parts, place: Place) -> Stat
 
 def page_at(robot: Robot, record: Record, place: Place) -> tuple[Page, Sequence[Member]]:
     """The page of a container at a place, and its members."""
-    found = robot.records.members(record.path, after=place.after, most=place.most + 1)
-    page = page_of(robot.space.base + record.path, place, [each.number for each in found])
-    return page, found[: place.most]
+    records, after, most = robot.records, place.after, place.most
+    assert isinstance(after, int)
+    found = records.members(record.path, after=after, most=most + 1)
+    before = records.numbers(record.path, upto=after, most=most + 1) if after else ()
+    latest = records.numbers(record.path, most=left_on_last(record.count, most) + 1) if len(found) > most else ()
+    last = last_place(most, record.count, latest)
+    page = page_of(robot.space.base + record.path, place, [each.number for each in found], before, last)
+    return page, found[:most]
 
 
 def _lists(parts: Parts) -> bool:
     return parts.containment or parts.membership
+
+
+def _tag(record: Record) -> str:
+    return f"{record.version}-{record.listed}" if record.model.is_container else f"{record.version}"
 
 
 def _state(
@@ -75,14 +95,13 @@ def _state(
     said: Sequence[Triple] = (),
 ) -> State:
     url = robot.space.base + record.path
-    tag = f"{record.version}-{record.listed}" if record.model.is_container else f"{record.version}"
     if parts.applied:
         headers = {**headers, "preference-applied": str(parts.preference_applied)}
     if record.model.is_container:
         headers = {**headers, "vary": "Accept, Prefer"}
     return State(
         lambda: _document(robot, record, parts, url, members, said),
-        token=tag,
+        token=_tag(record),
         scope=robot.records.identity,
         part=f"{page}{parts.variant}",
         headers=headers,
@@ -94,9 +113,7 @@ def _document(
 ) -> Document:
     membership = declared(record.membership, url) if record.membership is not None and parts.minimal else []
     if record.membership is not None and parts.membership:
-        membership += membership_triples(
-            record.membership, [each.member or robot.space.base + each.path for each in members]
-        )
+        membership += membership_triples(record.membership, stand_ins(robot, members))
     contained = [robot.space.base + each.path for each in members] if parts.containment else []
     kept = record if parts.minimal else replace(record, triples=b"")
     return record_document(kept, url, contained, [*membership, *more])

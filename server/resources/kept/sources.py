@@ -6,22 +6,26 @@ import asyncio
 from collections.abc import Callable, Mapping, Sequence
 
 from pyoxigraph import Triple
-from starlette.responses import Response
 
 from rosld.server.html import DeleteForm, Form
+from rosld.server.http.multipart import MULTIPART
+from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.n3patch import applied, read_patch
 from rosld.server.ldp.patch import updated
+from rosld.server.ldp.plan import Keep
+from rosld.server.ldp.prepared import done
 from rosld.server.ldp.resource import (
     RDF_BODIES,
     SPARQL_UPDATE,
     Answer,
 )
 from rosld.server.ldp.state import State
-from rosld.server.records import Put, Record, Write
-from rosld.server.records.describe import META, written
+from rosld.server.records import Model, Put, Record, Remove, Write
+from rosld.server.records.describe import META, may_be_managed, written
 from rosld.server.resources.kept.base import Kept
 from rosld.server.resources.kept.bodies import (
+    as_statements,
     own_triples,
     require_contained,
     require_membership,
@@ -30,6 +34,7 @@ from rosld.server.resources.kept.bodies import (
     statements,
     triples_of,
 )
+from rosld.server.resources.kept.merging import apart, unite
 from rosld.server.resources.kept.showing import shown
 from rosld.server.robot import Robot
 
@@ -40,8 +45,12 @@ class SourceResource(Kept):
     """An RDF source."""
 
     kind = "RDF source"
-    writes = frozenset({"PUT", "PATCH", "DELETE"})
-    accepts: Mapping[str, Sequence[str]] = {"PUT": RDF_BODIES, "PATCH": (SPARQL_UPDATE, N3_PATCH)}
+    writes = frozenset({"PUT", "POST", "PATCH", "DELETE"})
+    accepts: Mapping[str, Sequence[str]] = {
+        "PUT": RDF_BODIES,
+        "POST": (*RDF_BODIES, MULTIPART),
+        "PATCH": (SPARQL_UPDATE, N3_PATCH),
+    }
 
     async def state(self) -> State:
         return shown(self.robot, self.there())
@@ -53,12 +62,29 @@ class SourceResource(Kept):
         self.require_guard(exchange)
         require_model(exchange, self.there().model, self.url)
         triples = await statements(exchange, self.document_url)
+        conditional = exchange.header("if-match") is not None or exchange.header("if-none-match") is not None
 
         async def replaced(record: Record) -> Write:
-            return self.with_triples(record, triples)
+            put = self.with_triples(record, triples)
+            whole = record.model is Model.RDF_SOURCE and not conditional
+            return Put(put.path, put.model, put.triples) if whole else put  # the last one counts, whatever was there
 
         await self.change(exchange, replaced)
-        return Response(status_code=204)
+        return done()
+
+    async def post(self, exchange: Exchange) -> Answer:
+        """The body is merged into what is here (SPARQL 1.1 Graph Store Protocol 5.5)."""
+        self.require_guard(exchange)
+        if exchange.essence == MULTIPART:
+            await unite(exchange, self.document_url)
+        added = apart(await statements(exchange, self.document_url))
+
+        async def merged(record: Record) -> Write:
+            before = shown(self.robot, record).document.triples
+            return self.with_triples(record, list(dict.fromkeys((*before, *added))))
+
+        await self.change(exchange, merged)
+        return done()
 
     async def patch(self, exchange: Exchange) -> Answer:
         self.require_guard(exchange)
@@ -71,7 +97,7 @@ class SourceResource(Kept):
             return self.with_triples(record, after)
 
         await self.change(exchange, changed)
-        return Response(status_code=204)
+        return done()
 
     async def _patch(self, exchange: Exchange) -> Callable[[Sequence[Triple]], Sequence[Triple]]:
         """What a patch makes of triples. Raises Problems for what is no patch."""
@@ -81,6 +107,14 @@ class SourceResource(Kept):
             return lambda before: applied(patch, before)
         return lambda before: triples_of(updated(data, before, url))
 
+    async def planned(self, triples: Sequence[Triple] | None) -> Keep:
+        method = "DELETE" if triples is None else "PUT"
+        if method not in self.methods():
+            raise Problem(403, self.why_not(method))
+        if triples is None:
+            return Keep(f"delete {self.title}", (Remove(self.path, self.there().version),))
+        return Keep(f"store {self.title}", (self.with_triples(self.there(), triples),))
+
     @property
     def document_url(self) -> str:
         """What relative IRIs are resolved against."""
@@ -88,11 +122,13 @@ class SourceResource(Kept):
 
     def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
         """The record with these triples; those that are the server's to say must be as they are, or away."""
-        require_contained(self.robot, record, triples)
-        url = self.robot.space.base + record.path
-        if record.membership is not None:
-            require_membership(record.membership, triples, url, record.model)
-        own = written(own_triples(self.robot, record, triples))
+        stated = as_statements(triples)
+        own = stated.ntriples
+        if record.membership is not None or may_be_managed(own):
+            require_contained(self.robot, record, stated)
+            if record.membership is not None:
+                require_membership(record.membership, stated, self.robot.space.base + record.path, record.model)
+            own = written(own_triples(self.robot, record, stated))
         return Put(record.path, record.model, own, record.blob, record.membership, expected=record.version)
 
 
@@ -100,7 +136,7 @@ class DescriptionResource(SourceResource):
     """The description of a file, at its URL and `.meta`: it comes and goes with the file (LDP 4.2.1.6, 5.2.3.12)."""
 
     kind = "Description"
-    writes = frozenset({"PUT", "PATCH"})
+    writes = frozenset({"PUT", "POST", "PATCH"})
 
     def __init__(self, robot: Robot, path: str) -> None:
         super().__init__(robot, path.removesuffix(META))

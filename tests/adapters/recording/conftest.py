@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
-import sys
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +11,7 @@ from typing import Any
 
 import pytest
 
+import tests.adapters.recording.recorder
 from rosld.adapters.base import AdapterOptions, RecordedMessage
 from rosld.adapters.model import Graph
 from rosld.adapters.recording import RecordingAdapter
@@ -43,14 +42,7 @@ class Clock:
 @pytest.fixture(scope="session")
 def recorder() -> ModuleType:
     """`recorder.py`, which makes recordings."""
-    name = "rosld_tests_recording_recorder"
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name("recorder.py"))
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
+    return tests.adapters.recording.recorder
 
 
 @pytest.fixture

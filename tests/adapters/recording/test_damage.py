@@ -110,32 +110,6 @@ def test_one_odd_connection_leaves_the_others_readable(
     play(path, scenario)
 
 
-def test_a_service_event_topic_is_read_from_its_services_definition(
-    recorder: ModuleType, tmp_path: Path, opened: Opened
-) -> None:
-    from rosbags.rosbag2 import StoragePlugin, Writer
-
-    with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection(
-            "/add/_service_event",
-            "example_interfaces/srv/AddTwoInts_Event",
-            msgdef="int64 a\nint64 b\n---\nint64 sum\n",
-            rihs01="RIHS01_" + "0" * 64,
-        )
-        info = struct.pack("<BxxxiI16sxxxxq", 1, 5, 6, b"g" * 16, 9)
-        request = struct.pack("<Ixxxxqq", 1, 20, 22)
-        response = struct.pack("<I", 0)
-        writer.write(connection, 10**9, b"\x00\x01\x00\x00" + info + request + response)
-    with opened(tmp_path / "run") as bag:
-        (topic,) = bag.topics.values()
-        assert topic.unreadable is None
-        sample = bag.message(0).sample
-        event = bag.schema(sample.schema).codec.decode(sample.data, sample.encoding)
-        assert (event.info.event_type, event.info.sequence_number) == (1, 9)
-        assert [(each.a, each.b) for each in event.request] == [(20, 22)]
-        assert event.response == []
-
-
 def test_channels_of_an_mcap_that_are_not_ros_are_listed_and_the_others_read(
     recorder: ModuleType, tmp_path: Path, opened: Opened, said: Said
 ) -> None:

@@ -87,6 +87,33 @@ def test_played_once_it_rests_at_the_end(chatter: Path, play: Play, clock: Any) 
     play(chatter, scenario, once=True)
 
 
+def test_the_age_of_a_message_is_counted_by_the_clock_of_the_playing(chatter: Path, play: Play, clock: Any) -> None:
+    async def scenario(playing: Any) -> None:
+        subscription = await playing.subscribe("/chatter")
+        clock.forward(0.03)  # twice as fast as recorded
+        (first,) = subscription.latest()
+        assert playing.age_ns(first) == 60_000_000
+        clock.forward(0.02)
+        (second,) = subscription.latest()
+        assert (playing.age_ns(second), playing.age_ns(first)) == (0, 100_000_000)
+        clock.forward(0.5)
+        (again,) = subscription.latest()
+        assert again.epoch == 1
+        assert playing.age_ns(second) == 1_000_000_000
+
+    play(chatter, scenario, rate=2.0)
+
+
+def test_played_once_messages_grow_no_older_at_the_end(chatter: Path, play: Play, clock: Any) -> None:
+    async def scenario(playing: Any) -> None:
+        subscription = await playing.subscribe("/chatter")
+        clock.forward(1000)
+        (last,) = subscription.latest()
+        assert playing.age_ns(last) == 0
+
+    play(chatter, scenario, once=True)
+
+
 def test_the_rate_is_how_fast_it_plays(chatter: Path, play: Play, clock: Any) -> None:
     async def scenario(playing: Any) -> None:
         subscription = await playing.subscribe("/chatter")

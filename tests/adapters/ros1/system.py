@@ -7,17 +7,18 @@ from __future__ import annotations
 
 import json
 import os
-import queue
 import socket
 import subprocess
-import threading
 import time
 import xmlrpc.client
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from tests.processes import Process
 
 ROSMASTER = Path("/usr/bin/rosmaster")
 PYTHON = "/usr/bin/python3"
@@ -43,52 +44,6 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-class Running:
-    """A process and the lines it prints."""
-
-    def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
-        self.process = subprocess.Popen(
-            command, env=dict(environment), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, bufsize=1
-        )
-        self.seen: list[str] = []
-        self._lines: queue.Queue[str | None] = queue.Queue()
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def line(self, beginning: str = "", timeout: float = PATIENCE) -> str:
-        """The next line that begins so; fails with everything printed if none comes in time."""
-        until = time.monotonic() + timeout
-        while (left := until - time.monotonic()) > 0:
-            try:
-                line = self._lines.get(timeout=left)
-            except queue.Empty:
-                break
-            if line is None:
-                break
-            if line.startswith(beginning):
-                return line
-        raise AssertionError(f"no line {beginning!r} from {self.process.args}: {self.seen[-20:]}")
-
-    def kill(self) -> None:
-        """End it as a crash would."""
-        self.process.kill()
-        self.process.wait(PATIENCE)
-
-    def stop(self) -> None:
-        """End it politely, then for good."""
-        self.process.terminate()
-        try:
-            self.process.wait(5.0)
-        except subprocess.TimeoutExpired:
-            self.kill()
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self.seen.append(line.rstrip("\n"))
-            self._lines.put(self.seen[-1])
-        self._lines.put(None)
-
-
 class RosSystem:
     """A rosmaster and the nodes started on it."""
 
@@ -106,8 +61,8 @@ class RosSystem:
             "PYTHONUNBUFFERED": "1",
             "LANG": "C.UTF-8",
         }
-        self._running: list[Running] = []
-        self._master: Running | None = None
+        self._running: list[Process] = []
+        self._master: Process | None = None
         (folder / "log").mkdir(parents=True, exist_ok=True)
 
     @property
@@ -143,19 +98,19 @@ class RosSystem:
         assert self._master is not None
         return self._master.process
 
-    def start(self, command: Sequence[str], **environment: str) -> Running:
+    def start(self, command: Sequence[str], **environment: str) -> Process:
         """Start a program in this system."""
-        running = Running(command, {**self.environment, **environment})
+        running = Process(command, {**self.environment, **environment}, patience=PATIENCE)
         self._running.append(running)
         return running
 
-    def node(self, script: str, *arguments: str, **environment: str) -> Running:
+    def node(self, script: str, *arguments: str, **environment: str) -> Process:
         """Start one of the nodes beside this file and wait until it is ready."""
         running = self.start([PYTHON, str(NODES / script), *arguments], **environment)
         running.line("ready")
         return running
 
-    def publish(self, topic: str, type_name: str, value: str, *, rate: float = 10, name: str | None = None) -> Running:
+    def publish(self, topic: str, type_name: str, value: str, *, rate: float = 10, name: str | None = None) -> Process:
         """Publish a value (YAML) again and again with rostopic, and wait until the master knows."""
         before = set(self.publishers(topic))
         named = [f"__name:={name}"] if name else []
@@ -195,7 +150,18 @@ class RosSystem:
     def close(self) -> None:
         """End every process started here."""
         for running in reversed(self._running):
-            if running.process.poll() is None:
-                running.process.terminate()
+            running.told_to_end()
         for running in reversed(self._running):
             running.stop()
+
+
+@contextmanager
+def running(folder: Path) -> Iterator[RosSystem]:
+    """A rosmaster of its own; everything started on it is ended at last. Skips where there is no ROS 1."""
+    require_ros()
+    system = RosSystem(folder)
+    try:
+        system.start_master()
+        yield system
+    finally:
+        system.close()

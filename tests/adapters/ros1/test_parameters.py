@@ -5,16 +5,13 @@ from __future__ import annotations
 import asyncio
 import xmlrpc.client
 from datetime import datetime
-from typing import TYPE_CHECKING
 
 import pytest
 
 from rosld.adapters.base import ParameterValue
 from rosld.adapters.model import Kind, NotFound, Operation, Ref, Refused
-
-if TYPE_CHECKING:
-    from tests.adapters.ros1.conftest import Opening
-    from tests.adapters.ros1.system import RosSystem
+from tests.adapters.ros1.conftest import Opening
+from tests.adapters.ros1.system import RosSystem
 
 VALUES: dict[str, ParameterValue] = {
     "/values/bool": True,

@@ -6,17 +6,15 @@ import asyncio
 import json
 import socket
 import time
-from typing import TYPE_CHECKING
 
 import pytest
 
 from rosld.adapters.model import NotFound, Refused, TypeRef, Unreachable
 from rosld.adapters.ros1.tcpros import encode_header
 from rosld.adapters.ros1.xmlrpc import decode_answer, encode_call
-
-if TYPE_CHECKING:
-    from tests.adapters.ros1.conftest import Opening, Session
-    from tests.adapters.ros1.system import RosSystem
+from tests.adapters.ros1.conftest import Opening
+from tests.adapters.ros1.system import RosSystem
+from tests.adapters.session import Session
 
 STRING = TypeRef("std_msgs/msg/String")
 

@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -23,16 +23,16 @@ from rosld.adapters.model import (
     TypeRef,
     Unreachable,
 )
-
-if TYPE_CHECKING:
-    from tests.adapters.ros1.conftest import Opening, Session
-    from tests.adapters.ros1.system import RosSystem, Running
+from tests.adapters.ros1.conftest import Opening
+from tests.adapters.ros1.system import RosSystem
+from tests.adapters.session import Session
+from tests.processes import Process
 
 TRIGGER = TypeRef("std_srvs/srv/Trigger", "937c9679a518e3a18d831e57125ea522")
 
 
 @pytest.fixture(scope="module")
-def node(ros: RosSystem) -> Iterator[Running]:
+def node(ros: RosSystem) -> Iterator[Process]:
     """The node with services that fail in every way."""
     running = ros.node("services_node.py")
     yield running
@@ -100,7 +100,7 @@ def test_a_node_that_raises_refuses_with_its_words(ros: RosSystem, opened: Openi
     asyncio.run(ask())
 
 
-def test_a_node_that_hangs_times_out_and_holds_up_nobody(ros: RosSystem, opened: Opening, node: Running) -> None:
+def test_a_node_that_hangs_times_out_and_holds_up_nobody(ros: RosSystem, opened: Opening, node: Process) -> None:
     async def ask() -> None:
         async with opened(ros) as session:
             began = time.monotonic()
@@ -118,7 +118,7 @@ def test_a_node_that_hangs_times_out_and_holds_up_nobody(ros: RosSystem, opened:
     asyncio.run(ask())
 
 
-def test_a_cancelled_call_stops_waiting_only(ros: RosSystem, opened: Opening, node: Running) -> None:
+def test_a_cancelled_call_stops_waiting_only(ros: RosSystem, opened: Opening, node: Process) -> None:
     async def ask() -> None:
         async with opened(ros) as session:
             hanging = asyncio.ensure_future(session.adapter.call("/hangs", TRIGGER, b"", deadline=session.deadline(30)))

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 import socket
 import time
-from typing import TYPE_CHECKING
 
 import pytest
 
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import Live, Stale, TimedOut, TypeRef, Unreachable
 from rosld.adapters.ros1 import adapter
-
-if TYPE_CHECKING:
-    from tests.adapters.ros1.conftest import Opening
-    from tests.adapters.ros1.system import RosSystem
+from tests.adapters.ros1.conftest import Opening
+from tests.adapters.ros1.system import RosSystem
 
 STRING = TypeRef("std_msgs/msg/String")
 
@@ -125,11 +123,17 @@ def test_the_graph_goes_stale_with_the_master_and_everything_returns_with_a_new_
     asyncio.run(live())
 
 
+def hang(ros: RosSystem) -> None:
+    """Stop the master; it does nothing more when this returns."""
+    ros.master_process.send_signal(signal.SIGSTOP)
+    os.waitid(os.P_PID, ros.master_process.pid, os.WSTOPPED | os.WNOWAIT)
+
+
 def test_closing_is_quick_even_when_the_master_hangs(lone_ros: RosSystem, opened: Opening) -> None:
     async def live() -> None:
         async with opened(lone_ros) as session:
             await session.adapter.publish("/ours", STRING, b"\1\0\0\0x", deadline=session.deadline(0.05))
-            lone_ros.master_process.send_signal(signal.SIGSTOP)
+            hang(lone_ros)
             try:
                 began = time.monotonic()
                 await session.adapter.close()
@@ -146,7 +150,7 @@ def test_a_hanging_master_makes_the_graph_stale_and_keeps_nobody_waiting_beyond_
 ) -> None:
     async def live() -> None:
         async with opened(lone_ros) as session:
-            lone_ros.master_process.send_signal(signal.SIGSTOP)
+            hang(lone_ros)
             try:
                 began = time.monotonic()
                 with pytest.raises(TimedOut):

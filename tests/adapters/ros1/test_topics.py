@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from rosld.adapters.model import Kind, Live, MessageSchema, Operation, Ref, Refused, TypeRef, UnknownType
-
-if TYPE_CHECKING:
-    from tests.adapters.ros1.conftest import Opening, Session
-    from tests.adapters.ros1.system import RosSystem
+from tests.adapters.ros1.conftest import Opening
+from tests.adapters.ros1.system import RosSystem
+from tests.adapters.session import Session
 
 TWIST = "{linear: {x: 0.1, y: -2.5, z: 1.0e+300}, angular: {x: 0.0, y: -0.0, z: 3.0}}"
 IMAGE = "{height: 2, width: 3, encoding: mono8, step: 3, data: [1, 2, 3, 250, 251, 252]}"

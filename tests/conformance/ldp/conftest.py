@@ -142,6 +142,24 @@ def running(*arguments: str) -> Iterator[Served]:
         assert code == 0
 
 
+@pytest.fixture(scope="module")
+def start_and_kill() -> Iterator[Callable[..., Served]]:
+    """Starts servers that are killed when the tests of a file are over, whatever they are at."""
+    started: list[subprocess.Popen[str]] = []
+
+    def serve(*arguments: str) -> Served:
+        process, served = start(*arguments)
+        started.append(process)
+        return served
+
+    yield serve
+    for process in started:
+        died = process.poll() is not None
+        process.kill()
+        process.wait(10)
+        assert not died, "the server died during the tests"
+
+
 @pytest.fixture(scope="session")
 def served() -> Iterator[Served]:
     """The embedded aircraft."""

@@ -160,7 +160,7 @@ def test_http_media_types_that_are_not_taken_are_415_and_told(place: Place, kind
 
 
 def test_http_methods_that_are_not_allowed_are_405_and_told(place: Place, kinds: dict[str, str]) -> None:
-    answer = place.send("POST", kinds["RDFSource"], ONE, TURTLE)
+    answer = place.send("POST", kinds["NonRDFSource"], ONE, TURTLE)
     assert answer.status_code == 405
     assert "PUT" in answer.headers["allow"]
 

@@ -118,7 +118,7 @@ def test_4_2_1_4_refusals_link_to_the_type_too(
     refused = (
         place.send("PUT", url, "this is no Turtle", "text/turtle"),
         place.send("PUT", url, "<> <http://ex.org/p> 2 .", "text/turtle", If_Match='"another"'),
-        place.send("POST", url, "<> <http://ex.org/p> 2 .", "text/turtle"),
+        place.send("POST", kinds["NonRDFSource"], "<> <http://ex.org/p> 2 .", "text/turtle"),
         place.send("PATCH", url, "x", "text/x-diff"),
         place.get(url, Accept="video/mp4"),
     )

@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
-import importlib.util
 import shutil
-import sys
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
 
-
-def load(file: str = "gallery") -> ModuleType:
-    """A module of this folder: test folders are no packages, so it is loaded from its file."""
-    name = f"rosld_page_{file}"
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{file}.py"))
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module
-        spec.loader.exec_module(module)
-    return sys.modules[name]
+import tests.server.html.devtools
+import tests.server.html.gallery
 
 
 @pytest.fixture(scope="session")
 def gallery() -> ModuleType:
-    return load()
+    return tests.server.html.gallery
 
 
 @pytest.fixture(scope="session")
@@ -48,7 +35,7 @@ def browser() -> None:
 @pytest.fixture(scope="session")
 def window(browser: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A browser without a window that lasts; `window.tab()` opens a page in it."""
-    with load("devtools").browser(tmp_path_factory.mktemp("browser")) as found:
+    with tests.server.html.devtools.browser(tmp_path_factory.mktemp("browser")) as found:
         yield found
 
 

@@ -152,9 +152,9 @@ def test_what_does_not_change_is_not_followed(tab: Any, aircraft: Any, path: str
 def test_a_page_that_answers_a_form_stays_as_it_is(tab: Any, served: Any) -> None:
     start(served)
     watch(tab, served.url + ENGINE)
-    tab.run("document.querySelector('form[action$=speed]').noValidate = true")
     tab.run("document.querySelector('form[action$=speed] input[type=number]').select()")
-    tab.type("5000")
+    tab.type("5000")  # from now on no page that comes changes the form
+    tab.run("document.querySelector('form[action$=speed]').noValidate = true")
     tab.leave("document.querySelector('form[action$=speed] button').click()")
     assert tab.run("document.querySelector('.notice.error').checkVisibility()")
     assert tab.run("document.scripts.length") == 0

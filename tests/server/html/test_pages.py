@@ -12,7 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
+from rosld.adapters.model import Endpoint, Graph, Qos, Topic
+from rosld.ontology.describe import topic_document
 from rosld.ontology.document import Document
+from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ldp, rdf, ros, xsd
 from rosld.server.html import Page, Results, Site, SparqlPage, render_page, render_sparql
 from rosld.server.html.messages import message_view
@@ -132,7 +135,7 @@ def test_a_container_takes_its_columns_from_its_own_description() -> None:
 def test_lists_blank_nodes_and_fragments_are_drawn_in_place() -> None:
     here, part, cell, inner = NamedNode(URL), NamedNode(f"{URL}#part"), BlankNode(), BlankNode()
     body = drawn(
-        Triple(here, ros.endpoint, part),
+        Triple(here, ros.qosMismatch, part),
         Triple(part, ros.latched, Literal(True)),
         Triple(here, ros.field, cell),
         Triple(cell, rdf.first, inner),
@@ -142,6 +145,16 @@ def test_lists_blank_nodes_and_fragments_are_drawn_in_place() -> None:
     assert body.count("<h2") == 1
     assert 'id="part"' in body
     assert "within" in body
+
+
+def test_a_topics_page_says_who_does_not_hear_whom_and_what_quality_of_service_each_has() -> None:
+    weak, strong = Endpoint("/weak", qos=Qos("best_effort")), Endpoint("/strong", qos=Qos("reliable", lease_ns=10**9))
+    document = topic_document(Topic("/x", (), (weak,), (strong,)), Space(BASE), Graph(0))
+    body = render_page(Page(SITE, "Topic", "/x", document)).decode()
+    for part in ("qos-mismatch/1", "publisher/weak", "subscriber/strong", "qos/publisher/weak"):
+        assert f'id="{part}"' in body
+    for words in ("best_effort", "qos mismatch", "requested", "offered", "1.0"):
+        assert words in body
 
 
 def test_a_circle_of_nodes_is_drawn_once() -> None:

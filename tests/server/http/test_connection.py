@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 from collections.abc import Awaitable, Callable
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import pytest
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.types import Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rosld.server.commands import listening
-from rosld.server.http import connection
 from rosld.server.http.body import read_body
+from rosld.server.http.connection import Bounds, Together
 from rosld.server.http.problem import Problem, render
 
 _V = TypeVar("_V")
@@ -30,12 +31,12 @@ async def echo(scope: Scope, receive: Receive, send: Send) -> None:
     await response(scope, receive, send)
 
 
-def with_server(work: Callable[[int], Awaitable[_V]]) -> _V:
+def with_server(work: Callable[[int], Awaitable[_V]], bounds: Bounds | None = None, app: ASGIApp = echo) -> _V:
     """What `work` makes of a running server's port; the server has ended afterwards."""
 
     async def main() -> _V:
         listens = asyncio.Event()
-        server = listening.Server(echo, listens.set)
+        server = listening.Server(app, listens.set, bounds)
         sock = listening.bind("127.0.0.1", 0)
         serving = asyncio.create_task(server.serve(sockets=[sock]))
         try:
@@ -48,7 +49,7 @@ def with_server(work: Callable[[int], Awaitable[_V]]) -> _V:
     return asyncio.run(main())
 
 
-def answer(*chunks: bytes) -> tuple[int, bytes, bytes]:
+def answer(*chunks: bytes, bounds: Bounds | None = None) -> tuple[int, bytes, bytes]:
     """Status, head and body of the answer to these bytes, read until the server closes the connection."""
 
     async def talk(port: int) -> bytes:
@@ -61,7 +62,7 @@ def answer(*chunks: bytes) -> tuple[int, bytes, bytes]:
         finally:
             writer.close()
 
-    head, _, body = with_server(talk).partition(b"\r\n\r\n")
+    head, _, body = with_server(talk, bounds).partition(b"\r\n\r\n")
     return int(head.split()[1]), head.lower(), body
 
 
@@ -103,19 +104,66 @@ def test_a_url_without_end_is_431() -> None:
     assert answer(b"GET /", *[b"x" * 10_000] * 30)[0] == 431
 
 
-def test_a_head_that_never_ends_is_408(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "HEAD_SECONDS", 0.05)
-    assert answer(b"GET / HTTP/1.1\r\nHost:")[0] == 408
+SOON = Bounds(head_seconds=0.05)
 
 
-def test_a_client_that_says_nothing_is_sent_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "HEAD_SECONDS", 0.05)
-    assert answer()[0] == 408
+def test_a_head_that_never_ends_is_408() -> None:
+    assert answer(b"GET / HTTP/1.1\r\nHost:", bounds=SOON)[0] == 408
 
 
-def test_a_second_head_that_never_ends_is_408(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "HEAD_SECONDS", 0.05)
+def test_a_client_that_says_nothing_is_sent_away() -> None:
+    assert answer(bounds=SOON)[0] == 408
 
+
+async def endless(scope: Scope, receive: Receive, send: Send) -> None:
+    """Answers with more than fits into the buffers of any system."""
+    await send({"type": "http.response.start", "status": 200, "headers": []})
+    for _ in range(1000):
+        await send({"type": "http.response.body", "body": b"x" * 65536, "more_body": True})
+
+
+def test_a_client_that_reads_nothing_is_cut_off() -> None:
+    async def ask(port: int) -> bytes:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1)
+        writer.write(b"GET / HTTP/1.1\r\nHost: a\r\n\r\n")
+        await reader.readexactly(1)
+        await asyncio.sleep(0.5)  # in which nothing is read, as its reader takes one byte at a time
+        told = 0
+        with contextlib.suppress(ConnectionError):
+            while chunk := await reader.read(1 << 20):
+                told += len(chunk)
+        writer.close()
+        return b"all" if told >= 1000 * 65536 else b"cut off"
+
+    assert with_server(ask, Bounds(read_seconds=0.1), endless) == b"cut off"
+
+
+def test_a_client_that_may_not_connect_is_told_why_and_its_end_is_noted() -> None:
+    ended: list[str | None] = []
+
+    def connect(address: str | None) -> Callable[[], None]:
+        if ended:
+            raise Problem(429, "One is enough.", headers={"Retry-After": "5"})
+        return lambda: ended.append(address)
+
+    async def talk(port: int) -> bytes:
+        one = b"PUT / HTTP/1.1\r\nHost: a\r\nConnection: close\r\nContent-Length: 1\r\n\r\n1"
+        said = b""
+        for _ in range(2):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            writer.write(one)
+            said += await reader.read()
+            writer.close()
+        return said
+
+    said = with_server(talk, Bounds(connect=connect))
+    assert said.startswith(b"HTTP/1.1 200")
+    assert b"HTTP/1.1 429" in said
+    assert b"retry-after: 5" in said
+    assert ended == ["127.0.0.1"]
+
+
+def test_a_second_head_that_never_ends_is_408() -> None:
     async def talk(port: int) -> bytes:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         writer.write(b"PUT / HTTP/1.1\r\nHost: a\r\nContent-Length: 3\r\n\r\nabc")
@@ -126,7 +174,7 @@ def test_a_second_head_that_never_ends_is_408(monkeypatch: pytest.MonkeyPatch) -
         finally:
             writer.close()
 
-    assert with_server(talk).startswith(b"HTTP/1.1 408")
+    assert with_server(talk, SOON).startswith(b"HTTP/1.1 408")
 
 
 def test_a_large_body_is_no_large_head() -> None:
@@ -148,3 +196,59 @@ def test_requests_in_a_row_are_answered_in_a_row() -> None:
 def test_the_server_does_not_tell_what_it_is() -> None:
     _, head, _ = answer(b"GET / HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n")
     assert b"server:" not in head
+
+
+class Sent:
+    """A transport that notes what it is told."""
+
+    def __init__(self) -> None:
+        self.calls: list[object] = []
+
+    def write(self, data: bytes) -> None:
+        self.calls.append(data)
+
+    def writelines(self, parts: list[bytes]) -> None:
+        self.calls.append(parts)
+
+    def write_eof(self) -> None:
+        self.calls.append("eof")
+
+    def close(self) -> None:
+        self.calls.append("close")
+
+    def is_closing(self) -> bool:
+        return "close" in self.calls
+
+
+def sent(*acts: tuple[str, object]) -> list[object]:
+    """What is sent by a transport that holds heads back, and then by one more turn of the loop."""
+
+    async def act() -> list[object]:
+        noted = Sent()
+        together = Together(cast("asyncio.Transport", noted), asyncio.get_running_loop())
+        for name, argument in acts:
+            method = getattr(together, name)
+            method() if argument is None else method(argument)
+        await asyncio.sleep(0)
+        return noted.calls
+
+    return asyncio.run(act())
+
+
+HEAD = b"HTTP/1.1 200 OK\r\n\r\n"
+
+
+def test_the_head_of_an_answer_goes_with_its_body() -> None:
+    assert sent(("write", HEAD), ("write", b"body"), ("write", b"more")) == [HEAD + b"body", b"more"]
+    assert sent(("write", HEAD), ("write", b"x" * 100_000)) == [HEAD, b"x" * 100_000]
+
+
+def test_a_head_without_a_body_goes_in_the_loop_s_next_turn() -> None:
+    assert sent(("write", HEAD)) == [HEAD]
+
+
+def test_nothing_overtakes_a_head() -> None:
+    assert sent(("write", HEAD), ("write_eof", None)) == [HEAD, "eof"]
+    assert sent(("write", HEAD), ("close", None)) == [HEAD, "close"]
+    assert sent(("write", HEAD), ("writelines", [b"a"])) == [HEAD, [b"a"]]
+    assert sent(("write", HEAD), ("write", HEAD)) == [HEAD + HEAD]

@@ -43,8 +43,7 @@ def test_include_without_return_representation_means_nothing() -> None:
     assert not prefer.parse(f'return=minimal; include="{LDP}PreferMembership"').include
 
 
-def test_wait_and_respond_async_are_read() -> None:
-    assert prefer.parse("respond-async, wait=10").respond_async
+def test_wait_is_read_beside_others() -> None:
     assert prefer.parse("respond-async, wait=10").wait == 10
     assert prefer.parse("wait=soon").wait is None
     assert prefer.parse("wait=99999999999999").wait is None

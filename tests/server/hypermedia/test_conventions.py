@@ -488,9 +488,16 @@ class TestParameters:
         assert one.kind == ScalarKind(Primitive("int64"))
         assert sources(one) == (["parameter /x"], ["setter /set_x", "parameter /x"])
 
-    def test_those_that_belong_to_nodes_are_left_out(self) -> None:
+    def test_those_that_belong_to_nodes_are_resources_too(self) -> None:
         listing = found(parameters=[Parameter("/talker/rate", node="/talker")])
-        assert listing == found()
+        assert sources(listing.properties["/talker/rate"]) == (["parameter /talker/rate"], ["parameter /talker/rate"])
+
+    @pytest.mark.parametrize(
+        "name", ["use_sim_time", "start_type_description_service", "qos_overrides./cmd_vel.publisher.depth"]
+    )
+    def test_those_that_ros_2_gives_every_node_are_left_out(self, name: str) -> None:
+        assert found(parameters=[Parameter(f"/talker/{name}", node="/talker")]) == found()
+        assert found(parameters=[Parameter(f"/talker/{name}")]) != found()  # ROS 1 gives nodes no parameters
 
 
 class TestExcluded:
@@ -520,7 +527,10 @@ class TestExcluded:
         assert list(found(services={name: "std_srvs/srv/Empty"}).actions) == [name]
 
     def test_hidden_topics_are_properties_as_all_topics_are(self) -> None:
-        assert list(found({"/a/_action/feedback": FLOAT}).properties) == ["/a/_action/feedback"]
+        assert list(found({"/a/_b/c": FLOAT}).properties) == ["/a/_b/c"]
+
+    def test_the_inner_topics_of_actions_are_in_no_resource(self) -> None:
+        assert found({"/a/_action/feedback": FLOAT}) == found()
 
 
 class TestExtended:
@@ -677,7 +687,7 @@ def test_every_topic_parameter_and_service_is_in_exactly_one_resource(whole: Gra
     read = Counter(source for one in listing.properties.values() for source in set(map(_told, one.readers)))
     written = Counter(source for one in listing.properties.values() for source in set(map(_told, one.writers)))
     assert all(count == 1 for count in (*read.values(), *written.values()))
-    parameters = {one.name for one in whole.parameters.values() if one.node is None}
+    parameters = {one.name for one in whole.parameters.values()}
     assert read.keys() >= {f"topic {name}" for name in whole.topics} | {f"parameter {name}" for name in parameters}
     for name in whole.services:
         used = (f"getter {name}" in read) + (f"setter {name}" in written) + (name in listing.actions)

@@ -29,7 +29,7 @@ from rosld.server.hypermedia.documents import (
     mapping_of,
     read_mapping,
 )
-from rosld.server.hypermedia.mapping import ComplexResource, MappedProperty
+from rosld.server.hypermedia.mapping import ComplexResource, MappedProperty, MappedStop
 from rosld.shapes.value import Measure
 
 SPACE = Space("http://127.0.0.1:8080/")
@@ -137,12 +137,38 @@ def test_a_condition_judges_a_state() -> None:
     assert started.shape.violations(focus, [Triple(focus, av.power, Literal("off"))])
 
 
-def test_the_shipped_file_says_the_normative_triples_and_labels_only() -> None:
+def test_the_shipped_file_says_the_normative_triples_labels_and_what_stops_the_aircraft_only() -> None:
     normative = {_told(one) for one in read(NORMATIVE).triples}
     shipped = {_told(one) for one in aircraft().triples}
     assert normative <= shipped
-    assert {one[1] for one in shipped - normative} == {str(rdfs.label)}
-    assert len(read(NORMATIVE).triples) + 2 == len(aircraft().triples)
+    stopping = (mapping.stop, mapping.call, mapping.publish, mapping.content)
+    assert {one[1] for one in shipped - normative} == {str(rdfs.label), *map(str, stopping)}
+    assert len(read(NORMATIVE).triples) + 2 + 6 == len(aircraft().triples)
+
+
+def test_what_stops_the_robot_is_a_call_or_a_message_with_full_names_and_json() -> None:
+    [stops] = [one.stops for one in aircraft().resources if one.stops]
+    assert stops == (
+        MappedStop("/aircraft/engine/set_speed", None, '{"data": 0}'),
+        MappedStop(None, "/cockpit/display", '{"data": "stopped"}'),
+    )
+
+
+@pytest.mark.parametrize(
+    ("stop", "words"),
+    [
+        ("[]", "map:call"),
+        ('[ map:call "a" ; map:publish "b" ]', "say one of the two"),
+        ('[ map:call "a" ; map:content "[]" ]', "an object"),
+        ('[ map:call "a" ; map:content "{" ]', "an object"),
+        ('[ map:call "a" ; map:when <#x> ]', "nothing else"),
+        ('"stop"', "holds a node"),
+    ],
+)
+def test_what_stops_nothing_is_refused(stop: str, words: str) -> None:
+    document = f'@prefix map: <{mapping.iri}> . <#a> a map:ComplexResource ; map:path "/a/" ; map:stop {stop} .'
+    with pytest.raises(MappingRefused, match=words):
+        read_mapping(document.encode(), "text/turtle", URL)
 
 
 def _told(triple: Triple) -> tuple[str, str, str]:
@@ -682,7 +708,7 @@ def _body(triples: Iterable[Triple]) -> RdfBody:
     return RdfBody(subjects, len(list(triples)))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(damaged())
 def test_a_damaged_mapping_is_taken_or_refused_with_a_reason(body: RdfBody) -> None:
     match outcome(body):
@@ -707,7 +733,18 @@ def outcome(body: RdfBody) -> MappingDocument | MappingRefused:
 def test_a_mapping_that_lost_a_triple_is_taken_only_where_that_triple_was_not_needed(data: st.DataObject) -> None:
     triples = list(aircraft().triples)
     gone = triples.pop(data.draw(st.integers(0, len(triples) - 1)))
-    optional = {"label", "name", "writableWhen", "availableWhen", "existsWhen", "property", "action", "link"}
+    optional = {
+        "label",
+        "name",
+        "writableWhen",
+        "availableWhen",
+        "existsWhen",
+        "property",
+        "action",
+        "link",
+        "stop",
+        "content",
+    }
     if isinstance(outcome(_body(triples)), MappingRefused):
         return
     assert gone.predicate.value.rpartition("#")[2] in optional, gone

@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
+from urllib.parse import parse_qsl, urlsplit
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pyoxigraph import NamedNode, Triple
 
+from rosld.ontology.urls import encode_segment
 from rosld.ontology.vocab import ldp, rdf, xhv
 from rosld.server.http import link, prefer
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.paging import MOST, Page, Place, first_page, most_asked, page_of, read_place
+from rosld.server.ldp.paging import (
+    MOST,
+    Page,
+    Place,
+    first_page,
+    last_place,
+    left_on_last,
+    most_asked,
+    page_among,
+    page_of,
+    page_url,
+    read_named_place,
+    read_place,
+)
 
 ROOT = "http://host/data/"
 
@@ -30,6 +46,29 @@ def test_a_token_that_names_no_place_is_404_and_says_where_to_begin(token: str) 
     with pytest.raises(Problem, match=r"from [?]page=0") as refused:
         read_place(token)
     assert refused.value.status == 404
+
+
+@pytest.mark.parametrize(
+    ("token", "place"),
+    [("0", Place()), ("0-5", Place(0, 5)), (":camera/", Place("camera/")), ("5:1:2", Place("1:2", 5))],
+)
+def test_a_token_names_a_place_among_names_and_back(token: str, place: Place) -> None:
+    assert read_named_place(token) == place
+    assert place.token == token
+
+
+@pytest.mark.parametrize("token", ["", "1", "7-5", ":", "0:a", "1001:a", ":a b", ":\u00e9", "x", ":" + "a" * 5000])
+def test_a_token_that_names_no_place_among_names_is_404(token: str) -> None:
+    with pytest.raises(Problem, match=r"from [?]page=0") as refused:
+        read_named_place(token)
+    assert refused.value.status == 404
+
+
+@given(st.text(min_size=1).filter(lambda text: not any(0xD800 <= ord(each) < 0xE000 for each in text)))
+def test_every_name_has_a_url_that_leads_back(name: str) -> None:
+    place = Place(encode_segment(name), 7)
+    query = parse_qsl(urlsplit(page_url(ROOT, place.token)).query)
+    assert read_named_place(dict(query)["page"]) == place
 
 
 @given(st.integers(0, 10**18 - 1), st.integers(1, MOST))
@@ -80,8 +119,72 @@ def test_the_size_of_pages_is_a_preference_that_may_be_ignored(text: str, most: 
 def test_every_page_but_the_last_has_a_next() -> None:
     place = Place(0, 3)
     assert page_of(ROOT, place, [2, 5, 7, 9]) == Page(ROOT, "0-3", "0-3", next="7-3")
-    assert page_of(ROOT, place, [2, 5, 7]).next is None
+    assert page_of(ROOT, place, [2, 5, 7]) == Page(ROOT, "0-3", "0-3", last="0-3")
     assert page_of(ROOT, place, []).next is None
+
+
+def test_every_page_but_the_first_has_a_prev_that_ends_where_it_begins() -> None:
+    place = Place(9, 3)
+    assert page_of(ROOT, place, [10], [9, 8, 5, 4]).prev == "4-3"
+    assert page_of(ROOT, place, [10], [9, 8, 5]).prev == "0-3"
+    assert page_of(ROOT, place, [10], [9]).prev == "0-3"
+    assert page_of(ROOT, place, [10], []).prev is None
+
+
+def test_the_last_page_is_the_one_that_next_leads_to() -> None:
+    assert [left_on_last(count, 3) for count in (0, 1, 2, 3, 4, 6, 7)] == [0, 1, 2, 3, 1, 3, 1]
+    assert last_place(3, 7, [20, 18]) == Place(18, 3)
+    assert last_place(3, 6, [20, 18, 17, 11]) == Place(11, 3)
+    assert last_place(3, 2, [20, 18]) == Place(0, 3)
+    assert page_of(ROOT, Place(0, 3), [2, 5, 7, 9], last=Place(18, 3)).last == "18-3"
+
+
+@given(st.sets(st.integers(1, 200), max_size=60), st.integers(1, 12))
+def test_pages_are_walked_backwards_as_forwards(numbers: set[int], most: int) -> None:
+    ordered = sorted(numbers)
+
+    def at(token: str) -> tuple[Page, list[int]]:
+        place = read_place(token)
+        found = [each for each in ordered if each > place.after][: most + 1]
+        before = [each for each in ordered[::-1] if each <= place.after][: most + 1]
+        last = last_place(most, len(ordered), ordered[::-1][: left_on_last(len(ordered), most) + 1])
+        return page_of(ROOT, place, found, before, last), found[:most]
+
+    def walked(token: str | None, rel: str) -> list[tuple[str, list[int]]]:
+        steps = []
+        while token is not None:
+            page, found = at(token)
+            steps.append((token, found))
+            token = page.next if rel == "next" else page.prev
+        return steps
+
+    forwards = walked(Place(0, most).token, "next")
+    last = at(forwards[0][0])[0].last
+    assert last == forwards[-1][0]
+    assert walked(last, "prev") == forwards[::-1]
+
+
+@given(st.sets(st.text("abc/", min_size=1), max_size=40), st.sets(st.text("abc/", min_size=1)), st.integers(1, 9))
+def test_names_are_walked_both_ways_and_none_is_missed_that_was_there_all_the_while(
+    lasting: set[str], others: set[str], most: int
+) -> None:
+    met: list[str] = []
+    first = Place(0, most)
+    token: str | None = first.token
+    there = lasting | others
+    while token is not None:
+        page, told = page_among(ROOT, read_named_place(token), sorted(there))
+        met += told
+        token = page.next
+        there = lasting
+    assert len(met) == len(set(met))
+    assert lasting <= set(met)
+    names = sorted(lasting)
+    page, back = page_among(ROOT, read_named_place(page_among(ROOT, first, names)[0].last or ""), names)
+    while page.prev is not None:
+        page, told = page_among(ROOT, read_named_place(page.prev), names)
+        back = [*told, *back]
+    assert list(back) == names
 
 
 def test_a_page_says_what_it_is_and_what_its_neighbours_are() -> None:

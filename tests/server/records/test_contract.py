@@ -70,6 +70,41 @@ def test_what_is_put_is_what_is_got(records: Opened) -> None:
     asyncio.run(run())
 
 
+def test_what_is_replaced_keeps_when_it_was_made_and_what_stands_for_it(records: Opened) -> None:
+    async def run() -> None:
+        async with records() as kept:
+            made = await put(kept, "data/a", TRIPLE, member="http://a/it")
+            again = await put(kept, "data/a", b"", expected=made.version)
+            assert (again.created_ns, again.member, again.triples) == (made.created_ns, "http://a/it", b"")
+            assert again.version > made.version
+            assert again.modified_ns >= made.modified_ns
+            assert kept.get("data/a") is again
+            kept.forget()
+            assert kept.get("data/a") == again
+
+    asyncio.run(run())
+
+
+def test_what_is_replaced_twice_at_once_has_two_versions(records: Opened) -> None:
+    async def run() -> None:
+        async with records() as kept:
+            made = await put(kept, "data/a")
+            told: list[Changed] = []
+            kept.watch(told.extend)
+            (one,), (other,) = await asyncio.gather(
+                kept.write(Put("data/a", RDF, b"", expected=made.version)), kept.write(Put("data/a", RDF, TRIPLE))
+            )
+            assert one is not None
+            assert other is not None
+            assert made.version < one.version < other.version
+            assert kept.get("data/a") is other
+            assert [each.path for each in told] == ["data/a", "data/a"]
+            conflict = await refused(kept, Put("data/a", RDF, b"", expected=one.version))
+            assert conflict.cause is Cause.CHANGED
+
+    asyncio.run(run())
+
+
 def test_the_same_object_comes_back_until_something_of_it_changes(records: Opened) -> None:
     async def run() -> None:
         async with records() as kept:
@@ -143,6 +178,25 @@ def test_a_container_counts_and_lists_its_members_in_the_order_they_were_made(re
             assert less.listed > full.listed
             assert not kept.members("data/a")
             assert not kept.members("nowhere/")
+
+    asyncio.run(run())
+
+
+def test_the_numbers_of_members_are_told_from_the_last_one_on(records: Opened) -> None:
+    async def run() -> None:
+        async with records() as kept:
+            assert not kept.numbers("data/")
+            for name in ("c", "a", "b/", "d"):
+                await put(kept, f"data/{name}")
+            await put(kept, "data/b/inner")
+            found = [one.number for one in kept.members("data/")][::-1]
+            assert kept.numbers("data/") == found
+            assert kept.numbers("data/", most=2) == found[:2]
+            assert kept.numbers("data/", upto=found[1]) == found[1:]
+            assert kept.numbers("data/", upto=found[1] - 1, most=1) == [found[2]]
+            assert not kept.numbers("data/", upto=0)
+            assert not kept.numbers("data/a")
+            assert not kept.numbers("nowhere/")
 
     asyncio.run(run())
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import importlib.util
 import os
 import random
 import select
@@ -15,17 +14,13 @@ import time
 from pathlib import Path
 
 from rosld.server.records import SqliteRecords, open_records
+from tests.server.records import writer
 
 WRITER = Path(__file__).with_name("writer.py")
 KILLS = 100
 SECONDS = 60.0
 LONGEST = 0.12
 """Seconds a writer writes at most."""
-_spec = importlib.util.spec_from_file_location("writer", WRITER)
-assert _spec is not None
-assert _spec.loader is not None
-writer = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(writer)
 
 
 def killed(folder: Path, first: int, delay: float, *, opening: bool) -> list[list[str]]:

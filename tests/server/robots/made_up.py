@@ -20,6 +20,8 @@ import pytest
 from rosld.adapters import parameters as trees
 from rosld.adapters.base import Adapter, Capabilities, ParameterValue, Published, Recording, Sink, Subscription
 from rosld.adapters.model import (
+    Action,
+    Descriptor,
     Encoding,
     Endpoint,
     Graph,
@@ -43,6 +45,7 @@ from rosld.adapters.model import (
     frozen,
 )
 from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.ros2.descriptors import operations_on
 from rosld.adapters.slots import Slot
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.lower import lowerer
@@ -89,7 +92,8 @@ class MadeUp:
     """An `Adapter` of services that are functions, and of topics and parameters, all of which a test changes at will.
 
     `calls` counts the calls of each service, `reads` those for the value of each parameter; `sent` is what was
-    published, as plain JSON. Everything may be called from the test's thread.
+    published, as plain JSON; `sets` are the parameters that were set together, `owners` the nodes whose they are, where
+    they are not the system's, and `declared` what those declare. Everything may be called from the test's thread.
     """
 
     capabilities = Capabilities("made-up", Encoding.ROS1, writes=True, creates_topics=False, parameter_trees=True)
@@ -99,6 +103,9 @@ class MadeUp:
         self.calls: Counter[str] = Counter()
         self.reads: Counter[str] = Counter()
         self.sent: dict[str, list[Any]] = {}
+        self.owners: tuple[str, ...] = ()
+        self.declared: dict[str, Descriptor] = {}
+        self.sets: list[Mapping[str, ParameterValue]] = []
         self.graph = Graph(0)
         self._library = TypeLibrary(ros_version=1)
         for name, text in TYPES.items():
@@ -106,6 +113,7 @@ class MadeUp:
         self._services: dict[str, tuple[ServiceSchema, Act]] = {}
         self._topics: dict[str, _Topic] = {}
         self._parameters: trees.Tree = {}
+        self._strange: list[Topic | Service | Action] = []
         self._held: dict[str, asyncio.Event] = {}
         self._sink: Sink | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -159,6 +167,10 @@ class MadeUp:
         """The robot sends a message."""
         self._do(lambda: self._put(name, ROBOT, self._encoded(name, value)))
 
+    def strange(self, *things: Topic | Service | Action) -> None:
+        """What is in the graph, and of which nothing more is known than that says."""
+        self._do(lambda: self._revised(self._strange.extend, things))
+
     def parameter(self, name: str, value: ParameterValue) -> None:
         """A parameter has this value."""
         self._do(lambda: self._parameters_are(trees.with_value(self._parameters, name, value)))
@@ -201,8 +213,10 @@ class MadeUp:
             return frozenset({Operation.SUBSCRIBE, Operation.PUBLISH})
         if ref.kind is Kind.SERVICE and ref.name in graph.services:
             return frozenset({Operation.CALL})
+        if ref.kind is Kind.ACTION and ref.name in graph.actions:
+            return frozenset({Operation.SEND_GOAL})
         if ref.kind is Kind.PARAMETER:
-            return frozenset({Operation.GET_PARAMETER, Operation.SET_PARAMETER, Operation.DELETE_PARAMETER})
+            return operations_on(self.declared.get(ref.name))
         return frozenset()
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
@@ -213,6 +227,9 @@ class MadeUp:
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
         return (self._topics[topic].slot if topic in self._topics else Slot()).subscribe(depth)
+
+    def age_ns(self, sample: Sample) -> int:
+        return max(0, time.time_ns() - sample.received_ns)
 
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
@@ -251,6 +268,7 @@ class MadeUp:
         return {name: trees.copied(value) for name, value in found.items() if value is not None}
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
+        self.sets.append(values)
         tree = self._parameters
         for name, value in values.items():
             if value == "refused":
@@ -280,18 +298,33 @@ class MadeUp:
         topic.sequence += 1
         topic.slot.put(Sample(data, Encoding.ROS1, topic.type, publisher, time.time_ns(), topic.sequence))
 
+    def _owner(self, name: str) -> str | None:
+        return next((node for node in self.owners if name.startswith(f"{node}/")), None)
+
     def _parameters_are(self, tree: trees.Tree) -> None:
         self._parameters = tree
         self._revised(lambda: None)
+
+    def _odd(self, kind: type[T]) -> dict[str, T]:
+        return {one.name: one for one in self._strange if isinstance(one, kind)}
 
     def _revised(self, change: Callable[..., object], *arguments: object) -> None:
         change(*arguments)
         self.graph = Graph(
             self.graph.revision + 1,
             nodes=frozen({name: Node(name) for name in (ROBOT, LISTENER)}),
-            topics=frozen({name: _told(name, one) for name, one in self._topics.items()}),
-            services=frozen({name: Service(name, one.ref, (ROBOT,)) for name, (one, _) in self._services.items()}),
-            parameters=frozen({name: Parameter(name) for name in trees.leaves(self._parameters)}),
+            topics=frozen({name: _told(name, one) for name, one in self._topics.items()} | self._odd(Topic)),
+            services=frozen(
+                {name: Service(name, one.ref, (ROBOT,)) for name, (one, _) in self._services.items()}
+                | self._odd(Service)
+            ),
+            actions=frozen(self._odd(Action)),
+            parameters=frozen(
+                {
+                    name: Parameter(name, self._owner(name), self.declared.get(name))
+                    for name in trees.leaves(self._parameters)
+                }
+            ),
         )
         if self._sink is not None:
             self._sink.graph_changed(self.graph)
@@ -349,7 +382,7 @@ def served(adapter: Adapter, **settings: Any) -> Iterator[httpx.Client]:
 
     def run() -> None:
         try:
-            asyncio.run(serve())
+            listening.run(serve())
         except BaseException as error:
             failed.append(error)
             listens.set()

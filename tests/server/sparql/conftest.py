@@ -108,7 +108,7 @@ class Endpoint:
         self.store = MemoryStore()
         self.synchroniser = Synchroniser(self.store, source, interval=interval)
         self.service = QueryService(
-            self.store, self.synchroniser, Analyser(BASE, TYPES), functions(lambda url: None), settings
+            self.store, self.synchroniser, Analyser(BASE, TYPES), lambda: functions(lambda url: None), settings
         )
 
     async def answer(self, query: str, accept: str | None = "text/csv") -> QueryAnswer:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -15,7 +16,8 @@ import pytest
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql import child
-from rosld.server.sparql.child import Limits
+from rosld.server.sparql.child import Leash
+from rosld.server.sparql.limits import Limits
 from rosld.server.store import MemoryStore, QueryError
 
 pytestmark = pytest.mark.skipif(not child.AVAILABLE, reason="only Linux forks safely")
@@ -23,16 +25,20 @@ ROOM = Limits(20.0, 256 * 1024 * 1024)
 
 
 def answered(
-    work: Callable[[BinaryIO], None], limits: Limits = ROOM, check: Callable[[], None] = lambda: None
+    work: Callable[[BinaryIO], None],
+    limits: Limits = ROOM,
+    check: Callable[[], None] = lambda: None,
+    leash: Leash | None = None,
 ) -> bytes:
     """What a child writes."""
     output = io.BytesIO()
-    child.answer(work, output, check, limits, nullcontext())
+    child.answer(work, output, check, limits, nullcontext(), leash or Leash())
     return output.getvalue()
 
 
 def children() -> set[str]:
-    """The processes that this one has begun and not yet seen end."""
+    """The processes that this one has begun and not yet seen end, of those it is to see."""
+    child.buried()
     return set(Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split())
 
 
@@ -115,8 +121,76 @@ def test_the_store_is_whole_in_every_child_while_it_changes() -> None:
                 (row,) = store.query("SELECT (COUNT(DISTINCT ?o) AS ?n) { ?s <http://a/p> ?o }")  # type: ignore[misc]
                 pipe.write(row[0].value.encode())  # type: ignore[index]
 
-            child.answer(count, output, lambda: None, ROOM, store.still())
+            child.answer(count, output, lambda: None, ROOM, store.still(), Leash())
             assert output.getvalue() == b"1"
     finally:
         stop.set()
         changing.join()
+
+
+def test_a_child_on_a_leash_dies_at_once_and_whoever_waited_for_it_goes_on() -> None:
+    leash = Leash()
+    begun = threading.Event()
+
+    def unwanted() -> None:
+        if leash_pulled.is_set():
+            raise TimeoutError
+
+    leash_pulled = threading.Event()
+
+    def endless(pipe: BinaryIO) -> None:
+        pipe.write(b"begun" * 20_000)
+        while True:
+            pass
+
+    class Noticing(io.BytesIO):
+        def write(self, data: bytes) -> int:  # type: ignore[override]
+            begun.set()
+            return super().write(data)
+
+    failures: list[BaseException] = []
+
+    def wait() -> None:
+        try:
+            child.answer(endless, Noticing(), unwanted, ROOM, nullcontext(), leash)
+        except TimeoutError as error:
+            failures.append(error)
+
+    waiting = threading.Thread(target=wait)
+    waiting.start()
+    assert begun.wait(10)
+    leash_pulled.set()
+    began = time.monotonic()
+    leash.pull()
+    waiting.join(10)
+    assert failures
+    assert time.monotonic() - began < 5
+
+
+@pytest.mark.parametrize(
+    ("end", "told"),
+    [
+        (lambda: os._exit(7), "exit 7"),
+        (lambda: os._exit(0), "exit 0"),
+        (lambda: os.kill(os.getpid(), signal.SIGKILL), "signal 9"),
+        (lambda: os.kill(os.getpid(), signal.SIGSEGV), "signal 11"),
+    ],
+)
+def test_a_child_that_crashes_is_one_failure_and_the_next_one_answers(end: Callable[[], None], told: str) -> None:
+    def crash(pipe: BinaryIO) -> None:
+        pipe.write(b"half of it")
+        end()
+
+    with pytest.raises(Problem, match=told) as failure:
+        answered(crash)
+    assert failure.value.status == 500
+    assert answered(lambda pipe: pipe.write(b"whole") and None) == b"whole"
+
+
+def test_what_nobody_foresaw_in_a_child_is_a_crash_too() -> None:
+    def surprise(pipe: BinaryIO) -> None:
+        raise ZeroDivisionError
+
+    with pytest.raises(Problem) as failure:
+        answered(surprise)
+    assert failure.value.status == 500

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 import pytest
 from hypothesis import given
@@ -15,7 +14,7 @@ from rosld.server.sparql.functions import functions
 from rosld.server.store import MemoryStore
 
 TOPIC = "http://robot/topics/a"
-FUNCTIONS = functions(lambda url: time.time_ns() - 2_000_000_000 if url == TOPIC else None)
+FUNCTIONS = functions(lambda url: 2.5 if url == TOPIC else None)
 
 
 def ask(expression: str) -> Literal | None:
@@ -91,7 +90,18 @@ def test_age_is_in_seconds() -> None:
     age = ask(f"ros:age(<{TOPIC}>)")
     assert age is not None
     assert age.datatype == xsd.double
-    assert 2 <= float(age.value) < 30
+    assert float(age.value) == 2.5
+
+
+def test_a_topic_has_one_age_within_a_query_and_another_in_the_next() -> None:
+    ticks = iter(range(10))
+    query = f"SELECT (ros:age(<{TOPIC}>) AS ?a) (ros:age(<{TOPIC}>) AS ?b) {{ VALUES ?x {{ 1 2 3 }} }}"
+    for tick in (0.0, 1.0):
+        found = MemoryStore().query(
+            query, prefixes={"ros": ros.iri}, functions=functions(lambda url: float(next(ticks)))
+        )
+        assert isinstance(found, QuerySolutions)
+        assert {value.value for row in found for value in row} == {str(int(tick))}
 
 
 @given(st.text())

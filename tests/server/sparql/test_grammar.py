@@ -150,3 +150,10 @@ thread = threading.Thread(target=run); thread.start(); thread.join()
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout.strip() == "alive", done.stderr[-2000:]
+
+
+@pytest.mark.parametrize(
+    "query", ["SELECT * { VALUES { 1 } }", "SELECT * {} VALUES { ?a ?b }", "SELECT * { VALUES { VALUES ?a { 1 } } }"]
+)
+def test_values_of_no_variable_are_left_to_the_parser(query: str) -> None:
+    assert analyse(query).needs is EVERYTHING

@@ -1,4 +1,4 @@
-"""The SPARQL 1.1 Protocol: how a query arrives, and each wrong use told as what it is."""
+"""The SPARQL 1.1 Protocol: how queries and updates arrive, and each wrong use told as what it is."""
 
 from __future__ import annotations
 
@@ -10,7 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.protocol import DIRECT, FORM, QueryRequest, query_request
+from rosld.server.sparql.protocol import (
+    DIRECT,
+    FORM,
+    UPDATE,
+    QueryRequest,
+    UpdateRequest,
+    query_request,
+    update_request,
+)
 
 Q = "SELECT * { ?s ?p 'a+b & ü' }"
 ENCODED = quote(Q, safe="").encode()
@@ -61,10 +69,14 @@ def test_the_dataset_comes_beside_the_query_once_each() -> None:
         (("POST", b"query=a", FORM, b""), 400, "one of them"),
         (("POST", b"", FORM, b""), 400, "no query"),
         (("POST", b"", FORM, b"update=x"), 400, "update"),
+        (("POST", b"update=x", FORM, b"query=a"), 400, "never in the URL"),
+        (("POST", b"", FORM, b"query=a&update=x"), 400, "a query and an update"),
+        (("GET", b"query=a&update=b"), 400, "never in the URL"),
+        (("GET", b"query=a&using-graph-uri=http://h/"), 400, "using-graph-uri"),
         (("POST", b"", DIRECT, b"\xff\xfe"), 400, "UTF-8"),
         (("POST", b"", f"{DIRECT}; charset=latin1", b"x"), 415, "UTF-8"),
         (("POST", b"", "text/plain", b"x"), 415, DIRECT),
-        (("POST", b"", "application/sparql-update", b"x"), 415, "Updates"),
+        (("POST", b"", UPDATE, b"x"), 400, "only queries"),
         (("POST", b"", None, b"x"), 415, "Content-Type"),
         (("POST", b"", "nonsense", b"x"), 415, "nonsense"),
     ],
@@ -75,10 +87,74 @@ def test_each_wrong_use_has_its_status_and_its_words(request_: tuple[str, bytes]
     assert words in detail
 
 
+U = "INSERT DATA { GRAPH <http://h/g> { <http://h/s> <http://h/p> 'a+b & ü' } }"
+
+
+def update_refusal(query_string: bytes, content_type: str | None, body: bytes) -> tuple[int, str]:
+    with pytest.raises(Problem) as caught:
+        update_request(query_string, content_type, body)
+    return caught.value.status, caught.value.detail
+
+
+def test_an_update_comes_in_a_form_or_directly_with_its_dataset_beside_it() -> None:
+    graphs = b"using-graph-uri=http://h/a&using-graph-uri=http://h/a&using-named-graph-uri=http://h/b"
+    form = b"update=" + quote(U, safe="").encode()
+    assert update_request(b"", UPDATE, U.encode()) == update_request(b"", FORM, form) == UpdateRequest(U)
+    expected = UpdateRequest(U, ("http://h/a",), ("http://h/b",))
+    assert update_request(graphs, f"{UPDATE}; charset=utf-8", U.encode()) == expected
+    assert update_request(b"", FORM, form + b"&" + graphs) == update_request(graphs, FORM, form) == expected
+
+
+@pytest.mark.parametrize(
+    ("request_", "status", "words"),
+    [
+        ((b"", FORM, b"update=a&update=b"), 400, "2 updates"),
+        ((b"", FORM, b"update=a&query=b"), 400, "a query and an update"),
+        ((b"query=a", UPDATE, b"b"), 400, "a query and an update"),
+        ((b"update=a", UPDATE, b"b"), 400, "never in the URL"),
+        ((b"", FORM, b"query=a"), 400, "only updates"),
+        ((b"", DIRECT, b"ASK {}"), 400, "only updates"),
+        ((b"", UPDATE, b"\xff\xfe"), 400, "UTF-8"),
+        ((b"", f"{UPDATE}; charset=utf-16", b"x"), 415, "UTF-8"),
+        ((b"", "text/plain", b"x"), 415, UPDATE),
+        ((b"", None, b"x"), 415, "Content-Type"),
+        ((b"using-graph-uri=nowhere", UPDATE, b"x"), 400, "nowhere"),
+        ((b"default-graph-uri=http://h/", UPDATE, b"x"), 400, "using-graph-uri"),
+    ],
+)
+def test_each_wrong_update_has_its_status_and_its_words(
+    request_: tuple[bytes, str | None, bytes], status: int, words: str
+) -> None:
+    found, detail = update_refusal(*request_)
+    assert found == status
+    assert words in detail
+
+
+@pytest.mark.parametrize("clause", ["USING <http://h/b>", "using named <http://h/b>", "USINGNAMED<http://h/b>"])
+def test_graphs_are_named_in_an_update_or_beside_it(clause: str) -> None:
+    text = f"DELETE {{ ?s ?p 1 }} {clause} WHERE {{ ?s ?p 1 }}"
+    assert update_request(b"", UPDATE, text.encode()).text == text
+    assert update_refusal(b"using-named-graph-uri=http://h/a", UPDATE, text.encode())[0] == 400
+
+
+def test_with_is_a_dataset_too() -> None:
+    text = "CLEAR GRAPH <http://h/c> ; WITH <http://h/b> DELETE { ?s ?p 1 } WHERE { ?s ?p 1 }"
+    status, detail = update_refusal(b"using-graph-uri=http://h/a", UPDATE, text.encode())
+    assert status == 400
+    assert "WITH at 1:28" in detail
+
+
+def test_words_in_strings_names_and_comments_are_no_dataset() -> None:
+    text = "PREFIX with: <http://h/> # USING\nINSERT { ?using with:using 'WITH' } WHERE { ?s ?p ?using }"
+    assert update_request(b"using-graph-uri=http://h/a", UPDATE, text.encode()).text == text
+
+
 @given(st.text(), st.lists(st.sampled_from(["query", "default-graph-uri", "update", "ü"])), st.binary())
 def test_nothing_that_arrives_makes_it_raise_anything_else(text: str, names: list[str], body: bytes) -> None:
     raw = "&".join(f"{quote(name)}={quote(text.encode('utf-8', 'replace'))}" for name in names).encode() + body
-    for content_type in (None, FORM, DIRECT, text):
+    for content_type in (None, FORM, DIRECT, UPDATE, text):
         for method in ("GET", "POST"):
             with suppress(Problem):
                 query_request(method, raw, content_type, body)
+        with suppress(Problem):
+            update_request(raw, content_type, body)

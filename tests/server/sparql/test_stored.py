@@ -203,8 +203,8 @@ def test_a_query_without_parameters_says_so() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("SELECT * { ?s ?p ?o }", "q: must begin with a comment"),
-        ("# @param p iri -- it\nSELECT * { ?p ?a ?b }", "q: must begin with a comment"),
+        ("SELECT * { ?s ?p ?o }", "q:1: must begin with a comment"),
+        ("# @param p iri -- it\nSELECT * { ?p ?a ?b }", "q:1: must begin with a comment"),
         ("# A.\n# @param p -- it\nASK { ?p ?a ?b }", "q:2: '@param p -- it' should look like"),
         ("# A.\n# @param p iri it\nASK { ?p ?a ?b }", "q:2: .* should look like"),
         ("# A.\n# @parameter p iri -- it\nASK { ?p ?a ?b }", "q:2: .* should look like"),
@@ -212,13 +212,17 @@ def test_a_query_without_parameters_says_so() -> None:
         ("# A.\n# @param ?p iri -- it\nASK { ?p ?a ?b }", r"q:2: the parameter '\?p' must be named"),
         ("# A.\n# @param format iri -- it\nASK { ?format ?a ?b }", "q:2: no parameter can be called format"),
         ("# A.\n# @param p iri -- it\n# More.\nASK { ?p ?a ?b }", "q:3: 'More.' must stand before"),
-        ("# A.\n# @param p iri -- it\n# @param p iri -- it\nASK { ?p ?a ?b }", "q: the parameter p is told of twice"),
-        ("# A.\n# @param p iri -- it\nASK { ?s ?a '?p' } # ?p", r"q: no \?p is in the query"),
-        ("# A.\n# @param p integer ten -- it\nASK { ?s ?a ?p }", "'ten' is no whole number"),
+        ("# A.\n# @param p iri -- it\n# @param p iri -- it\nASK { ?p ?a ?b }", "q:3: the parameter p is told of twice"),
+        ("# A.\n# @param p iri -- it\nASK { ?s ?a '?p' } # ?p", r"q:2: no \?p is in the query"),
+        ("# A.\n# @param p integer ten -- it\nASK { ?s ?a ?p }", "q:2: the default of p: 'ten' is no whole number"),
         ("# A.\n# @param p integer -- it\nASK { ?a ?p ?b }", "with its parameters bound it is no query"),
         ("# A.\n# @param p iri -- it\nSELECT ?p { ?p ?a ?b }", "with its parameters bound it is no query"),
         ("# A.\nSELECT WHERE", "with its parameters bound it is no query"),
-        ("# A.\nCLEAR ALL", "with its parameters bound it is no query"),
+        ("# A.\n\nCLEAR ALL", "q:3: CLEAR is an update"),
+        ("# A.\n\n\nSELECT * { ?a ?b }", "q:4: with its parameters bound it is no query"),
+        ("# A.\nSELECT (1 AS ?nobodys0) { ?a ?b }", "q:2: with its parameters bound it is no query"),
+        ("# A.\nASK { ?a nobody:knows ?b }", "q:2: with its parameters bound it is no query"),
+        ("# A.\n" + "".join(f"# @param p{n} iri -- it\n" for n in range(60)) + "ASK {}", "at most 50 parameters"),
         ("# A.\nASK { SERVICE <http://a/> { ?a ?b ?c } }", "SERVICE at .* is refused"),
         ("# A.\nASK {" + "{" * 500 + "}" * 500 + "}", "nests deeper than"),
     ],
@@ -226,6 +230,24 @@ def test_a_query_without_parameters_says_so() -> None:
 def test_what_is_wrong_in_a_stored_query_is_told_with_its_place(text: str, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         read("q", text)
+
+
+def test_a_query_that_would_take_for_ever_is_read_and_not_evaluated() -> None:
+    tables = " ".join(f"VALUES ?v{n} {{ {' '.join(map(str, range(100)))} }}" for n in range(9))
+    for form in ("ASK", "SELECT (COUNT(*) AS ?c)", "SELECT *"):
+        order = "ORDER BY ?v0" if form.endswith("*") else ""
+        assert read("q", f"# A.\n{form} {{ {tables} FILTER(?v0 < 0) }} {order}").purpose == "A."
+
+
+def test_the_prefixes_of_the_server_hold_where_a_query_declares_none() -> None:
+    read("q", "# A.\nSELECT ?x { ?x a ros:Topic }")
+
+
+def test_a_value_that_stands_in_many_places_does_not_fill_the_memory() -> None:
+    query = read("q", "# A.\n# @param p string -- it\nASK { VALUES ?x { " + "?p " * 1000 + "} }".replace("?x", "?y"))
+    with pytest.raises(Problem) as refused:
+        bind(query, {"p": "x" * 100_000}, BASE)
+    assert refused.value.status == 413
 
 
 def test_functions_of_the_server_are_no_hindrance() -> None:
@@ -238,5 +260,6 @@ def test_the_shipped_queries_are_in_order_and_say_what_they_are_for() -> None:
     assert list(queries) == sorted(queries)
     for name, query in queries.items():
         assert query.name == name
+        assert query == read(name, query.text), "judged as those of strangers are"
         assert query.purpose.endswith(".")
         assert all(parameter.about for parameter in query.parameters)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
@@ -16,12 +15,15 @@ from rosld.adapters.model import (
     Encoding,
     Endpoint,
     Graph,
+    Lifecycle,
+    LifecycleState,
     Message,
     MessageSchema,
     Node,
     Parameter,
     Service,
     Topic,
+    Transition,
     TypeRef,
 )
 from rosld.adapters.model.library import TypeLibrary
@@ -43,7 +45,7 @@ QUERIES = shipped()
 TWIST, SCAN, STRING = "geometry_msgs/msg/Twist", "sensor_msgs/msg/LaserScan", "std_msgs/msg/String"
 TRIGGER = "std_srvs/srv/Trigger"
 SECOND = 1_000_000_000
-RECEIVED = {SPACE.topic("/scan"): time.time_ns(), SPACE.topic("/cmd_vel"): time.time_ns() - 3600 * SECOND}
+AGES = {SPACE.topic("/scan"): 0.1, SPACE.topic("/cmd_vel"): 3600.0}
 VARIANTS = (TypeRef(STRING, "a" * 32), TypeRef(TWIST, "b" * 32))
 
 TOPICS = (
@@ -58,11 +60,19 @@ SERVICES = (
     Service("/lost", None, ("/mute",), "its node does not answer"),
 )
 PARAMETERS: dict[str, ParameterValue] = {"robot": {"wheels": 4, "name": "rosie"}, "robotic": True}
+CAMERA = Lifecycle(
+    "/camera/change_state",
+    LifecycleState("inactive", 2),
+    (Transition("cleanup", 2, LifecycleState("cleaningup", 11)), Transition("activate", 3, LifecycleState("x", 99))),
+)
+NODES = (
+    *(Node(name, None, "no answer" if name == "/mute" else None) for name in ("/talker", "/listener", "/mute")),
+    Node("/camera", lifecycle=CAMERA),
+    Node("/lidar", lifecycle=Lifecycle("/lidar/change_state", unknown="it does not answer")),
+)
 GRAPH = Graph(
     1,
-    nodes={
-        name: Node(name, None, "no answer" if name == "/mute" else None) for name in ("/talker", "/listener", "/mute")
-    },
+    nodes={node.name: node for node in NODES},
     topics={topic.name: topic for topic in TOPICS},
     services={service.name: service for service in SERVICES},
     parameters={name: Parameter(name) for name in ("/robot/wheels", "/robot/name", "/robotic")},
@@ -118,8 +128,8 @@ def documents() -> Iterator[Document]:
     messages = dict(latest())
     rates = {"/scan": 10.0, "/cmd_vel": 20.5}
     yield describe.entry_document(GRAPH, SPACE)
-    for node in GRAPH.nodes.values():
-        yield describe.node_document(node, GRAPH, SPACE)
+    for view in describe.node_views(GRAPH).values():
+        yield describe.node_document(replace(view, offers=True), SPACE)
     for topic in GRAPH.topics.values():
         found = [messages[topic.name]] if topic.name in messages else []
         yield describe.topic_document(topic, SPACE, GRAPH, rates.get(topic.name, 0.0), found)
@@ -132,6 +142,8 @@ def documents() -> Iterator[Document]:
     for name in (TWIST, SCAN, TRIGGER):
         yield describe.type_document(LIBRARY.find(TypeRef(name)), SPACE)
     yield describe.bag_document(BAG, SPACE)
+    for number, status in ((1, 204), (2, 201), (3, 422)):
+        yield describe.activity_document(written(number, status), SPACE)
     request = schema(f"{TRIGGER}_Request")
     for number, state in ((1, "Succeeded"), (2, "Failed")):
         asked = (request, request.codec.build(request.ref.name, {}))
@@ -139,12 +151,16 @@ def documents() -> Iterator[Document]:
         yield describe.call_document(view, SPACE)
 
 
-def received(url: str) -> int | None:
-    """As the server tells `ros:age`: when the newest message of a topic came."""
-    return RECEIVED.get(url)
+def written(number: int, status: int) -> describe.Receipt:
+    """The receipt of a write of a topic."""
+    what = (SPACE.topic("/cmd_vel"),)
+    return describe.Receipt(
+        number, f"r{number}", "ann", None, number * SECOND, number * SECOND, "PUT", what[0], None, 0, None, None, False,
+        (f"publish {number}",), what, 1, status, None, None,
+    )  # fmt: skip
 
 
-FUNCTIONS = {NamedNode(iri): function for iri, function in functions(received).items()}
+FUNCTIONS = {NamedNode(iri): function for iri, function in functions(AGES.get).items()}
 
 
 @pytest.fixture(scope="module")
@@ -186,7 +202,7 @@ def test_the_inventory_counts_each_thing_once_and_what_there_is_none_of_too(ask:
     assert dict(cast("Sequence[tuple[str, str]]", ask("inventory"))) == {
         "ros:Bag": "1",
         "ros:MessageType": "2",
-        "ros:Node": "3",
+        "ros:Node": "5",
         "ros:Parameter": "5",
         "ros:Service": "2",
         "ros:ServiceType": "1",
@@ -257,6 +273,17 @@ def test_what_cannot_be_reached_is_shown_with_the_reason(ask: Ask) -> None:
     assert ask("unreachable") == [("/nodes/mute", None, "no answer"), ("/nodes/mute", "/topics/idle", "refused")]
 
 
+def test_managed_nodes_are_shown_with_state_and_transitions(ask: Ask) -> None:
+    camera = ("/nodes/camera", "/camera", "inactive")
+    rows = ask("lifecycles")
+    assert [(*row[:3], sorted(str(row[3] or "").split()), row[4]) for row in rows] == [
+        (*camera, ["activate", "cleanup"], None),
+        ("/nodes/lidar", "/lidar", None, [], "it does not answer"),
+    ]
+    assert [row[:3] for row in ask("lifecycles", state="inactive")] == [camera]
+    assert ask("lifecycles", state="active") == []
+
+
 def test_services_are_found_by_type_and_without_one(ask: Ask) -> None:
     reset = ("/services/reset", "/reset", TRIGGER, "/nodes/talker", None)
     lost = ("/services/lost", "/lost", None, "/nodes/mute", "its node does not answer")
@@ -269,6 +296,13 @@ def test_calls_come_newest_first(ask: Ask) -> None:
         ("/calls/2", "/services/reset", "ros:Failed", None, "as it said"),
         ("/calls/1", "/services/reset", "ros:Succeeded", None, "as it said"),
     ]
+
+
+def test_what_was_moved_comes_newest_first_and_refusals_moved_nothing(ask: Ask) -> None:
+    topic = "/topics/cmd_vel"
+    rows = [(row[1], row[2], row[3], row[4]) for row in ask("who-moved-what", about="cmd_vel")]
+    assert rows == [("ann", topic, "publish 2", "/activity/r2"), ("ann", topic, "publish 1", "/activity/r1")]
+    assert ask("who-moved-what", about="/other") == []
 
 
 def test_parameters_are_found_by_the_beginning_of_their_names(ask: Ask) -> None:

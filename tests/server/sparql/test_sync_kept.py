@@ -214,7 +214,7 @@ async def test_a_search_that_came_to_nothing_is_made_up_for(index: Index) -> Non
     await index.query("SELECT * {}")
     for number in range(3):
         await index.records.write(source(f"data/b{number}", 0))
-        list(index.synchroniser._kept.changes(index.synchroniser._kept_version))
+        list(index.synchroniser._kept[0].changes(index.synchroniser._versions[0]))
     await index.records.write(Remove("data/b1"))
     assert await index.differences() == []
 

@@ -1,0 +1,66 @@
+"""The action of the aircraft, `/aircraft/fly`: from a goal and a time to how it stands, as pure functions.
+
+Times are nanoseconds of the same monotonic clock as the flight's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from rosld.adapters.aircraft.flight import Declined, Flight
+from rosld.adapters.model import GoalStatus
+
+ACTION = "/aircraft/fly"
+TYPE = "rosld_aircraft/action/Fly"
+MOST_DISTANCE = 100_000.0
+PACE = 100.0
+"""How far the aircraft flies in a second."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fly:
+    """A goal that was taken at `since_ns`: so far to fly; `canceling` once it was asked to be canceled."""
+
+    id: str
+    distance: float
+    since_ns: int
+    canceling: bool = False
+
+    def flown_at(self, now_ns: int) -> float:
+        """How far it has flown."""
+        return min(self.distance, PACE * (now_ns - self.since_ns) / 1e9)
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How a goal ended, and what is told of it."""
+
+    status: GoalStatus
+    message: str
+
+
+def taken(flight: Flight, underway: Fly | None, id: str, distance: float, now_ns: int) -> Fly:
+    """A goal that is taken. Declined while off, while another is underway, and outside 0 to 100000."""
+    if not flight.on:
+        raise Declined("the aircraft is off: start it before it is to fly")
+    if underway is not None:
+        raise Declined("the aircraft flies already: cancel that goal first, or wait for its end")
+    if not 0 <= distance <= MOST_DISTANCE:  # NaN is within nothing
+        raise Declined(f"the distance must be between 0 and {MOST_DISTANCE:g}, not {distance:g}")
+    return Fly(id, distance, now_ns)
+
+
+def called_off(fly: Fly) -> Fly:
+    """The goal, to be canceled."""
+    return replace(fly, canceling=True)
+
+
+def ended(fly: Fly, flight: Flight, now_ns: int) -> Ended | None:
+    """How the goal has ended, None while it is pursued."""
+    if fly.canceling:
+        return Ended(GoalStatus.CANCELED, "canceled")
+    if not flight.on:
+        return Ended(GoalStatus.ABORTED, "the aircraft was switched off")
+    if fly.flown_at(now_ns) >= fly.distance:
+        return Ended(GoalStatus.SUCCEEDED, "arrived")
+    return None

@@ -1,0 +1,163 @@
+"""Quality of service of publishers and subscribers (ROS 2): written as text, and what does not fit together. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rosld.adapters.model.graph import Endpoint
+
+_DURABILITY = ("volatile", "transient_local")
+_RELIABILITY = ("best_effort", "reliable")
+_LIVELINESS = ("automatic", "manual_by_topic")
+_WORDS = {
+    "reliability": _RELIABILITY,
+    "durability": _DURABILITY,
+    "history": ("keep_last", "keep_all"),
+    "liveliness": _LIVELINESS,
+}
+_TIMES = ("deadline", "lifespan", "lease")
+_DEEPEST = 100_000
+_LONGEST = 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class Qos:
+    """A profile, in the words of rmw; None (and 0 of `depth`) is what the middleware does not tell.
+
+    Times are nanoseconds; None of a deadline, a lifespan or a lease is "for ever".
+    """
+
+    reliability: str | None = None
+    durability: str | None = None
+    history: str | None = None
+    depth: int = 0
+    deadline_ns: int | None = None
+    lifespan_ns: int | None = None
+    liveliness: str | None = None
+    lease_ns: int | None = None
+
+
+def read_profile(text: str) -> Qos:
+    """The profile that a text such as `best_effort,volatile,depth:5,deadline:0.1` says; times are in seconds.
+
+    Every policy is said at most once and may be left out. Raises ValueError naming the word that is wrong.
+    """
+    said: dict[str, str | int] = {}
+    for word in text.split(","):
+        policy, value = _policy(word.strip())
+        if policy in said:
+            raise ValueError(f"{word.strip()!r} says again what the {policy.removesuffix('_ns')} is")
+        said[policy] = value
+    return replace(Qos(), **said)  # type: ignore[arg-type]
+
+
+def _policy(word: str) -> tuple[str, str | int]:
+    name, colon, number = word.partition(":")
+    if not colon:
+        policy = next((policy for policy, words in _WORDS.items() if word in words), None)
+        if policy is not None:
+            return policy, word
+    elif name == "depth":
+        if number.isascii() and number.isdigit() and len(number) < 9 and 1 <= int(number) <= _DEEPEST:
+            return name, int(number)
+        raise ValueError(f"{word!r}: a depth is a whole number from 1 to {_DEEPEST}")
+    elif name in _TIMES:
+        nanoseconds = _nanoseconds(number)
+        if nanoseconds is not None:
+            return f"{name}_ns", nanoseconds
+        raise ValueError(f"{word!r}: a {name} is a number of seconds from 0.000000001 to {_LONGEST:.0e}")
+    words = ", ".join(each for words in _WORDS.values() for each in words)
+    raise ValueError(f"{word!r} is no policy; there are {words}, depth:N, {', '.join(f'{each}:S' for each in _TIMES)}")
+
+
+def _nanoseconds(text: str) -> int | None:
+    try:
+        seconds = float(text) if text.isascii() and "_" not in text else 0.0
+    except ValueError:
+        return None
+    return round(seconds * 1e9) if 1e-9 <= seconds <= _LONGEST else None
+
+
+@dataclass(frozen=True, slots=True)
+class Mismatch:
+    """A subscriber that never hears a publisher: `policy` is the first that does not fit, with both their words."""
+
+    publisher: str
+    subscriber: str
+    policy: str
+    offered: str
+    requested: str
+
+
+def mismatches(
+    publishers: Sequence[Endpoint], subscribers: Sequence[Endpoint], most: int | None = None
+) -> tuple[Mismatch, ...]:
+    """The pairs of one topic that do not fit, each once and at most `most`.
+
+    DDS 1.4, 2.2.3: what is requested must not be more than is offered. Two endpoints of one node with which a third
+    fits as little are one.
+    """
+    found = (
+        Mismatch(publisher, subscriber, *words)
+        for offering, requesting, words in _unfit_profiles(publishers, subscribers)
+        for publisher in dict.fromkeys(offering)
+        for subscriber in dict.fromkeys(requesting)
+    )
+    return tuple(islice(_once(found), most))
+
+
+def mismatch_count(publishers: Sequence[Endpoint], subscribers: Sequence[Endpoint]) -> int:
+    """How many pairs of endpoints of one topic do not fit."""
+    pairs = _unfit_profiles(publishers, subscribers)
+    return sum(len(offering) * len(requesting) for offering, requesting, _ in pairs)
+
+
+def _unfit_profiles(
+    publishers: Sequence[Endpoint], subscribers: Sequence[Endpoint]
+) -> Iterator[tuple[Sequence[str], Sequence[str], tuple[str, str, str]]]:
+    """The nodes of publishers and of subscribers between whose profiles the first policy that does not fit is this.
+
+    Looked for once for two profiles: the many endpoints of a topic like /rosout have few between them.
+    """
+    requested = _by_profile(subscribers)
+    for offer, offering in _by_profile(publishers).items():
+        for request, requesting in requested.items():
+            if (words := next(_unfit(offer, request), None)) is not None:
+                yield offering, requesting, words
+
+
+def _by_profile(endpoints: Sequence[Endpoint]) -> Mapping[Qos, Sequence[str]]:
+    """The nodes of endpoints by what of their profiles can fail to fit."""
+    found: dict[Qos, list[str]] = {}
+    for endpoint in endpoints:
+        if endpoint.qos is not None:
+            profile = replace(endpoint.qos, history=None, depth=0, lifespan_ns=None)
+            found.setdefault(profile, []).append(endpoint.node)
+    return found
+
+
+def _once(found: Iterable[Mismatch]) -> Iterator[Mismatch]:
+    told: set[Mismatch] = set()
+    for one in found:
+        if one not in told:
+            told.add(one)
+            yield one
+
+
+def _unfit(offered: Qos, requested: Qos) -> Iterator[tuple[str, str, str]]:
+    for policy, ladder in (("reliability", _RELIABILITY), ("durability", _DURABILITY), ("liveliness", _LIVELINESS)):
+        one, other = getattr(offered, policy), getattr(requested, policy)
+        if one in ladder and other in ladder and ladder.index(one) < ladder.index(other):
+            yield policy, one, other
+    for policy in ("deadline", "lease"):
+        one, other = getattr(offered, f"{policy}_ns"), getattr(requested, f"{policy}_ns")
+        if other is not None and (one is None or one > other):
+            yield ("liveliness lease" if policy == "lease" else policy), _told(one), _told(other)
+
+
+def _told(nanoseconds: int | None) -> str:
+    return "for ever" if nanoseconds is None else f"{nanoseconds / 1e9:g} s"

@@ -1,0 +1,148 @@
+"""RIHS01: the hash by which ROS 2 tells types apart (REP 2011, "Type Version Hash"). Pure.
+
+It is the SHA-256 of a description of the type and of all it nests, written as JSON: names and types of fields, but
+neither constants nor defaults. Services and actions are described with the types that ROS derives from them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+
+from rosld.adapters.model.schema import Array, Field, FieldType, MessageType, Nested, Primitive
+
+_NESTED = 1
+_IDS = {
+    "int8": 2,
+    "uint8": 3,
+    "int16": 4,
+    "uint16": 5,
+    "int32": 6,
+    "uint32": 7,
+    "int64": 8,
+    "uint64": 9,
+    "float32": 10,
+    "float64": 11,
+    "char": 3,
+    "bool": 15,
+    "byte": 16,
+    "string": 17,
+    "wstring": 18,
+}
+_BOUNDED = {"string": 21, "wstring": 22}
+_ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144
+_DUMMY = Field("structure_needs_at_least_one_member", Primitive("uint8"), "structure_needs_at_least_one_member")
+
+_TIME = "builtin_interfaces/msg/Time"
+_INFO = "service_msgs/msg/ServiceEventInfo"
+_UUID = "unique_identifier_msgs/msg/UUID"
+
+
+def _layout(name: str, **fields: FieldType) -> MessageType:
+    return MessageType(name, tuple(Field(field, kind, field) for field, kind in fields.items()))
+
+
+_DERIVED = {
+    each.name: each
+    for each in (
+        _layout(_TIME, sec=Primitive("int32"), nanosec=Primitive("uint32")),
+        _layout(_UUID, uuid=Array(Primitive("uint8"), length=16)),
+        _layout(
+            _INFO,
+            event_type=Primitive("uint8"),
+            stamp=Nested(_TIME),
+            client_gid=Array(Primitive("char"), length=16),
+            sequence_number=Primitive("int64"),
+        ),
+    )
+}
+
+
+def message_hash(name: str, types: Mapping[str, MessageType]) -> str:
+    """The hash of a message type; `types` is closed.
+
+    Raises KeyError naming what lacks, RecursionError naming what is nested in itself.
+    """
+    nested = {found: types[found] for found in _nested(name, types)}
+    described = {
+        "type_description": _described(types[name]),
+        "referenced_type_descriptions": [_described(nested[each]) for each in sorted(nested) if each != name],
+    }
+    return f"RIHS01_{hashlib.sha256(json.dumps(described).encode()).hexdigest()}"
+
+
+def service_hash(name: str, types: Mapping[str, MessageType]) -> str:
+    """The hash of a service type; `types` holds its two halves and all that they nest."""
+    return message_hash(name, {**_DERIVED, **types, **_service(name)})
+
+
+def action_hash(name: str, types: Mapping[str, MessageType]) -> str:
+    """The hash of an action type; `types` holds its three parts and all that they nest."""
+    goal, result, feedback = (Nested(f"{name}_{part}") for part in ("Goal", "Result", "Feedback"))
+    send, get, message = f"{name}_SendGoal", f"{name}_GetResult", f"{name}_FeedbackMessage"
+    made = (
+        _layout(f"{send}_Request", goal_id=Nested(_UUID), goal=goal),
+        _layout(f"{send}_Response", accepted=Primitive("bool"), stamp=Nested(_TIME)),
+        _layout(f"{get}_Request", goal_id=Nested(_UUID)),
+        _layout(f"{get}_Response", status=Primitive("int8"), result=result),
+        _layout(message, goal_id=Nested(_UUID), feedback=feedback),
+        _layout(
+            name,
+            goal=goal,
+            result=result,
+            feedback=feedback,
+            send_goal_service=Nested(send),
+            get_result_service=Nested(get),
+            feedback_message=Nested(message),
+        ),
+    )
+    return message_hash(
+        name, {**_DERIVED, **types, **_service(send), **_service(get), **{each.name: each for each in made}}
+    )
+
+
+def _service(name: str) -> Mapping[str, MessageType]:
+    """A service as a type of its messages, and the type of its events."""
+    request, response, event = (Nested(f"{name}_{part}") for part in ("Request", "Response", "Event"))
+    whole = _layout(name, request_message=request, response_message=response, event_message=event)
+    events = _layout(event.name, info=Nested(_INFO), request=Array(request, bound=1), response=Array(response, bound=1))
+    return {name: whole, events.name: events}
+
+
+def _nested(name: str, types: Mapping[str, MessageType], above: tuple[str, ...] = ()) -> Iterator[str]:
+    if name in above:
+        raise RecursionError(f"{name} is nested in itself")
+    for field in types[name].fields:
+        kind = field.type.element if isinstance(field.type, Array) else field.type
+        if isinstance(kind, Nested):
+            yield kind.name
+            yield from _nested(kind.name, types, (*above, name))
+
+
+def _described(kind: MessageType) -> dict[str, object]:
+    return {"type_name": kind.name, "fields": [_field(field) for field in kind.fields or (_DUMMY,)]}
+
+
+def _field(field: Field) -> dict[str, object]:
+    kind, step, capacity = field.type, 0, 0
+    if isinstance(kind, Array):
+        step = _ARRAY if kind.length is not None else _SEQUENCE if kind.bound is None else _BOUNDED_SEQUENCE
+        capacity = kind.length or kind.bound or 0
+        kind = kind.element
+    bound = kind.bound or 0 if isinstance(kind, Primitive) else 0
+    return {
+        "name": field.name,
+        "type": {
+            "type_id": step + _id(kind),
+            "capacity": capacity,
+            "string_capacity": bound,
+            "nested_type_name": kind.name if isinstance(kind, Nested) else "",
+        },
+    }
+
+
+def _id(kind: Primitive | Nested) -> int:
+    if isinstance(kind, Nested):
+        return _NESTED
+    return _BOUNDED[kind.name] if kind.bound and kind.name in _BOUNDED else _IDS[kind.name]

@@ -1,0 +1,156 @@
+"""actionlib: what makes an action of five topics, and its messages as they are on the wire. Pure.
+
+Of its messages all but goal, result and feedback themselves are the same for every type, so that these are cut out
+and put in without being decoded: they are the last field of the messages that carry them.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rosld.adapters.model import Action, GoalStatus, TypeRef
+
+_TIME = struct.Struct("<II")
+_LENGTH = struct.Struct("<I")
+_GOAL_ID, _STATUSES = "actionlib_msgs/GoalID", "actionlib_msgs/GoalStatusArray"
+_MOST_STATUSES = 10_000
+STATUSES: Mapping[int, GoalStatus] = {
+    0: GoalStatus.ACCEPTED,  # PENDING
+    1: GoalStatus.EXECUTING,  # ACTIVE
+    2: GoalStatus.CANCELED,  # PREEMPTED
+    3: GoalStatus.SUCCEEDED,
+    4: GoalStatus.ABORTED,
+    5: GoalStatus.REJECTED,
+    6: GoalStatus.CANCELING,  # PREEMPTING
+    7: GoalStatus.CANCELING,  # RECALLING
+    8: GoalStatus.CANCELED,  # RECALLED
+    9: GoalStatus.LOST,
+}
+"""actionlib_msgs/GoalStatus in the words of action_msgs/GoalStatus."""
+
+
+def actions_of(
+    publishers: Mapping[str, Sequence[str]], subscribers: Mapping[str, Sequence[str]], types: Mapping[str, str]
+) -> Mapping[str, Action]:
+    """The actions among topics, by name: each is five topics of the types that go together.
+
+    Given are the nodes by topic and ROS 1's names of types. Who publishes the status serves the action, who publishes
+    goals is a client.
+    """
+    found: dict[str, Action] = {}
+    for topic, stated in types.items():
+        name, slash, last = topic.rpartition("/")
+        package, _, short = stated.partition("/")
+        if not (name and slash and last == "goal" and short.endswith("ActionGoal")):
+            continue
+        kind = short.removesuffix("ActionGoal")
+        wanted = {
+            "cancel": _GOAL_ID,
+            "status": _STATUSES,
+            "feedback": f"{package}/{kind}ActionFeedback",
+            "result": f"{package}/{kind}ActionResult",
+        }
+        are_there = all(f"{name}/{end}" in publishers or f"{name}/{end}" in subscribers for end in wanted)
+        if kind and are_there and all(types.get(f"{name}/{end}") == each for end, each in wanted.items()):
+            servers = tuple(publishers.get(f"{name}/status", ()))
+            unusable = None if servers else "no node serves it: nobody publishes its status"
+            clients = tuple(publishers.get(topic, ()))
+            found[name] = Action(name, TypeRef(f"{package}/action/{kind}"), servers, clients, unusable)
+    return found
+
+
+class Status(NamedTuple):
+    """How a goal stands, in actionlib's own number, and the server's words."""
+
+    id: str
+    number: int
+    words: str
+
+    @property
+    def status(self) -> GoalStatus | None:
+        """The same in the model's words; None for a number that means nothing."""
+        return STATUSES.get(self.number)
+
+
+@dataclass(slots=True)
+class _Reader:
+    """Reads fields from a message one after another. Raises ValueError where it ends too early."""
+
+    data: bytes
+    at: int = 0
+
+    def skip(self, count: int) -> None:
+        if self.at + count > len(self.data):
+            raise ValueError("the message is cut off")
+        self.at += count
+
+    def number(self) -> int:
+        start = self.at
+        self.skip(_LENGTH.size)
+        return int(_LENGTH.unpack_from(self.data, start)[0])
+
+    def text(self) -> str:
+        length = self.number()
+        start = self.at
+        self.skip(length)
+        return self.data[start : self.at].decode("utf-8", "surrogateescape")
+
+    def header(self) -> None:
+        self.skip(4 + _TIME.size)
+        self.text()
+
+    def goal_id(self) -> str:
+        self.skip(_TIME.size)
+        return self.text()
+
+    def status(self) -> Status:
+        id = self.goal_id()
+        start = self.at
+        self.skip(1)
+        return Status(id, self.data[start], self.text())
+
+    def rest(self) -> bytes:
+        return self.data[self.at :]
+
+
+def read_statuses(data: bytes) -> list[Status]:
+    """The statuses in a GoalStatusArray. Raises ValueError."""
+    reader = _Reader(data)
+    reader.header()
+    count = reader.number()
+    if count > _MOST_STATUSES:
+        raise ValueError(f"{count} goals at once are more than {_MOST_STATUSES}")
+    return [reader.status() for _ in range(count)]
+
+
+def read_told(data: bytes) -> tuple[Status, bytes]:
+    """What an XActionFeedback or an XActionResult tells: of which goal, and the message within. Raises ValueError."""
+    reader = _Reader(data)
+    reader.header()
+    return reader.status(), reader.rest()
+
+
+def read_goal(data: bytes) -> tuple[str, bytes]:
+    """The id of the goal in an XActionGoal, and the goal. Raises ValueError."""
+    reader = _Reader(data)
+    reader.header()
+    return reader.goal_id(), reader.rest()
+
+
+def goal_message(id: str, stamp_ns: int, goal: bytes) -> bytes:
+    """An XActionGoal."""
+    stamp = _TIME.pack(stamp_ns // 1_000_000_000, stamp_ns % 1_000_000_000)
+    return _LENGTH.pack(0) + stamp + _text("") + stamp + _text(id) + goal
+
+
+def cancel_message(id: str) -> bytes:
+    """A GoalID that asks for just this goal to be canceled."""
+    return _TIME.pack(0, 0) + _text(id)
+
+
+def _text(value: str) -> bytes:
+    data = value.encode("utf-8", "surrogateescape")
+    return _LENGTH.pack(len(data)) + data

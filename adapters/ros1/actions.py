@@ -1,0 +1,453 @@
+"""Actions of ROS 1: goals sent and followed by the five topics of actionlib, without its client.
+
+A goal of ours is followed until it has ended and its result has come; those of others while somebody looks. Following
+registers nothing: only who sends or cancels goals publishes, and so is seen by the master.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from rosld.adapters.base import Sink
+from rosld.adapters.model import (
+    ActionSchema,
+    GoalEvent,
+    GoalId,
+    GoalStatus,
+    NotFound,
+    Refused,
+    Sent,
+    TimedOut,
+    TypeRef,
+    UnknownType,
+    Unreachable,
+)
+from rosld.adapters.model.library import SEPARATOR
+from rosld.adapters.ros1.actionlib import (
+    Status,
+    actions_of,
+    cancel_message,
+    goal_message,
+    read_goal,
+    read_statuses,
+    read_told,
+)
+from rosld.adapters.ros1.graph import SystemState
+from rosld.adapters.ros1.publication import Publication
+from rosld.adapters.ros1.publications import Publications
+from rosld.adapters.ros1.samples import Slot
+from rosld.adapters.ros1.sources import Nodes, TopicReader
+from rosld.adapters.ros1.subscription import Feed
+from rosld.adapters.ros1.types import Types
+
+_DEPTH = 256
+_TICK = 0.25
+_GONE = 2.0
+"""Seconds after which a server that is not connected, or no longer lists a goal, has lost it."""
+_RESULT = 5.0
+"""Seconds that the result of a goal may come after its status."""
+_DECISION = 0.3
+"""Seconds that a server which has just taken note of a goal is given to reject it."""
+_ASKED, _ASKED_AGAIN = 4, 0.5
+"""How often a server is told to cancel a goal that goes on as if nothing had been said, and the seconds between."""
+_UNHEEDED = (GoalStatus.ACCEPTED, GoalStatus.EXECUTING)
+_MOST_KNOWN = 1000
+_CANCEL = TypeRef("actionlib_msgs/msg/GoalID")
+_PARTS = ("status", "result", "feedback", "goal")
+
+
+@dataclass(slots=True)
+class _Known:
+    """A goal that was told of, as it was told last. `listed_at` is when its server was known to know it."""
+
+    listed_at: float
+    told: Status | None = None
+    ended_at: float | None = None
+    has_result: bool = False
+    goal: bytes | None = None
+    decided: asyncio.Future[Status] | None = None
+    is_own: bool = False
+    is_refused: bool = False
+    held: list[GoalEvent] = field(default_factory=list)
+
+    @property
+    def is_undecided(self) -> bool:
+        """Whether who sent it still waits for whether it is taken."""
+        return self.decided is not None and not self.decided.done()
+
+    @property
+    def is_final(self) -> bool:
+        """Whether no status comes after the last one."""
+        return self.ended_at is not None
+
+
+@dataclass(slots=True)
+class _Followed:
+    """An action that is followed: by its readers, and for so many who look."""
+
+    readers: dict[str, TopicReader] = field(default_factory=dict)
+    looks: int = 0
+    heard: asyncio.Event = field(default_factory=asyncio.Event)
+    connected_at: float = 0.0
+    told_at: float = 0.0
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether what the server tells comes here now."""
+        return all(self.readers[part].is_connected for part in ("status", "result", "feedback"))
+
+
+class _GoalFeed(Feed):
+    """What comes in on one topic of an action: every message is taken once, on the thread that reads."""
+
+    def __init__(self, topic: str, take: Callable[[bytes], None]) -> None:
+        super().__init__(topic, asyncio.get_running_loop(), {})
+        self.depth = _DEPTH
+        self._take = take
+        self._seen: dict[Slot, tuple[int, int]] = {}
+
+    def arrived(self) -> None:
+        """Take what is new."""
+        for slot in self.slots:
+            epoch, sequence = self._seen.get(slot, (-1, 0))
+            for value in slot.values:
+                if value.epoch != epoch or value.sequence > sequence:
+                    self._take(bytes(value.data))
+            if slot.values:
+                self._seen[slot] = slot.values[-1].epoch, slot.values[-1].sequence
+        self._seen = {slot: seen for slot, seen in self._seen.items() if slot in self.slots}
+
+
+class Actions:
+    """The actions of a ROS system, and the goals that are followed. All methods run on the reading thread."""
+
+    def __init__(
+        self,
+        caller: str,
+        nodes: Nodes,
+        types: Types,
+        publications: Publications,
+        system: Callable[[], SystemState],
+        sink: Sink,
+    ) -> None:
+        self._caller = caller
+        self._nodes = nodes
+        self._types = types
+        self._publications = publications
+        self._system = system
+        self._sink = sink
+        self._followed: dict[str, _Followed] = {}
+        self._known: dict[str, OrderedDict[str, _Known]] = {}
+        self._numbers = itertools.count(1)
+        self._ticking: asyncio.TimerHandle | None = None
+
+    def follow(self, system: SystemState) -> None:
+        """Heed who publishes what now."""
+        for action, followed in self._followed.items():
+            for part, reader in followed.readers.items():
+                reader.follow(system.publishers.get(f"{action}/{part}", ()))
+
+    def close(self) -> None:
+        """Follow nothing more."""
+        for action in list(self._followed):
+            self._stop(action)
+
+    async def look(self, action: str, until: float) -> None:
+        """Tell of all goals of an action until `leave`; returns once its server was heard. Raises NotFound."""
+        self._require(action)
+        followed = self._begin(action)
+        followed.looks += 1
+        left = until - asyncio.get_running_loop().time()
+        try:
+            await asyncio.wait_for(followed.heard.wait(), max(left, 0.0))
+        except asyncio.TimeoutError:
+            pass
+
+    def leave(self, action: str) -> None:
+        """One who looked does so no longer."""
+        followed = self._followed.get(action)
+        if followed is not None:
+            followed.looks -= 1
+            self._stop_if_idle(action)
+
+    async def send(self, action: str, type: TypeRef, goal: bytes, until: float) -> GoalId:
+        """Send a goal; returns once its server has taken it. Raises what `Adapter.send_goal` raises."""
+        schema = await self._schema(action, type)
+        now = asyncio.get_running_loop().time
+        stamp = time.time_ns()
+        id = f"{self._caller}-{next(self._numbers)}-{stamp // 1_000_000_000}.{stamp % 1_000_000_000:09d}"
+        known = _Known(now(), goal=goal, decided=asyncio.get_running_loop().create_future(), is_own=True)
+        self._goals(action)[id] = known
+        followed = self._begin(action)
+        try:
+            publication = await self._publication(action, schema, followed, until)
+            publication.send(goal_message(id, stamp, goal), False)
+        except BaseException:
+            del self._goals(action)[id]
+            self._stop_if_idle(action)
+            raise
+        known.listed_at = now()
+        assert known.decided is not None
+        try:
+            status = await asyncio.wait_for(asyncio.shield(known.decided), max(until - now(), 0.0))
+        except asyncio.TimeoutError as error:
+            known.decided = None
+            self._flush(action, id, known)
+            raise TimedOut(f"{action} has not said whether it takes the goal", sent=Sent.YES) from error
+        if status.status is GoalStatus.REJECTED:
+            words = status.words or None
+            raise Refused(f"{action} rejected the goal", words=words, sent=Sent.YES)
+        self._flush(action, id, known)
+        return GoalId(action, id)
+
+    async def cancel(self, goal: GoalId, until: float) -> None:
+        """Ask for a goal to be canceled, again while it is not heeded. Raises NotFound, Unreachable."""
+        self._require(goal.action)
+        if not goal.id:  # actionlib reads it as: all goals
+            raise NotFound(f"{goal.action} has no goal without an id")
+        publication = await self._publications.advertise(f"{goal.action}/cancel", _CANCEL, until)
+        await publication.matching(1, until, 0.0)
+        if not publication.matched:
+            raise Unreachable(f"no goal was canceled: no server of {goal.action} listens")
+        self._ask_to_cancel(goal, publication, _ASKED)
+
+    def _ask_to_cancel(self, goal: GoalId, publication: Publication, times: int) -> None:
+        """Ask, and ask again: a server that connects to its publishers anew just then loses what it is told."""
+        if times and publication.matched:
+            publication.send(cancel_message(goal.id), False)
+            asyncio.get_running_loop().call_later(_ASKED_AGAIN, self._ask_again, goal, publication, times - 1)
+
+    def _ask_again(self, goal: GoalId, publication: Publication, times: int) -> None:
+        known = self._goals(goal.action).get(goal.id) if goal.action in self._followed else None
+        if known is not None and known.told is not None and known.told.status in _UNHEEDED:
+            self._ask_to_cancel(goal, publication, times)
+
+    # Sending
+
+    def _require(self, action: str) -> TypeRef:
+        system = self._system()
+        found = actions_of(system.publishers, system.subscribers, system.topic_types).get(action)
+        if found is None or found.type is None:
+            raise NotFound(f"there is no action {action}")
+        if not found.servers:
+            raise Unreachable(f"{action} has no server: {found.unusable}")
+        return found.type
+
+    async def _schema(self, action: str, type: TypeRef) -> ActionSchema:
+        used = self._require(action)
+        if used.name != type.name:
+            raise Refused(f"the action {action} is a {used.name}, not this {type.name}")
+        schema = await self._types.schema(type)
+        if not isinstance(schema, ActionSchema):
+            raise UnknownType(f"{type.name} is no action type")
+        return schema
+
+    async def _publication(self, action: str, schema: ActionSchema, followed: _Followed, until: float) -> Publication:
+        """The topic of goals, with the server connected both ways, so that nothing it says is missed."""
+        learn = self._types.library.learn_message
+        name, definition = goal_definition(schema)
+        learnt = await asyncio.get_running_loop().run_in_executor(None, learn, name, definition)
+        publication = await self._publications.advertise(f"{action}/goal", learnt.ref, until)
+        await publication.matching(1, until, 0.0)
+        if not publication.matched:
+            raise Unreachable(f"no goal was sent: the server of {action} did not connect in time")
+        now = asyncio.get_running_loop().time
+        while not followed.is_ready and now() < until:  # noqa: ASYNC110 - connections tell nobody of themselves
+            await asyncio.sleep(0.02)
+        if not followed.is_ready:
+            raise Unreachable(f"no goal was sent: the server of {action} cannot be read from")
+        return publication
+
+    # Following
+
+    def _goals(self, action: str) -> OrderedDict[str, _Known]:
+        return self._known.setdefault(action, OrderedDict())
+
+    def _begin(self, action: str) -> _Followed:
+        followed = self._followed.get(action)
+        if followed is None:
+            followed = self._followed[action] = _Followed(connected_at=asyncio.get_running_loop().time())
+            for known in self._goals(action).values():
+                known.listed_at = followed.connected_at
+            takes = (self._take_statuses, self._take_result, self._take_feedback, self._take_goal)
+            for part, take in zip(_PARTS, takes, strict=True):
+                feed = _GoalFeed(f"{action}/{part}", _checked(action, take))
+                followed.readers[part] = TopicReader(feed, self._nodes, self._types, 0)
+            self.follow(self._system())
+        if self._ticking is None:
+            self._ticking = asyncio.get_running_loop().call_later(_TICK, self._tick)
+        return followed
+
+    def _stop_if_idle(self, action: str) -> None:
+        followed = self._followed.get(action)
+        if followed is None or followed.looks > 0:
+            return
+        if not any(known.is_own and not _is_over(known) for known in self._goals(action).values()):
+            self._stop(action)
+
+    def _stop(self, action: str) -> None:
+        for reader in self._followed.pop(action).readers.values():
+            reader.close()
+
+    def _take_statuses(self, action: str, data: bytes) -> None:
+        now = asyncio.get_running_loop().time()
+        for status in read_statuses(data):
+            self._note(action, status, now)
+        if (followed := self._followed.get(action)) is not None:
+            followed.told_at = now
+            followed.heard.set()
+
+    def _take_result(self, action: str, data: bytes) -> None:
+        status, result = read_told(data)
+        known = self._note(action, status, asyncio.get_running_loop().time())
+        if known is not None:
+            known.has_result = True
+            self._tell(action, status.id, known, GoalEvent(time.time_ns(), result=result))
+
+    def _take_feedback(self, action: str, data: bytes) -> None:
+        status, feedback = read_told(data)
+        known = self._note(action, status, asyncio.get_running_loop().time())
+        if known is not None:
+            self._tell(action, status.id, known, GoalEvent(time.time_ns(), feedback=feedback))
+
+    def _take_goal(self, action: str, data: bytes) -> None:
+        id, goal = read_goal(data)
+        if not id:
+            return
+        known = self._goals(action).get(id)
+        if known is None:
+            known = self._goals(action)[id] = _Known(asyncio.get_running_loop().time())
+            self._bound(action)
+        if known.goal is None:
+            known.goal = goal
+            if known.told is not None:
+                self._tell(action, id, known, GoalEvent(time.time_ns(), goal=goal))
+
+    def _note(self, action: str, status: Status, now: float) -> _Known | None:
+        """Take note of how a goal stands, and tell of what is new. None for what is no goal's."""
+        if not status.id or status.status is None:
+            return None
+        known = self._goals(action).get(status.id)
+        if known is None:
+            known = self._goals(action)[status.id] = _Known(now)
+            self._bound(action)
+        known.listed_at = now
+        if known.told is not None and (known.told == status or (known.is_final and not status.status.is_final)):
+            return known
+        is_first = known.told is None
+        known.told = status
+        if status.status.is_final and known.ended_at is None:
+            known.ended_at = now
+        self._decide(known, status)
+        event = GoalEvent(time.time_ns(), status.status, status.words, goal=known.goal if is_first else None)
+        self._tell(action, status.id, known, event)
+        return known
+
+    def _decide(self, known: _Known, status: Status) -> None:
+        """Answer who has sent the goal: at once, or after a moment where it may still be rejected."""
+        if known.decided is None or known.decided.done():
+            return
+        if status.status is GoalStatus.ACCEPTED:
+            asyncio.get_running_loop().call_later(_DECISION, _settle, known.decided, status)
+        else:
+            known.is_refused = status.status is GoalStatus.REJECTED
+            known.decided.set_result(status)
+
+    def _tell(self, action: str, id: str, known: _Known, event: GoalEvent) -> None:
+        """Tell of a goal; of one that may still be rejected once it is not, for who sent it is told that."""
+        if known.is_refused:
+            return
+        if known.is_undecided:
+            known.held.append(event)
+            return
+        self._flush(action, id, known)
+        self._sink.goal_changed(GoalId(action, id), replace(event, own=known.is_own))
+
+    def _flush(self, action: str, id: str, known: _Known) -> None:
+        """Tell what was held back."""
+        held, known.held = known.held, []
+        for event in held:
+            self._tell(action, id, known, event)
+
+    def _tick(self) -> None:
+        """Look for goals that were lost, and stop following what nobody looks at."""
+        self._ticking = None
+        now = asyncio.get_running_loop().time()
+        for action, followed in list(self._followed.items()):
+            if followed.readers["status"].is_connected:
+                followed.connected_at = now
+            is_gone = now - followed.connected_at > _GONE
+            for id, known in list(self._goals(action).items()):
+                self._judge(action, id, known, now, is_gone=is_gone)
+            self._stop_if_idle(action)
+        if self._followed:
+            self._ticking = asyncio.get_running_loop().call_later(_TICK, self._tick)
+
+    def _judge(self, action: str, id: str, known: _Known, now: float, *, is_gone: bool) -> None:
+        """Whether a goal is lost, or can be forgotten."""
+        if known.is_final:
+            if _is_over(known) and now - known.listed_at > _RESULT:
+                del self._goals(action)[id]
+            return
+        if is_gone:
+            self._lose(action, id, known, now, f"the server of {action} is gone")
+        elif self._followed[action].told_at - known.listed_at > _GONE and not known.is_undecided:
+            self._lose(action, id, known, now, f"the server of {action} no longer knows the goal")
+
+    def _lose(self, action: str, id: str, known: _Known, now: float, words: str) -> None:
+        known.ended_at, known.has_result = now, True
+        known.told = Status(id, 9, words)
+        if known.decided is not None and not known.decided.done():
+            known.is_refused = True
+            known.decided.set_exception(Unreachable(f"the goal was sent, but {words}", sent=Sent.MAYBE))
+        self._tell(action, id, known, GoalEvent(time.time_ns(), GoalStatus.LOST, words))
+
+    def _bound(self, action: str) -> None:
+        """Keep no more goals of others in mind than so many."""
+        goals = self._goals(action)
+        while len(goals) > _MOST_KNOWN:
+            oldest = next((id for id, known in goals.items() if not known.is_own or _is_over(known)), None)
+            if oldest is None:
+                return
+            del goals[oldest]
+
+
+def goal_definition(schema: ActionSchema) -> tuple[str, str]:
+    """The message that carries goals of a type: its name, and its definition as actionlib makes it."""
+    package, _, short = schema.ref.name.partition("/action/")
+    own, *nested = schema.goal.definition.split(SEPARATOR)
+    parts = [
+        f"Header header\nactionlib_msgs/GoalID goal_id\n{short}Goal goal\n",
+        f"\nMSG: {package}/{short}Goal\n{own}",
+        *nested,
+    ]
+    return f"{package}/msg/{short}ActionGoal", SEPARATOR.join(parts)
+
+
+def _checked(action: str, take: Callable[[str, bytes], None]) -> Callable[[bytes], None]:
+    """What takes a message, leaving out those that cannot be read."""
+
+    def taken(data: bytes) -> None:
+        try:
+            take(action, data)
+        except ValueError:
+            pass
+
+    return taken
+
+
+def _settle(decided: asyncio.Future[Status], status: Status) -> None:
+    if not decided.done():
+        decided.set_result(status)
+
+
+def _is_over(known: _Known) -> bool:
+    """Whether nothing more is to come: it has ended, and its result came or was waited for."""
+    if known.ended_at is None:
+        return False
+    return known.has_result or asyncio.get_running_loop().time() - known.ended_at > _RESULT

@@ -1,0 +1,298 @@
+"""Actions: goals are sent, followed and canceled through the services and topics that an action is made of.
+
+Results are asked for by a goal's id, so those of goals that others sent are known too, as long as the server keeps
+them. Everything here runs on the thread that talks to ROS.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import secrets
+import time
+from collections.abc import Callable, Coroutine, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, cast
+
+from rosld.adapters.model import Action, GoalEvent, GoalId, GoalStatus, NotFound, Qos, Refused, RosError, Sent
+from rosld.adapters.ros2.calls import Calls
+from rosld.adapters.ros2.middleware import Participant, Reader, deserialized, made, serialized
+from rosld.adapters.ros2.waiter import Waiter
+
+_STATUS = "action_msgs/msg/GoalStatusArray"
+_CANCEL = "action_msgs/srv/CancelGoal"
+_STATUSES = {
+    1: GoalStatus.ACCEPTED,
+    2: GoalStatus.EXECUTING,
+    3: GoalStatus.CANCELING,
+    4: GoalStatus.SUCCEEDED,
+    5: GoalStatus.CANCELED,
+    6: GoalStatus.ABORTED,
+}
+_CANCELED_NOT = {
+    1: "the server refuses to cancel it",
+    2: "the server does not know it",
+    3: "it has ended already",
+}
+_HEAD, _UUID = 4, 16
+_FEEDBACK_DEPTH = 32
+_RESULT = 5.0
+_MATCHED = 0.5
+_TOLD = 0.2
+_PAUSE = 0.005
+_MOST_REMEMBERED = 1000
+
+
+@dataclass
+class _Goal:
+    """A goal as far as it is known: its status, and whether its end is being asked for.
+
+    `held` is what became known of a goal of ours before it was known to be accepted; None once it is.
+    """
+
+    own: bool
+    status: GoalStatus | None = None
+    ending: bool = False
+    held: list[GoalEvent] | None = None
+
+
+@dataclass
+class _Line:
+    """One action that is listened to, by followers or because goals of ours are under way."""
+
+    name: str
+    type: str
+    status: Reader
+    feedback: Reader
+    followers: int = 0
+    heard: bool = False
+    goals: dict[str, _Goal] = field(default_factory=dict)
+
+    @property
+    def is_needed(self) -> bool:
+        """Whether somebody follows it or a goal of ours has not ended."""
+        return self.followers > 0 or any(goal.own and not _ended(goal) for goal in self.goals.values())
+
+
+class Actions:
+    """The actions of a system; `tell` is given what becomes known of their goals."""
+
+    def __init__(
+        self, participant: Participant, calls: Calls, waiter: Waiter, tell: Callable[[GoalId, GoalEvent], None]
+    ) -> None:
+        self._participant = participant
+        self._calls = calls
+        self._waiter = waiter
+        self._tell = tell
+        self._loop = asyncio.get_running_loop()
+        self._lines: dict[str, _Line] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    async def send(self, action: Action, goal: bytes, until: float) -> GoalId:
+        """Send a goal. Raises Refused where it is rejected, TimedOut, Unreachable, UnknownType."""
+        type = _type_of(action)
+        try:
+            asked = deserialized(f"{type}_Goal", goal)
+        except ValueError as error:
+            raise Refused(f"no goal was sent to {action.name}: {error}") from error
+        line = self._listen(action.name, type)
+        id = secrets.token_bytes(_UUID)
+        line.goals[id.hex()] = known = _Goal(own=True, held=[])
+        try:
+            await self._matched(line, min(until, self._loop.time() + _MATCHED))
+            fields: dict[str, object] = {"goal_id": _uuid(id), "goal": asked}
+            request = made(f"{type}_SendGoal", fields, "Request")
+            answer = cast(
+                Any, await self._calls.call(f"{action.name}/_action/send_goal", f"{type}_SendGoal", request, until)
+            )
+            if not answer.accepted:
+                raise Refused(f"{action.name} rejected the goal; ROS 2 gives no reason", sent=Sent.YES)
+        except BaseException:
+            line.goals.pop(id.hex(), None)
+            self._leave(line)
+            raise
+        known.status = known.status or GoalStatus.ACCEPTED
+        held, known.held = known.held or [], None
+        for event in (GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True), *held):
+            self._event(line, id.hex(), event)
+        self._begin(self._end(line, id.hex(), known, math.inf))
+        return GoalId(action.name, id.hex())
+
+    async def cancel(self, goal: GoalId, until: float) -> None:
+        """Ask for a goal to be canceled. Raises Refused, NotFound, TimedOut, Unreachable."""
+        try:
+            id = bytes.fromhex(goal.id)
+        except ValueError:
+            id = b""
+        if len(id) != _UUID or not any(id):  # zero is read as: all goals (action_msgs/srv/CancelGoal)
+            raise NotFound(
+                f"{goal.action} has no goal {goal.id!r}: a goal's id is {2 * _UUID} hex digits, not all zero"
+            )
+        info = made("action_msgs/msg/GoalInfo", {"goal_id": _uuid(id)})
+        request = made(_CANCEL, {"goal_info": info}, "Request")
+        answer = cast(Any, await self._calls.call(f"{goal.action}/_action/cancel_goal", _CANCEL, request, until))
+        if answer.return_code == 2:
+            raise NotFound(f"{goal.action} knows no goal {goal.id}")
+        if answer.return_code != 0 or not answer.goals_canceling:
+            words = _CANCELED_NOT.get(answer.return_code, "the server refuses to cancel it")
+            raise Refused(f"the goal {goal.id} of {goal.action} is not canceled: {words}", words=words, sent=Sent.YES)
+
+    async def follow(self, action: Action, until: float) -> Callable[[], None]:
+        """Tell of all goals of an action until what is returned is called. Waits for what is known of them now."""
+        line = self._listen(action.name, _type_of(action))
+        line.followers += 1
+        await self._matched(line, until)
+        enough = min(until, self._loop.time() + _TOLD)
+        while self._loop.time() < (until if line.heard else enough):
+            if line.heard and not any(goal.ending for goal in line.goals.values()):
+                break
+            await asyncio.sleep(_PAUSE)
+
+        def stop() -> None:
+            line.followers -= 1
+            self._leave(line)
+
+        return stop
+
+    def look(self, actions: Mapping[str, Action]) -> None:
+        """Give up the goals of servers that have gone."""
+        for line in list(self._lines.values()):
+            action = actions.get(line.name)
+            if action is None or not action.servers:
+                for id, goal in line.goals.items():
+                    if not goal.own and not _ended(goal) and not goal.ending:
+                        goal.status = GoalStatus.LOST
+                        words = "its action server went away"
+                        self._event(line, id, GoalEvent(time.time_ns(), GoalStatus.LOST, words))
+                line.heard = False
+
+    def close(self) -> None:
+        """Listen no more."""
+        for task in self._tasks:
+            task.cancel()
+        for line in list(self._lines.values()):
+            self._close(line)
+        self._lines.clear()
+
+    def _listen(self, name: str, type: str) -> _Line:
+        line = self._lines.get(name)
+        if line is None:
+            kept = Qos("reliable", "transient_local", "keep_last", 1)
+            passing = Qos("best_effort", "volatile", "keep_last", _FEEDBACK_DEPTH)
+            status = self._participant.reader(f"{name}/_action/status", _STATUS, kept)
+            feedback = self._participant.reader(f"{name}/_action/feedback", f"{type}_FeedbackMessage", passing)
+            line = self._lines[name] = _Line(name, type, status, feedback)
+            self._arm(line, status, self._take_status)
+            self._arm(line, feedback, self._take_feedback)
+        return line
+
+    def _leave(self, line: _Line) -> None:
+        if not line.is_needed and self._lines.get(line.name) is line:
+            del self._lines[line.name]
+            self._close(line)
+
+    def _close(self, line: _Line) -> None:
+        for reader in (line.status, line.feedback):
+            self._waiter.disarm(reader.handle)
+            reader.close()
+
+    async def _matched(self, line: _Line, until: float) -> None:
+        """Wait for the server's topics, so that nothing it says of a goal is missed."""
+        while not (line.status.publishers() and line.feedback.publishers()) and self._loop.time() < until:  # noqa: ASYNC110
+            await asyncio.sleep(_PAUSE)
+
+    def _arm(self, line: _Line, reader: Reader, take: Callable[[_Line], None]) -> None:
+        self._waiter.arm(reader.handle, "reader", partial(self._ready, line, reader, take))
+
+    def _ready(self, line: _Line, reader: Reader, take: Callable[[_Line], None]) -> None:
+        try:
+            self._loop.call_soon_threadsafe(self._taken, line, reader, take)
+        except RuntimeError:
+            pass  # the thread's loop has ended
+
+    def _taken(self, line: _Line, reader: Reader, take: Callable[[_Line], None]) -> None:
+        if self._lines.get(line.name) is line:
+            take(line)
+            self._arm(line, reader, take)
+
+    def _take_status(self, line: _Line) -> None:
+        taken = None
+        while (newer := line.status.take()) is not None:
+            taken = newer
+        if taken is None:
+            return
+        line.heard = True
+        for each in cast(Any, deserialized(_STATUS, taken.data)).status_list:
+            status = _STATUSES.get(each.status)
+            if status is not None:
+                self._heard(line, bytes(each.goal_info.goal_id.uuid).hex(), status)
+
+    def _heard(self, line: _Line, id: str, status: GoalStatus) -> None:
+        goal = line.goals.get(id)
+        if goal is None:
+            if not line.followers:
+                return
+            if len(line.goals) >= _MOST_REMEMBERED:
+                del line.goals[next(iter(line.goals))]
+            goal = line.goals[id] = _Goal(own=False)
+        if _ended(goal) or goal.ending or goal.status is status:
+            return
+        if not status.is_final:
+            goal.status = status
+            self._event(line, id, GoalEvent(time.time_ns(), status, own=goal.own))
+        elif not goal.own:  # the result of ours is awaited since it was accepted
+            self._begin(self._end(line, id, goal, self._loop.time() + _RESULT, status))
+
+    def _take_feedback(self, line: _Line) -> None:
+        while (taken := line.feedback.take()) is not None:
+            id = taken.data[_HEAD : _HEAD + _UUID].hex()
+            goal = line.goals.get(id)
+            if goal is not None and not _ended(goal):
+                feedback = taken.data[:_HEAD] + taken.data[_HEAD + _UUID :]  # 16 bytes in, nothing is aligned otherwise
+                self._event(line, id, GoalEvent(taken.received_ns, feedback=feedback, own=goal.own))
+
+    async def _end(self, line: _Line, id: str, goal: _Goal, until: float, known: GoalStatus | None = None) -> None:
+        """Tell how a goal ended, with its result where the server gives it; `known` is the end where it is known."""
+        goal.ending = known is not None
+        words = result = None
+        status = known or GoalStatus.LOST
+        try:
+            request = made(f"{line.type}_GetResult", {"goal_id": _uuid(bytes.fromhex(id))}, "Request")
+            name = f"{line.name}/_action/get_result"
+            answer = cast(Any, await self._calls.call(name, f"{line.type}_GetResult", request, until))
+            if answer.status in _STATUSES:
+                status, result = _STATUSES[answer.status], serialized(answer.result)
+            elif known is None:
+                words = "its action server no longer knows it"
+        except (RosError, ValueError) as error:
+            words = f"its result is not known: {error}" if known else f"its action server went away: {error}"
+        goal.ending, goal.status = False, status
+        self._event(line, id, GoalEvent(time.time_ns(), status, words, result=result, own=goal.own))
+        self._leave(line)
+
+    def _event(self, line: _Line, id: str, event: GoalEvent) -> None:
+        goal = line.goals.get(id)
+        if goal is not None and goal.held is not None:
+            goal.held.append(event)
+            return
+        self._tell(GoalId(line.name, id), event)
+
+    def _begin(self, coroutine: Coroutine[Any, Any, None]) -> None:
+        task = self._loop.create_task(coroutine)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+
+def _ended(goal: _Goal) -> bool:
+    return goal.status is not None and goal.status.is_final
+
+
+def _type_of(action: Action) -> str:
+    if action.type is None or action.unusable is not None:
+        raise Refused(f"the action {action.name} cannot be used: {action.unusable or 'its type is not known'}")
+    return action.type.name
+
+
+def _uuid(id: bytes) -> object:
+    return made("unique_identifier_msgs/msg/UUID", {"uuid": list(id)})

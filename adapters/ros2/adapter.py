@@ -1,0 +1,344 @@
+"""The adapter: the contract's methods, on the server's loop, over a system that lives on a thread of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+from rosld.adapters.base import AdapterOptions, Capabilities, ParameterValue, Published, Recording, Sink, Watch
+from rosld.adapters.model import (
+    Encoding,
+    GoalId,
+    Graph,
+    Kind,
+    Operation,
+    Ref,
+    Refused,
+    RosError,
+    Sample,
+    Schema,
+    TimedOut,
+    TypeRef,
+    Unreachable,
+)
+from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.ros2.descriptors import operations_on
+from rosld.adapters.ros2.feeds import Feed, TopicSubscription
+from rosld.adapters.ros2.publications import Publication
+from rosld.adapters.ros2.source import Source, read_source, require_rclpy
+from rosld.adapters.ros2.system import OWN_NAME, System
+from rosld.adapters.ros2.types import definition_folders
+from rosld.adapters.thread import IoThread
+
+_CLOSE = 1.7
+_CAPABILITIES = Capabilities(
+    "ROS 2", Encoding.CDR, writes=True, creates_topics=True, parameter_trees=False, qos=True, hidden_names=True
+)
+
+
+def adapter(source: str, options: AdapterOptions) -> Ros2Adapter:
+    """The adapter for a source `ros2:?domain=42&namespace=/robot1`.
+
+    Raises ValueError for what is no such source, and where there is no rclpy.
+    """
+    read = read_source(source)
+    require_rclpy()
+    return Ros2Adapter(read, options)
+
+
+@dataclass
+class _Own:
+    """What we published on a topic: the newest few, and how they are counted."""
+
+    ref: TypeRef
+    epoch: int
+    kept: deque[Sample] = field(default_factory=lambda: deque(maxlen=1))
+    sequence: int = 0
+
+
+class _Following:
+    """A watch of the goals of an action."""
+
+    def __init__(self, thread: IoThread, stop: Callable[[], None]) -> None:
+        self._thread = thread
+        self._stop: Callable[[], None] | None = stop
+
+    def close(self) -> None:
+        """Follow no more. Idempotent."""
+        stop, self._stop = self._stop, None
+        if stop is not None:
+            self._thread.post(stop)
+
+
+class Ros2Adapter:
+    """A ROS 2 system, reached through rclpy. Implements the contract's `Adapter`."""
+
+    def __init__(self, source: Source, options: AdapterOptions) -> None:
+        self._source = source
+        self._options = options
+        self._library = TypeLibrary(ros_version=2, folders=definition_folders(options.types))
+        self._graph = Graph(0, own_node=f"{source.namespace.rstrip('/')}/{OWN_NAME}")
+        self._thread: IoThread | None = None
+        self._system: System | None = None
+        self._feeds: dict[str, Feed] = {}
+        self._epochs: dict[str, int] = {}
+        self._own: dict[str, _Own] = {}
+        self._own_epochs = itertools.count()
+        self._closing: asyncio.Future[None] | None = None
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Everything ROS 2 has can be read and written."""
+        return _CAPABILITIES
+
+    @property
+    def graph(self) -> Graph:
+        """The computation graph as last known."""
+        return self._system.graph if self._system else self._graph
+
+    @property
+    def recordings(self) -> Mapping[str, Recording]:
+        """None: this is a live system."""
+        return {}
+
+    async def open(self, sink: Sink, *, deadline: float) -> None:
+        """Join the domain and look around. Raises Unreachable where the middleware cannot be started."""
+        if self._system is not None:
+            return
+        thread = IoThread("rosld-ros2")
+        thread.start()
+        self._thread = thread
+        until = _until(deadline)
+
+        async def begin() -> System:
+            try:
+                system = System(self._source, self._graph, self._options, self._library, sink)
+            except Exception as error:
+                raise Unreachable(f"ROS 2's middleware cannot be started: {_one_line(error)}") from error
+            await system.open(until)
+            return system
+
+        try:
+            self._system = await thread.run(begin())
+        except RosError:
+            await thread.stop(1.0)
+            self._thread = None
+            raise
+
+    async def close(self) -> None:
+        """Leave the domain; idempotent, and over within two seconds."""
+        if self._closing is not None:
+            await asyncio.shield(self._closing)
+        elif self._thread is not None:
+            self._closing = asyncio.ensure_future(self._close(self._thread))
+            await asyncio.shield(self._closing)
+
+    def allows(self, ref: Ref) -> frozenset[Operation]:
+        """What ROS 2 can do with a thing: a topic whose types conflict or are not known here is not published to."""
+        graph = self.graph
+        if ref.kind is Kind.TOPIC:
+            topic = graph.topics.get(ref.name)
+            if topic is None:
+                return frozenset({Operation.PUBLISH})
+            writable = len({each.name for each in topic.types}) <= 1 and topic.unreadable is None
+            return frozenset({Operation.SUBSCRIBE, *([Operation.PUBLISH] if writable else [])})
+        if ref.kind is Kind.SERVICE:
+            service = graph.services.get(ref.name)
+            return frozenset({Operation.CALL} if service is not None and service.uncallable is None else ())
+        if ref.kind is Kind.ACTION:
+            action = graph.actions.get(ref.name)
+            usable = action is not None and action.servers and action.unusable is None
+            return frozenset({Operation.SEND_GOAL} if usable else ())
+        if ref.kind is Kind.NODE:
+            node = graph.nodes.get(ref.name)
+            movable = node is not None and node.lifecycle is not None and node.lifecycle.transitions
+            return frozenset({Operation.CHANGE_STATE} if movable else ())
+        if ref.kind is Kind.PARAMETER:
+            if (parameter := graph.parameters.get(ref.name)) is not None:
+                return operations_on(parameter.descriptor)
+            owned = self._system is not None and self._system.parameters.owner_of(ref.name) is not None
+            return frozenset({Operation.SET_PARAMETER} if owned else ())
+        return frozenset()
+
+    async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
+        """The schema of a type. Raises UnknownType."""
+        thread, system = self._running()
+        looking = system.types.schema(system.in_use(ref), system.users_of(ref), _until(deadline))
+        try:
+            return await asyncio.wait_for(thread.run(looking), max(_left(deadline), 0.0))
+        except asyncio.TimeoutError as error:
+            raise TimedOut(f"the definition of {ref.name} was not found in time") from error
+
+    def known_types(self) -> Sequence[TypeRef]:
+        """The types met so far, and those that the graph names."""
+        graph = self.graph
+        met = dict.fromkeys(self._library.known())
+        named = {ref.name for ref in met}
+        for topic in graph.topics.values():
+            met.update(dict.fromkeys(ref for ref in topic.types if ref.hash or ref.name not in named))
+        typed = [*(each.type for each in graph.services.values()), *(each.type for each in graph.actions.values())]
+        met.update(dict.fromkeys(ref for ref in typed if ref is not None and ref.name not in named))
+        return list(met)
+
+    async def subscribe(self, topic: str, *, depth: int = 1) -> TopicSubscription:
+        """Begin to read a topic; nothing is taken before somebody looks."""
+        thread, system = self._running()
+        depth = max(1, depth)
+        feed = self._feeds.get(topic)
+        if feed is None:
+            epoch = self._epochs.get(topic, -1) + 1
+            feed = self._feeds[topic] = Feed(topic, self.graph.own_node, epoch, system.waiter)
+            feed.depth = depth
+            for sample in self._own[topic].kept if topic in self._own else ():
+                feed.published(sample)
+            thread.post(partial(system.read, feed))
+        subscription = TopicSubscription(feed, depth, self._release)
+        feed.subscriptions.append(subscription)
+        self._set_depth(feed)
+        return subscription
+
+    def age_ns(self, sample: Sample) -> int:
+        """How long ago a sample was received, simulated time or not."""
+        return max(0, time.time_ns() - sample.received_ns)
+
+    async def publish(
+        self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
+    ) -> Published:
+        """Publish, advertising first if need be. Raises Refused, Unreachable, UnknownType.
+
+        With a subscriber connected it neither waits nor changes thread: the message is put where the thread
+        takes it, one wake-up for many.
+        """
+        thread, system = self._running()
+        publication = system.publications.get(topic)
+        if publication is None or not publication.carries(type) or not system.suits(publication, latch):
+            publication = await self._advertise(topic, type, latch, deadline)
+        elif not publication.matched:
+            await thread.run(publication.matching(1, _until(deadline), 0.0))
+        self._keep_own(publication, data)
+        thread.post(partial(publication.send, data))
+        return Published(publication.matched)
+
+    async def unadvertise(self, topic: str) -> None:
+        """Stop advertising. Raises NotFound where rosld advertises nothing."""
+        thread, system = self._running()
+        self._own.pop(topic, None)
+        if (feed := self._feeds.get(topic)) is not None:
+            feed.forget_own()
+        await thread.run(system.unadvertise(topic))
+
+    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        """Call a service. Raises Refused, TimedOut, Unreachable, NotFound; ROS 2's nodes give no words of failure."""
+        thread, system = self._running()
+        return await thread.run(system.call(service, type, request, _until(deadline)))
+
+    async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
+        """Send a goal. Raises Refused where it is rejected, TimedOut, Unreachable, NotFound."""
+        thread, system = self._running()
+        return await thread.run(system.send_goal(action, type, goal, _until(deadline)))
+
+    async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
+        """Ask for a goal to be canceled. Raises Refused, TimedOut, Unreachable, NotFound."""
+        thread, system = self._running()
+        await thread.run(system.cancel_goal(goal, _until(deadline)))
+
+    async def follow_goals(self, action: str, *, deadline: float) -> Watch:
+        """Have the sink told of all goals of an action. Raises NotFound."""
+        thread, system = self._running()
+        return _Following(thread, await thread.run(system.follow_goals(action, _until(deadline))))
+
+    async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
+        """Have a managed node make a transition. Raises Refused, TimedOut, Unreachable, NotFound."""
+        thread, system = self._running()
+        await thread.run(system.change_state(node, transition, _until(deadline)))
+
+    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
+        """The values of those names that exist, asked of their nodes now."""
+        thread, system = self._running()
+        return await thread.run(system.parameters.get(names, _until(deadline)))
+
+    async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
+        """Set them, those of one node all or none. Raises Refused naming the parameter, with the node's reason."""
+        thread, system = self._running()
+        await thread.run(system.parameters.set(values, _until(deadline)))
+
+    async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
+        """Delete them. Raises NotFound, and Refused by nodes that keep what they declared."""
+        thread, system = self._running()
+        await thread.run(system.parameters.delete(names, _until(deadline)))
+
+    def _running(self) -> tuple[IoThread, System]:
+        if self._thread is None or self._system is None or self._closing is not None:
+            raise Unreachable("the adapter is not open")
+        return self._thread, self._system
+
+    async def _advertise(self, topic: str, type: TypeRef, latch: bool, deadline: float) -> Publication:
+        """Advertise a topic; when it returns the graph has it."""
+        thread, system = self._running()
+        known = self.graph.topics.get(topic)
+        if known is not None and known.types and all(type.name != each.name for each in known.types):
+            names = " and ".join(each.name for each in known.types)
+            raise Refused(f"{topic} has the type {names}, not {type.name}")
+        return await thread.run(system.advertise(topic, type, latch, _until(deadline)))
+
+    def _keep_own(self, publication: Publication, data: bytes) -> None:
+        """What we publish is a sample of ours, there before `publish` returns."""
+        topic = publication.topic
+        own = self._own.get(topic)
+        if own is None or own.ref != publication.ref:
+            own = self._own[topic] = _Own(publication.ref, next(self._own_epochs))
+        feed = self._feeds.get(topic)
+        depth = feed.depth if feed else 1
+        if own.kept.maxlen != depth:
+            own.kept = deque(own.kept, maxlen=depth)
+        own.sequence += 1
+        node = self.graph.own_node
+        now = time.time_ns()
+        sample = Sample(data, Encoding.CDR, own.ref, node, now, own.sequence, own.epoch, publication.latched)
+        own.kept.append(sample)
+        if feed:
+            feed.own = node
+            feed.published(sample)
+
+    def _release(self, subscription: TopicSubscription) -> None:
+        feed = subscription.feed
+        feed.subscriptions.remove(subscription)
+        if feed.subscriptions:
+            return
+        self._feeds.pop(feed.topic, None)
+        self._epochs[feed.topic] = feed.epoch
+        if self._thread is not None and self._system is not None:
+            self._thread.post(partial(self._system.unread, feed))
+
+    def _set_depth(self, feed: Feed) -> None:
+        depth = max(each.depth for each in feed.subscriptions)
+        if depth > feed.depth and self._thread is not None and self._system is not None:
+            feed.deepen(depth)
+            self._thread.post(partial(self._system.deepen, feed))
+
+    async def _close(self, thread: IoThread) -> None:
+        began = time.monotonic()
+        if self._system is not None:
+            try:
+                await asyncio.wait_for(thread.run(self._system.close()), _CLOSE)
+            except (asyncio.TimeoutError, RosError):
+                pass  # it was promised to be quick
+        await thread.stop(max(0.2, _CLOSE - (time.monotonic() - began)))
+
+
+def _until(deadline: float) -> float:
+    """A deadline of the running loop as a time of the thread's loop, whose clock is the monotonic one."""
+    return time.monotonic() + _left(deadline)
+
+
+def _left(deadline: float) -> float:
+    return deadline - asyncio.get_running_loop().time()
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

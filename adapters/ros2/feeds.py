@@ -1,0 +1,282 @@
+"""Feeds: the newest samples of one topic, taken from the middleware's history when somebody looks.
+
+A feed belongs to the server's loop, on which its samples are taken; only its reader and what is known of its
+publishers are replaced by the thread that talks to ROS, each in one assignment.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from rosld.adapters.base import Watch
+from rosld.adapters.model import Encoding, Sample, TypeRef
+from rosld.adapters.ros2.middleware import Reader, Taken
+from rosld.adapters.ros2.waiter import Waiter
+from rosld.adapters.slots import LoopWatch, Watches
+
+_ECHO_NS = 250_000_000
+_ECHOES = 64
+_REMEMBERED = 256
+
+
+@dataclass(frozen=True)
+class Publishers:
+    """What is known of a topic's publishers: for each node (not us) how many it has, and who has which gid.
+
+    `types` is each node's type, `latched` are the nodes whose messages stay, `type` is the topic's as far as known.
+    """
+
+    nodes: Counter[str] = field(default_factory=Counter)
+    gids: Mapping[bytes, str] = field(default_factory=dict)
+    types: Mapping[str, TypeRef] = field(default_factory=dict)
+    latched: frozenset[str] = frozenset()
+    type: TypeRef | None = None
+
+
+@dataclass
+class _Stream:
+    """One publisher's newest samples, and the state of their counting."""
+
+    epoch: int
+    kept: deque[Sample]
+    sequence: int = 0
+    number: int | None = None
+    identities: deque[tuple[int, int | None]] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+
+    def count(self, taken: Taken, *, alone: bool) -> int:
+        """The number of the next message, as the publisher counts from the first we saw; one further otherwise."""
+        if taken.number is not None and alone and self.number is not None:
+            step = taken.number - self.number
+            if step <= 0:
+                self.epoch += 1
+                self.sequence = 0
+                step = 1
+            self.sequence += step
+        else:
+            self.sequence += 1
+        self.number = taken.number
+        return self.sequence
+
+
+class Feed:
+    """What comes in on one topic, for all its subscriptions; `own` is the node under which we publish."""
+
+    def __init__(self, topic: str, own: str, epoch: int, waiter: Waiter) -> None:
+        self.topic = topic
+        self.own = own
+        self.depth = 1
+        self.publishers = Publishers()
+        self.subscriptions: list[TopicSubscription] = []
+        self.watches = Watches()
+        self.epoch = epoch
+        self._waiter = waiter
+        self._server = asyncio.get_running_loop()
+        self._reader: Reader | None = None
+        self._armed = False
+        self._streams: dict[str, _Stream] = {}
+        self._echoes: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES)
+        self._views: dict[int, tuple[Sample, ...]] = {}
+        self._taking = threading.Lock()
+        self._seen_publishers = self.publishers
+
+    @property
+    def reader(self) -> Reader | None:
+        """What it is read with, None while it is not read."""
+        return self._reader
+
+    def read_with(self, reader: Reader | None) -> Reader | None:
+        """Take from this reader from now on; the one before, to be closed. Called on the thread that talks to ROS."""
+        before, self._reader = self._reader, reader
+        if before is not None:
+            self._waiter.disarm(before.handle)
+        self._soon(self._rearm)
+        return before
+
+    def published(self, sample: Sample) -> None:
+        """We published this: it is a sample, and its echo is none. Called on the server's loop."""
+        self._echoes.append((sample.received_ns, sample.data))
+        stream = self._streams.get(self.own)
+        if stream is None:
+            stream = self._streams[self.own] = _Stream(sample.epoch, deque(maxlen=self.depth))
+        stream.kept.append(sample)
+        self._views.clear()
+        self.watches.notify()
+
+    def forget_own(self) -> None:
+        """We publish no more."""
+        if self._streams.pop(self.own, None) is not None:
+            self._views.clear()
+
+    def latest(self, depth: int) -> Sequence[Sample]:
+        """The newest `depth` samples of each publisher, in order of receipt; the same object until one arrives."""
+        self._drain()
+        view = self._views.get(depth)
+        if view is None:
+            newest = [sample for stream in self._heard() for sample in tuple(stream.kept)[-depth:]]
+            view = self._views[depth] = tuple(sorted(newest, key=_received))
+        return view
+
+    def deepen(self, depth: int) -> None:
+        """Keep so many of the newest samples from now on."""
+        self.depth = depth
+        for stream in self._streams.values():
+            if stream.kept.maxlen != depth:
+                stream.kept = deque(stream.kept, maxlen=depth)
+        self._views.clear()
+
+    def watch(self, wake: Callable[[], None]) -> LoopWatch:
+        """Wake on the loop after something new arrived."""
+        watch = self.watches.add(wake)
+        self._rearm()
+        return watch
+
+    def close(self) -> None:
+        """Show nothing any more."""
+        reader = self._reader
+        if reader is not None:
+            self._waiter.disarm(reader.handle)
+
+    def _drain(self) -> bool:
+        """Take what is there; whether something new was."""
+        publishers, reader = self.publishers, self._reader
+        if publishers is not self._seen_publishers:
+            self._seen_publishers = publishers
+            self._attribute(publishers)
+            self._views.clear()
+        if reader is None:
+            return False
+        new, latched = False, reader.qos.durability == "transient_local"
+        with self._taking:
+            for _ in range(max(reader.qos.depth, self.depth)):
+                taken = reader.take()
+                if taken is None:
+                    break
+                new = self._put(taken, publishers, latched) or new
+        if new:
+            self._views.clear()
+        return new
+
+    def _attribute(self, publishers: Publishers) -> None:
+        """What came before it was known who publishes is the only publisher's, once that is known."""
+        nameless = self._streams.get("")
+        name = next(iter(publishers.nodes), "")
+        if nameless is not None and name and len(publishers.nodes) == 1 and name not in self._streams:
+            nameless.kept = deque((each._replace(publisher=name) for each in nameless.kept), maxlen=self.depth)
+            self._streams[name] = self._streams.pop("")
+
+    def _put(self, taken: Taken, publishers: Publishers, latched: bool) -> bool:
+        name = self._who(taken, publishers)
+        if name == self.own or self._is_echo(taken):
+            return False
+        stream = self._streams.get(name)
+        if stream is None:
+            stream = self._streams[name] = _Stream(self.epoch, deque(maxlen=self.depth))
+        if latched:
+            identity = taken.source_ns, taken.number
+            if identity in stream.identities:
+                return False  # a new reader of a latched topic is told again what the one before it heard
+            stream.identities.append(identity)
+        sequence = stream.count(taken, alone=publishers.nodes[name] == 1)
+        self.epoch = max(self.epoch, stream.epoch)
+        schema = publishers.types.get(name) or publishers.type or TypeRef("")
+        stream.kept.append(
+            Sample(
+                taken.data,
+                Encoding.CDR,
+                schema,
+                name,
+                taken.received_ns,
+                sequence,
+                stream.epoch,
+                name in publishers.latched,
+            )
+        )
+        return True
+
+    def _who(self, taken: Taken, publishers: Publishers) -> str:
+        """Who sent it: told by its gid where the middleware tells that, else known where only one node publishes."""
+        if taken.gid is not None and (found := publishers.gids.get(taken.gid)) is not None:
+            return found
+        return next(iter(publishers.nodes)) if len(publishers.nodes) == 1 else ""
+
+    def _is_echo(self, taken: Taken) -> bool:
+        """Whether it is what we published ourselves: the same bytes, written just when we wrote them."""
+        for echo in self._echoes:
+            written, data = echo
+            if -_ECHO_NS < taken.source_ns - written < _ECHO_NS and data == taken.data:
+                self._echoes.remove(echo)
+                return True
+        return False
+
+    def _heard(self) -> list[_Stream]:
+        """The streams of those who publish, and of others only the one who spoke last, until somebody speaks after."""
+        here = {*self.publishers.nodes, self.own}
+        present = [stream for name, stream in self._streams.items() if name in here and stream.kept]
+        gone = [stream for name, stream in self._streams.items() if name not in here and stream.kept]
+        last = max(gone, key=_newest, default=None)
+        if last is None or any(_newest(stream) >= _newest(last) for stream in present):
+            return present
+        return [*present, last]
+
+    def _rearm(self) -> None:
+        """Be told of the next message, if somebody watches."""
+        reader = self._reader
+        if reader is not None and len(self.watches):
+            self._waiter.arm(reader.handle, "reader", self._ready)
+
+    def _ready(self) -> None:
+        self._soon(self._arrived)
+
+    def _arrived(self) -> None:
+        if not len(self.watches):
+            return
+        if self._drain():
+            self.watches.notify()
+        self._rearm()
+
+    def _soon(self, action: Callable[[], None]) -> None:
+        try:
+            self._server.call_soon_threadsafe(action)
+        except RuntimeError:
+            pass  # the server's loop has ended
+
+
+class TopicSubscription:
+    """One interest in a topic; implements the contract's `Subscription`."""
+
+    def __init__(self, feed: Feed, depth: int, release: Callable[[TopicSubscription], None]) -> None:
+        self.feed = feed
+        self.depth = depth
+        self._release = release
+        self._closed = False
+        self._watches: list[LoopWatch] = []
+
+    def latest(self) -> Sequence[Sample]:
+        """The newest `depth` samples of each publisher, oldest first; the same object while nothing new came."""
+        return () if self._closed else self.feed.latest(self.depth)
+
+    def watch(self, wake: Callable[[], None]) -> Watch:
+        """Call `wake` on the server's loop after something new came."""
+        watch = self.feed.watch(wake)
+        self._watches.append(watch)
+        return watch
+
+    def close(self) -> None:
+        """Give this interest back. Idempotent."""
+        if not self._closed:
+            self._closed = True
+            for watch in self._watches:
+                watch.close()
+            self._release(self)
+
+
+def _received(sample: Sample) -> int:
+    return sample.received_ns
+
+
+def _newest(stream: _Stream) -> int:
+    return stream.kept[-1].received_ns

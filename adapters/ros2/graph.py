@@ -1,0 +1,189 @@
+"""From what the middleware shows to the computation graph: pure, and sharing what did not change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+from rosld.adapters.model import (
+    Action,
+    Endpoint,
+    Graph,
+    Lifecycle,
+    Live,
+    Node,
+    Parameter,
+    Service,
+    Stale,
+    Topic,
+    TypeRef,
+    frozen,
+)
+from rosld.adapters.model.names import action_of
+from rosld.adapters.ros2.middleware import Names, Seen
+
+_V = TypeVar("_V")
+_SEND_GOAL = "/_action/send_goal"
+_FEEDBACK = "/_action/feedback"
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One look at the system. What is ours is in it under our names; `advertised` is what we publish on purpose."""
+
+    nodes: tuple[str, ...] = ()
+    topics: Names = field(default_factory=dict)
+    services: Names = field(default_factory=dict)
+    publishers: Mapping[str, tuple[Seen, ...]] = field(default_factory=dict)
+    subscribers: Mapping[str, tuple[Seen, ...]] = field(default_factory=dict)
+    providers: Mapping[str, Names] = field(default_factory=dict)
+    callers: Mapping[str, Names] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the graph is made of beside the observation.
+
+    `problems` says of types' names why they cannot be used here.
+    """
+
+    hidden_node: str
+    own_node: str
+    advertised: frozenset[str] = frozenset()
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    unreachable: Mapping[str, str] = field(default_factory=dict)
+    lifecycles: Mapping[str, Lifecycle] = field(default_factory=dict)
+    simulated_time: bool = False
+    problems: Callable[[str], str | None] = lambda _: None
+
+    @property
+    def ours(self) -> frozenset[str]:
+        """Our nodes: while we advertise nothing, a node of our name is another's."""
+        return frozenset((self.hidden_node, self.own_node) if self.advertised else (self.hidden_node,))
+
+
+def compose(previous: Graph, seen: Observation, known: Known) -> Graph:
+    """The graph of an observation; `previous` itself where nothing changed."""
+    providers = _by_service(seen.providers, known)
+    callers = _by_service(seen.callers, known)
+    topics = _topics(seen, known)
+    actions = _actions(seen, providers, callers, known)
+    services = {
+        name: _service(name, types, providers.get(name, ()), known)
+        for name, types in seen.services.items()
+        if providers.get(name)
+    }
+    nodes = {
+        name: Node(name, None, known.unreachable.get(name), known.lifecycles.get(name))
+        for name in foreign_nodes(seen, known.hidden_node)
+    }
+    if known.advertised:
+        nodes[known.own_node] = Node(known.own_node)
+    graph = replace(
+        previous,
+        state=Live(),
+        own_node=known.own_node,
+        simulated_time=known.simulated_time,
+        nodes=_shared(previous.nodes, nodes),
+        topics=_shared(previous.topics, topics),
+        services=_shared(previous.services, services),
+        actions=_shared(previous.actions, actions),
+        parameters=_shared(previous.parameters, known.parameters),
+    )
+    return previous if graph == previous else replace(graph, revision=previous.revision + 1)
+
+
+def stale(previous: Graph, since_ns: int, why: str) -> Graph:
+    """The last known graph, as one that cannot be seen any more."""
+    if isinstance(previous.state, Stale):
+        return previous
+    return replace(previous, state=Stale(since_ns, why), revision=previous.revision + 1)
+
+
+def foreign_nodes(seen: Observation, hidden_node: str) -> tuple[str, ...]:
+    """The nodes that are not our hidden one, each name once."""
+    return tuple(name for name in dict.fromkeys(seen.nodes) if name != hidden_node)
+
+
+def _topics(seen: Observation, known: Known) -> dict[str, Topic]:
+    made: dict[str, Topic] = {}
+    for name, types in seen.topics.items():
+        ours = known.ours if name not in known.advertised else {known.hidden_node}
+        publishers = [each for each in seen.publishers.get(name, ()) if each.node not in ours]
+        subscribers = [each for each in seen.subscribers.get(name, ()) if each.node not in ours]
+        if publishers or subscribers:
+            made[name] = _topic(name, types, publishers, subscribers, known)
+    return made
+
+
+def _topic(name: str, types: tuple[str, ...], publishers: list[Seen], subscribers: list[Seen], known: Known) -> Topic:
+    refs = dict.fromkeys(each.type for each in (*publishers, *subscribers))
+    hashed = {ref.name for ref in refs if ref.hash is not None}
+    used = tuple(ref for ref in refs if ref.hash is not None or ref.name not in hashed)
+    words = next((found for ref in used if (found := known.problems(ref.name)) is not None), None)
+    return Topic(name, used, _endpoints(publishers, publish=True), _endpoints(subscribers, publish=False), words)
+
+
+def _endpoints(seen: list[Seen], *, publish: bool) -> tuple[Endpoint, ...]:
+    """The endpoints whose nodes are known; only what publishes can keep messages for those who come late."""
+    found = [
+        Endpoint(each.node, each.type, publish and each.qos.durability == "transient_local", None, each.qos)
+        for each in seen
+        if each.node
+    ]
+    return tuple(found if len(found) < 2 else sorted(found, key=lambda each: (each.node, repr(each.qos))))
+
+
+def _service(name: str, types: tuple[str, ...], providers: tuple[str, ...], known: Known) -> Service:
+    if len(types) != 1:
+        return Service(name, None, providers, f"it has several types: {', '.join(types)}")
+    return Service(name, TypeRef(types[0]), providers, of_action(name) or known.problems(types[0]))
+
+
+def of_action(service: str) -> str | None:
+    """Why an action's own service is not called by itself: it would send or cancel goals past who follows them."""
+    action = action_of(service)
+    return action and f"it is a part of the action {action}: goals are sent, followed and canceled by that"
+
+
+def _actions(
+    seen: Observation, providers: Mapping[str, tuple[str, ...]], callers: Mapping[str, tuple[str, ...]], known: Known
+) -> dict[str, Action]:
+    typed = {name.removesuffix(_FEEDBACK): types for name, types in seen.topics.items() if name.endswith(_FEEDBACK)}
+    typed |= {
+        name.removesuffix(_SEND_GOAL): types for name, types in seen.services.items() if name.endswith(_SEND_GOAL)
+    }
+    made: dict[str, Action] = {}
+    for name, types in typed.items():
+        servers, clients = (of.get(name + _SEND_GOAL, ()) for of in (providers, callers))
+        if servers or clients:
+            type = _action_type(types)
+            words = known.problems(type) if type else f"it has the types {', '.join(types)}"
+            made[name] = Action(name, TypeRef(type) if type else None, servers, clients, words)
+    return made
+
+
+def _action_type(types: tuple[str, ...]) -> str | None:
+    found = {each.removesuffix("_SendGoal").removesuffix("_FeedbackMessage") for each in types}
+    return found.pop() if len(found) == 1 else None
+
+
+def _by_service(by_node: Mapping[str, Names], known: Known) -> dict[str, tuple[str, ...]]:
+    found: dict[str, list[str]] = {}
+    for node in sorted(by_node):
+        if node not in known.ours:
+            for service in by_node[node]:
+                found.setdefault(service, []).append(node)
+    return {service: tuple(nodes) for service, nodes in found.items()}
+
+
+def _shared(previous: Mapping[str, _V], made: Mapping[str, _V]) -> Mapping[str, _V]:
+    """These values, sorted; equal ones are the previous objects, and so is the mapping if all are."""
+    kept: dict[str, _V] = {}
+    for name in sorted(made):
+        new, old = made[name], previous.get(name)
+        kept[name] = old if old is not None and old == new else new
+    if len(kept) == len(previous) and all(previous.get(name) is value for name, value in kept.items()):
+        return previous
+    return frozen(kept)

@@ -1,0 +1,269 @@
+"""Lifecycles: managed nodes, each asked through its own services, and followed by what it tells of its transitions.
+
+A node is asked when it appears, when it tells of a transition, and now and then, for what it tells may get lost.
+Everything here runs on the thread that talks to ROS.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, cast
+
+from rosld.adapters.model import (
+    Lifecycle,
+    LifecycleState,
+    Qos,
+    Refused,
+    RosError,
+    Sent,
+    Transition,
+    UnknownType,
+    frozen,
+)
+from rosld.adapters.ros2.calls import Calls
+from rosld.adapters.ros2.middleware import Names, Participant, Reader, class_problem, deserialized, made
+from rosld.adapters.ros2.waiter import Waiter
+
+_STATE = "lifecycle_msgs/srv/GetState"
+_TRANSITIONS = "lifecycle_msgs/srv/GetAvailableTransitions"
+_CHANGE = "lifecycle_msgs/srv/ChangeState"
+_TRANSITION = "lifecycle_msgs/msg/Transition"
+_EVENT = "lifecycle_msgs/msg/TransitionEvent"
+_EVENTS_QOS = Qos("best_effort", "volatile", "keep_last", 10)
+_PATIENCE = 2.0
+_SHORT_PATIENCE = 0.5
+_FIRST_RETRY = 2.0
+_AGAIN = 10.0
+_AT_ONCE = 16
+_TRIES = 4
+"""Times that a node is asked until its state is the same before and after."""
+_MOST_TRANSITIONS = 64
+
+
+@dataclass(eq=False)
+class _Managed:
+    """A managed node: what is known of it, and when to ask it next."""
+
+    lifecycle: Lifecycle
+    reader: Reader | None = None
+    ask_at: float = 0.0
+    wait: float = _FIRST_RETRY
+    asking: bool = False
+
+    @property
+    def is_underway(self) -> bool:
+        """Whether a transition is being made."""
+        return self.lifecycle.state is not None and self.lifecycle.state.is_underway
+
+
+@dataclass
+class Lifecycles:
+    """The lifecycles of all nodes but ours. `changed` is called when something changed."""
+
+    participant: Participant
+    calls: Calls
+    waiter: Waiter
+    changed: Callable[[], None]
+    by_node: Mapping[str, Lifecycle] = field(default_factory=dict)
+    """The lifecycles by node; the same object until one changes."""
+    _managed: dict[str, _Managed] = field(default_factory=dict)
+    _tasks: set[asyncio.Task[None]] = field(default_factory=set)
+    _few: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(_AT_ONCE))
+    _loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.get_running_loop)
+
+    def follow(self, providers: Mapping[str, Names], ours: Iterable[str]) -> None:
+        """These nodes (with their services) are there now: ask those that are new, or silent, or asked long ago."""
+        there = {node for node, services in providers.items() if _is_managed(node, services)} - set(ours)
+        for gone in self._managed.keys() - there:
+            self._leave(self._managed.pop(gone))
+        now = self._loop.time()
+        for node in there:
+            one = self._managed.get(node)
+            if one is None:
+                one = self._managed[node] = self._found(node)
+            if not one.asking and now >= one.ask_at:
+                self._ask_soon(node, one)
+        self._list_anew()
+
+    async def settled(self, seconds: float) -> None:
+        """Wait until those being asked have answered, at most so long."""
+        if self._tasks:
+            await asyncio.wait(tuple(self._tasks), timeout=seconds)
+
+    async def change(self, node: str, label: str, until: float) -> None:
+        """Have a node make a transition; what it then tells of its state is known when this returns or raises.
+
+        Raises Refused, TimedOut, Unreachable, UnknownType.
+        """
+        one = self._managed.get(node)
+        if one is None:
+            raise Refused(f"{node} is no managed node: it has no lifecycle")
+        if _legal(one, label) is None:
+            await self._make_sure(node, one, until)
+        transition = _legal(one, label)
+        if transition is None:
+            legal = ", ".join(each.label for each in one.lifecycle.transitions) or "none"
+            raise Refused(f"{node} is {_state_of(one)}: {label!r} is no legal transition now; legal is {legal}")
+        wanted = made(_TRANSITION, {"id": transition.id, "label": transition.label})
+        try:
+            answer = await self._call(node, "change_state", _CHANGE, {"transition": wanted}, until)
+        finally:
+            one.ask_at = 0.0
+        try:
+            await self._learn(node, one, until)
+        except RosError as error:  # what was asked for is done all the same, or not
+            self._silent(one, error)
+        if not answer.success:
+            raise Refused(f"{node} did not make the transition {label!r}: it is {_state_of(one)}", sent=Sent.YES)
+
+    async def _make_sure(self, node: str, one: _Managed, until: float) -> None:
+        """Ask a node how it stands; one that makes a transition may well not answer, and is not waited for."""
+        if not one.is_underway:
+            await self._learn(node, one, until)
+            return
+        try:
+            await self._learn(node, one, min(until, self._loop.time() + _SHORT_PATIENCE))
+        except RosError:
+            pass  # it was heard of what it does
+
+    def close(self) -> None:
+        """Stop asking and following."""
+        for task in self._tasks:
+            task.cancel()
+        for one in self._managed.values():
+            self._leave(one)
+        self._managed.clear()
+
+    # What nodes tell by themselves
+
+    def _found(self, node: str) -> _Managed:
+        """A managed node that appeared: followed from now on, where its types are known here."""
+        problem = class_problem(_STATE)
+        if problem is not None:
+            return _Managed(Lifecycle(f"{node}/change_state", unknown=problem), ask_at=float("inf"))
+        one = _Managed(Lifecycle(f"{node}/change_state"))
+        try:
+            one.reader = self.participant.reader(f"{node}/transition_event", _EVENT, _EVENTS_QOS)
+        except Exception:  # whatever the middleware finds wrong with the name: then it is asked now and then
+            return one
+        self._arm(node, one)
+        return one
+
+    def _arm(self, node: str, one: _Managed) -> None:
+        if one.reader is not None:
+            self.waiter.arm(one.reader.handle, "reader", partial(self._ready, node, one))
+
+    def _ready(self, node: str, one: _Managed) -> None:
+        try:
+            self._loop.call_soon_threadsafe(self._take, node, one)
+        except RuntimeError:
+            pass  # the thread's loop has ended
+
+    def _take(self, node: str, one: _Managed) -> None:
+        """Hear of transitions: one that is being made is told at once, for the node may answer nothing meanwhile."""
+        if _heard(one):
+            if one.is_underway:
+                self._list_anew()
+            if not one.asking:
+                self._ask_soon(node, one)
+        self._arm(node, one)
+
+    def _leave(self, one: _Managed) -> None:
+        reader, one.reader = one.reader, None
+        if reader is not None:
+            self.waiter.disarm(reader.handle)
+            reader.close()
+
+    # Asking
+
+    def _ask_soon(self, node: str, one: _Managed) -> None:
+        one.asking = True
+        task = self._loop.create_task(self._ask(node, one))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _ask(self, node: str, one: _Managed) -> None:
+        try:
+            async with self._few:
+                await self._learn(node, one, self._loop.time() + _PATIENCE)
+        except (RosError, ValueError) as error:
+            one.ask_at = self._loop.time() + one.wait
+            one.wait = min(2 * one.wait, _AGAIN)
+            self._silent(one, error)
+        else:
+            one.ask_at, one.wait = self._loop.time() + _AGAIN, _FIRST_RETRY
+        finally:
+            one.asking = False
+        self._list_anew()
+
+    def _silent(self, one: _Managed, error: Exception) -> None:
+        """A node does not answer: as long as it makes a transition, that is all there is to be told."""
+        if not one.is_underway:
+            words = f"it does not tell the state of its lifecycle: {error}"
+            one.lifecycle = replace(one.lifecycle, transitions=(), unknown=words)
+
+    async def _learn(self, node: str, one: _Managed, until: float) -> None:
+        """Ask a node for its state and its transitions, as of one moment. Raises what calls raise."""
+        for _ in range(_TRIES):
+            _heard(one)
+            now, possible = await asyncio.gather(
+                self._call(node, "get_state", _STATE, {}, until),
+                self._call(node, "get_available_transitions", _TRANSITIONS, {}, until),
+            )
+            state = _state(now.current_state)
+            offered = list(possible.available_transitions)[:_MOST_TRANSITIONS]
+            if not _heard(one) and all(each.start_state.id == state.id for each in offered):
+                break
+        legal = {} if state.is_underway else {each.transition.label: each for each in reversed(offered)}
+        transitions = tuple(
+            Transition(each.transition.label, each.transition.id, _state(each.goal_state))
+            for each in sorted(legal.values(), key=lambda each: (each.transition.id, each.transition.label))
+            if each.transition.label and each.start_state.id == state.id
+        )
+        one.lifecycle = Lifecycle(one.lifecycle.service, state, transitions)
+        self._list_anew()
+
+    async def _call(self, node: str, service: str, type: str, fields: dict[str, object], until: float) -> Any:
+        return cast(Any, await self.calls.call(f"{node}/{service}", type, made(type, fields, "Request"), until))
+
+    def _list_anew(self) -> None:
+        lifecycles = {node: one.lifecycle for node, one in sorted(self._managed.items())}
+        if lifecycles != self.by_node:
+            self.by_node = frozen(lifecycles)
+            self.changed()
+
+
+def _is_managed(node: str, services: Names) -> bool:
+    return _STATE in services.get(f"{node}/get_state", ()) and _TRANSITIONS in services.get(
+        f"{node}/get_available_transitions", ()
+    )
+
+
+def _heard(one: _Managed) -> bool:
+    """Take what a node told of its transitions; whether it told of any."""
+    heard = False
+    while one.reader is not None and (taken := one.reader.take()) is not None:
+        try:
+            event = cast(Any, deserialized(_EVENT, taken.data))
+        except (ValueError, UnknownType):
+            continue
+        heard = True
+        one.lifecycle = replace(one.lifecycle, state=_state(event.goal_state), transitions=(), unknown=None)
+    return heard
+
+
+def _state(message: Any) -> LifecycleState:
+    return LifecycleState(message.label, message.id)
+
+
+def _legal(one: _Managed, label: str) -> Transition | None:
+    return next((each for each in one.lifecycle.transitions if each.label == label), None)
+
+
+def _state_of(one: _Managed) -> str:
+    """How a node stands, in a word."""
+    state = one.lifecycle.state
+    return "in no state that it tells" if state is None else state.label

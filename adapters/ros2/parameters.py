@@ -1,0 +1,420 @@
+"""Parameters: each node's own, asked and set through its services, all nodes at once; events keep the list live.
+
+What a node declares of them is asked with their names, and of those that an event names for the first time soon after.
+A parameter's name is NODE + "/" + PARAMETER. Everything here runs on the thread that talks to ROS.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+from rosld.adapters.base import ParameterValue
+from rosld.adapters.model import (
+    Descriptor,
+    NotFound,
+    Parameter,
+    Refused,
+    RosError,
+    Sent,
+    TimedOut,
+    Unreachable,
+    fitted,
+    frozen,
+)
+from rosld.adapters.model.names import segments
+from rosld.adapters.ros2.calls import Calls
+from rosld.adapters.ros2.descriptors import descriptor_of
+from rosld.adapters.ros2.middleware import Names, ParameterChange, made
+from rosld.adapters.ros2.values import Tag, from_message, to_fields
+
+_SERVICES = {
+    "list_parameters": "rcl_interfaces/srv/ListParameters",
+    "describe_parameters": "rcl_interfaces/srv/DescribeParameters",
+    "get_parameters": "rcl_interfaces/srv/GetParameters",
+    "set_parameters": "rcl_interfaces/srv/SetParameters",
+    "set_parameters_atomically": "rcl_interfaces/srv/SetParametersAtomically",
+}
+_PATIENCE = 2.0
+_FIRST_RETRY = 2.0
+_LONGEST_RETRY = 60.0
+_AGAIN = 60.0
+_AT_ONCE = 16
+_MOST_PARAMETERS = 20_000
+
+
+@dataclass
+class _Owner:
+    """A node with parameters: their names, what it declares of them, and when to ask for them next.
+
+    `new` are names of which was not asked yet what is declared; `describes` is whether the node tells at all.
+    """
+
+    names: frozenset[str] = frozenset()
+    descriptors: dict[str, Descriptor] = field(default_factory=dict)
+    new: frozenset[str] = frozenset()
+    describes: bool = False
+    ask_at: float = 0.0
+    wait: float = _FIRST_RETRY
+    asking: bool = False
+    uses_simulated_time: bool = False
+    generation: int = 0
+
+    def learn(self, names: Set[str], descriptors: Mapping[str, Descriptor]) -> None:
+        """Of these names just this is declared."""
+        known = {name: each for name, each in self.descriptors.items() if name not in names}
+        self.descriptors = {name: each for name, each in {**known, **descriptors}.items() if name in self.names}
+
+
+@dataclass
+class Parameters:
+    """The parameters of all nodes but ours. `changed` is called, with the names that did, when something changed."""
+
+    calls: Calls
+    changed: Callable[[Sequence[str]], None]
+    owners: dict[str, _Owner] = field(default_factory=dict)
+    unreachable: dict[str, str] = field(default_factory=dict)
+    _listed: Mapping[str, Parameter] = field(default_factory=dict)
+    _tasks: set[asyncio.Task[None]] = field(default_factory=set)
+    _few: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(_AT_ONCE))
+
+    @property
+    def graph_parameters(self) -> Mapping[str, Parameter]:
+        """The parameters by name; the same object until one comes or goes."""
+        return self._listed
+
+    @property
+    def simulated_time(self) -> bool:
+        """Whether a node's `use_sim_time` holds."""
+        return any(owner.uses_simulated_time for owner in self.owners.values())
+
+    def follow(self, providers: Mapping[str, Names], ours: Iterable[str]) -> None:
+        """These nodes (with their services) are there now: ask those that are new, or silent, or asked long ago."""
+        there = {node for node in providers if _provides(providers, node, "list_parameters")} - set(ours)
+        for gone in self.owners.keys() - there:
+            del self.owners[gone]
+        for quiet in self.unreachable.keys() - there:
+            del self.unreachable[quiet]
+        now = asyncio.get_running_loop().time()
+        for node in there:
+            owner = self.owners.setdefault(node, _Owner())
+            owner.describes = _provides(providers, node, "describe_parameters")
+            if not owner.asking and now >= owner.ask_at:
+                owner.asking = True
+                self._begin(self._list(node, owner))
+        self._list_anew()
+
+    async def settled(self, seconds: float) -> None:
+        """Wait until those being asked have answered, at most so long."""
+        if self._tasks:
+            await asyncio.wait(tuple(self._tasks), timeout=seconds)
+
+    def event(self, change: ParameterChange) -> None:
+        """A node told what became of its parameters."""
+        owner = self.owners.get(change.node)
+        if owner is not None:
+            self._became(change.node, owner, change.set, change.deleted, change.new)
+            if "use_sim_time" in change.set:
+                owner.ask_at = 0.0
+        self.changed([f"{change.node}/{name}" for name in (*change.set, *change.deleted)])
+
+    def owner_of(self, name: str) -> tuple[str, str] | None:
+        """The node and its parameter of a name: the pair that is known, else the longest node's name that fits."""
+        known = self._listed.get(name)
+        if known is not None and known.node is not None:
+            return known.node, name[len(known.node) + 1 :]
+        fits = [node for node in self.owners if name.startswith(f"{node}/") and len(name) > len(node) + 1]
+        node = max(fits, key=len, default=None)
+        return None if node is None else (node, name[len(node) + 1 :])
+
+    async def get(self, names: Sequence[str], until: float) -> dict[str, ParameterValue]:
+        """The values of those names that there are; a name that holds others gives a dict of what lies below."""
+        trees = {name: self._below(name) for name in names if name not in self._listed}
+        wanted: dict[str, None] = dict.fromkeys(name for name in names if self.owner_of(name) is not None)
+        wanted.update(dict.fromkeys(each for below in trees.values() for each in below))
+        found = await self._values(wanted, until, strict=frozenset(names))
+        return {
+            name: found[name] if name in found else _tree(name, {each: found[each] for each in below if each in found})
+            for name in names
+            for below in [trees.get(name, [])]
+            if name in found or below or name == "/"
+        }
+
+    async def set(self, values: Mapping[str, ParameterValue], until: float) -> None:
+        """Set them, those of one node all or none. Raises Refused naming the parameter, NotFound, TimedOut."""
+        by_node: dict[str, dict[str, tuple[str, ParameterValue]]] = {}
+        for name, value in values.items():
+            node, parameter = self._owner(name)
+            value = self._as_declared(name, value)
+            if value != []:
+                to_fields(name, value)
+            by_node.setdefault(node, {})[parameter] = name, value
+        await _all_done(*(self._set(node, given, until) for node, given in by_node.items()))
+
+    async def delete(self, names: Sequence[str], until: float) -> None:
+        """Delete them, or what lies below them. Raises NotFound, Refused."""
+        by_node: dict[str, list[str]] = {}
+        for name in names:
+            leaves = [name] if name in self._listed else self._below(name)
+            if not leaves:
+                raise NotFound(f"there is no parameter {name}")
+            for leaf in leaves:
+                node, parameter = self._owner(leaf)
+                by_node.setdefault(node, []).append(parameter)
+        await _all_done(*(self._delete(node, given, until) for node, given in by_node.items()))
+
+    def close(self) -> None:
+        """Stop asking."""
+        for task in self._tasks:
+            task.cancel()
+
+    def _as_declared(self, name: str, value: ParameterValue) -> ParameterValue:
+        """The value in the type that is declared, where it fits; the node judges all others."""
+        known = self._listed.get(name)
+        type = None if known is None or known.descriptor is None else known.descriptor.type
+        fit = None if type is None else fitted(value, type)
+        return value if fit is None else fit
+
+    def _owner(self, name: str) -> tuple[str, str]:
+        found = self.owner_of(name)
+        if found is None:
+            raise NotFound(f"the parameter {name} belongs to no node: its name is a node's name, a slash, and its own")
+        return found
+
+    def _below(self, name: str) -> list[str]:
+        """The names of the parameters that lie below a name, which is no parameter itself."""
+        prefix = "/" if name == "/" else f"{name}/"
+        return [each for each in self._listed if each.startswith(prefix)]
+
+    async def _values(self, names: Iterable[str], until: float, *, strict: frozenset[str]) -> dict[str, ParameterValue]:
+        """The values of parameters; a node that does not answer fails those that were asked for by name alone."""
+        by_node: dict[str, list[tuple[str, str]]] = {}
+        for name in names:
+            node, parameter = self._owner(name)
+            by_node.setdefault(node, []).append((name, parameter))
+
+        async def ask(node: str, wanted: list[tuple[str, str]]) -> dict[str, ParameterValue]:
+            try:
+                return await self._ask_values(node, wanted, until)
+            except (TimedOut, Unreachable):
+                if any(name in strict for name, _ in wanted):
+                    raise
+                return {}
+
+        answers = await _all(*(ask(node, wanted) for node, wanted in by_node.items()))
+        return {name: value for answer in answers for name, value in answer.items()}
+
+    async def _ask_values(self, node: str, wanted: list[tuple[str, str]], until: float) -> dict[str, ParameterValue]:
+        response = await self._ask(node, "get_parameters", {"names": [parameter for _, parameter in wanted]}, until)
+        if len(response.values) != len(wanted):  # one of them is not declared, and the whole answer is empty
+            if len(wanted) == 1:
+                return {}
+            halves = (wanted[: len(wanted) // 2], wanted[len(wanted) // 2 :])
+            answers = await _all(*(self._ask_values(node, half, until) for half in halves))
+            return {name: value for answer in answers for name, value in answer.items()}
+        found = {name: from_message(message) for (name, _), message in zip(wanted, response.values, strict=True)}
+        return {name: value for name, value in found.items() if value is not None}
+
+    async def _set(self, node: str, given: Mapping[str, tuple[str, ParameterValue]], until: float) -> None:
+        current = await self._tags(node, [parameter for parameter, (_, value) in given.items() if value == []], until)
+        messages = [
+            _parameter(parameter, to_fields(name, value, current.get(parameter)))
+            for parameter, (name, value) in given.items()
+        ]
+        response = await self._ask(node, "set_parameters_atomically", {"parameters": messages}, until)
+        if not response.result.successful:
+            names = ", ".join(name for name, _ in given.values())
+            raise _refused(names, node, response.result.reason)
+        self._note(node, set=given.keys())
+
+    async def _delete(self, node: str, given: Sequence[str], until: float) -> None:
+        messages = [_parameter(parameter, {"type": int(Tag.NOT_SET)}) for parameter in given]
+        response = await self._ask(node, "set_parameters", {"parameters": messages}, until)
+        for parameter, result in zip(given, response.results, strict=False):
+            if not result.successful:
+                raise _refused(f"{node}/{parameter}", node, result.reason)
+        left = await self._names(node, until)
+        for parameter in given:
+            if parameter in left:
+                raise _refused(f"{node}/{parameter}", node, "it was declared by its node, which keeps it")
+        self._note(node, deleted=given)
+
+    async def _tags(self, node: str, parameters: Sequence[str], until: float) -> dict[str, int]:
+        if not parameters:
+            return {}
+        response = await self._ask(node, "get_parameters", {"names": list(parameters)}, until)
+        return {name: value.type for name, value in zip(parameters, response.values, strict=False)}
+
+    def _note(self, node: str, *, set: Iterable[str] = (), deleted: Iterable[str] = ()) -> None:
+        """Show at once what was just done; the node's own event follows."""
+        owner = self.owners.get(node)
+        if owner is not None:
+            self._became(node, owner, tuple(set), tuple(deleted))
+        self.changed([f"{node}/{name}" for name in (*set, *deleted)])
+
+    def _became(
+        self, node: str, owner: _Owner, set: Sequence[str], deleted: Sequence[str], new: Sequence[str] = ()
+    ) -> None:
+        """These parameters are there, those are gone; what is new is soon asked for what is declared of it."""
+        owner.generation += 1
+        room = max(0, _MOST_PARAMETERS - len(owner.names))
+        came = [name for name in dict.fromkeys(set) if name not in owner.names][:room]
+        owner.names = owner.names.union(came).difference(deleted)
+        for name in deleted:
+            owner.descriptors.pop(name, None)
+        self._list_anew()
+        begun = bool(owner.new)
+        owner.new = owner.names.intersection(owner.new.union(came, new))
+        if owner.new and not begun and owner.describes:
+            self._begin(self._describe_new(node, owner))
+
+    async def _list(self, node: str, owner: _Owner) -> None:
+        loop = asyncio.get_running_loop()
+        generation = owner.generation
+        try:
+            async with self._few:
+                names = await self._names(node, loop.time() + _PATIENCE)
+                simulated, descriptors = await _all(
+                    self._simulated(node, names, loop.time() + _PATIENCE),
+                    self._described(node, owner, names),
+                )
+        except (RosError, ValueError) as error:
+            self._ask_again(owner)
+            if self.owners.get(node) is owner:
+                self.unreachable[node] = f"it does not tell its parameters: {error}"
+        else:
+            owner.ask_at = loop.time() + _AGAIN
+            if descriptors is not None:
+                owner.wait = _FIRST_RETRY
+            owner.uses_simulated_time = simulated
+            if generation == owner.generation:  # else an event told of something younger
+                owner.names = names
+            else:
+                owner.ask_at = loop.time() + _FIRST_RETRY
+            if descriptors is None:
+                self._ask_again(owner)
+            else:
+                owner.learn(names, descriptors)
+            self.unreachable.pop(node, None)
+        finally:
+            owner.asking = False
+        self._list_anew()
+        self.changed([])
+
+    async def _names(self, node: str, until: float) -> frozenset[str]:
+        response = await self._ask(node, "list_parameters", {"prefixes": [], "depth": 0}, until)
+        return frozenset(list(response.result.names)[:_MOST_PARAMETERS])
+
+    def _ask_again(self, owner: _Owner) -> None:
+        """Ask a node that did not answer again, each time after a longer while."""
+        owner.ask_at = asyncio.get_running_loop().time() + owner.wait
+        owner.wait = min(2 * owner.wait, _LONGEST_RETRY)
+
+    async def _described(self, node: str, owner: _Owner, names: Iterable[str]) -> dict[str, Descriptor] | None:
+        """What a node declares of parameters; None where it does not answer in time."""
+        found: dict[str, Descriptor] = {}
+        waiting = [sorted(names)] if owner.describes else []
+        until = asyncio.get_running_loop().time() + _PATIENCE
+        try:
+            while waiting:
+                some = waiting.pop()
+                response = await self._ask(node, "describe_parameters", {"names": some}, until)
+                if len(response.descriptors) == len(some):
+                    told = zip(some, map(descriptor_of, response.descriptors), strict=True)
+                    found.update((name, descriptor) for name, descriptor in told if descriptor is not None)
+                elif len(some) > 1:  # one of them is not declared, and the whole answer is empty
+                    waiting += (some[: len(some) // 2], some[len(some) // 2 :])
+        except (RosError, ValueError):
+            return None
+        return found
+
+    async def _describe_new(self, node: str, owner: _Owner) -> None:
+        """Ask what is declared of new parameters, and of those that come meanwhile."""
+        while owner.new and self.owners.get(node) is owner:
+            names = owner.new
+            async with self._few:
+                descriptors = await self._described(node, owner, names)
+            if descriptors is None:
+                owner.new = frozenset()
+                self._ask_again(owner)
+                return
+            owner.new = (owner.new - names) & owner.names
+            owner.learn(names, descriptors)
+            self._list_anew()
+            self.changed([])
+
+    async def _simulated(self, node: str, names: frozenset[str], until: float) -> bool:
+        if "use_sim_time" not in names:
+            return False
+        response = await self._ask(node, "get_parameters", {"names": ["use_sim_time"]}, until)
+        return [from_message(value) for value in response.values] == [True]
+
+    async def _ask(self, node: str, service: str, fields: dict[str, object], until: float) -> Any:
+        type = _SERVICES[service]
+        return cast(Any, await self.calls.call(f"{node}/{service}", type, made(type, fields, "Request"), until))
+
+    def _list_anew(self) -> None:
+        names = {
+            f"{node}/{parameter}": Parameter(f"{node}/{parameter}", node, owner.descriptors.get(parameter))
+            for node, owner in sorted(self.owners.items())
+            for parameter in sorted(owner.names)
+        }
+        if names != self._listed:
+            self._listed = frozen(names)
+
+    def _begin(self, coroutine: Any) -> None:
+        task = asyncio.get_running_loop().create_task(coroutine)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+
+def _provides(providers: Mapping[str, Names], node: str, service: str) -> bool:
+    """Whether a node has one of the services of parameters."""
+    return _SERVICES[service] in providers[node].get(f"{node}/{service}", ())
+
+
+async def _all(*coroutines: Any) -> list[Any]:
+    """The results of all, which are all waited for; then the first error is raised."""
+    results = await asyncio.gather(*coroutines, return_exceptions=True)
+    for result in results:
+        if isinstance(result, BaseException):
+            raise result
+    return list(results)
+
+
+async def _all_done(*writes: Any) -> None:
+    """Carry out writes to several nodes; of an error it is known whether another node may have been written to."""
+    results = await asyncio.gather(*writes, return_exceptions=True)
+    errors = [each for each in results if isinstance(each, BaseException)]
+    for error in errors:
+        if isinstance(error, RosError) and error.sent is Sent.NO and len(errors) < len(results):
+            error.sent = Sent.MAYBE
+        raise error
+
+
+def _tree(name: str, values: Mapping[str, ParameterValue]) -> ParameterValue:
+    """What lies below a name, as dicts in dicts; of two that want one place the leaf gives way."""
+    root: dict[str, ParameterValue] = {}
+    start = len(segments(name))
+    for each in sorted(values):
+        *above, last = segments(each)[start:]
+        place = root
+        for step in above:
+            below = place.get(step)
+            if not isinstance(below, dict):
+                below = place[step] = {}
+            place = below
+        place[last] = values[each]
+    return root
+
+
+def _parameter(name: str, fields: dict[str, object]) -> object:
+    value = made("rcl_interfaces/msg/ParameterValue", fields)
+    return made("rcl_interfaces/msg/Parameter", {"name": name, "value": value})
+
+
+def _refused(name: str, node: str, reason: str) -> Refused:
+    words = reason or "it gave no reason"
+    return Refused(f"{node} refuses the parameter {name}: {words}", words=reason or None, sent=Sent.YES)

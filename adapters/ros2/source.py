@@ -1,0 +1,75 @@
+"""Sources: `ros2:?domain=42&namespace=/robot1`, checked, and whether there is an rclpy to reach them with."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from dataclasses import dataclass
+from urllib.parse import parse_qsl
+
+_DOMAINS = range(233)
+_NAMESPACE = re.compile(r"(/[A-Za-z_]\w*)+\Z", re.ASCII)
+_OPTIONS = ("domain", "namespace")
+
+HOW_TO_GET_IT = (
+    "ROS 2 is reached through rclpy, which this Python does not have: source the robot's ROS in this shell "
+    "(`source /opt/ros/jazzy/setup.bash`; in a venv made with --system-site-packages), or install it from PyPI with "
+    '`pip install "rosld[ros2-jazzy]"` or `"rosld[ros2-kilted]"`'
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A domain (None: ROS_DOMAIN_ID's, else 0) and the namespace of our own nodes in it."""
+
+    domain: int | None = None
+    namespace: str = "/"
+
+
+def read_source(text: str) -> Source:
+    """The source that `ros2`, `ros2:` or `ros2:?domain=42&namespace=/robot1` names.
+
+    Raises ValueError with a sentence for the user.
+    """
+    rest = text.removeprefix("ros2").removeprefix(":").removeprefix("//")
+    if rest and not rest.startswith("?"):
+        raise ValueError(f"{text!r} names no ROS 2 system: write ros2: or ros2:?domain=42&namespace=/robot1")
+    try:
+        given = parse_qsl(rest[1:], keep_blank_values=True, strict_parsing=bool(rest[1:]))
+    except ValueError as error:
+        raise ValueError(f"the options of {text!r} cannot be read: write ros2:?domain=42&namespace=/robot1") from error
+    for name, _ in given:
+        if name not in _OPTIONS:
+            raise ValueError(f"{name!r} is no option of ros2: there are {' and '.join(_OPTIONS)}")
+    if len({name for name, _ in given}) < len(given):
+        raise ValueError(f"an option is given twice in {text!r}")
+    options = dict(given)
+    return Source(
+        _domain(options["domain"]) if "domain" in options else None, _namespace(options.get("namespace", "/"))
+    )
+
+
+def _domain(text: str) -> int:
+    if not (text.isascii() and text.isdigit()) or int(text) not in _DOMAINS:
+        raise ValueError(f"domain={text!r} is no ROS domain: give a number from 0 to {_DOMAINS[-1]}")
+    return int(text)
+
+
+def _namespace(text: str) -> str:
+    if text != "/" and (not _NAMESPACE.match(text) or "__" in text):
+        raise ValueError(f"namespace={text!r} is no namespace of nodes: give one such as /robot1")
+    return text
+
+
+def require_rclpy() -> None:
+    """Raises ValueError, saying how to get it, where rclpy is not there or cannot be loaded."""
+    try:
+        importlib.import_module("rclpy.node")
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != "rclpy":
+            raise ValueError(
+                f"rclpy is there but lacks {error.name}: is its whole ROS sourced in this shell?"
+            ) from error
+        raise ValueError(HOW_TO_GET_IT) from error
+    except ImportError as error:
+        raise ValueError(f"rclpy is there but cannot be loaded: {error}; is its ROS sourced in this shell?") from error

@@ -1,0 +1,113 @@
+"""Types: defined by the packages installed here, by folders that the user names, or told by the nodes that use them."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+from rosld.adapters.model import RosError, Schema, TypeRef, UnknownType
+from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.ros2.calls import Calls
+from rosld.adapters.ros2.middleware import class_problem, made
+
+_DESCRIPTION = "type_description_interfaces/srv/GetTypeDescription"
+_KINDS = ("msg", "srv", "action")
+_MOST_ASKED = 3
+_SEPARATOR = "=" * 80
+
+
+def definition_folders(
+    given: Iterable[Path], environment: Mapping[str, str] = os.environ, prefix: str = sys.prefix
+) -> Sequence[Path]:
+    """The folders in which definitions may lie: those given, then the share folders of the ROS that is sourced.
+
+    Wheels have theirs in the venv.
+    """
+    prefixes = [each for each in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if each]
+    shares = [Path(each) / "share" for each in (*prefixes, prefix)]
+    found = list(given)
+    for share in dict.fromkeys(shares):
+        if (share / "ament_index").is_dir() or share.parent != Path(prefix):
+            found += [folder for kind in _KINDS for folder in sorted(share.glob(f"*/{kind}"))]
+    return [folder for folder in found if folder.is_dir()]
+
+
+class Types:
+    """The type library as the thread that talks to ROS uses it."""
+
+    def __init__(self, library: TypeLibrary, calls: Calls) -> None:
+        self.library = library
+        self._calls = calls
+        self._problems: dict[str, str | None] = {}
+        self._hashes: dict[str, str | None] = {}
+
+    def problem(self, name: str) -> str | None:
+        """Why messages of a type cannot be read or sent here, None where they can."""
+        if name not in self._problems:
+            self._problems[name] = class_problem(name)
+        return self._problems[name]
+
+    def note_problem(self, name: str, words: str) -> None:
+        """Messages of this type cannot be decoded, as these words say."""
+        self._problems[name] = words
+
+    def with_hash(self, ref: TypeRef) -> TypeRef:
+        """The type with the hash of its definition here, where the middleware does not tell it (Humble)."""
+        if ref.hash is not None:
+            return ref
+        if ref.name not in self._hashes:
+            try:
+                self._hashes[ref.name] = self.library.find(ref).ref.hash
+            except UnknownType:
+                self._hashes[ref.name] = None
+        return TypeRef(ref.name, self._hashes[ref.name])
+
+    async def schema(self, ref: TypeRef, users: Sequence[str], until: float) -> Schema:
+        """The schema of a type: from what lies here, else, if its hash is known, asked of the nodes that use it.
+
+        Raises UnknownType.
+        """
+        loop = asyncio.get_running_loop()
+        try:
+            return await loop.run_in_executor(None, self.library.find, ref)
+        except UnknownType as unknown:
+            for node in users[:_MOST_ASKED]:
+                if (found := await self._ask(node, ref, until)) is not None:
+                    return found
+            raise unknown
+
+    async def _ask(self, node: str, ref: TypeRef, until: float) -> Schema | None:
+        """What a node says of a type, which it knows by its hash; None where it says nothing useful."""
+        if ref.hash is None:
+            return None
+        fields: dict[str, object] = {
+            "type_name": ref.name,
+            "type_hash": ref.hash,
+            "include_type_sources": True,
+        }
+        service = f"{node}/get_type_description"
+        try:
+            request = made(_DESCRIPTION, fields, "Request")
+            answer = cast(Any, await self._calls.call(service, _DESCRIPTION, request, until))
+            if not answer.successful:
+                return None
+            sources = {each.type_name: (each.encoding, each.raw_file_contents) for each in answer.type_sources}
+            return await asyncio.get_running_loop().run_in_executor(None, self._learn, ref, sources)
+        except (RosError, ValueError):
+            return None
+
+    def _learn(self, ref: TypeRef, sources: Mapping[str, tuple[str, str]]) -> Schema:
+        """The schema from the texts of a type and of all it nests. Raises ValueError."""
+        encoding, text = sources.get(ref.name, ("", ""))
+        if encoding not in ("msg", "srv"):
+            raise ValueError(f"the definition of {ref.name} is told in {encoding!r}")
+        parts = [text.rstrip("\n")]
+        for name, (kind, nested) in sources.items():
+            if name != ref.name and kind == "msg":
+                parts.append(f"{_SEPARATOR}\nMSG: {name.replace('/msg/', '/')}\n{nested.rstrip()}")
+        learn = self.library.learn_message if encoding == "msg" else self.library.learn_service
+        return learn(ref.name, "\n".join(parts) + "\n", ref.hash)

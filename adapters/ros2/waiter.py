@@ -1,0 +1,90 @@
+"""The thread that waits for the middleware: it takes nothing, it only tells who has something to take.
+
+Whoever wants to be told arms a handle; once told, it is armed no more until it says so again, so that many messages
+cost one wake, and what nobody watches costs nothing.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Literal
+
+from rosld.adapters.ros2.middleware import Handle, Participant
+
+_AT_MOST = 1.0
+
+
+class Waiter:
+    """Waits on a thread of its own. `arm` and `disarm` may be called on any thread."""
+
+    def __init__(self, participant: Participant) -> None:
+        self._wakeup = participant.wakeup()
+        self._set = participant.wait_set()
+        self._armed: dict[int, tuple[Handle, Literal["reader", "client"], Callable[[], None]]] = {}
+        self._lock = threading.Lock()
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name="rosld-ros2-wait", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def arm(self, handle: Handle, kind: Literal["reader", "client"], ready: Callable[[], None]) -> None:
+        """Call `ready` once, on the waiting thread, when there is something to take; it must be quick."""
+        with self._lock:
+            self._armed[id(handle)] = handle, kind, ready
+        self._wakeup.trigger()
+
+    def disarm(self, handle: Handle) -> None:
+        """Tell no more of this handle."""
+        with self._lock:
+            gone = self._armed.pop(id(handle), None)
+        if gone is not None:
+            self._wakeup.trigger()
+
+    def stop(self, timeout: float) -> None:
+        """End the thread; waits at most `timeout` seconds."""
+        self._stopping = True
+        self._wakeup.trigger()
+        if self._thread.is_alive():
+            self._thread.join(timeout)
+        self._wakeup.close()
+
+    def _run(self) -> None:
+        while not self._stopping:
+            for ready in self._wait():
+                ready()
+
+    def _wait(self) -> list[Callable[[], None]]:
+        with self._lock:
+            armed = dict(self._armed)
+        with ExitStack() as stack:
+            entered: dict[int, Handle] = {}
+            for key, (handle, _, _) in armed.items():
+                try:
+                    stack.enter_context(handle)
+                except Exception:  # it was destroyed meanwhile
+                    self._forget(key, handle)
+                else:
+                    entered[key] = handle
+            try:
+                stack.enter_context(self._wakeup.handle)
+                readers = [handle for key, handle in entered.items() if armed[key][1] == "reader"]
+                clients = [handle for key, handle in entered.items() if armed[key][1] == "client"]
+                ready = self._set.wait(readers, clients, self._wakeup.handle, _AT_MOST)
+            except Exception:  # the context was shut down
+                self._stopping = True
+                return []
+            told = [key for key, handle in entered.items() if handle.pointer in ready]
+        return [armed[key][2] for key in told if self._forget(key, armed[key][0])]
+
+    def _forget(self, key: int, handle: Handle) -> bool:
+        """Disarm a handle; False where it was disarmed before."""
+        with self._lock:
+            found = self._armed.get(key)
+            if found is None or found[0] is not handle:
+                return False
+            del self._armed[key]
+            return True

@@ -1,0 +1,96 @@
+"""Graphs by their names (SPARQL 1.1 Graph Store HTTP Protocol), as ratios to the Oxigraph server on the same graphs.
+
+Run: python bench/gsp.py [seconds]. Needs `wrk` (Debian: apt-get install wrk) and `pip install oxigraph`.
+"""
+
+from __future__ import annotations
+
+import shutil
+import statistics
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import quote
+
+import httpx
+from sparql import oxigraph
+from web import ROUNDS, measure, serving
+
+TURTLE, TRIPLES = "text/turtle", "application/n-triples"
+NUMBER = 9
+"""Statements of a client: with the server's own they are about 1 kB of N-Triples."""
+WRITE = """
+wrk.method = "{method}"
+wrk.headers["Content-Type"] = "text/turtle"
+wrk.body = [[{body}]]
+"""
+
+
+class Row(NamedTuple):
+    """One comparison: a label, the two URLs, and what `wrk` is told."""
+
+    label: str
+    ours: str
+    theirs: str
+    options: tuple[str, ...]
+
+
+def body(url: str) -> str:
+    """A small graph in Turtle."""
+    return "".join(f'<{url}> <http://example.org/property{each}> "value {each} of it" .\n' for each in range(NUMBER))
+
+
+def copied(rosld: str, other: str, graph: str) -> int:
+    """Copy a graph to the other server; how many bytes of N-Triples it is."""
+    with httpx.Client(timeout=30) as http:
+        found = http.get(f"{rosld}graphs", params={"graph": graph}, headers={"Accept": TRIPLES}).raise_for_status()
+        typed = {"Content-Type": TRIPLES}
+        http.put(f"{other}store", params={"graph": graph}, content=found.content, headers=typed).raise_for_status()
+    return len(found.content)
+
+
+def rows(rosld: str, other: str, folder: Path) -> Iterator[Row]:
+    """All comparisons."""
+    kept, live = f"{rosld}data/small", f"{rosld}topics/aircraft/engine/speed"
+    typed = {"Content-Type": TURTLE}
+    httpx.put(f"{rosld}graphs", params={"graph": kept}, content=body(kept), headers=typed).raise_for_status()
+    for name, graph in (("kept", kept), ("live topic at 10 Hz", live)):
+        size = copied(rosld, other, graph)
+        for syntax, media_type in (("N-Triples", TRIPLES), ("Turtle", TURTLE)):
+            named = quote(graph, safe="")
+            yield Row(
+                f"GET {name}, {size} bytes, {syntax}",
+                f"{rosld}graphs?graph={named}",
+                f"{other}store?graph={named}",
+                ("-H", f"Accept: {media_type}"),
+            )
+    for method in ("PUT", "POST"):
+        script = folder / f"{method}.lua"
+        script.write_text(WRITE.format(method=method, body=body(kept)))
+        named = quote(kept, safe="")
+        yield Row(f"{method} kept", f"{rosld}graphs?graph={named}", f"{other}store?graph={named}", ("-s", str(script)))
+
+
+def main() -> None:
+    """Print the table."""
+    if shutil.which("wrk") is None:
+        raise SystemExit("bench/gsp.py needs wrk: apt-get install wrk")
+    seconds = int(sys.argv[1]) if len(sys.argv) > 1 else 4
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        serving("-m", "rosld", "serve", "aircraft", "--port", "0") as rosld,
+        oxigraph() as other,
+    ):
+        print(f"{'':44}{'rosld/s':>10}{'oxigraph/s':>12}{'ratio':>8}")
+        for label, ours, theirs, options in rows(rosld, other, Path(folder)):
+            pairs = [(measure(ours, seconds, *options), measure(theirs, seconds, *options)) for _ in range(ROUNDS)]
+            ratio = statistics.median(one.per_second / another.per_second for one, another in pairs)
+            fast, slow = (statistics.median(pair[at].per_second for pair in pairs) for at in (0, 1))
+            failures = sum(each.failures for pair in pairs for each in pair)
+            print(f"{label:44}{fast:10.0f}{slow:12.0f}{ratio:8.2f}" + (f"  {failures} failed" if failures else ""))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,74 @@
+"""What it costs to query as one who may not read everything: the union, an explicit dataset, a shade, in one run.
+
+Run: python bench/rights.py [graphs]. A dataset of so many graphs of 20 statements; the agent may read 9 of 10 of them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import time
+from collections.abc import Callable
+
+from rosld.ontology.urls import Space
+from rosld.server.access.agent import Agent
+from rosld.server.access.globs import Glob
+from rosld.server.access.judge import Judge
+from rosld.server.access.rules import Mode, Policy, Rule
+from rosld.server.sparql.shades import Shades
+from rosld.server.store import MemoryStore
+
+SPACE = Space("http://robot.example/")
+QUERY = "SELECT ?o {{ <{subject}> <http://example.org/p3> ?o }}"
+ALL = "SELECT (COUNT(*) AS ?n) { ?s <http://example.org/p3> ?o }"
+ROUNDS = 200
+
+
+def graph(number: int, value: int = 0) -> tuple[str, str]:
+    url = SPACE.topic(f"/t{number % 10}/n{number}")
+    return url, "".join(f'<{url}> <http://example.org/p{each}> "{value}" .\n' for each in range(20))
+
+
+def judge() -> Judge:
+    everywhere, part = (Glob("/**"),), (Glob("/topics/t0/**"),)
+    agent, read = Agent("anna"), frozenset({Mode.READ})
+    rules = (Rule(frozenset({"anna"}), read, everywhere), Rule(frozenset({"anna"}), read, part, deny=True))
+    return Judge(agent, Policy(rules).rights(agent), SPACE)
+
+
+def timed(what: str, work: Callable[[], object], rounds: int = ROUNDS) -> None:
+    started = time.perf_counter()
+    for _ in range(rounds):
+        work()
+    print(f"{what:60} {(time.perf_counter() - started) / rounds * 1e6:10.0f} us")
+
+
+async def main(count: int) -> None:
+    store, anna = MemoryStore(), judge()
+    store.replace(dict(map(graph, range(count))))
+    readable = [url for url in store.graphs() if anna.may_read(url)]
+    small = QUERY.format(subject=graph(1)[0])
+    for name, query, rounds in (("one value", small, ROUNDS), ("a scan", ALL, 10)):
+        timed(f"{name}, the plain union", lambda query=query: list(store.query(query)), rounds)  # type: ignore[misc]
+        timed(
+            f"{name}, an explicit dataset of {len(readable)} graphs",
+            lambda query=query: list(store.query(query, default_graphs=readable)),  # type: ignore[misc]
+            rounds,
+        )
+    shades = Shades(store, lambda: 0)
+    started = time.perf_counter()
+    shade = await shades.of(anna)
+    print(f"{'the shade, made':60} {(time.perf_counter() - started) * 1e6:10.0f} us")
+    for name, query, rounds in (("one value", small, ROUNDS), ("a scan", ALL, 10)):
+        timed(f"{name}, the shade", lambda query=query: list(shade.query(query)), rounds)  # type: ignore[misc]
+    took = 0.0
+    for turn in range(20):
+        store.replace(dict(graph(number, turn) for number in range(10)))
+        started = time.perf_counter()
+        await shades.of(anna)
+        took += time.perf_counter() - started
+    print(f"{'10 graphs that changed, brought to the shade':60} {took / 20 * 1e6:10.0f} us")
+
+
+if __name__ == "__main__":
+    asyncio.run(main(int(sys.argv[1]) if len(sys.argv) > 1 else 1000))

@@ -1,0 +1,155 @@
+"""Actions and their goals described."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.adapters.model import Action, GoalStatus, Graph, Message, MessageSchema
+from rosld.ontology.describe_topics import defined
+from rosld.ontology.document import Document, Envelope, LiftedMessage
+from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.namespaces import is_namespace
+from rosld.ontology.triples import RDF_SOURCE, Statement, about, boolean, each, moment, text
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import hctl, htv, rdf, ros, td
+
+_SETTINGS = LiftSettings()
+_BODIES = tuple(map(Literal, ("application/json", "text/turtle", "application/ld+json")))
+_STREAM = (Literal("text/event-stream"),)
+_SSE = (hctl.forSubProtocol, Literal("sse"))
+_TERMS: Mapping[GoalStatus, NamedNode] = {status: ros.terms()[status.value.capitalize()] for status in GoalStatus}
+
+
+def action_document(
+    action: Action, space: Space, graph: Graph, goals: Sequence[str] = (), *, takes_goals: bool = False
+) -> Document:
+    """An action: its type, who serves it and who sends goals to it, the shapes of what is sent and told, its goals.
+
+    `takes_goals`: a goal can be sent here now, and a form says how.
+    """
+    url = space.action(action.name)
+    subject = NamedNode(url)
+    triples = about(
+        subject,
+        (rdf.type, ros.Action),
+        *RDF_SOURCE,
+        (ros.name, text(action.name)),
+        *_type(action, space),
+        *each(ros.provider, [NamedNode(space.node(node)) for node in dict.fromkeys(action.servers)]),
+        *each(ros.client, [NamedNode(space.node(node)) for node in dict.fromkeys(action.clients)]),
+        (ros.unusable, text(action.unusable)),
+        (ros.namespace, NamedNode(url + "/") if is_namespace(action.name, graph.actions) else None),
+        *each(ros.hasGoal, [NamedNode(space.goal(goal)) for goal in goals]),
+    )
+    if takes_goals and action.type is not None:
+        shape = (ros.goalShape, NamedNode(space.shape(f"{action.type.name}_Goal")))
+        triples += _affordance(subject, "send", td.hasActionAffordance, td.ActionAffordance, shape)
+        triples += _form(subject, "send", "invoke", "POST", td.invokeAction, *each(hctl.forContentType, _BODIES))
+    if action.type is not None:
+        triples += defined(action.type, space)
+    return Document(url, tuple(triples), simulated_time=graph.simulated_time)
+
+
+def _type(action: Action, space: Space) -> list[Statement]:
+    if action.type is None:
+        return []
+    name = action.type.name
+    return [
+        (ros.actionType, NamedNode(space.class_of(name))),
+        (ros.goalShape, NamedNode(space.shape(f"{name}_Goal"))),
+        (ros.resultShape, NamedNode(space.shape(f"{name}_Result"))),
+        (ros.feedbackShape, NamedNode(space.shape(f"{name}_Feedback"))),
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class GoalView:
+    """A goal as it is described; a message comes with its schema, feedback with when it came and its number.
+
+    Times are wall-clock nanoseconds. `goal_id` is what its server knows it by. `cancelable`: it can be canceled here
+    now, and a form says how.
+    """
+
+    id: str
+    action: str
+    goal_id: str | None
+    status: GoalStatus
+    own: bool
+    created_ns: int
+    goal: tuple[MessageSchema, Message] | None = None
+    feedback: tuple[MessageSchema, Message, Envelope] | None = None
+    result: tuple[MessageSchema, Message] | None = None
+    ended_ns: int | None = None
+    words: str | None = None
+    unreadable: str | None = None
+    cancelable: bool = False
+
+
+def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
+    """One goal of an action: what was asked for, how it stands, what was told of it last and what it came to."""
+    url = space.goal(goal.id)
+    subject = NamedNode(url)
+    messages: list[LiftedMessage] = []
+    if goal.goal is not None:
+        messages.append(LiftedMessage("#goal", lifter(goal.goal[0], settings), goal.goal[1]))
+    if goal.feedback is not None:
+        schema, message, envelope = goal.feedback
+        messages.append(LiftedMessage("#feedback", lifter(schema, settings), message, envelope))
+    if goal.result is not None:
+        messages.append(LiftedMessage("#result", lifter(goal.result[0], settings), goal.result[1]))
+    triples = about(
+        subject,
+        (rdf.type, ros.Goal),
+        *RDF_SOURCE,
+        (ros.action, NamedNode(space.action(goal.action))),
+        (ros.goalId, text(goal.goal_id)),
+        (ros.own, boolean(goal.own)),
+        (ros.status, _TERMS[goal.status]),
+        (ros.statusWord, text(goal.status.value)),
+        (ros.words, text(goal.words)),
+        (ros.created, moment(goal.created_ns)),
+        (ros.ended, moment(goal.ended_ns)),
+        (ros.unreadable, text(goal.unreadable)),
+        (ros.goal, NamedNode(f"{url}#goal") if goal.goal else None),
+        (ros.feedback, NamedNode(f"{url}#feedback") if goal.feedback else None),
+        (ros.result, NamedNode(f"{url}#result") if goal.result else None),
+    )
+    if not goal.status.is_final:
+        triples += _affordance(subject, "events", td.hasEventAffordance, td.EventAffordance)
+        stream = each(hctl.forContentType, _STREAM)
+        triples += _form(subject, "events", "subscribe", "GET", td.subscribeEvent, *stream, _SSE)
+    if goal.cancelable:
+        triples += _affordance(subject, "cancel", td.hasActionAffordance, td.ActionAffordance)
+        triples += _form(subject, "cancel", "cancel", "DELETE", td.cancelAction)
+    return Document(url, tuple(triples), tuple(messages))
+
+
+def _affordance(subject: NamedNode, name: str, relation: NamedNode, kind: NamedNode, *more: Statement) -> list[Triple]:
+    """What may be done with an action or a goal now."""
+    node = NamedNode(f"{subject.value}#{name}")
+    return [
+        Triple(subject, relation, node),
+        *about(node, (rdf.type, kind), (td.name, text(name)), *more),
+    ]
+
+
+def _form(
+    subject: NamedNode, affordance: str, name: str, method: str, operation: NamedNode, *more: Statement
+) -> list[Triple]:
+    """A form of an affordance: how it is done."""
+    node = NamedNode(f"{subject.value}#{affordance}")
+    form = NamedNode(f"{node.value}/{name}")
+    return [
+        Triple(node, td.hasForm, form),
+        *about(
+            form,
+            (rdf.type, hctl.Form),
+            (hctl.hasOperationType, operation),
+            (htv.methodName, Literal(method)),
+            (hctl.hasTarget, subject),
+            *more,
+        ),
+    ]

@@ -1,0 +1,184 @@
+"""Holds and the stop described, and how a topic says that it can be held."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.adapters.model import Message, MessageSchema
+from rosld.ontology.document import Document, LiftedMessage
+from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.triples import RDF_SOURCE, Statement, about, boolean, double, each, moment, text
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import hctl, htv, js, rdf, rdfs, ros, td, xsd
+
+MOST_RATE = 50.0
+"""Hz: how often a hold may publish."""
+MOST_LEASE = 5.0
+"""Seconds that a hold may go on without being renewed."""
+_SETTINGS = LiftSettings()
+_BODIES = tuple(map(Literal, ("application/json", "text/turtle", "application/ld+json")))
+_STREAM = (Literal("text/event-stream"),)
+_SSE = (hctl.forSubProtocol, Literal("sse"))
+
+
+@dataclass(frozen=True, slots=True)
+class HoldView:
+    """A hold as it is described; messages come with their schema. Times are wall-clock nanoseconds.
+
+    `changeable`: it can be changed and ended here now, and forms say how.
+    """
+
+    id: str
+    topic: str
+    holder: str
+    rate: float
+    lease: float
+    until_ns: int | None
+    created_ns: int
+    message: tuple[MessageSchema, Message]
+    then: tuple[MessageSchema, Message] | None
+    then_asked: str
+    trouble: str | None = None
+    changeable: bool = True
+
+
+def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
+    """One hold: the topic, the message and how often it is published, whose it is and until when, what comes then."""
+    url = space.hold(hold.id)
+    subject = NamedNode(url)
+    messages = [LiftedMessage("#message", lifter(hold.message[0], settings), hold.message[1])]
+    if hold.then is not None:
+        messages.append(LiftedMessage("#then", lifter(hold.then[0], settings), hold.then[1]))
+    triples = about(
+        subject,
+        (rdf.type, ros.Hold),
+        *RDF_SOURCE,
+        (ros.topic, NamedNode(space.topic(hold.topic))),
+        (ros.holder, text(hold.holder)),
+        (ros.publishRate, double(hold.rate)),
+        (ros.leaseTime, double(hold.lease)),
+        (ros.leaseUntil, moment(hold.until_ns)),
+        (ros.created, moment(hold.created_ns)),
+        (ros.words, text(hold.trouble)),
+        (ros.message, NamedNode(f"{url}#message")),
+        (ros.then, NamedNode(f"{url}#then") if hold.then else None),
+        (ros.atTheEnd, text(hold.then_asked)),
+    )
+    if hold.changeable:
+        triples += _affordance(subject, "renew", td.hasActionAffordance, td.ActionAffordance)
+        target = f"{url}{{?rate,lease,then}}"
+        triples += _form(subject, "renew", "PATCH", td.invokeAction, *each(hctl.forContentType, _BODIES), target=target)
+        triples += _variables(subject, "renew")
+        triples += _affordance(subject, "keep", td.hasEventAffordance, td.EventAffordance)
+        stream = each(hctl.forContentType, _STREAM)
+        triples += _form(subject, "keep", "GET", td.subscribeEvent, *stream, _SSE, target=f"{url}?keep=true")
+        triples += _affordance(subject, "end", td.hasActionAffordance, td.ActionAffordance)
+        triples += _form(subject, "end", "DELETE", td.cancelAction)
+    return Document(url, tuple(triples), tuple(messages))
+
+
+def holdable(topic: str) -> list[Triple]:
+    """What says that the topic at this URL can be held: an action with its parameters."""
+    subject = NamedNode(topic)
+    return [
+        *_affordance(subject, "hold", td.hasActionAffordance, td.ActionAffordance),
+        *_form(
+            subject, "hold", "POST", td.invokeAction, *each(hctl.forContentType, _BODIES),
+            target=f"{topic}{{?rate,lease,then}}",
+        ),
+        *_variables(subject, "hold"),
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class StepView:
+    """A step of a stop: what it does in words, its state, and why it failed."""
+
+    does: str
+    state: NamedNode
+    words: str | None = None
+
+
+def stop_document(
+    space: Space,
+    steps: Sequence[StepView],
+    *,
+    by: str | None = None,
+    since_ns: int | None = None,
+    reason: str | None = None,
+    usable: bool = True,
+) -> Document:
+    """The stop: whether the robot is stopped (`by` somebody), and what is done to stop it.
+
+    `usable`: the robot can be stopped here, and forms say how.
+    """
+    url = space.stop
+    subject = NamedNode(url)
+    nodes = [NamedNode(f"{url}#step-{number}") for number, _ in enumerate(steps, 1)]
+    triples = about(
+        subject,
+        (rdf.type, ros.Stop),
+        *RDF_SOURCE,
+        (ros.stopped, boolean(by is not None)),
+        (ros.stoppedBy, text(by)),
+        (ros.stoppedAt, moment(since_ns)),
+        (ros.reason, text(reason)),
+        *each(ros.stopStep, nodes),
+    )
+    for node, step in zip(nodes, steps, strict=True):
+        triples += about(node, (rdfs.label, text(step.does)), (ros.state, step.state), (ros.words, text(step.words)))
+    if usable:
+        triples += _affordance(subject, "stop", td.hasActionAffordance, td.ActionAffordance)
+        triples += _form(subject, "stop", "POST", td.invokeAction, (hctl.forContentType, _BODIES[0]))
+        if by is not None:
+            triples += _form(subject, "stop", "DELETE", td.cancelAction)
+    return Document(url, tuple(triples))
+
+
+def _affordance(subject: NamedNode, name: str, relation: NamedNode, kind: NamedNode) -> list[Triple]:
+    node = NamedNode(f"{subject.value}#{name}")
+    return [Triple(subject, relation, node), *about(node, (rdf.type, kind), (td.name, text(name)))]
+
+
+def _form(
+    subject: NamedNode, affordance: str, method: str, operation: NamedNode, *more: Statement, target: str | None = None
+) -> list[Triple]:
+    """A form of an affordance; a target with parameters is a URI template (RFC 6570)."""
+    node = NamedNode(f"{subject.value}#{affordance}")
+    form = NamedNode(f"{node.value}/{method.lower()}")
+    return [
+        Triple(node, td.hasForm, form),
+        *about(
+            form,
+            (rdf.type, hctl.Form),
+            (hctl.hasOperationType, operation),
+            (htv.methodName, Literal(method)),
+            (hctl.hasTarget, subject if target is None else Literal(target, datatype=xsd.anyURI)),
+            *more,
+        ),
+    ]
+
+
+def _variables(subject: NamedNode, affordance: str) -> list[Triple]:
+    """The parameters of a hold: its rate in Hz, its lease in seconds, and what is published when it ends."""
+    node = NamedNode(f"{subject.value}#{affordance}")
+    said: Iterable[tuple[str, NamedNode, float | None]] = (
+        ("rate", js.NumberSchema, MOST_RATE),
+        ("lease", js.NumberSchema, MOST_LEASE),
+        ("then", js.StringSchema, None),
+    )
+    triples: list[Triple] = []
+    for name, kind, most in said:
+        variable = NamedNode(f"{node.value}/{name}")
+        triples.append(Triple(node, td.hasUriTemplateSchema, variable))
+        triples += about(
+            variable,
+            (rdf.type, kind),
+            (js.propertyName, Literal(name)),
+            (js.exclusiveMinimum, None if most is None else double(0)),
+            (js.maximum, None if most is None else double(most)),
+        )
+    return triples

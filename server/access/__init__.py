@@ -1,0 +1,1 @@
+"""Who asks, and what they may do: agents, rights, the file that says both (Web Access Control, RFC 6750)."""

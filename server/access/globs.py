@@ -1,0 +1,109 @@
+"""Globs over the paths of one server, segment by segment. Pure.
+
+`*` stands for any characters of one segment, `**` for any number of whole segments, none included. Paths are compared
+as names have them: percent-encoding is undone once, segment by segment, so that no spelling of a name escapes its rule,
+and an encoded slash (`%2F`) is part of its segment. A slash at the end makes no difference.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import TypeAlias
+from urllib.parse import unquote
+
+from rosld.ontology.urls import Location, decode_segment
+
+Path: TypeAlias = tuple[str, ...]
+"""The segments of a path below the base, decoded; that of the entry has none."""
+_ANY = "**"
+_NOT_IN_PATHS = re.compile(r"[?#\[\]\x00-\x20\x7f]")
+
+
+def path_of(location: Location) -> Path:
+    """The path that rules are about; that of a container is that of its name."""
+    return (location.kind, *location.segments) if location.kind else location.segments
+
+
+@dataclass(frozen=True)
+class Glob:
+    """A glob as it is written, such as `/topics/camera/**`. Raises ValueError with a sentence for what is none."""
+
+    text: str
+
+    def __post_init__(self) -> None:
+        if not self.text.startswith("/"):
+            raise ValueError(f"{self.text!r} must begin with a slash: it is a path below the base, such as /topics/**")
+        if found := _NOT_IN_PATHS.search(self.text):
+            raise ValueError(f"{self.text!r} holds {found[0]!r}: only * and ** stand for something else in a glob")
+        assert self._parts is not None
+
+    @cached_property
+    def _parts(self) -> tuple[re.Pattern[str] | None, ...]:
+        """A pattern a segment, None for `**`."""
+        segments = self.text.strip("/").split("/") if self.text.strip("/") else []
+        return tuple(None if each == _ANY else self._part(each) for each in segments)
+
+    def _part(self, segment: str) -> re.Pattern[str]:
+        if _ANY in segment:
+            raise ValueError(f"{self.text!r}: ** stands for whole segments, so it stands alone between slashes")
+        if not segment:
+            raise ValueError(f"{self.text!r} has an empty segment: a name with an empty part is written with ~")
+        if "*" not in segment:
+            try:
+                return re.compile(re.escape(decode_segment(segment)))
+            except ValueError as error:
+                raise ValueError(f"{self.text!r}: {error}") from error
+        literal = (re.escape(unquote(each, errors="strict")) for each in segment.split("*"))
+        return re.compile(".*".join(literal), re.DOTALL)
+
+    def matches(self, path: Path) -> bool:
+        """Whether it is about this path."""
+        return len(self._parts) in self._reached(path)
+
+    def reaches_below(self, path: Path) -> bool:
+        """Whether it is about this path, or about anything that may lie below."""
+        return bool(self._reached(path))
+
+    def covers_below(self, path: Path) -> bool:
+        """Whether it is about this path and everything that may lie below."""
+        last = len(self._parts) - 1
+        return last >= 0 and self._parts[last] is None and last in self._reached(path)
+
+    def _reached(self, path: Path) -> frozenset[int]:
+        """How many parts of the glob may be used up once the path is: where in the glob one may stand then."""
+        states = self._skipped({0})
+        for segment in path:
+            after = set()
+            for state in states:
+                if state == len(self._parts):
+                    continue
+                part = self._parts[state]
+                if part is None:
+                    after.add(state)
+                elif part.fullmatch(segment):
+                    after.add(state + 1)
+            states = self._skipped(after)
+            if not states:
+                break
+        return frozenset(states)
+
+    def _skipped(self, states: set[int]) -> set[int]:
+        """These places, and those behind each `**`, which may stand for nothing."""
+        found = set(states)
+        for state in sorted(states):
+            while state < len(self._parts) and self._parts[state] is None:
+                state += 1
+                found.add(state)
+        return found
+
+
+@lru_cache(maxsize=1024)
+def _type_pattern(glob: str) -> re.Pattern[str]:
+    return re.compile(".*".join(map(re.escape, glob.split("*"))), re.DOTALL)
+
+
+def type_matches(glob: str, name: str) -> bool:
+    """Whether a glob over message types (`sensor_msgs/msg/*`) is about this type; `*` stands for any characters."""
+    return _type_pattern(glob).fullmatch(name) is not None

@@ -1,0 +1,77 @@
+"""Bearer tokens (RFC 6750): made, told once, kept as digests, recognised. Pure but for the making.
+
+A token is 256 random bits, so its digest cannot be guessed back and needs no salt. Who is looked for is found by the
+digest of what was sent: nothing is compared with a token itself, so no comparison can tell how much of one was right.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import hashlib
+import hmac
+import re
+import secrets
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+_PREFIX = "rosld_"
+DIGEST = re.compile(r"sha256:[0-9a-f]{64}")
+_TOKEN68 = re.compile(r"[A-Za-z0-9\-._~+/]+=*")
+_MOST = 16 * 1024
+
+
+def made() -> str:
+    """A new token."""
+    return _PREFIX + secrets.token_urlsafe(32)
+
+
+def digest(token: str) -> str:
+    """What is kept of a token."""
+    return "sha256:" + hashlib.sha256(token.encode("utf-8", "surrogatepass")).hexdigest()
+
+
+@dataclass(frozen=True)
+class Tokens:
+    """The names of agents by the digests of their tokens."""
+
+    agents: Mapping[str, str]
+
+    @cached_property
+    def _by_digest(self) -> Mapping[str, tuple[str, str]]:
+        return {known: (known, name) for known, name in self.agents.items()}
+
+    def whose(self, token: str) -> str | None:
+        """The name of the agent that has this token."""
+        sent = digest(token)
+        known, found = self._by_digest.get(sent, ("", None))
+        return found if hmac.compare_digest(sent, known) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Credentials:
+    """What a request proves itself with: a token, and the name that came with it where it came as a password."""
+
+    token: str
+    name: str = ""
+
+
+def credentials(field: str) -> Credentials | None:
+    """What an Authorization field holds (RFC 9110 11.6.2): Bearer, or Basic with the token as its password (RFC 7617).
+
+    None where it holds neither.
+    """
+    scheme, _, rest = field.strip(" \t").partition(" ")
+    rest = rest.strip(" \t")
+    if len(rest) > _MOST or not _TOKEN68.fullmatch(rest):
+        return None
+    if scheme.lower() == "bearer":
+        return Credentials(rest)
+    if scheme.lower() != "basic":
+        return None
+    try:
+        name, colon, password = base64.b64decode(rest, validate=True).decode("utf-8").partition(":")
+    except (binascii.Error, ValueError):
+        return None
+    return Credentials(password, name) if colon else None

@@ -1,0 +1,125 @@
+"""The gate: whatever tells the robot to do something passes here last, and nothing does while the robot is stopped."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from typing import TypeVar
+
+from rosld.adapters.model import RosError, Sent
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, slots=True)
+class Standstill:
+    """That the robot is stopped: who stopped it, when (wall-clock nanoseconds), and why if they said so."""
+
+    by: str
+    since_ns: int
+    reason: str | None = None
+
+    @property
+    def words(self) -> str:
+        """Who stopped the robot, when and why, in a sentence."""
+        why = f": {self.reason}" if self.reason else ""
+        moment = datetime.fromtimestamp(self.since_ns / 1e9, timezone.utc)
+        return f"The robot was stopped by {self.by} at {moment:%Y-%m-%d %H:%M:%S} UTC{why}"
+
+
+class Stopped(RosError):
+    """The robot is stopped, so it is told nothing (`sent` is NO), or was cut off while it was told (MAYBE)."""
+
+    def __init__(self, standstill: Standstill, *, sent: Sent = Sent.NO) -> None:
+        what = "This write was refused" if sent is Sent.NO else "This write was cut off, and may have been carried out"
+        super().__init__(f"{standstill.words.rstrip('.')}. {what}; DELETE of /stop lets writes pass again.", sent=sent)
+        self.standstill = standstill
+
+
+@dataclass(frozen=True, slots=True)
+class Holder:
+    """Who holds a topic: their name, and the URL of the hold."""
+
+    name: str
+    hold: str
+
+
+class TopicHeld(RosError):
+    """Somebody holds the topic: nothing else is published on it meanwhile."""
+
+    def __init__(self, topic: str, holder: Holder) -> None:
+        super().__init__(f"{topic} is held by {holder.name}: change the hold {holder.hold}, or wait for it to end.")
+        self.holder = holder
+
+
+class Gate:
+    """Where writes pass, one by one: all while it is open, none while the robot is stopped.
+
+    What is under way when the robot is stopped is cut off. A topic in `held` is published to by its hold only.
+    """
+
+    def __init__(self) -> None:
+        self.standstill: Standstill | None = None
+        self.held: dict[str, Holder] = {}
+        """Who holds a topic, by topic."""
+        self._under_way: set[_UnderWay] = set()
+
+    def shut(self, standstill: Standstill) -> None:
+        """Let no write pass from now on, and cut off those that are under way."""
+        self.standstill = standstill
+        for each in self._under_way:
+            each.cut()
+
+    def lift(self) -> None:
+        """Let writes pass again."""
+        self.standstill = None
+
+    def require_open(self) -> None:
+        """Raises Stopped where the robot is stopped."""
+        if self.standstill is not None:
+            raise Stopped(self.standstill)
+
+    def require_free(self, topic: str) -> None:
+        """Raises TopicHeld where somebody holds the topic."""
+        holder = self.held.get(topic)
+        if holder is not None:
+            raise TopicHeld(topic, holder)
+
+    async def let_pass(self, write: Callable[[], Awaitable[_T]]) -> _T:
+        """Carry a write out, unless the robot is stopped before it is done: raises Stopped."""
+        self.require_open()
+        task = asyncio.current_task()
+        assert task is not None
+        under_way = _UnderWay(task)
+        self._under_way.add(under_way)
+        try:
+            return await write()
+        except asyncio.CancelledError:
+            if under_way.is_cut and self.standstill is not None:
+                under_way.go_on()
+                raise Stopped(self.standstill, sent=Sent.MAYBE) from None
+            raise
+        finally:
+            self._under_way.discard(under_way)
+
+
+class _UnderWay:
+    """A write that has begun, in a task."""
+
+    def __init__(self, task: asyncio.Task[object]) -> None:
+        self._task = task
+        self.is_cut = False
+
+    def cut(self) -> None:
+        """Have it end where it waits."""
+        if not self.is_cut:
+            self.is_cut = True
+            self._task.cancel()
+
+    def go_on(self) -> None:
+        """Let its task go on: only the write was meant."""
+        uncancel = getattr(self._task, "uncancel", None)  # Python 3.11 and later count
+        if uncancel is not None:
+            uncancel()

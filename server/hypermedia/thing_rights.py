@@ -1,0 +1,40 @@
+"""A Thing Description as it is for one agent: what it may ever do, and how it says who it is. Pure."""
+
+from __future__ import annotations
+
+from urllib.parse import urljoin
+
+import orjson
+
+from rosld.server.access.judge import Judge
+
+_SECURITY: dict[str, dict[str, object]] = {
+    "token_sc": {"scheme": "combo", "oneOf": ["bearer_sc", "basic_sc"]},
+    "bearer_sc": {"scheme": "bearer", "in": "header", "format": "opaque"},
+    "basic_sc": {"scheme": "basic", "in": "header"},
+}
+"""WoT TD 1.1, 5.3.3: either of them."""
+
+
+def thing_for(data: bytes, judge: Judge) -> bytes:
+    """The description with those forms that the agent may use, and what has such forms."""
+    thing = orjson.loads(data)
+    base = thing["id"]
+    thing["securityDefinitions"], thing["security"] = _SECURITY, ["token_sc"]
+    if judge.whole:
+        return orjson.dumps(thing)
+
+    def usable(forms: list[dict[str, str]]) -> list[dict[str, str]]:
+        return [one for one in forms if judge.may(one.get("htv:methodName", "GET"), urljoin(base, one["href"]))]
+
+    for kind in ("properties", "actions", "events"):
+        if kind not in thing:
+            continue
+        left = {name: {**one, "forms": usable(one["forms"])} for name, one in thing[kind].items()}
+        thing[kind] = {name: one for name, one in left.items() if one["forms"]}
+    if "forms" in thing:
+        thing["forms"] = usable(thing["forms"])
+        if not thing["forms"]:
+            del thing["forms"]
+    thing["links"] = [one for one in thing.get("links", ()) if judge.may_read(urljoin(base, one["href"]))]
+    return orjson.dumps(thing)

@@ -1,0 +1,80 @@
+"""Accounts: what a request tells of its write while it is planned and carried out. Its receipt is made of it.
+
+Whatever tells the robot something tells the account `under_way` of it, so that a resource can forget neither to tell
+what it touches nor what came of it. What a resource has to say beyond that it says to its exchange's.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from contextvars import ContextVar
+
+_MOST = 100
+"""Steps and URLs that are noted: a write of thousands of things is not told one by one."""
+
+
+class Account:
+    """What one request has told of its write. Of a request that writes nothing it stays as it is.
+
+    `started_ns` is when the request was taken up, `sent` the SHA-256 of a body that was read as it came, of `length`.
+    """
+
+    __slots__ = ("is_write", "length", "matched", "plan", "refusal", "sent", "started_ns", "touched")
+
+    sent: hashlib._Hash | None
+
+    def __init__(self) -> None:
+        self.started_ns = time.time_ns()
+        self.is_write = False
+        self.plan: tuple[str, ...] = ()
+        self.touched: tuple[str, ...] = ()
+        self.matched: int | None = None
+        self.refusal: str | None = None
+        self.sent = None
+        self.length = 0
+
+    def begin(self) -> None:
+        """The request is understood as a write: from now on it leaves a receipt, whatever becomes of it."""
+        self.is_write = True
+        under_way.set(self)
+
+    def only_reads(self) -> None:
+        """It turned out to change nothing, whatever it says: a query, a dry run."""
+        self.is_write = False
+
+    def plans(self, does: str, *touches: str) -> None:
+        """A step of what the write comes to, and the URLs of what it touches. One that is told already is no other."""
+        if not self.plan:
+            self.plan, self.touched = (does,), touches
+            return
+        if does not in self.plan and len(self.plan) < _MOST:
+            self.plan = (*self.plan, does)
+        if len(self.touched) < _MOST:
+            self.touched = (*self.touched, *(url for url in touches if url not in self.touched))
+
+    def heard(self, matched: int) -> None:
+        """A message went to so many subscribers."""
+        self.matched = matched + (self.matched or 0)
+
+    def refused(self, words: str) -> None:
+        """Why it was not done."""
+        self.refusal = words
+
+    def passes(self, chunk: bytes) -> None:
+        """A piece of a body that is not kept whole."""
+        if self.sent is None:
+            self.sent = hashlib.sha256()
+        self.sent.update(chunk)
+        self.length += len(chunk)
+
+
+under_way: ContextVar[Account | None] = ContextVar("under_way", default=None)
+"""The account of the write that this task is carrying out; None where it carries out none."""
+
+
+def accounted_for(does: str, *touches: str) -> None:
+    """As `Account.plans`, told to the write that is under way."""
+    account = under_way.get()
+    if account is not None:
+        account.plans(does, *touches)

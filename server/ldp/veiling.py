@@ -1,0 +1,37 @@
+"""States as they may be seen: made once for all agents with the same rights, and kept with the state itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from rosld.ontology.document import Document
+from rosld.server.access.judge import Judge
+from rosld.server.access.veil import veiled
+from rosld.server.hypermedia.veiling import veiled_view
+from rosld.server.ldp.state import State
+
+
+def veiled_state(
+    state: State,
+    judge: Judge,
+    document: Callable[[], Document] | None = None,
+    plain: Callable[[], bytes] | None = None,
+) -> State:
+    """The state without what the agent may not know of; it has the same name, so that it guards writes all the same.
+
+    `document` and `plain` stand for its own, where less of these is to be seen from the beginning.
+    """
+
+    def described() -> Document:
+        return veiled(state.document if document is None else document(), judge)
+
+    return replace(
+        state,
+        describe=described,
+        plain=state.plain if plain is None else plain,
+        token=state.tag,
+        view=None if state.view is None else veiled_view(state.view, judge),
+        renderings={},
+        veils={},
+    )

@@ -1,0 +1,209 @@
+"""The journal: all receipts that are kept, within a number and an age, in memory and in a folder.
+
+Noting a write costs its answer some microseconds. What is noted goes to the disk a moment later, together with what
+else came; an orderly end waits for it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import heapq
+import logging
+import secrets
+import sqlite3
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from rosld.ontology.describe_activities import Receipt
+from rosld.server.events.watches import Signal
+from rosld.server.receipts.asked import Asked, receipt_of
+from rosld.server.receipts.disk import Disk
+
+_log = logging.getLogger("rosld")
+
+WRITE_SECONDS = 0.2
+"""How long what was noted waits for more before it is written to the disk: what a process that is killed may lose."""
+_RETRY_SECONDS = 5.0
+_LOOK_SECONDS = 60.0
+"""Between two looks at whether something has become too old."""
+_REFUSED_PART = 5
+"""One in so many of those kept may be of a write that was refused: no flood of these pushes out what was done."""
+
+
+class Entry:
+    """One write in the journal; its receipt is made when it is first asked for, in any thread."""
+
+    __slots__ = ("_asked", "_excerpt_bytes", "_receipt", "ended_ns", "id", "is_refused", "number")
+
+    def __init__(self, number: int, id: str, asked: Asked | None, excerpt_bytes: int, receipt: Receipt | None) -> None:
+        self.number = number
+        self.id = id
+        self._asked = asked
+        self._excerpt_bytes = excerpt_bytes
+        self._receipt = receipt
+        known = receipt or asked
+        assert known is not None
+        self.ended_ns = known.ended_ns
+        self.is_refused = known.status >= 400
+
+    @property
+    def receipt(self) -> Receipt:
+        """The receipt."""
+        asked, receipt = self._asked, self._receipt
+        if receipt is None:
+            assert asked is not None
+            receipt = self._receipt = receipt_of(asked, self.number, self.id, self._excerpt_bytes)
+            self._asked = None
+        return receipt
+
+
+class Forgotten(LookupError):
+    """There is no receipt of this id, or no more."""
+
+
+class Journal:
+    """Belongs to one loop. `most` receipts are kept for `age` seconds, in memory where there is no folder."""
+
+    def __init__(self, folder: Path | None, *, most: int, age: float, excerpt_bytes: int) -> None:
+        self.changes = Signal()
+        self.version = 1
+        """Rises with every receipt that comes or goes; the number of a receipt is the version it came with."""
+        self._most = {False: most, True: max(1, most // _REFUSED_PART)}
+        self._age_ns = int(age * 1e9)
+        self._excerpt_bytes = excerpt_bytes
+        self._entries: dict[str, Entry] = {}
+        self._in_order: dict[bool, deque[Entry]] = {False: deque(), True: deque()}
+        self._dropped: Callable[[Entry], None] = lambda entry: None
+        self._disk = None if folder is None else Disk(folder)
+        self._unwritten: dict[int, Entry] = {}
+        self._gone: list[int] = []
+        self._turn: asyncio.TimerHandle | None = None
+        self._writing: asyncio.Task[None] | None = None
+        self._look: asyncio.TimerHandle | None = None
+        if self._disk is not None:
+            for receipt in self._disk.load():
+                self._keep(Entry(receipt.number, receipt.id, None, 0, receipt))
+                self.version = max(self.version, receipt.number)
+
+    def start(self) -> None:
+        """Look now and then at what has become too old."""
+        self._look_again()
+
+    def note(self, asked: Asked) -> str:
+        """Keep a write; the id of its receipt. It is written to the disk soon, and by `close` at the latest."""
+        self.version += 1
+        entry = Entry(self.version, secrets.token_urlsafe(9), asked, self._excerpt_bytes, None)
+        self._keep(entry)
+        if self._disk is not None:
+            self._unwritten[entry.number] = entry
+            self._write_soon(WRITE_SECONDS)
+        self.changes.give()
+        return entry.id
+
+    def find(self, id: str) -> Entry:
+        """A write by the id of its receipt. Raises Forgotten."""
+        try:
+            return self._entries[id]
+        except KeyError as error:
+            raise Forgotten(id) from error
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def newest_first(self) -> Iterator[Entry]:
+        """All of them."""
+        done, refused = (reversed(entries) for entries in self._in_order.values())
+        return heapq.merge(done, refused, key=lambda entry: -entry.number)
+
+    def after(self, number: int) -> Sequence[Entry]:
+        """Those that came after a number, the oldest first."""
+        found: list[Entry] = []
+        for entry in self.newest_first():
+            if entry.number <= number:
+                break
+            found.append(entry)
+        return found[::-1]
+
+    def watch_dropped(self, told: Callable[[Entry], None]) -> None:
+        """Call `told` with each that is forgotten from now on."""
+        self._dropped = told
+
+    async def close(self) -> None:
+        """Write what is not written yet. Idempotent."""
+        for timer in (self._turn, self._look):
+            if timer is not None:
+                timer.cancel()
+        if self._disk is None:
+            return
+        disk, self._disk = self._disk, None
+        if self._writing is not None:
+            await asyncio.wait({self._writing})
+        with contextlib.suppress(sqlite3.Error):
+            await self._write(disk)
+        await disk.close()
+
+    # Keeping
+
+    def _keep(self, entry: Entry) -> None:
+        kind = entry.is_refused
+        self._entries[entry.id] = entry
+        self._in_order[kind].append(entry)
+        if len(self._in_order[kind]) > self._most[kind]:
+            self._drop(kind)
+
+    def _drop(self, kind: bool) -> None:
+        entry = self._in_order[kind].popleft()
+        del self._entries[entry.id]
+        self.version += 1
+        if self._disk is not None and self._unwritten.pop(entry.number, None) is None:
+            self._gone.append(entry.number)
+        self._dropped(entry)
+
+    def _look_again(self) -> None:
+        self._look = asyncio.get_running_loop().call_later(_LOOK_SECONDS, self._look_again)
+        horizon, before = time.time_ns() - self._age_ns, self.version
+        for kind, entries in self._in_order.items():
+            while entries and entries[0].ended_ns < horizon:
+                self._drop(kind)
+        if self._gone:
+            self._write_soon(0.0)
+        if self.version != before:
+            self.changes.give()
+
+    # Writing to the disk
+
+    def _write_soon(self, seconds: float) -> None:
+        if self._turn is None and self._writing is None:
+            self._turn = asyncio.get_running_loop().call_later(seconds, self._begin_to_write)
+
+    def _begin_to_write(self) -> None:
+        self._turn = None
+        if self._disk is not None:
+            self._writing = asyncio.get_running_loop().create_task(self._write_and_go_on(self._disk))
+
+    async def _write_and_go_on(self, disk: Disk) -> None:
+        pause = WRITE_SECONDS
+        try:
+            await self._write(disk)
+        except sqlite3.Error as error:
+            _log.error("receipts cannot be written to the disk now, and are kept in memory: %s", error)
+            pause = _RETRY_SECONDS
+        finally:
+            self._writing = None
+        if self._unwritten or self._gone:
+            self._write_soon(pause)
+
+    async def _write(self, disk: Disk) -> None:
+        """Write what is not written. What fails is tried again with what comes next."""
+        added, gone = self._unwritten, self._gone
+        self._unwritten, self._gone = {}, []
+        try:
+            await disk.write((entry.receipt for entry in added.values()), gone)
+        except sqlite3.Error:
+            kept = {number: entry for number, entry in added.items() if entry.id in self._entries}
+            self._unwritten = {**kept, **self._unwritten}
+            self._gone = [*gone, *self._gone]
+            raise

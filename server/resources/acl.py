@@ -1,0 +1,82 @@
+"""`/acl`: the rules in force as Web Access Control says them, for those who administer. Tokens are not in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.ontology.document import Document
+from rosld.ontology.triples import about, boolean, each, text
+from rosld.ontology.urls import Location
+from rosld.ontology.vocab import acl, foaf, rdf, ros
+from rosld.server.access.agent import ANYBODY, Agent
+from rosld.server.access.door import Door
+from rosld.server.access.reading import MODES
+from rosld.server.access.rules import ACL, AUTHENTICATED, Policy, Rule
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.resource import RDF_SOURCE, RESOURCE, Resource
+from rosld.server.ldp.state import State
+from rosld.server.robot import Robot
+
+_CLASSES = {ANYBODY.name: foaf.Agent, AUTHENTICATED: acl.AuthenticatedAgent}
+_MODES = {mode: term for term, mode in MODES.items()}
+
+
+class AclResource(Resource):
+    """The rules: written in their file, read here."""
+
+    kind = "Rights"
+    title = "Rights"
+    links = (RESOURCE, RDF_SOURCE)
+
+    def __init__(self, base: str, door: Door) -> None:
+        super().__init__(f"{base}{ACL}")
+        self._door = door
+
+    def why_not(self, method: str) -> str:
+        return "The rules are written in the file of --auth; it is read again whenever it changes."
+
+    async def state(self) -> State:
+        policy = self._door.access.policy
+        return State(lambda: Document(self.url, tuple(described(policy, self.url))))
+
+
+def acl_room(door: Door | None) -> Mapping[str, Callable[[Robot, Location], Resource]]:
+    """The room of the rules; none where there are none."""
+
+    def room(robot: Robot, location: Location) -> Resource:
+        if location.segments or location.is_container:
+            raise Problem(404, "There is nothing below /acl.")
+        assert door is not None
+        return AclResource(robot.space.base, door)
+
+    return {} if door is None else {ACL: room}
+
+
+def described(policy: Policy, url: str) -> Iterable[Triple]:
+    """Agents and rules, without what agents prove themselves with."""
+    nodes = {agent.name: _node(agent, number, url) for number, agent in enumerate(policy.agents.values(), 1)}
+    by_webid = {agent.webid: nodes[agent.name] for agent in policy.agents.values() if agent.webid}
+    for agent in policy.agents.values():
+        yield from about(nodes[agent.name], (rdf.type, foaf.Agent), (ros.name, text(agent.name)))
+    for number, rule in enumerate(policy.rules, 1):
+        yield from _authorization(rule, NamedNode(f"{url}#rule-{number}"), {**by_webid, **nodes})
+
+
+def _node(agent: Agent, number: int, url: str) -> NamedNode:
+    return NamedNode(agent.webid or f"{url}#agent-{number}")
+
+
+def _authorization(rule: Rule, node: NamedNode, nodes: Mapping[str, NamedNode]) -> Iterable[Triple]:
+    names = sorted(rule.agents)
+    return about(
+        node,
+        (rdf.type, acl.Authorization),
+        *each(acl.agentClass, (_CLASSES[name] for name in names if name in _CLASSES)),
+        *each(acl.agent, (nodes[name] for name in names if name in nodes)),
+        *each(acl.mode, (_MODES[mode] for mode in sorted(rule.modes, key=lambda mode: mode.value))),
+        *each(ros.glob, (Literal(glob.text) for glob in rule.globs)),
+        *each(ros.typeGlob, map(Literal, rule.types)),
+        (ros.deny, boolean(True) if rule.deny else None),
+    )

@@ -1,0 +1,321 @@
+"""Actions and their goals: POST sends a goal, the goal is a resource, DELETE cancels it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+
+import orjson
+from starlette.responses import Response
+
+from rosld.adapters.base import Watch
+from rosld.adapters.model import (
+    Action,
+    ActionSchema,
+    GoalStatus,
+    Kind,
+    Message,
+    MessageSchema,
+    NotFound,
+    Operation,
+    Ref,
+    Refused,
+    RosError,
+    Sent,
+    UnknownType,
+)
+from rosld.ontology.describe_actions import GoalView, action_document, goal_document
+from rosld.ontology.document import Document, Envelope
+from rosld.ontology.lift import lifter
+from rosld.server.calls import Gone, KeyReused
+from rosld.server.errors import problem_of
+from rosld.server.goals import Goal, Sending
+from rosld.server.html import DeleteForm, Form, MessageForm
+from rosld.server.http.link import uri
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.resource import (
+    JSON,
+    RDF_BODIES,
+    READ,
+    Answer,
+    Created,
+    Resource,
+)
+from rosld.server.ldp.state import State
+from rosld.server.resources.limits import require_message
+from rosld.server.resources.namespaces import moved_to_namespace
+from rosld.server.resources.requests import message_in
+from rosld.server.robot import Robot, Same
+from rosld.server.writable import closed
+
+_READ_ONLY = "This server is read-only."
+
+
+class ActionResource(Resource):
+    """One action."""
+
+    kind = "Action"
+    accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON)}
+
+    def __init__(self, robot: Robot, name: str) -> None:
+        super().__init__(robot.space.action(name))
+        self.title = name
+        self.robot = robot
+        self.name = name
+
+    @property
+    def action(self) -> Action:
+        """The action in the computation graph; a 404 Problem where there is none."""
+        found = self.robot.graph.actions.get(self.name)
+        if found is None:
+            missing = Problem(404, f"There is no action {self.name}.")
+            raise moved_to_namespace(self.robot, "actions", self.name) or missing
+        return found
+
+    def methods(self) -> frozenset[str]:
+        if self.robot.settings.read_only or self.robot.is_closed(self.name):
+            return READ
+        allowed = Operation.SEND_GOAL in self.robot.adapter.allows(Ref(Kind.ACTION, self.name))
+        return READ | {"POST"} if allowed else READ
+
+    def why_not(self, method: str) -> str:
+        if self.robot.settings.read_only:
+            return _READ_ONLY
+        if method == "POST" and self.robot.is_closed(self.name):
+            return closed(self.name)
+        if method == "POST":
+            return self.action.unusable or f"No goal can be sent to {self.name}."
+        return f"Goals are sent to an action with POST; it does not answer {method}."
+
+    async def state(self) -> State:
+        _ = self.action
+        await followed(self.robot, self.name)
+        return self.shown()
+
+    def shown(self) -> State:
+        """What it is like, as far as its goals are known."""
+        goals = tuple(goal.id for goal in self.robot.goals.of(self.name))
+        version = (Same(self.action), goals, self.methods(), self.robot.graph.revision)
+        return self.robot.states.get(self.url, version, lambda: State(self.document))
+
+    def document(self) -> Document:
+        """The RDF of this action."""
+        goals = [goal.id for goal in self.robot.goals.of(self.name)]
+        return action_document(
+            self.action, self.robot.space, self.robot.graph, goals, takes_goals="POST" in self.methods()
+        )
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        await followed(self.robot, self.name)
+        return self.robot.goals.watch(self.name, wake)
+
+    @property
+    def constrained_by(self) -> str | None:
+        found = self.robot.graph.actions.get(self.name)
+        return None if found is None or found.type is None else self.robot.space.shape(f"{found.type.name}_Goal")
+
+    async def forms(self) -> Sequence[Form]:
+        if "POST" not in self.methods():
+            return ()
+        try:
+            return (MessageForm((await self._schema()).goal, "POST", "Send a goal", "Send"),)
+        except (Problem, RosError):
+            return ()
+
+    async def post(self, exchange: Exchange) -> Answer:
+        robot, schema = self.robot, await self._schema()
+        message = await message_in(exchange, robot, schema.goal, self.url, "#goal")
+        await require_message(robot, Kind.ACTION, self.name, schema.goal, message, self.url, "#goal")
+        sending = await self._sent(exchange, schema, message)
+        problem = _failure(robot, self.name, sending)
+        if problem is not None or sending.goal is None:
+            raise problem or Problem(502, f"{self.name} did not take the goal.")
+        resource = GoalResource(robot, sending.goal.id)
+        return Created(resource.url, resource, resource.shown(sending.goal))
+
+    async def _sent(self, exchange: Exchange, schema: ActionSchema, message: Message) -> Sending:
+        """What became of a goal that was sent, once only for each Idempotency-Key."""
+        goals, deadline = self.robot.goals, self.robot.deadline(self.robot.settings.call_deadline)
+        key = exchange.header("idempotency-key")
+        if key is None:
+            return await goals.send(self.name, schema, message, deadline=deadline)
+        try:
+            return await goals.once(key, self.name, schema, message, await exchange.body(), deadline=deadline)
+        except KeyReused as error:
+            raise Problem(422, f"The Idempotency-Key {key!r} came before with another goal.") from error
+
+    async def _schema(self) -> ActionSchema:
+        action = self.action
+        if action.type is None:
+            why = action.unusable or "its type is not known"
+            raise Problem(409, f"No goal can be sent to {self.name}: {why}.")
+        try:
+            return await self.robot.schemas.action(action.type)
+        except UnknownType as error:
+            raise Problem(409, f"No goal can be sent to {self.name}: {error.sentence}") from error
+
+
+class GoalResource(Resource):
+    """One goal of an action."""
+
+    kind = "Goal"
+
+    def __init__(self, robot: Robot, id: str) -> None:
+        super().__init__(robot.space.goal(id))
+        self.title = id
+        self.robot = robot
+        self.id = id
+
+    @property
+    def goal(self) -> Goal:
+        """The goal; a 404 or 410 Problem where it is not kept."""
+        try:
+            return self.robot.goals.find(self.id)
+        except Gone as error:
+            raise Problem(410, f"The goal {self.id} was deleted or has become too old.") from error
+        except KeyError as error:
+            raise Problem(404, f"There is no goal {self.id}.") from error
+
+    def methods(self) -> frozenset[str]:
+        try:
+            goal = self.goal
+        except Problem:
+            return READ
+        return READ | {"DELETE"} if self._is_open(goal) and goal.status is not GoalStatus.CANCELING else READ
+
+    def why_not(self, method: str) -> str:
+        if self.robot.settings.read_only:
+            return _READ_ONLY
+        goal = self.goal
+        if method != "DELETE":
+            return f"A goal is canceled with DELETE; it does not answer {method}."
+        if goal.status is GoalStatus.CANCELING:
+            return f"The goal {self.id} is being canceled: it can be forgotten once it has ended."
+        return closed(goal.action)
+
+    def _is_open(self, goal: Goal) -> bool:
+        """Whether anything may be done with it: what has ended may be forgotten in any case."""
+        is_closed = not goal.status.is_final and self.robot.is_closed(goal.action)
+        return not (self.robot.settings.read_only or is_closed)
+
+    async def state(self) -> State:
+        goal = self.goal
+        if not goal.own and not goal.status.is_final:
+            await followed(self.robot, goal.action)
+        return self.shown(self.goal)
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        goal = self.goal
+        if not goal.own and not goal.status.is_final:
+            await followed(self.robot, goal.action)
+        return self.robot.goals.watch(goal.action, wake, self.id)
+
+    def shown(self, goal: Goal) -> State:
+        """The state of this goal as it stood."""
+        return self.robot.states.get(
+            self.url,
+            (Same(goal), self._is_open(goal)),
+            lambda: State(lambda: self.document(goal), lambda: self._plain(goal)),
+        )
+
+    def document(self, goal: Goal) -> Document:
+        """The RDF of this goal as it stood."""
+        return goal_document(
+            _view(goal, cancelable=goal.is_cancelable and self._is_open(goal)), self.robot.space, self.robot.lifting
+        )
+
+    def _plain(self, goal: Goal) -> bytes:
+        """How it stands as JSON, its messages as ROS's own."""
+        told = {
+            "id": self.id,
+            "action": goal.action,
+            "status": goal.status.value,
+            "words": None if goal.words is None else goal.words.encode("utf-8", "replace").decode(),
+        }
+        schema = goal.schema
+        messages = {
+            "goal": self._json(schema.goal if schema else None, goal.goal),
+            "feedback": self._json(
+                schema.feedback if schema else None, goal.feedback.message if goal.feedback else None
+            ),
+            "result": self._json(schema.result if schema else None, goal.result),
+        }
+        rest = b",".join(b'"%s":%s' % (name.encode(), said) for name, said in messages.items())
+        return orjson.dumps(told)[:-1] + b"," + rest + b"}"
+
+    def _json(self, schema: MessageSchema | None, message: Message | None) -> bytes:
+        if schema is None or message is None:
+            return b"null"
+        return lifter(schema, self.robot.lifting).json(message, self.url)
+
+    async def forms(self) -> Sequence[Form]:
+        if "DELETE" not in self.methods():
+            return ()
+        if self.goal.status.is_final:
+            return (DeleteForm("Forget the goal", "Forget"),)
+        return (DeleteForm("Cancel the goal", "Cancel"),)
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        goal, goals = self.goal, self.robot.goals
+        if goal.status.is_final:
+            goals.delete(self.id)
+            return Response(status_code=204)
+        try:
+            await goals.cancel(goal, deadline=self.robot.deadline(self.robot.settings.call_deadline))
+        except (Refused, NotFound) as error:
+            problem = problem_of(error)
+            problem.status = 409
+            problem.detail = f"The goal {self.id} was not canceled: {error.words or error.sentence}"
+            raise problem from error
+        return Response(status_code=202, headers={"Location": uri(self.url)})
+
+
+async def followed(robot: Robot, action: str) -> None:
+    """See to it that the goals of others are heard of: the first look waits a moment for what is known."""
+    found = robot.graph.actions.get(action)
+    if found is None or found.type is None:
+        return
+    try:
+        await robot.schemas.action(found.type)
+        await robot.goals.look(action, deadline=robot.deadline(robot.settings.first_value_wait))
+    except (RosError, asyncio.TimeoutError):
+        pass  # its goals cannot be read now; what is known is told
+
+
+def _failure(robot: Robot, action: str, sending: Sending) -> Problem | None:
+    """The Problem of a goal that was not taken, with the URL of the goal where it was rejected."""
+    error = sending.error
+    if error is None:
+        return None
+    problem = problem_of(error)
+    if isinstance(error, Refused):
+        problem.status = 409
+        problem.detail = f"{action} rejected the goal: {error.words or error.sentence}"
+    elif problem.status == 503 and error.sent is not Sent.NO:
+        problem.detail += " It may have been carried out."
+    if sending.goal is not None:
+        url = robot.space.goal(sending.goal.id)
+        problem.extra |= {"goal": url, "status": sending.goal.status.value}
+        problem.headers["Location"] = url
+    return problem
+
+
+def _view(goal: Goal, *, cancelable: bool) -> GoalView:
+    """A goal as it is described."""
+    schema, told = goal.schema, goal.feedback
+    return GoalView(
+        goal.id,
+        goal.action,
+        None if goal.key is None else goal.key.id,
+        goal.status,
+        goal.own,
+        goal.created_ns,
+        (schema.goal, goal.goal) if schema and goal.goal is not None else None,
+        (schema.feedback, told.message, Envelope(told.received_ns, told.count)) if schema and told else None,
+        (schema.result, goal.result) if schema and goal.result is not None else None,
+        goal.ended_ns,
+        goal.words,
+        goal.unreadable,
+        cancelable,
+    )

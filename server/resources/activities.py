@@ -1,0 +1,180 @@
+"""Receipts: `/activity/ID` is what became of one write, `/activity/` lists them, the newest first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import islice
+
+import orjson
+
+from rosld.adapters.base import Watch
+from rosld.ontology.describe_activities import Receipt, activity_document
+from rosld.ontology.describe_containers import container_document
+from rosld.ontology.document import Document
+from rosld.ontology.literals import date_time
+from rosld.server.events import asked
+from rosld.server.html import Listing, Step
+from rosld.server.http.link import render
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.paging import (
+    Page,
+    Place,
+    last_place,
+    left_on_last,
+    page_of,
+    page_query,
+    read_place,
+    send_to_first,
+)
+from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
+from rosld.server.ldp.state import State, digest
+from rosld.server.ldp.verbs import OFFERS
+from rosld.server.receipts.graphs import TITLE
+from rosld.server.receipts.journal import Entry, Forgotten
+from rosld.server.robot import Robot
+
+_NEWEST = 10**15
+"""The keys of pages rise: that of a receipt is this minus its number, so that the newest is on the first page."""
+
+
+class ActivityResource(Resource):
+    """The receipt of one write. It never changes."""
+
+    kind = "Activity"
+
+    def __init__(self, robot: Robot, id: str) -> None:
+        super().__init__(robot.space.activity(id))
+        self.title = id
+        self.robot = robot
+        self.id = id
+
+    async def state(self) -> State:
+        try:
+            entry = self.robot.receipts.find(self.id)
+        except Forgotten as error:
+            kept = self.robot.settings.receipts_kept
+            sentence = f"There is no receipt {self.id}: it never was, or it is older than the {kept} that are kept."
+            raise Problem(404, sentence) from error
+        return self.robot.states.get(self.url, entry.number, lambda: _shown(self.robot, entry))
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return self.robot.receipts.changes.watch(wake)
+
+
+class ActivityContainer(Resource):
+    """`/activity/`: the receipts that are kept, in pages where there are many."""
+
+    kind = "Activity"
+    title = TITLE
+    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+
+    def __init__(self, robot: Robot, place: Place | None = None) -> None:
+        super().__init__(robot.space.container("activity"))
+        self.robot = robot
+        self._place = place
+
+    @property
+    def shows(self) -> Place | None:
+        return self._place
+
+    async def narrowed(self, exchange: Exchange) -> Resource:
+        """The page that `?page=` asks for, the first of many pages (303); as a stream, the newest receipt."""
+        if exchange.method not in ("GET", "HEAD"):
+            return self
+        if asked.stream_is_preferred(exchange.accept, OFFERS):
+            return NewestActivity(self.robot)
+        token = exchange.query.get("page")
+        if token is not None:
+            return ActivityContainer(self.robot, read_place(token))
+        send_to_first(exchange, self.url, len(self.robot.receipts))
+        return self
+
+    async def state(self) -> State:
+        version = self.robot.receipts.version
+        if self._place is None:
+            entries = list(self.robot.receipts.newest_first())
+            return self.robot.states.get(self.url, version, lambda: State(lambda: self._document(entries)))
+        page, told = self._page(self._place)
+
+        def make() -> State:
+            headers = {"link": render([*self.links, *page.links()]), "vary": "Accept, Prefer"}
+            part = f"p{digest(page.token.encode())}"
+            return State(lambda: page.told_with(self._document(told)), part=part, headers=headers)
+
+        return self.robot.states.get(page.url, version, make)
+
+    def _document(self, entries: list[Entry]) -> Document:
+        return container_document(self.url, (self.robot.space.activity(entry.id) for entry in entries), TITLE)
+
+    def _page(self, place: Place) -> tuple[Page, list[Entry]]:
+        """A page, and what it tells of."""
+        entries = list(self.robot.receipts.newest_first())
+        keys = [_NEWEST - entry.number for entry in entries]
+        after = place.after if isinstance(place.after, int) else 0
+        start = next((at for at, key in enumerate(keys) if key > after), len(keys))
+        most = place.most
+        last = last_place(most, len(keys), keys[: -left_on_last(len(keys), most) - 2 : -1])
+        before = keys[max(0, start - most - 1) : start][::-1]
+        page = page_of(self.url, place, keys[start : start + most + 1], before, last)
+        return page, entries[start : start + most]
+
+    @property
+    def query(self) -> str:
+        return "" if self._place is None else page_query(self._place.token)
+
+    def steps(self) -> tuple[Step, ...]:
+        return () if self._place is None else self._page(self._place)[0].steps()
+
+    def listing(self) -> Listing:
+        """When, who, what and what came of it."""
+        space = self.robot.space
+        receipts = self.robot.receipts
+        entries = islice(receipts.newest_first(), 1000) if self._place is None else self._page(self._place)[1]
+        rows = {space.activity(entry.id): _cells(entry.receipt, space.base) for entry in entries}
+        return Listing(("when", "who", "asked", "answer"), rows, len(receipts))
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return self.robot.receipts.changes.watch(wake)
+
+
+class NewestActivity(Resource):
+    """`/activity/` as a stream: each write when it comes. Those that come faster than is read are left out."""
+
+    kind = "Activity"
+    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot.space.container("activity"))
+        self.robot = robot
+
+    async def state(self) -> State:
+        entry = next(self.robot.receipts.newest_first(), None)
+        if entry is None:
+            return State(lambda: container_document(self.url, (), TITLE), lambda: b"null", "nothing")
+        return _shown(self.robot, entry)
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return self.robot.receipts.changes.watch(wake)
+
+
+def _shown(robot: Robot, entry: Entry) -> State:
+    receipt = entry.receipt
+    return State(lambda: activity_document(receipt, robot.space), lambda: _json(receipt), receipt.id)
+
+
+def _json(receipt: Receipt) -> bytes:
+    """A receipt as plain JSON, without what it does not have."""
+    told = receipt._asdict()
+    times = {"started": date_time(0, receipt.started_ns), "ended": date_time(0, receipt.ended_ns)}
+    kept = {
+        name: value
+        for name, value in told.items()
+        if name not in ("number", "started_ns", "ended_ns") and value not in (None, (), "", False)
+    }
+    return orjson.dumps({**kept, **times, "seconds": receipt.seconds})
+
+
+def _cells(receipt: Receipt, base: str) -> tuple[str, ...]:
+    asked = receipt.url.removeprefix(base[:-1])
+    return (date_time(0, receipt.ended_ns), receipt.agent, f"{receipt.method} {asked}", str(receipt.status))

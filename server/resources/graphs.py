@@ -1,0 +1,221 @@
+"""The graph store `/graphs` (SPARQL 1.1 Graph Store HTTP Protocol): graphs by their names, URLs of this server.
+
+`?graph=URL` means the resource at that URL, with its own verbs and answers; the request goes on there, in this process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+from urllib.parse import parse_qsl, unquote, urlencode, urljoin
+
+from pyoxigraph import NamedNode, Triple
+from starlette.responses import Response
+from starlette.types import Scope
+
+from rosld.ontology.document import Document
+from rosld.ontology.triples import about, text
+from rosld.ontology.vocab import dcterms, rdf, rdfs, sd
+from rosld.server.access import gate
+from rosld.server.http.link import uri
+from rosld.server.http.multipart import MULTIPART
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.resource import RDF_BODIES, READ, SPARQL_UPDATE, Resource
+from rosld.server.ldp.state import State
+from rosld.server.resources.kept.base import Kept
+from rosld.server.resources.kept.containers import ContainerResource
+from rosld.server.resources.kept.merging import unite
+from rosld.server.resources.kept.room import AbsentResource
+from rosld.server.resources.kept.sources import N3_PATCH
+from rosld.server.resources.sparql import told, wished
+from rosld.server.robot import Robot
+from rosld.server.sparql import results
+from rosld.server.sparql.endpoint import QueryService
+from rosld.server.sparql.protocol import QueryRequest, timeout_asked
+
+_DIRECTLY = "The name of a graph is its own URL, so GET, PUT, PATCH and DELETE there do the same."
+_MOST_PARAMETERS = 200
+_LONGEST_CACHED = 4096
+_EVERYTHING = QueryRequest("CONSTRUCT { ?s ?p ?o } WHERE { ?s ?p ?o }")
+
+
+class Named(NamedTuple):
+    """What a query string names: a graph by its absolute URI, the default graph, or neither.
+
+    `others` are the parameters that are not the protocol's, percent-encoded.
+    """
+
+    graph: str | None
+    default: bool
+    others: str
+
+
+def named(query_string: bytes, base: str) -> Named:
+    """The graph that a request names (Graph Store Protocol 4.2); relative IRIs are resolved against `base` (4.1).
+
+    Raises a 400 Problem for several graphs, for both a graph and the default graph, and for what is no IRI.
+    """
+    return _remembered(query_string, base) if len(query_string) <= _LONGEST_CACHED else _named(query_string, base)
+
+
+def _named(query_string: bytes, base: str) -> Named:
+    try:
+        pairs = parse_qsl(
+            query_string.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=_MOST_PARAMETERS
+        )
+    except ValueError as error:
+        raise Problem(400, f"The query string cannot be read: {error}.") from error
+    graphs = [value for name, value in pairs if name == "graph"]
+    defaults = sum(name == "default" for name, _ in pairs)
+    if len(graphs) + defaults > 1:
+        raise Problem(400, "Name one graph: one ?graph=IRI, or ?default (SPARQL 1.1 Graph Store Protocol 4.2).")
+    others = urlencode([(name, value) for name, value in pairs if name not in ("graph", "default")])
+    return Named(_resolved(graphs[0], base) if graphs else None, defaults == 1, others)
+
+
+_remembered = lru_cache(maxsize=256)(_named)
+
+
+def _resolved(iri: str, base: str) -> str:
+    try:
+        return uri(NamedNode(urljoin(base, iri)).value)
+    except ValueError as error:
+        raise Problem(400, f"graph={iri[:200]!r} is no IRI: {error}.") from error
+
+
+class GraphStore(Resource):
+    """The graph store: it has no state but that of its graphs."""
+
+    kind = "Graph store"
+    links = ()
+    takes_forms = False
+    accepts: Mapping[str, Sequence[str]] = {
+        "PUT": RDF_BODIES,
+        "POST": (*RDF_BODIES, MULTIPART),
+        "PATCH": (SPARQL_UPDATE, N3_PATCH),
+    }
+
+    def __init__(self, robot: Robot, service: QueryService, resolve: Callable[[Scope], Resource]) -> None:
+        super().__init__(f"{robot.space.base}graphs")
+        self._robot = robot
+        self._resolve = resolve
+        self._default = DefaultGraph(f"{self.url}?default", service)
+
+    def methods(self) -> frozenset[str]:
+        return READ if self._robot.settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
+
+    async def state(self) -> State:
+        return self._robot.states.get(self.url, 0, lambda: State(lambda: Document(self.url, self._description())))
+
+    def _description(self) -> tuple[Triple, ...]:
+        store, default = NamedNode(self.url), NamedNode(self._default.url)
+        return (
+            *about(
+                store,
+                (rdf.type, sd.Dataset),
+                (dcterms.title, text("The graph store")),
+                (rdfs.comment, text(f"Every graph is here by its name: {self.url}?graph=URL. {_DIRECTLY}")),
+                (sd.defaultGraph, default),
+                (rdfs.seeAlso, NamedNode(f"{self._robot.space.base}sparql")),
+            ),
+            *about(default, (rdfs.label, text("The default graph: all graphs together"))),
+        )
+
+    async def narrowed(self, exchange: Exchange) -> Resource:
+        """The graph that is named, as its own URL has it."""
+        asked = named(exchange.request.scope["query_string"], self.url)
+        if asked.default:
+            return self._default
+        if asked.graph is not None:
+            return await self._graph(exchange, asked.graph, asked.others)
+        if exchange.method == "POST":  # the server is to find a name (Graph Store Protocol 5.5)
+            return await self._graph(exchange, self._robot.space.container("data"), asked.others)
+        if exchange.method in READ:
+            return self
+        raise Problem(
+            400, f"Name a graph: {self.url}?graph=IRI, or {self.url}?default (SPARQL 1.1 Graph Store Protocol 4.2)."
+        )
+
+    async def _graph(self, exchange: Exchange, graph: str, others: str) -> Resource:
+        exchange.readdress(self._scope(exchange, graph, others))
+        if not exchange.judge.whole:
+            gate.require_path(exchange.judge, exchange.method, gate.place_of(exchange.request.scope, self._robot.space))
+        resource = self._resolve(exchange.request.scope)
+        if resource is self:
+            raise Problem(400, f"<{graph[:200]}> is the graph store itself, and none of its graphs.")
+        if exchange.method in ("PUT", "POST"):
+            await _prepare(exchange, resource)
+        return await resource.narrowed(exchange)
+
+    def _scope(self, exchange: Exchange, graph: str, others: str) -> Scope:
+        """The request as it would be at the graph's own URL. Raises Problems for graphs of other places."""
+        space = self._robot.space
+        if "#" in graph or not graph.startswith(space.base):
+            raise self._elsewhere(exchange.method, graph)
+        return {**exchange.request.scope, **_address(graph[len(space.base) :], space.path, others)}
+
+    def _elsewhere(self, method: str, graph: str) -> Problem:
+        space, shown = self._robot.space, f"<{graph[:200]}>"
+        if method in READ:
+            return Problem(404, f"There is no graph {shown} here: the names of graphs are URLs below {space.base}")
+        room = space.container("data")
+        return Problem(403, f"No graph {shown} can be here: choose a name below {room}, such as {room}NAME")
+
+
+@lru_cache(maxsize=256)
+def _address(below: str, root: str, others: str) -> Scope:
+    """What a request has of the address that lies `below` the root of this server, with these parameters as well."""
+    path, _, own = below.partition("?")
+    return {
+        "path": unquote(root + path),
+        "raw_path": (root + path).encode("ascii"),
+        "query_string": "&".join(part for part in (own, others) if part).encode("ascii"),
+    }
+
+
+async def _prepare(exchange: Exchange, resource: Resource) -> None:
+    """See to it that a write means what the protocol says: a graph is merged or made, and nothing else happens."""
+    if exchange.method == "POST" and not isinstance(resource, Kept):
+        await resource.ready()
+        raise Problem(
+            405,
+            "POST merges triples into a graph, and this graph is the robot's own state: PUT or PATCH says what it is "
+            f"to be, as far as it can be written. What POST means at {resource.url} itself is to be asked for there.",
+            headers={"Allow": ", ".join(sorted(resource.methods() - {"POST"}))},
+        )
+    makes = isinstance(resource, AbsentResource | ContainerResource)
+    if exchange.method == "POST" and exchange.essence == MULTIPART and isinstance(resource, AbsentResource):
+        await unite(exchange, resource.url)
+    if makes and exchange.essence is not None and exchange.essence not in RDF_BODIES:
+        raise Problem(
+            415,
+            f"A graph comes as {', '.join(RDF_BODIES)}, not as {exchange.essence}.",
+            headers={f"Accept-{exchange.method.capitalize()}": ", ".join(RDF_BODIES)},
+        )
+    if isinstance(resource, AbsentResource):
+        exchange.method = "PUT"
+
+
+class DefaultGraph(Resource):
+    """The default graph: all graphs together, as a query has it. It is read, and never written itself."""
+
+    kind = "Default graph"
+    links = ()
+
+    def __init__(self, url: str, service: QueryService) -> None:
+        super().__init__(url)
+        self._service = service
+
+    def why_not(self, method: str) -> str:
+        return "The default graph is all graphs together: write to the one that is to say it, by ?graph="
+
+    async def special(self, exchange: Exchange) -> Response:
+        accept = wished(exchange)
+        if exchange.method == "HEAD":
+            content_type = results.content_type(results.choose("CONSTRUCT", accept))
+            return Response(headers={"Content-Type": content_type, "Vary": "Accept", "Cache-Control": "no-cache"})
+        asked = replace(_EVERYTHING, timeout=timeout_asked(exchange.query.items()))
+        return told(await self._service.answer(asked, accept, judge=exchange.judge))

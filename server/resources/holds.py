@@ -1,0 +1,314 @@
+"""Holds: POST of a message to a topic holds it, PATCH of the hold renews it, DELETE ends it."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import socket
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from urllib.parse import urljoin, urlsplit
+
+import orjson
+from pyoxigraph import NamedNode
+from starlette.responses import Response
+
+from rosld.adapters.base import Watch
+from rosld.adapters.model import Message, MessageSchema, RosError
+from rosld.ontology.body import body_of
+from rosld.ontology.describe_holds import MOST_LEASE, MOST_RATE, HoldView, hold_document
+from rosld.ontology.document import Document
+from rosld.ontology.lift import lifter
+from rosld.ontology.lower import LoweringError, find_message, lowerer, parse_json
+from rosld.ontology.zero import TWISTS, zeroed
+from rosld.server.access.refusals import nothing
+from rosld.server.errors import problem_of
+from rosld.server.holds import Command, Hold, HoldEnded, command, new
+from rosld.server.html import DeleteForm, Form
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.patch import merge_patch
+from rosld.server.ldp.resource import (
+    JSON,
+    MERGE_PATCH,
+    RDF_BODIES,
+    READ,
+    Answer,
+    Created,
+    Resource,
+)
+from rosld.server.ldp.state import State
+from rosld.server.resources.publishing import Publishing
+from rosld.server.robot import Robot, Same
+
+LEASE = 1.0
+"""Seconds, where none are asked for."""
+ZERO, NONE = "zero", "none"
+
+Find = Callable[[str], Resource]
+"""The resource at a path below the base."""
+
+
+async def hold_topic(exchange: Exchange, robot: Robot, name: str, find: Find | None) -> Answer:
+    """Carry out a POST of a message to a topic: hold it. Raises whatever there is to refuse."""
+    rate = _rate(exchange, robot)
+    if rate is None:
+        raise Problem(400, f"Say how often the message is to be published: ?rate=10 for ten times a second ({_RATES}).")
+    lease = _lease(exchange) or LEASE
+    publishing = Publishing(robot, name)
+    schema, message = await publishing.asked(exchange)
+    await publishing.require(schema, message)
+    asked = _command(robot, schema, message, restamp=False)
+    then, then_asked = await _then(
+        exchange.query.get("then"), robot, publishing, asked, _readable(robot, find, exchange)
+    )
+    exchange.account.plans(f"hold {name} at {rate:g} Hz, unrenewed for {lease:g} s", robot.space.topic(name))
+    begun = await robot.holds.begin(new(name, exchange.agent, rate, lease, asked, then, then_asked))
+    resource = HoldResource(robot, begun.id, find)
+    return Created(resource.url, resource, resource.shown(begun))
+
+
+class HoldResource(Resource):
+    """One hold of a topic."""
+
+    kind = "Hold"
+    accepts: Mapping[str, Sequence[str]] = {"PATCH": (JSON, MERGE_PATCH, *RDF_BODIES)}
+
+    def __init__(self, robot: Robot, id: str, find: Find | None = None) -> None:
+        super().__init__(robot.space.hold(id))
+        self.title = id
+        self.robot = robot
+        self.id = id
+        self._find = find
+
+    @property
+    def hold(self) -> Hold:
+        """The hold; a 404 or 410 Problem where there is none."""
+        try:
+            return self.robot.holds.find(self.id)
+        except HoldEnded as error:
+            raise Problem(410, f"The hold {self.id} has ended: {error}.") from error
+        except KeyError as error:
+            raise Problem(404, f"There is no hold {self.id}.") from error
+
+    def methods(self) -> frozenset[str]:
+        return READ if self.robot.settings.read_only else READ | {"PATCH", "DELETE"}
+
+    async def state(self) -> State:
+        return self.shown(self.hold)
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return self.robot.holds.changes.watch(wake, lambda about: about == self.id)
+
+    def shown(self, hold: Hold) -> State:
+        """The state of this hold as it stood."""
+        return self.robot.states.get(
+            self.url, Same(hold), lambda: State(lambda: self.document(hold), lambda: self._plain(hold))
+        )
+
+    def document(self, hold: Hold) -> Document:
+        """The RDF of this hold as it stood."""
+        view = HoldView(
+            hold.id,
+            hold.topic,
+            hold.holder.name,
+            hold.rate,
+            hold.lease,
+            hold.until_ns,
+            hold.created_ns,
+            (hold.command.schema, hold.command.message),
+            None if hold.then is None else (hold.then.schema, hold.then.message),
+            hold.then_asked,
+            hold.trouble,
+            changeable=not self.robot.settings.read_only,
+        )
+        return hold_document(view, self.robot.space, self.robot.lifting)
+
+    def _plain(self, hold: Hold) -> bytes:
+        """How it stands as JSON, its messages as ROS's own."""
+        told = {
+            "id": hold.id,
+            "topic": hold.topic,
+            "holder": hold.holder.name,
+            "rate": hold.rate,
+            "lease": hold.lease,
+            "kept": hold.until_ns is None,
+            "then": hold.then_asked,
+            "trouble": hold.trouble,
+        }
+        message = lifter(hold.command.schema, self.robot.lifting).json(hold.command.message, self.url)
+        return orjson.dumps(told)[:-1] + b',"message":' + message + b"}"
+
+    async def forms(self) -> Sequence[Form]:
+        about = f"What it was told to say last is then published on {self.hold.topic}."
+        return (DeleteForm("End the hold", "End", about),) if "DELETE" in self.methods() else ()
+
+    def followed(self, exchange: Exchange) -> contextlib.AbstractContextManager[float | None]:
+        """`?keep=true`: the stream keeps the hold, and says twice a lease that it is alive."""
+        if not exchange.flag("keep"):
+            return contextlib.nullcontext()
+        if self.robot.settings.read_only:
+            raise Problem(403, "This server is read-only.")
+        require_holder(exchange, self.hold)
+        return self._kept(exchange, self.hold.lease)
+
+    @contextlib.contextmanager
+    def _kept(self, exchange: Exchange, lease: float) -> Iterator[float]:
+        _notice_silence(exchange, lease)
+        with self.robot.holds.kept(self.id):
+            yield lease / 2
+
+    async def patch(self, exchange: Exchange) -> Answer:
+        robot, hold = self.robot, self.hold
+        require_holder(exchange, hold)
+        robot.gate.require_open()
+        publishing = Publishing(robot, hold.topic)
+        asked = await self._changed(exchange, publishing, hold)
+        then, then_asked = hold.then, hold.then_asked
+        if "then" in exchange.query or (asked is not hold.command and then_asked == ZERO):
+            words = exchange.query.get("then", then_asked)
+            then, then_asked = await _then(words, robot, publishing, asked, _readable(robot, self._find, exchange))
+        changed = replace(
+            self.hold,
+            command=asked,
+            rate=_rate(exchange, robot) or hold.rate,
+            lease=_lease(exchange) or hold.lease,
+            then=then,
+            then_asked=then_asked,
+        )
+        what = f"hold {hold.topic} at {changed.rate:g} Hz, unrenewed for {changed.lease:g} s"
+        exchange.account.plans(what, robot.space.topic(hold.topic))
+        robot.holds.change(self.id, changed)
+        return Response(status_code=204)
+
+    async def _changed(self, exchange: Exchange, publishing: Publishing, hold: Hold) -> Command:
+        """The command after the change that a body asks for."""
+        data = await exchange.body()
+        if not data.strip():
+            return hold.command
+        schema = hold.command.schema
+        if exchange.media_type == MERGE_PATCH:
+            present = lifter(schema, self.robot.whole).json(hold.command.message, self.url)
+            patched = merge_patch(parse_json(present), parse_json(data))
+            message = lowerer(schema, self.robot.lifting).from_json(patched)
+        else:
+            message = await publishing.message_of(exchange, schema, self.url)
+        await publishing.require(schema, message)
+        return _command(self.robot, schema, message, restamp=False)
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        require_holder(exchange, self.hold)
+        topic = self.hold.topic
+        exchange.account.plans(f"end the hold of {topic}", self.robot.space.topic(topic))
+        ended = self.robot.holds.end(self.id, f"{exchange.agent.name} ended it")
+        if ended is not None:
+            await ended
+        return Response(status_code=204)
+
+
+def require_holder(exchange: Exchange, hold: Hold) -> None:
+    """Raise a 403 Problem where somebody else than its holder would change, keep or end a hold."""
+    if exchange.agent != hold.holder:
+        raise Problem(403, f"The hold {hold.id} is {hold.holder.name}'s; POST of /stop ends it in any case.")
+
+
+# What is asked for
+
+_RATES = f"more than 0 and at most {MOST_RATE:g} Hz"
+_LEASES = f"more than 0 and at most {MOST_LEASE:g} s"
+
+
+def _rate(exchange: Exchange, robot: Robot) -> float | None:
+    rate = _number(exchange, "rate", MOST_RATE, _RATES)
+    if rate is not None and rate > robot.limiter.rate:
+        most = f"{robot.limiter.rate:g} messages a second (--max-publish-rate)"
+        raise Problem(400, f"?rate={rate:g}: nothing is published more often than {most} here.")
+    return rate
+
+
+def _lease(exchange: Exchange) -> float | None:
+    return _number(exchange, "lease", MOST_LEASE, _LEASES)
+
+
+def _number(exchange: Exchange, name: str, most: float, words: str) -> float | None:
+    if name not in exchange.query:
+        return None
+    given = exchange.query[name]
+    try:
+        value = float(given)
+    except ValueError:
+        value = math.nan
+    if not 0 < value <= most or value * 1e6 < 1:
+        raise Problem(400, f"?{name}={given[:100]}: it must be {words}.")
+    return value
+
+
+def _readable(robot: Robot, find: Find | None, exchange: Exchange) -> Find | None:
+    """What finds resources for whoever asks: of those that they may not read it says nothing."""
+    if find is None or exchange.judge.whole:
+        return find
+
+    def found(path: str) -> Resource:
+        if not exchange.judge.may_read(robot.space.base + path.lstrip("/")):
+            raise nothing()
+        return find(path)
+
+    return found
+
+
+async def _then(
+    asked: str | None, robot: Robot, publishing: Publishing, held: Command, find: Find | None
+) -> tuple[Command | None, str]:
+    """What is published when the hold ends, and how that was asked for: within the limits, ready to be sent."""
+    schema = held.schema
+    words = asked or (ZERO if schema.ref.name in TWISTS else NONE)
+    if words == NONE:
+        return None, NONE
+    try:
+        message = zeroed(schema, held.message) if words == ZERO else await _message_at(words, robot, schema, find)
+        await publishing.require(schema, message)
+    except LoweringError as error:
+        detail = f"?then={words[:500]}: {error}"
+        raise Problem(422, detail, title="Does not fit", violations=error.violations) from error
+    except Problem as problem:
+        problem.detail = f"?then={words[:500]}: {problem.detail}"
+        raise
+    return _command(robot, schema, message, restamp=True), words
+
+
+async def _message_at(url: str, robot: Robot, schema: MessageSchema, find: Find | None) -> Message:
+    """The message that stands at a URL of this server now. Raises Problems (422), and LoweringError."""
+    base = robot.space.base
+    whole = urljoin(base, url)
+    document, _, fragment = whole.partition("#")
+    if find is None or not document.startswith(base) or urlsplit(document).query:
+        raise Problem(422, f"It is zero, none, or the URL of a message below {base}")
+    try:
+        resource = find("/" + document[len(base) :])
+        await resource.ready()
+        state = await resource.state()
+    except ValueError as error:
+        raise Problem(422, f"{error}.") from error
+    except RosError as error:
+        raise problem_of(error) from error
+    except Problem as problem:
+        raise Problem(422, problem.detail) from problem
+    body = body_of(state.document.all_triples())
+    type_iri = robot.space.class_of(schema.ref.name)
+    root = NamedNode(whole) if fragment else find_message(body, document, type_iri)
+    return lowerer(schema, robot.lifting).from_graph(body, root, document)
+
+
+def _command(robot: Robot, schema: MessageSchema, message: Message, *, restamp: bool) -> Command:
+    encoding, clock = robot.adapter.capabilities.encoding, not robot.graph.simulated_time
+    return command(schema, message, encoding, restamp=restamp, clock=clock)
+
+
+def _notice_silence(exchange: Exchange, seconds: float) -> None:
+    """Have the connection end when what is sent on it is not acknowledged for so long, where the system can."""
+    transport = exchange.request.scope.get("rosld.transport")
+    found = None if transport is None else transport.get_extra_info("socket")
+    if found is not None and sys.platform == "linux":
+        with contextlib.suppress(OSError):
+            found.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, max(1, int(seconds * 1000)))

@@ -1,0 +1,29 @@
+"""Writes of several rooms at once: each judged by its own, all done or none."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+
+from rosld.server.ldp.account import accounted_for
+from rosld.server.records import Put, Record, Write
+from rosld.server.resources.kept.judging import judge_of
+from rosld.server.robot import Robot
+
+
+async def kept_together(robot: Robot, writes: Sequence[Write]) -> Sequence[Record | None]:
+    """Do these writes in one transaction, if they are found good. Raises Conflict, Problems and LoweringError."""
+    for write in writes:
+        accounted_for(f"{'store' if isinstance(write, Put) else 'delete'} /{write.path}", robot.space.base + write.path)
+    judges = [(write, judge) for write in writes if (judge := judge_of(robot, write.path)) is not None]
+    if not judges:
+        return await robot.records.write(*writes)
+    turns = {judge.shape: judge.turn for _, judge in judges}
+    async with contextlib.AsyncExitStack() as held:
+        for shape in sorted(turns):
+            await held.enter_async_context(turns[shape])
+        sequels = [await judge.judged(write) for write, judge in judges]
+        records = await robot.records.write(*writes)
+        for sequel in sequels:
+            sequel()
+        return records

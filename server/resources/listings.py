@@ -1,0 +1,52 @@
+"""The containers of what comes and goes as the robot is used: calls, goals, holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from rosld.adapters.base import Watch
+from rosld.ontology.describe_containers import container_document
+from rosld.server.events.watches import Signal
+from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
+from rosld.server.ldp.state import State
+from rosld.server.robot import Robot
+
+
+class Listing(Resource):
+    """`/NAME/`: a container of the members that there are now, whose URLs `members` tells; `changes` says when."""
+
+    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+
+    def __init__(self, robot: Robot, name: str, members: Callable[[], Iterator[str]], changes: Signal) -> None:
+        super().__init__(robot.space.container(name))
+        self.kind = name.capitalize()
+        self._robot = robot
+        self._members = members
+        self._changes = changes
+
+    async def state(self) -> State:
+        members = tuple(self._members())
+        return self._robot.states.get(
+            self.url, members, lambda: State(lambda: container_document(self.url, members, self.kind))
+        )
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return self._changes.watch(wake)
+
+
+def calls(robot: Robot) -> Listing:
+    """`/calls/`: the calls made through rosld and kept."""
+    known, url = robot.calls, robot.space.call
+    return Listing(robot, "calls", lambda: (url(call.id) for call in known.all()), known.changes)
+
+
+def goals(robot: Robot) -> Listing:
+    """`/goals/`: the goals known and kept, ours and others'."""
+    known, url = robot.goals, robot.space.goal
+    return Listing(robot, "goals", lambda: (url(goal.id) for goal in known.all()), known.changes)
+
+
+def holds(robot: Robot) -> Listing:
+    """`/holds/`: the holds that there are."""
+    known, url = robot.holds, robot.space.hold
+    return Listing(robot, "holds", lambda: (url(hold.id) for hold in known.all()), known.changes)

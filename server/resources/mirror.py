@@ -1,0 +1,78 @@
+"""`/mirror`: how far another store (`--store`) is with what this server tells it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import orjson
+from pyoxigraph import NamedNode
+
+from rosld.ontology.document import Document
+from rosld.ontology.triples import RDF_SOURCE, about, double, integer, moment, text
+from rosld.ontology.urls import Location
+from rosld.ontology.vocab import dcterms, rdf, ros
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.resource import Resource
+from rosld.server.ldp.state import State
+from rosld.server.mirroring import ROOM
+from rosld.server.robot import Robot
+from rosld.server.store.mirror import Mirror, Status
+
+
+class MirrorResource(Resource):
+    """What another store has been told."""
+
+    kind = "Mirror"
+
+    def __init__(self, robot: Robot, mirror: Mirror) -> None:
+        super().__init__(robot.space.base + ROOM)
+        self._mirror = mirror
+
+    async def state(self) -> State:
+        status = self._mirror.status
+        return State(lambda: mirror_document(self.url, status), lambda: _plain(status))
+
+
+def mirror_room(mirror: Mirror | None) -> Mapping[str, Callable[[Robot, Location], Resource]]:
+    """The room of the mirror; none where there is no mirror."""
+
+    def room(robot: Robot, location: Location) -> Resource:
+        if location.segments or location.is_container:
+            raise Problem(404, f"There is nothing below /{ROOM}.")
+        assert mirror is not None
+        return MirrorResource(robot, mirror)
+
+    return {} if mirror is None else {ROOM: room}
+
+
+def mirror_document(url: str, status: Status) -> Document:
+    """A mirror described. It is stale, with the reason, while its store cannot be told anything."""
+    return Document(
+        url,
+        tuple(
+            about(
+                NamedNode(url),
+                (rdf.type, ros.Mirror),
+                *RDF_SOURCE,
+                (ros.store, NamedNode(status.url)),
+                (ros.state, ros.Live if status.failure is None else ros.Stale),
+                (ros.reason, text(status.failure)),
+                (ros.lag, double(round(status.lag, 3))),
+                (ros.pending, integer(status.pending)),
+                (ros.refused, integer(status.refused)),
+                (dcterms.modified, moment(status.told_ns)),
+            )
+        ),
+    )
+
+
+def _plain(status: Status) -> bytes:
+    return orjson.dumps(
+        {
+            "store": status.url,
+            "failure": status.failure,
+            "lag": round(status.lag, 3),
+            "pending": status.pending,
+            "refused": status.refused,
+        }
+    )

@@ -1,0 +1,137 @@
+"""`/stop`: POST stops the robot, DELETE lets it be moved again, GET tells which of the two it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import orjson
+from starlette.responses import Response
+
+from rosld.adapters.base import Watch
+from rosld.ontology.body import parse_json
+from rosld.ontology.describe_holds import StepView, stop_document
+from rosld.ontology.document import Document
+from rosld.ontology.triples import moment
+from rosld.ontology.vocab import ros
+from rosld.server.html import DeleteForm, Form
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.resource import JSON, READ, Answer, Resource, Shown
+from rosld.server.ldp.state import State
+from rosld.server.robot import Robot
+
+_LONGEST = 500
+"""Characters of a reason."""
+_ABOUT = "It ends every hold, cancels the goals sent from here, does what the mappings say, and refuses all writes."
+
+
+def may_stop(robot: Robot) -> str | None:
+    """Why the robot cannot be stopped and released from here, in a sentence; None where it can."""
+    if robot.settings.read_only:
+        return "This server is read-only: it tells the robot nothing, not even to stop."
+    return None if robot.stops.is_usable else f"Nothing moves in a {robot.adapter.capabilities.system}."
+
+
+def require_right(exchange: Exchange, robot: Robot) -> None:
+    """Raise a Problem where whoever asks must not stop (POST) or release (DELETE) the robot."""
+    refusal = may_stop(robot)
+    if refusal is not None:
+        raise Problem(403, refusal)
+
+
+class StopResource(Resource):
+    """The stop of the whole robot."""
+
+    kind = "Stop"
+    title = "Stop"
+    accepts: Mapping[str, Sequence[str]] = {"POST": (JSON,)}
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot.space.stop)
+        self.robot = robot
+
+    def methods(self) -> frozenset[str]:
+        return READ | {"POST", "DELETE"} if may_stop(self.robot) is None else READ
+
+    def why_not(self, method: str) -> str:
+        if method in ("POST", "DELETE"):
+            return may_stop(self.robot) or super().why_not(method)
+        return f"POST stops the robot, DELETE lets it be moved again; it does not answer {method}."
+
+    async def state(self) -> State:
+        return self.shown()
+
+    def shown(self) -> State:
+        """What it is like now."""
+        robot = self.robot
+        version = (robot.stops.revision, robot.stops.steps, robot.stops.standstill)
+        return robot.states.get(self.url, version, lambda: State(self.document, self._plain))
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return self.robot.stops.changes.watch(wake)
+
+    def document(self) -> Document:
+        """The RDF of the stop."""
+        stops = self.robot.stops
+        standstill = stops.standstill
+        return stop_document(
+            self.robot.space,
+            [StepView(step.does, ros.terms()[step.fate.value], step.words) for step in stops.steps],
+            by=None if standstill is None else standstill.by,
+            since_ns=None if standstill is None else standstill.since_ns,
+            reason=None if standstill is None else standstill.reason,
+            usable=may_stop(self.robot) is None,
+        )
+
+    def _plain(self) -> bytes:
+        stops = self.robot.stops
+        standstill = stops.standstill
+        since = None if standstill is None else moment(standstill.since_ns)
+        steps = [{"does": step.does, "state": step.fate.value, "words": step.words} for step in stops.steps]
+        return orjson.dumps(
+            {
+                "stopped": standstill is not None,
+                "by": None if standstill is None else standstill.by,
+                "since": None if since is None else since.value,
+                "reason": None if standstill is None else standstill.reason,
+                "steps": steps,
+            }
+        )
+
+    async def forms(self) -> Sequence[Form]:
+        if may_stop(self.robot) is not None:
+            return ()
+        stop = DeleteForm("Stop the robot", "Stop", _ABOUT, method="POST")
+        if self.robot.stops.standstill is None:
+            return (stop,)
+        about = "Writes reach the robot again. Nothing is begun anew by that."
+        return (DeleteForm("Release the robot", "Release", about), stop)
+
+    async def post(self, exchange: Exchange) -> Answer:
+        require_right(exchange, self.robot)
+        reason = _reason(await exchange.body())
+        exchange.account.plans("stop the robot", self.url)
+        await self.robot.stops.stop(exchange.agent, reason)
+        return Shown(self, self.shown())
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        require_right(exchange, self.robot)
+        if self.robot.stops.is_running:
+            raise Problem(
+                409, "The robot is still being stopped; release it when that is done.", headers={"Retry-After": "1"}
+            )
+        exchange.account.plans("let writes pass again", self.url)
+        self.robot.stops.lift(exchange.agent)
+        return Response(status_code=204)
+
+
+def _reason(body: bytes) -> str | None:
+    """Why the robot is stopped, as a body says; None where it says nothing. Raises a 422 Problem for anything else."""
+    if not body.strip():
+        return None
+    match parse_json(body):
+        case {"reason": str(reason), **others} if not others and len(reason) <= _LONGEST:
+            return " ".join(reason.split()) or None
+        case {**others} if not others:
+            return None
+    raise Problem(422, f'The body is empty, or {{"reason": "..."}} with at most {_LONGEST} characters.')

@@ -1,0 +1,69 @@
+"""Of which types a resource is, for rules about types: topics, services, actions, and what is made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rosld.adapters.model import Graph, Kind, TypeRef
+from rosld.ontology.urls import Location
+from rosld.server.access.rules import UNTYPED, Types
+from rosld.server.hypermedia.catalogue import ParameterSource, TopicSource
+from rosld.server.robot import Robot
+
+
+def types_at(robot: Robot, location: Location) -> Types:
+    """The names of the types of what is at a location; none where it is of no type, or is not there."""
+    if not location.segments:
+        return UNTYPED
+    try:
+        return frozenset(ref.name for ref in _refs(robot, location))
+    except ValueError:  # no name of ROS is spelt so
+        return UNTYPED
+
+
+def _refs(robot: Robot, location: Location) -> Iterable[TypeRef]:
+    graph = robot.graph
+    match location.kind:
+        case "topics":
+            return of_name(graph, Kind.TOPIC, location.name)
+        case "services":
+            return of_name(graph, Kind.SERVICE, location.name)
+        case "actions":
+            return _of_action(graph, location.name)
+        case "calls":
+            found = next((call.service for call in robot.calls.all() if call.id == location.segments[0]), None)
+            return () if found is None else of_name(graph, Kind.SERVICE, found)
+        case "goals":
+            goal = next((goal.action for goal in robot.goals.all() if goal.id == location.segments[0]), None)
+            return () if goal is None else _of_action(graph, goal)
+        case "resources" if not location.is_container:
+            return _of_member(robot, location.name)
+    return ()
+
+
+def of_name(graph: Graph, kind: Kind, name: str) -> tuple[TypeRef, ...]:
+    """The types of a topic or a service, as far as they are known."""
+    if kind is Kind.TOPIC:
+        topic = graph.topics.get(name)
+        return () if topic is None else tuple(topic.types)
+    service = graph.services.get(name)
+    return () if service is None or service.type is None else (service.type,)
+
+
+def _of_action(graph: Graph, name: str) -> tuple[TypeRef, ...]:
+    action = graph.actions.get(name)
+    return () if action is None or action.type is None else (action.type,)
+
+
+def _of_member(robot: Robot, name: str) -> Iterable[TypeRef]:
+    """Those of all topics and services that a property is read from and written to, or an action invokes."""
+    layout = robot.offers.at_hand() or robot.offers.latest
+    if layout is None:
+        return
+    plan, action = layout.property(name), layout.action(name)
+    if plan is not None:
+        for way in (*plan.of.readers, *plan.of.writers):
+            if not isinstance(way, ParameterSource):
+                yield from of_name(robot.graph, Kind.TOPIC if isinstance(way, TopicSource) else Kind.SERVICE, way.name)
+    if action is not None:
+        yield from of_name(robot.graph, Kind.SERVICE, action.service)

@@ -1,0 +1,62 @@
+"""LOAD: documents of the web that the settings list, taken in before an update is drawn (SPARQL 1.1 Update, 3.1.4)."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator, Sequence
+
+from pyoxigraph import NamedNode, Triple
+
+from rosld.ontology.body import MEDIA_TYPES, BodyError, parse_triples
+from rosld.server.http.problem import Problem
+from rosld.server.sparql.update.operations import Load, Modify, Operation, QuadTemplate
+from rosld.server.store.endpoint import Endpoint, StoreError
+
+
+async def loaded(
+    operations: Sequence[Operation], allowed: frozenset[str], *, seconds: float, most: int
+) -> Sequence[Operation]:
+    """The operations with what each LOAD found in its place; each may take `seconds` and find `most` bytes.
+
+    Raises Problems: 403 for a document that is not `allowed`, 422 where no graph is named or no RDF is found, 502 where
+    nothing is found; none but the first for LOAD SILENT, which then does nothing.
+    """
+    return [await _found(each, allowed, seconds, most) if isinstance(each, Load) else each for each in operations]
+
+
+async def _found(load: Load, allowed: frozenset[str], seconds: float, most: int) -> Modify:
+    if load.document not in allowed:
+        words = "this server asks only what its settings list (--allow-load), by its whole URL"
+        raise Problem(403, f"LOAD of <{load.document}> is refused: {words}. Nothing was done.")
+    if load.into is None:
+        raise Problem(422, "The default graph is the union of all graphs: say INTO GRAPH. Nothing was done.")
+    try:
+        triples = await asyncio.to_thread(_read, load.document, seconds, most)
+    except Problem:
+        if load.silent:
+            return Modify()
+        raise
+    return Modify(inserts=tuple(_templates(triples, NamedNode(load.into))))
+
+
+def _read(document: str, seconds: float, most: int) -> Sequence[Triple]:
+    endpoint = Endpoint(document, seconds=seconds, most=most)
+    try:
+        answer = endpoint.get(", ".join(MEDIA_TYPES))
+        if answer.media_type not in MEDIA_TYPES:
+            raise Problem(422, f"LOAD: <{document}> is {answer.media_type or 'of no type'}, not one of {MEDIA_TYPES}.")
+        triples = parse_triples(answer.body, answer.media_type, document)
+    except StoreError as error:
+        raise Problem(502, f"LOAD: {error}") from error
+    except BodyError as error:
+        raise Problem(422, f"LOAD: <{document}> cannot be read: {error}.") from error
+    finally:
+        endpoint.close()
+    return triples
+
+
+def _templates(triples: Sequence[Triple], graph: NamedNode) -> Iterator[QuadTemplate]:
+    for subject, predicate, value in triples:
+        if isinstance(subject, Triple) or isinstance(value, Triple):
+            raise Problem(422, f"LOAD: {subject} or {value} is a triple about triples, and these are not kept here.")
+        yield QuadTemplate(subject, predicate, value, graph)

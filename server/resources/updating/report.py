@@ -1,0 +1,123 @@
+"""What became of an update, graph by graph."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from http import HTTPStatus
+
+import orjson
+from starlette.responses import Response
+
+from rosld.adapters.model import RosError, Sent
+from rosld.ontology.body import BodyError
+from rosld.ontology.lower import LoweringError
+from rosld.server.errors import problem_of, problem_of_body
+from rosld.server.http.problem import Problem, members
+
+
+class Fate(Enum):
+    """What became of the write of one graph."""
+
+    PLANNED = "planned"
+    DONE = "done"
+    UNHEARD = "unheard"
+    """It was published, and nobody was listening."""
+    FAILED = "failed"
+    """It was not done."""
+    UNKNOWN = "unknown"
+    """It may have been done."""
+    LEFT = "not attempted"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One graph of a report: what its write does, what became of it, and why where it was not done."""
+
+    graph: str
+    does: str
+    fate: Fate
+    why: Problem | None = None
+
+    @property
+    def members(self) -> dict[str, object]:
+        """As JSON."""
+        found: dict[str, object] = {"graph": self.graph, "does": self.does, "outcome": self.fate.value}
+        if self.why is not None:
+            found |= {"status": self.why.status, "detail": self.why.detail}
+        return found
+
+
+def answer(entries: Sequence[Entry], *, dry_run: bool = False) -> Response:
+    """The answer to an update that was carried out, or planned: 204; with the report 200, and 202 for what was unheard.
+
+    The report is JSON: `graphs` lists what is written.
+    """
+    unheard = any(entry.fate is Fate.UNHEARD for entry in entries)
+    if not dry_run and not unheard:
+        return Response(status_code=204)
+    status = HTTPStatus.ACCEPTED if unheard else HTTPStatus.OK
+    body = orjson.dumps({"dryRun": dry_run, "graphs": [entry.members for entry in entries]}, option=orjson.OPT_INDENT_2)
+    return Response(body, status, {"Cache-Control": "no-store"}, "application/json")
+
+
+def refused(reasons: Sequence[tuple[str, Problem]]) -> Problem:
+    """The Problem of an update of which graphs are refused: nothing was done. The first reason is its own."""
+    graph, problem = reasons[0]
+    detail = f"<{graph}>: {problem.detail.rstrip('.')}."
+    if reasons[1:]:
+        detail += f" Other graphs are refused too: {len(reasons) - 1}."
+    told = [{"graph": name, **members(each)} for name, each in reasons]
+    return Problem(
+        problem.status,
+        f"{detail} Nothing was done.",
+        title=problem.title,
+        headers=_retry_after(problem),
+        extra={**problem.extra, "graphs": told},
+        violations=problem.violations,
+    )
+
+
+def partly(entries: Sequence[Entry]) -> Problem:
+    """The Problem of an update that failed part-way: what was done, what was not, and what is unknown."""
+    failed = next(entry for entry in entries if entry.why is not None)
+    assert failed.why is not None
+    by_fate = {
+        fate: ", ".join(f"<{entry.graph}>" for entry in entries if entry.fate in fates)
+        for fate, fates in (
+            ("Done", (Fate.DONE, Fate.UNHEARD)),
+            ("unknown", (Fate.UNKNOWN,)),
+            ("not done", (Fate.FAILED, Fate.LEFT)),
+        )
+    }
+    told = "; ".join(f"{fate}: {graphs or 'none'}" for fate, graphs in by_fate.items())
+    return Problem(
+        failed.why.status,
+        f"<{failed.graph}>: {failed.why.detail.rstrip('.')}. {told}.",
+        title=failed.why.title,
+        headers=_retry_after(failed.why),
+        extra={**failed.why.extra, "graphs": [entry.members for entry in entries]},
+    )
+
+
+def _retry_after(problem: Problem) -> dict[str, str]:
+    return {name: value for name, value in problem.headers.items() if name == "Retry-After"}
+
+
+def failure(error: RosError | Problem) -> tuple[Fate, Problem]:
+    """What an error in carrying out says of the write."""
+    if isinstance(error, RosError):
+        return Fate.UNKNOWN if error.sent is Sent.MAYBE else Fate.FAILED, problem_of(error)
+    return Fate.UNKNOWN if error.extra.get("sent") == Sent.MAYBE.value else Fate.FAILED, error
+
+
+def reason(error: Problem | LoweringError | BodyError | RosError) -> Problem:
+    """Why a graph cannot be written as an update asks."""
+    if isinstance(error, RosError):
+        return problem_of(error)
+    if isinstance(error, LoweringError | BodyError):
+        return problem_of_body(error)
+    if error.status == 405:
+        return Problem(403, error.detail)
+    return error

@@ -1,0 +1,289 @@
+"""Updates carried out: drawn over the dataset, planned graph by graph, judged whole, and only then done."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable, Hashable, Sequence
+from typing import NamedTuple
+
+from pyoxigraph import Triple
+from starlette.responses import Response
+
+from rosld.adapters.model import RosError
+from rosld.ontology.body import BodyError
+from rosld.ontology.lower import LoweringError
+from rosld.server.access.judge import EVERYTHING, Judge
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.account import accounted_for
+from rosld.server.ldp.alone import Alone
+from rosld.server.ldp.patch import spelt
+from rosld.server.ldp.plan import Keep, Move, Plan
+from rosld.server.ldp.resource import READ, Resource
+from rosld.server.records import Cause, Conflict
+from rosld.server.resources.complex import ComplexResource
+from rosld.server.resources.kept.base import Kept, told
+from rosld.server.resources.kept.together import kept_together
+from rosld.server.resources.members import MemberResource
+from rosld.server.resources.updating.loading import loaded
+from rosld.server.resources.updating.report import Entry, Fate, answer, failure, partly, reason, refused
+from rosld.server.resources.updating.rights import require_change, require_rights
+from rosld.server.robot import Robot
+from rosld.server.sparql.analysis import Analyser
+from rosld.server.sparql.lexer import Bounds
+from rosld.server.sparql.protocol import UpdateRequest
+from rosld.server.sparql.update.drawer import Drawer, Drawn
+from rosld.server.sparql.update.drawing import GraphChange, graphs_named
+from rosld.server.sparql.update.operations import Manage, Operation, Verb
+from rosld.server.sparql.update.reading import read_update
+
+ATTEMPTS = 4
+"""Times that an update is drawn where what it is drawn over changes before it is carried out."""
+_LIVE = ("topics", "parameters", "resources")
+"""The rooms whose graphs hold values that change by themselves."""
+_PATIENCE = 1.0
+"""Seconds that an update lets others of the same graphs go first."""
+_INLINE = 16 * 1024
+"""Characters of an update up to which it is read on the loop."""
+
+
+class Target(NamedTuple):
+    """A graph that an update changes, and the resource whose graph it is."""
+
+    change: GraphChange
+    resource: Resource
+
+
+class Planned(NamedTuple):
+    """The plan for one graph."""
+
+    graph: str
+    plan: Plan
+
+
+class Updates:
+    """Carries updates out. Belongs to one loop. `at` finds the resource at a path below the base."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        drawer: Drawer,
+        analyser: Analyser,
+        bounds: Bounds,
+        at: Callable[[str], Resource],
+        alone: Alone,
+    ) -> None:
+        self._robot = robot
+        self._drawer = drawer
+        self._analyser = analyser
+        self._bounds = bounds
+        self._at = at
+        self._alone = alone
+        self._line = Alone(_PATIENCE)
+
+    async def answer(
+        self, request: UpdateRequest, *, dry_run: bool, accept: str | None, judge: Judge = EVERYTHING
+    ) -> Response:
+        """Carry an update out, or tell what it would do (`dry_run`). Raises Problems.
+
+        Where one graph is refused nothing is done: 403 where it cannot be written, 422 where what it is to say does not
+        fit, 409 where it is in conflict, 503 where the robot is gone. An update that fails part-way lists in its
+        problem, graph by graph, what was done, what was not, and what is unknown.
+        """
+        if self._robot.settings.read_only:
+            raise Problem(403, "This server is read-only.")
+        operations = await self._read(request)
+        require_rights(operations, judge)
+        for operation in operations:
+            self._require_manageable(operation)
+        settings = self._robot.settings
+        operations = await loaded(
+            operations,
+            frozenset(settings.allow_load),
+            seconds=settings.query_time_limit,
+            most=settings.body_limit,
+        )
+        async with self._in_line(operations):
+            return await self._drawn_and_done(operations, judge, dry_run=dry_run)
+
+    @contextlib.asynccontextmanager
+    async def _in_line(self, operations: Sequence[Operation]) -> AsyncIterator[None]:
+        """Within it updates that name the same graphs come one after the other: else each would find changed what it
+
+        was drawn over. Nothing else hangs on it, so whoever has waited for long goes ahead.
+        """
+        async with contextlib.AsyncExitStack() as held:
+            with contextlib.suppress(Problem):
+                for graph in sorted(graphs_named(operations)):
+                    await held.enter_async_context(self._line.at(graph))
+            yield
+
+    async def _drawn_and_done(self, operations: Sequence[Operation], judge: Judge, *, dry_run: bool) -> Response:
+        more: frozenset[str] = frozenset()
+        for _ in range(ATTEMPTS):
+            drawn = await self._drawer.draw(operations, more)
+            unseen = self._unseen(drawn)
+            if unseen - more:
+                more |= unseen
+                drawn = await self._drawer.draw(operations, more)
+            done = await self._carried_out(drawn, judge, dry_run=dry_run)
+            if done is not None:
+                return done
+        raise Problem(
+            409,
+            f"What this update reads or writes has changed {ATTEMPTS} times while it was planned; nothing was done.",
+            headers={"Retry-After": "1"},
+        )
+
+    async def _read(self, request: UpdateRequest) -> Sequence[Operation]:
+        arguments = (request, self._analyser.prefixes, self._analyser.base, self._bounds)
+        if len(request.text) <= _INLINE:
+            return read_update(*arguments)
+        return await asyncio.to_thread(read_update, *arguments)
+
+    # What graphs are
+
+    def _is_live(self, graph: str) -> bool:
+        location = self._robot.space.location(graph)
+        return location is not None and location.kind in _LIVE
+
+    def _unseen(self, drawn: Drawn) -> frozenset[str]:
+        """The graphs that change by themselves, and whose values were not there when the update was drawn."""
+        changed = (change.graph for change in drawn.changes)
+        return frozenset(graph for graph in changed if graph not in drawn.seen and self._is_live(graph))
+
+    def _require_manageable(self, operation: Operation) -> None:
+        """Raise a 403 Problem where an operation on whole graphs is about one that clients do not keep."""
+        if not isinstance(operation, Manage):
+            return
+        moved = [operation.source] if operation.verb is Verb.MOVE else []
+        for graph in (operation.target, *moved):
+            if isinstance(graph, str) and not isinstance(self._found(graph), Kept):
+                words = f"{operation.verb.value} is for what clients keep, and <{graph}> is the robot's."
+                raise Problem(403, f"{words} Nothing was done.", extra={"graph": graph})
+
+    def _found(self, graph: str) -> Resource | None:
+        """The resource whose graph this is; None where nothing of this server has that URL."""
+        base = self._robot.space.base
+        if not graph.startswith(base) or "?" in graph or "#" in graph:
+            return None
+        try:
+            resource = self._at("/" + graph[len(base) :])
+        except (Problem, ValueError):
+            return None
+        return resource if resource.url == graph else None
+
+    def _resource(self, graph: str) -> Resource:
+        found = self._found(graph)
+        if found is None:
+            base = self._robot.space.base
+            raise Problem(403, f"It is no graph that can be written here; {base}data/ and below keep what you like.")
+        return found
+
+    # From a drawing to its end
+
+    async def _carried_out(self, drawn: Drawn, judge: Judge, *, dry_run: bool) -> Response | None:
+        """The answer; None where what the update was drawn over is no longer so."""
+        targets = await self._targets(drawn.changes, judge)
+        async with self._turns(targets, drawn):
+            if not await self._holds(drawn, targets):
+                return None
+            plans = await self._plans(targets)
+            if dry_run:
+                return answer([Entry(graph, plan.does, Fate.PLANNED) for graph, plan in plans], dry_run=True)
+            if not await self._holds(drawn, targets):
+                return None
+            return await self._done(plans)
+
+    async def _targets(self, changes: Sequence[GraphChange], judge: Judge) -> Sequence[Target]:
+        """What is written; the Problem of all that cannot be written whatever they are to say, if any is."""
+        found, reasons = [], []
+        for change in changes:
+            try:
+                resource = self._resource(change.graph)
+                await resource.ready()
+                require_change(judge, change.graph, resource)
+                if resource.methods() <= READ:
+                    raise Problem(403, resource.why_not("PATCH" if {*resource.accepts} == {"PATCH"} else "PUT"))
+                found.append(Target(change, resource))
+            except (Problem, RosError) as error:
+                reasons.append((change.graph, reason(error)))
+        if reasons:
+            raise refused(reasons)
+        return found
+
+    @contextlib.asynccontextmanager
+    async def _turns(self, targets: Sequence[Target], drawn: Drawn) -> AsyncIterator[None]:
+        """Within it nobody else carries out a write that is conditional on one of these graphs."""
+        async with contextlib.AsyncExitStack() as held:
+            for graph in sorted({target.resource.url for target in targets}):
+                await held.enter_async_context(self._alone.at(graph))
+            members = [each.resource for each in targets if isinstance(each.resource, MemberResource | ComplexResource)]
+            if members:
+                layout = await self._robot.offers.layout()
+                names = [name for each in members for name in each.concerned(layout)]
+                await held.enter_async_context(self._robot.offers.turn(layout, *names, changed=names))
+            yield
+
+    async def _holds(self, drawn: Drawn, targets: Sequence[Target]) -> bool:
+        """Whether everything that the update was drawn over is as it was."""
+        for target in targets:
+            if isinstance(target.resource, Kept):
+                record = self._robot.records.get(target.resource.path)
+                if record is not None and max(record.version, record.listed) > drawn.kept:
+                    return False
+                if (record is None) != (target.change.before is None):
+                    return False
+        return all([await self._is_as_seen(graph, token) for graph, token in drawn.seen.items()])
+
+    async def _is_as_seen(self, graph: str, token: Hashable) -> bool:
+        try:
+            return (await self._at("/" + graph[len(self._robot.space.base) :]).state()).tag == token
+        except (Problem, RosError, ValueError):
+            return False
+
+    async def _plans(self, targets: Sequence[Target]) -> Sequence[Planned]:
+        """A plan a graph; the Problem of all that are refused, if any is."""
+        found, reasons = [], []
+        for change, resource in targets:
+            try:
+                found.append(Planned(change.graph, await self._plan(change, resource)))
+            except (Problem, LoweringError, BodyError, RosError) as error:
+                reasons.append((change.graph, reason(error)))
+        if reasons:
+            raise refused(reasons)
+        return found
+
+    async def _plan(self, change: GraphChange, resource: Resource) -> Plan:
+        await resource.ready()
+        triples: Sequence[Triple] | None = change.after
+        if triples is not None and change.before is not None:
+            triples = spelt(triples, (await resource.state()).document.all_triples())
+        return await resource.planned(triples)
+
+    async def _done(self, plans: Sequence[Planned]) -> Response | None:
+        """Carry plans out: what is kept in one transaction, then what moves the robot, one after the other."""
+        kept = [(graph, plan) for graph, plan in plans if isinstance(plan, Keep)]
+        moves = [(graph, plan) for graph, plan in plans if isinstance(plan, Move)]
+        if moves:
+            self._robot.gate.require_open()
+        if kept:
+            writes = {write.path: write for _, plan in kept for write in plan.writes}
+            try:
+                await kept_together(self._robot, tuple(writes.values()))
+            except Conflict as error:
+                if error.cause is Cause.CHANGED:
+                    return None
+                raise refused([(self._robot.space.base + error.path, told(self._robot, error))]) from error
+        entries = [Entry(graph, plan.does, Fate.DONE) for graph, plan in kept]
+        for graph, move in moves:
+            accounted_for(move.does, graph)
+        for place, (graph, move) in enumerate(moves):
+            try:
+                heard = await move.carry_out()
+            except (RosError, Problem) as error:
+                fate, problem = failure(error)
+                left = [Entry(name, plan.does, Fate.LEFT) for name, plan in moves[place + 1 :]]
+                raise partly([*entries, Entry(graph, move.does, fate, problem), *left]) from error
+            entries.append(Entry(graph, move.does, Fate.DONE if heard else Fate.UNHEARD))
+        return answer(entries)

@@ -1,0 +1,91 @@
+"""What a query may take, and how whoever asked is told that it took too much."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple
+
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.ontology.vocab import ros, xsd
+from rosld.server.http.problem import Problem
+
+_MIB = 1024 * 1024
+_RETRY_AFTER = {"Retry-After": "1"}
+
+
+class Limits(NamedTuple):
+    """What queries may take.
+
+    `seconds` for a whole answer, `memory` in bytes beyond the dataset, `rows` of an answer (triples of a graph);
+    `concurrency` queries are answered at a time, and `queue` more may wait.
+    """
+
+    seconds: float = 10.0
+    memory: int = 1024 * _MIB
+    rows: int = 1_000_000
+    concurrency: int = 4
+    queue: int = 256
+
+
+def described(service: NamedNode, limits: Limits) -> tuple[Triple, ...]:
+    """The limits as the description of the service tells them."""
+    return (
+        Triple(service, ros.timeLimit, Literal(str(limits.seconds), datatype=xsd.double)),
+        *(
+            Triple(service, predicate, Literal(str(number), datatype=xsd.integer))
+            for predicate, number in (
+                (ros.memoryLimit, limits.memory),
+                (ros.rowLimit, limits.rows),
+                (ros.concurrencyLimit, limits.concurrency),
+                (ros.queueLimit, limits.queue),
+            )
+        ),
+    )
+
+
+class Reason(Enum):
+    """Why a query was stopped: the member `reason` of its problem details."""
+
+    TIME = "time"
+    MEMORY = "memory"
+    ROWS = "rows"
+
+
+def out_of_time(seconds: float) -> Problem:
+    """The query was at it for longer than it may be."""
+    return _stopped(
+        Reason.TIME, f"The query took longer than {seconds:g} s, which is its limit here: ask for less at a time."
+    )
+
+
+def out_of_memory(memory: int) -> Problem:
+    """The query wanted more memory than it may have."""
+    mebibytes = memory // _MIB
+    return _stopped(
+        Reason.MEMORY, f"The query needed more than {mebibytes} MiB of memory, this server's limit: ask for less."
+    )
+
+
+def too_many_rows(rows: int) -> Problem:
+    """The answer has more rows than one may have."""
+    return _stopped(Reason.ROWS, f"The answer has more than {rows} rows, this server's limit: ask with LIMIT.")
+
+
+def busy() -> Problem:
+    """As many queries as may be are being answered, and as many as may wait do: come again."""
+    return Problem(
+        503,
+        "All workers for queries are busy, and enough queries wait; try again in a moment.",
+        headers=_RETRY_AFTER,
+        extra={"reason": "busy"},
+    )
+
+
+def crashed(how: str) -> Problem:
+    """The process that answered the query is gone."""
+    return Problem(500, f"The process that answered the query ended before it was done ({how}); the server goes on.")
+
+
+def _stopped(reason: Reason, detail: str) -> Problem:
+    return Problem(503, detail, extra={"reason": reason.value})

@@ -1,0 +1,166 @@
+"""Counting the rows of an answer as its bytes go by, for a limit on them.
+
+The store's own writers are many times faster than any loop over the rows here, and they tell nothing of rows: so these
+are counted in what they write, by marks that can stand nowhere else, or outside of quoted text only.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Mapping
+from typing import BinaryIO, cast
+
+from rosld.server.sparql.limits import too_many_rows
+from rosld.server.sparql.results import Check
+
+_UNSEEN = 4 * 1024 * 1024
+"""Bytes that are kept for being counted later."""
+
+
+def limited(output: BinaryIO, media_type: str, graph: bool, most: int) -> BinaryIO:
+    """An output that raises Problem 503 (rows) for more than `most` rows, or triples of a `graph`.
+
+    It is `output` itself for what has no rows that can be counted so: these are for `Count`.
+    """
+    if media_type == "application/json":
+        media_type = "" if graph else "application/sparql-results+json"
+    if media_type not in _COUNTERS:
+        return output
+    make, shortest = _COUNTERS[media_type]
+    return cast("BinaryIO", _Limited(output, make(), most, min(most * shortest, _UNSEEN)))
+
+
+class Count:
+    """Counts what is made one by one; `check` is called before each."""
+
+    def __init__(self, check: Check, most: int) -> None:
+        self._check = check
+        self._most = most
+        self._left = most
+
+    def one(self) -> None:
+        """Count one more. Raises what `check` raises, and Problem 503 (rows)."""
+        self._check()
+        self._left -= 1
+        if self._left < 0:
+            raise too_many_rows(self._most)
+
+
+class _Limited(io.RawIOBase):
+    """Counts nothing as long as even the shortest rows would be few enough: most answers are never looked at."""
+
+    def __init__(self, output: BinaryIO, rows: Callable[[bytes], int], most: int, harmless: int) -> None:
+        super().__init__()
+        self._output = output
+        self._harmless = harmless
+        self._rows = rows
+        self._most = most
+        self._left = most
+        self._unseen: list[bytes] | None = []
+        self._size = 0
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: bytes) -> int:  # type: ignore[override]
+        """Pass bytes on, unless a row too many begins in them."""
+        if self._unseen is None:
+            self._count(data)
+        else:
+            self._unseen.append(bytes(data))
+            self._size += len(data)
+            if self._size > self._harmless:
+                everything, self._unseen = b"".join(self._unseen), None
+                self._count(everything)
+        return self._output.write(data)
+
+    def _count(self, data: bytes) -> None:
+        self._left -= self._rows(data)
+        if self._left < 0:
+            raise too_many_rows(self._most)
+
+
+class _Marks:
+    """Counts a mark that is never part of a value. It may be cut in two by a border of chunks."""
+
+    def __init__(self, mark: bytes, before: int = 0) -> None:
+        self._mark = mark
+        self._rest = b""
+        self._before = before
+
+    def __call__(self, data: bytes) -> int:
+        text = self._rest + data
+        self._rest = text[len(text) - len(self._mark) + 1 :] if len(self._mark) > 1 else b""
+        found = text.count(self._mark)
+        ignored = min(found, self._before)
+        self._before -= ignored
+        return found - ignored
+
+
+class _CsvRows:
+    """Counts the ends of lines outside of quotes; a quote within a field is doubled, which changes nothing here."""
+
+    def __init__(self) -> None:
+        self._quoted = False
+        self._heading = 1
+
+    def __call__(self, data: bytes) -> int:
+        if not self._quoted and b'"' not in data:
+            found = data.count(b"\n")
+        else:
+            pieces = data.split(b'"')
+            found = sum(piece.count(b"\n") for piece in pieces[self._quoted :: 2])
+            self._quoted ^= not len(pieces) % 2
+        heading = min(found, self._heading)
+        self._heading -= heading
+        return found - heading
+
+
+class _JsonRows:
+    r"""Counts the commas between the objects of `bindings`, and one for the first.
+
+    `,{"` stands between rows; within text every quote has a backslash before it, so that else it can only be the end of
+    a text that ends in `,{`: then `}` or `,` comes next. A row without values is `{}`, which text may hold as well:
+    only where it occurs text is told from what is not (and one cut in two by a border of chunks is not seen).
+    """
+
+    def __init__(self) -> None:
+        self._rest = b""
+        self._quoted = False
+        self._escape = b""
+        self._first = 1
+
+    def __call__(self, data: bytes) -> int:
+        text = self._rest + data
+        found = text.count(b',{"') - self._rest.count(b',{"') - text.count(b',{"}') - text.count(b',{",')
+        self._rest = text[-3:]
+        found += self._empty(data)
+        if self._first and b'"bindings":[{' in text:
+            found, self._first = found + 1, 0
+        return found
+
+    def _empty(self, data: bytes) -> int:
+        if b"\\" in data or self._escape:
+            plain = self._escape + data
+            self._escape = b"\\" if (len(plain) - len(plain.rstrip(b"\\"))) % 2 else b""
+            data = _ESCAPE.sub(b"", plain[: len(plain) - len(self._escape)])
+        quoted, quotes = self._quoted, data.count(b'"')
+        self._quoted ^= bool(quotes % 2)
+        if b",{}" not in data:
+            return 0
+        return sum(piece.count(b",{}") for piece in data.split(b'"')[quoted::2])
+
+
+_ESCAPE = re.compile(rb"\\.", re.DOTALL)
+_COUNTERS: Mapping[str, tuple[Callable[[], Callable[[bytes], int]], int]] = {
+    "application/sparql-results+json": (_JsonRows, len(",{}")),
+    "application/sparql-results+xml": (lambda: _Marks(b"<result>"), len("<result></result>")),
+    "application/xml": (lambda: _Marks(b"<result>"), len("<result></result>")),
+    "text/xml": (lambda: _Marks(b"<result>"), len("<result></result>")),
+    "text/csv": (_CsvRows, 1),
+    "text/tab-separated-values": (lambda: _Marks(b"\n", before=1), 1),
+    "application/n-triples": (lambda: _Marks(b"\n"), 1),
+    "application/n-quads": (lambda: _Marks(b"\n"), 1),
+}
+"""What counts the rows of a media type, and the bytes of its shortest row."""

@@ -1,0 +1,99 @@
+"""An update as values: its operations in their order (SPARQL 1.1 Update, 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple, TypeAlias
+
+from pyoxigraph import BlankNode, Literal, NamedNode
+
+
+class Hole(NamedTuple):
+    """A variable of a template, without its mark: each solution puts a term in its place."""
+
+    name: str
+
+
+Slot: TypeAlias = "NamedNode | BlankNode | Literal | Hole"
+
+
+class QuadTemplate(NamedTuple):
+    """A quad with holes; `graph` is None for the default graph."""
+
+    subject: Slot
+    predicate: Slot
+    object: Slot
+    graph: NamedNode | Hole | None
+
+
+class Home(NamedTuple):
+    """The graph of WITH, and the query over a dataset whose default graph it is."""
+
+    graph: str
+    query: str
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """What a template's holes are filled with: the solutions of a SELECT, or, with no holes, whether an ASK holds.
+
+    `default_graphs` and `named_graphs` are its dataset (USING); neither: all there is. Of WITH the query is about the
+    one graph (GRAPH), which has no solutions where there is no such graph: `home` is to be asked then.
+    """
+
+    query: str
+    holes: tuple[str, ...]
+    default_graphs: tuple[str, ...] = ()
+    named_graphs: tuple[str, ...] = ()
+    home: Home | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Modify:
+    """DELETE and INSERT: for each solution of `where` (None: just once) some quads go, then others come."""
+
+    deletes: tuple[QuadTemplate, ...] = ()
+    inserts: tuple[QuadTemplate, ...] = ()
+    where: Where | None = None
+
+
+class Verb(Enum):
+    """What is done with whole graphs."""
+
+    CLEAR = "CLEAR"
+    DROP = "DROP"
+    CREATE = "CREATE"
+    ADD = "ADD"
+    MOVE = "MOVE"
+    COPY = "COPY"
+
+
+class Several(Enum):
+    """Graphs that are meant without their names."""
+
+    DEFAULT = "DEFAULT"
+    NAMED = "NAMED"
+    ALL = "ALL"
+
+
+@dataclass(frozen=True, slots=True)
+class Manage:
+    """Something done with the graph `target`; `source` is what ADD, MOVE and COPY take it from."""
+
+    verb: Verb
+    target: str | Several
+    source: str | Several | None = None
+    silent: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """LOAD: what a document on the web says, to be put `into` a graph (None: the default graph)."""
+
+    document: str
+    into: str | None
+    silent: bool = False
+
+
+Operation: TypeAlias = "Modify | Manage | Load"

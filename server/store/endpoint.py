@@ -1,0 +1,203 @@
+"""A SPARQL endpoint over HTTP: one connection that is kept, one request at a time, each bounded in time and size.
+
+Redirects are not followed and proxies not asked: what is sent arrives at the URL that was named, or nowhere.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import ssl
+import threading
+from collections.abc import Callable, Iterator
+from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
+from typing import NamedTuple
+from urllib.parse import urlsplit
+
+_CONNECT = 5.0
+"""Seconds that connecting may take, of those that a request may take."""
+_WORDS = 300
+"""Characters of an endpoint's own words that are told."""
+
+
+class StoreError(Exception):
+    """The store did not do what it was asked: its words say why, in a sentence."""
+
+
+class Unreachable(StoreError):
+    """No answer came, or none that could be understood: whether the request was carried out is not known."""
+
+
+class Refused(StoreError):
+    """The endpoint answered that it did not do it; `status` is that of HTTP."""
+
+    def __init__(self, sentence: str, status: int) -> None:
+        super().__init__(sentence)
+        self.status = status
+
+
+class Response(NamedTuple):
+    """What an endpoint answered: the media type without parameters, and the whole body."""
+
+    media_type: str
+    body: bytes
+
+
+class Endpoint:
+    """Sends requests to one URL. Thread-safe; requests wait for each other.
+
+    `seconds` is what a request may take, from connecting to the last byte; `most` the bytes an answer may have.
+    `authorization` is the value of that header. TLS is verified as the system's certificates have it.
+    """
+
+    def __init__(
+        self, url: str, authorization: str | None = None, *, seconds: float = 30.0, most: int = 64 * 1024 * 1024
+    ) -> None:
+        self.url = url
+        self.seconds = seconds
+        self.connections = 0
+        """How many connections were made: while it is the same, the same server has answered."""
+        self._most = most
+        parts = urlsplit(url)
+        self._target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+        self._headers = {} if authorization is None else {"Authorization": authorization}
+        self._new = _opener(parts.scheme, parts.hostname or "", parts.port)
+        self._connection: HTTPConnection | None = None
+        self._socket: socket.socket | None = None
+        self._turn = threading.Lock()
+
+    def post(self, body: bytes, content_type: str, accept: str) -> Response:
+        """Send a body; the answer if it is a success (2xx). Raises Unreachable, Refused.
+
+        A kept connection that turns out to be closed is made anew, and the request sent again: it must be one that may
+        be carried out twice.
+        """
+        return self._sent("POST", body, {**self._headers, "Content-Type": content_type, "Accept": accept})
+
+    def get(self, accept: str) -> Response:
+        """What is there, if the answer is a success (2xx). Raises Unreachable, Refused."""
+        return self._sent("GET", None, {**self._headers, "Accept": accept})
+
+    def close(self) -> None:
+        """Let go of the connection. Idempotent."""
+        with self._turn:
+            self._drop()
+
+    def _sent(self, method: str, body: bytes | None, headers: dict[str, str]) -> Response:
+        with self._turn:
+            kept = self._connection is not None
+            try:
+                return self._exchange(method, body, headers)
+            except (ConnectionError, HTTPException) as error:
+                self._drop()
+                if not kept:
+                    raise self._unreachable(error) from error
+            except OSError as error:
+                raise self._unreachable(error) from error
+            try:
+                return self._exchange(method, body, headers)
+            except (OSError, HTTPException) as error:
+                raise self._unreachable(error) from error
+
+    def interrupt(self) -> None:
+        """End the request that is under way, if there is one, from another thread."""
+        waited = self._socket
+        if waited is not None:
+            _shut(waited)
+
+    def _unreachable(self, error: Exception) -> Unreachable:
+        self._drop()
+        if isinstance(error, TimeoutError):
+            return Unreachable(f"{self.url} did not answer within {self.seconds:g} s.")
+        return Unreachable(f"{self.url} gave no answer: {_words(str(error) or type(error).__name__)}.")
+
+    def _exchange(self, method: str, body: bytes | None, headers: dict[str, str]) -> Response:
+        connection = self._connection or self._connect()
+        with _limited(lambda: self._socket, self.seconds):
+            connection.request(method, self._target, body, headers)
+            answer = connection.getresponse()
+            media_type = (answer.getheader("Content-Type") or "").partition(";")[0].strip().lower()
+            if not 200 <= answer.status < 300:
+                raise self._refused(answer)
+            read = answer.read(self._most + 1)
+            if answer.length and len(read) <= self._most:
+                raise HTTPException("the answer broke off")
+            if len(read) > self._most:
+                self._drop()
+                raise Unreachable(f"{self.url} answers with more than {self._most} bytes.")
+            if answer.will_close or not answer.isclosed():
+                self._drop()
+        return Response(media_type, read)
+
+    def _connect(self) -> HTTPConnection:
+        self.connections += 1
+        connection = self._connection = self._new(min(_CONNECT, self.seconds))
+        with _limited(lambda: connection.sock, self.seconds):
+            connection.connect()
+        self._socket = connection.sock  # its own name: http.client forgets it while the answer is still being read
+        connection.sock.settimeout(self.seconds)
+        return connection
+
+    def _refused(self, answer: HTTPResponse) -> Refused:
+        """What it answered in one line. The connection is kept only where no more comes on it."""
+        words = _words(answer.read(16 * _WORDS).decode("utf-8", "replace"))
+        if answer.will_close or not answer.isclosed():
+            self._drop()
+        if 300 <= answer.status < 400:
+            location = _words(answer.getheader("Location") or "another place")
+            said = f"{self.url} redirects to {location}, where nothing is sent: name the URL that answers itself."
+        else:
+            said = f"{self.url} answers {answer.status}: {words or _words(answer.reason)}"
+        return Refused(said, answer.status)
+
+    def _drop(self) -> None:
+        connection, self._connection, self._socket = self._connection, None, None
+        if connection is not None:
+            connection.close()
+
+
+def _opener(scheme: str, host: str, port: int | None) -> Callable[[float], HTTPConnection]:
+    """What makes a connection, not open yet, whose steps take at most so many seconds each."""
+    if scheme == "https":
+        context = ssl.create_default_context()
+        return lambda seconds: HTTPSConnection(host, port, timeout=seconds, context=context)
+    return lambda seconds: HTTPConnection(host, port, timeout=seconds)
+
+
+@contextlib.contextmanager
+def _limited(waited: Callable[[], socket.socket | None], seconds: float) -> Iterator[None]:
+    """Within it the socket ends after so many seconds, however slowly its bytes come. Then TimeoutError."""
+    late = threading.Event()
+
+    def end() -> None:
+        late.set()
+        there = waited()
+        if there is not None:
+            _shut(there)
+
+    timer = threading.Timer(seconds, end)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+        if late.is_set():  # what was read may have ended with the connection
+            raise TimeoutError
+    except (OSError, HTTPException, ValueError) as error:
+        if late.is_set():
+            raise TimeoutError from error
+        if isinstance(error, ValueError):  # what http.client raises for some malformed answers
+            raise HTTPException(str(error)) from error
+        raise
+    finally:
+        timer.cancel()
+
+
+def _shut(waited: socket.socket) -> None:
+    """Wake whoever waits for it."""
+    with contextlib.suppress(OSError, ValueError):
+        socket.socket.shutdown(waited, socket.SHUT_RDWR)  # past TLS, which would wait for the other side
+
+
+def _words(text: str) -> str:
+    """Words of somebody else, fit for one line of a log."""
+    return "".join(char if char.isprintable() else " " for char in " ".join(text.split()))[:_WORDS].strip()

@@ -1,0 +1,155 @@
+"""Parameters as their nodes declare them (ROS 2): RDF, a SHACL shape, and held against what is to be set. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.adapters.model import Descriptor, ParameterType, ParameterValue, Primitive, Range, fitted
+from rosld.ontology.parameters import literal, plain
+from rosld.ontology.triples import about, boolean, double, integer, text
+from rosld.ontology.urls import Space
+from rosld.ontology.violations import Violation, shortened
+from rosld.ontology.vocab import dcterms, rdf, ros, sh, xsd
+from rosld.shapes.affordance import value_shape_triples, within
+from rosld.shapes.components import component, phrase
+from rosld.shapes.value import NO_MEASURE, Bounds, Measure, OpenShape, ScalarShape
+
+_MOST_CHOICES = 32
+"""Steps of a range that SHACL Core can say, value by value."""
+
+_INT64 = Range(-(2**63), 2**63 - 1)
+_PRIMITIVES: Mapping[ParameterType, Primitive] = {
+    ParameterType.BOOLEAN: Primitive("bool"),
+    ParameterType.INTEGER: Primitive("int64"),
+    ParameterType.DOUBLE: Primitive("float64"),
+    ParameterType.STRING: Primitive("string"),
+}
+
+
+def constraint_url(url: str, descriptor: Descriptor | None) -> str | None:
+    """The shape of the parameter at a URL; None where its values are as they like."""
+    return None if descriptor is None or descriptor.type is None else f"{url}#constraint"
+
+
+def declared_shape(descriptor: Descriptor, measure: Measure = NO_MEASURE) -> ScalarShape | OpenShape:
+    """What a value must be; open where that may change, and where it is an array."""
+    kind = None if descriptor.type is None else _PRIMITIVES.get(descriptor.type)
+    if kind is None:
+        return OpenShape(measure=measure)
+    return ScalarShape(kind, _bounds(_range(descriptor)), measure, is_parameter=True)
+
+
+def declared_triples(descriptor: Descriptor, url: str, space: Space) -> list[Triple]:
+    """What the document of the parameter at a URL says beside its value: words, type, and the shape of its values."""
+    subject = NamedNode(url)
+    constraint = constraint_url(url, descriptor)
+    shape = None if constraint is None else NamedNode(constraint)
+    type = descriptor.type
+    triples = about(
+        subject,
+        (dcterms.description, text(descriptor.description or None)),
+        (ros.readOnly, boolean(descriptor.read_only)),
+        (ros.parameterType, None if type is None else text(type.value)),
+        (ros.shape, shape),
+    )
+    if shape is None or type is None:
+        return triples
+    declared = declared_shape(descriptor)
+    if isinstance(declared, ScalarShape):
+        declared = replace(declared, bounds=replace(declared.bounds, choices=_choices(descriptor.range)))
+    value = within(shape, "value")
+    triples += value_shape_triples(declared, shape, ros.value, space)
+    triples += about(shape, (sh.targetNode, subject))
+    return triples + about(
+        value, (sh.datatype, _ARRAYS.get(type)), (sh.description, text(descriptor.constraints or None))
+    )
+
+
+_ARRAYS: Mapping[ParameterType, NamedNode] = {
+    type: xsd.base64Binary if type is ParameterType.BYTE_ARRAY else rdf.JSON
+    for type in ParameterType
+    if type not in _PRIMITIVES
+}
+
+
+def _range(descriptor: Descriptor) -> Range | None:
+    """The range of a number; ROS 2's integers have 64 bits."""
+    return _INT64 if descriptor.range is None and descriptor.type is ParameterType.INTEGER else descriptor.range
+
+
+def _bounds(range: Range | None) -> Bounds:
+    if range is None:
+        return Bounds()
+    return Bounds(least=_number(range.least), greatest=_number(range.greatest), step=_number(range.step))
+
+
+def _number(value: int | float | None) -> Literal | None:
+    return double(value) if isinstance(value, float) else integer(value)
+
+
+def _choices(range: Range | None) -> tuple[Literal, ...]:
+    """All whole numbers of a range with a step, where they are few; none where SHACL Core cannot say them."""
+    match range:
+        case Range(int(least), int(greatest), int(step)) if step > 1 and (greatest - least) // step < _MOST_CHOICES:
+            values = dict.fromkeys((*_counted(least, greatest, step), greatest))
+            return tuple(found for value in values if (found := integer(value)) is not None)
+    return ()
+
+
+def _counted(least: int, greatest: int, step: int) -> Iterator[int]:
+    while least <= greatest:
+        yield least
+        least += step
+
+
+def violations(descriptor: Descriptor, name: str, url: str, value: ParameterValue) -> tuple[Violation, ...]:
+    """How a value breaks the type, range or step declared of the parameter `name` at `url`; nothing where it fits.
+
+    What the type admits in another form (1 for 1.0) fits.
+    """
+    type = descriptor.type
+    if type is None:
+        return ()
+    fit = fitted(value, type)
+    term = None if isinstance(value, dict) else literal(value)
+    written = shortened(plain(value) if term is None else phrase(term)) or ""
+    broken: tuple[NamedNode, str] | None = None
+    if fit is None:
+        broken = component(sh.datatype), f"is declared as {type.value}, which {written} is not"
+    elif isinstance(fit, int | float) and not isinstance(fit, bool) and (range := _range(descriptor)) is not None:
+        broken = _outside(range, fit, written)
+    if broken is None:
+        return ()
+    found, words = broken
+    return (
+        Violation(
+            name,
+            words,
+            written,
+            component=found,
+            shape=NamedNode(f"{url}#constraint.value"),
+            focus=NamedNode(url),
+            predicate=ros.value,
+            term=term,
+        ),
+    )
+
+
+def _outside(range: Range, value: int | float, written: str) -> tuple[NamedNode, str] | None:
+    """What a number breaks of a range, and the words for it."""
+    if not value >= range.least:
+        return component(sh.minInclusive), f"must be at least {_said(range.least)}, not {written}"
+    if not value <= range.greatest:
+        return component(sh.maxInclusive), f"must be at most {_said(range.greatest)}, not {written}"
+    if not range.on_step(value):
+        steps = f"{_said(range.least)} and steps of {_said(range.step)} from there, up to {_said(range.greatest)}"
+        return ros.StepConstraintComponent, f"must be on a step ({steps}), which {written} is not"
+    return None
+
+
+def _said(value: int | float | None) -> str:
+    found = _number(value)
+    return "" if found is None else found.value

@@ -1,0 +1,87 @@
+"""A node that is odd in one way: `odd.py WAY NAME`. Prints "ready", and "heard TEXT" where it listens.
+
+silent answers no service at all; shouter is best effort on /loud, where strict wants to hear reliably; twin talks on
+/shared; foreign speaks types of visualization_msgs; late said three things on the latched /history.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Callable
+
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import String
+
+ENDING = threading.Event()
+
+
+def say(text: str) -> None:
+    """A line for the test, at once."""
+    print(text, flush=True)
+
+
+def silent(_: Node) -> None:
+    """Nothing but a node that never spins."""
+
+
+def shouter(node: Node) -> None:
+    publisher = node.create_publisher(String, "/loud", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+    node.create_timer(0.05, lambda: publisher.publish(String(data="hey")))
+
+
+def strict(node: Node) -> None:
+    profile = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+    node.create_subscription(String, "/loud", lambda m: say(f"heard {m.data}"), profile)
+
+
+def twin(node: Node) -> None:
+    publisher = node.create_publisher(String, "/shared", 10)
+    node.create_timer(0.05, lambda: publisher.publish(String(data=node.get_name())))
+
+
+def foreign(node: Node) -> None:
+    from visualization_msgs.msg import Marker
+    from visualization_msgs.srv import GetInteractiveMarkers
+
+    publisher = node.create_publisher(Marker, "/marker", 10)
+    node.create_timer(0.05, lambda: publisher.publish(Marker()))
+    node.create_service(GetInteractiveMarkers, "/get_markers", lambda _, response: response)
+
+
+def late(node: Node) -> None:
+    publisher = node.create_publisher(
+        String, "/history", QoSProfile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    )
+    for text in ("one", "two", "three"):
+        publisher.publish(String(data=text))
+
+
+WAYS: dict[str, Callable[[Node], None]] = {
+    each.__name__: each for each in (silent, shouter, strict, twin, foreign, late)
+}
+
+
+def main(way: str, name: str) -> None:
+    context = Context()
+    context.init(args=[])
+    signal.signal(signal.SIGINT, lambda *_: ENDING.set())
+    node = Node(name, context=context)
+    executor = SingleThreadedExecutor(context=context)
+    WAYS[way](node)
+    if way != "silent":
+        executor.add_node(node)
+        threading.Thread(target=executor.spin, daemon=True).start()
+    say("ready")
+    ENDING.wait()
+    executor.shutdown(1.0)
+    node.destroy_node()
+    context.try_shutdown()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

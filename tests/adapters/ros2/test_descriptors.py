@@ -1,0 +1,81 @@
+"""Descriptors of parameters, as any node may have filled them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rosld.adapters.model import Descriptor, Operation, ParameterType, Range
+from rosld.adapters.ros2.descriptors import descriptor_of, operations_on
+
+EMPTY = {
+    "type": 0,
+    "description": "",
+    "additional_constraints": "",
+    "read_only": False,
+    "dynamic_typing": False,
+    "integer_range": [],
+    "floating_point_range": [],
+}
+
+
+def message(**fields: Any) -> Any:
+    return SimpleNamespace(**EMPTY | fields)
+
+
+def between(least: float, greatest: float, step: float = 0) -> list[Any]:
+    return [SimpleNamespace(from_value=least, to_value=greatest, step=step)]
+
+
+def test_what_a_node_never_declared_has_no_descriptor() -> None:
+    assert descriptor_of(message()) is None
+    assert descriptor_of(message(type=77)) is None
+
+
+def test_all_that_is_declared_is_there() -> None:
+    declared = message(
+        type=2, description="seats", additional_constraints="even", read_only=True, integer_range=between(2, 8, 2)
+    )
+    assert descriptor_of(declared) == Descriptor(
+        ParameterType.INTEGER, "seats", read_only=True, constraints="even", range=Range(2, 8, 2)
+    )
+
+
+def test_of_two_ranges_the_one_of_the_type_holds() -> None:
+    both = {"integer_range": between(1, 2), "floating_point_range": between(0.5, 1.5, 0.5)}
+    assert descriptor_of(message(type=3, **both)) == Descriptor(ParameterType.DOUBLE, range=Range(0.5, 1.5, 0.5))
+    assert descriptor_of(message(type=4, **both)) == Descriptor(ParameterType.STRING)
+    assert descriptor_of(message(type=2, dynamic_typing=True, **both)) == Descriptor(dynamic_typing=True)
+
+
+@pytest.mark.parametrize(
+    ("given", "range"),
+    [
+        (between(1.0, 0.0, -0.5), Range(0.0, 1.0, 0.5)),
+        (between(0.0, 1.0, float("nan")), Range(0.0, 1.0)),
+        (between(0.0, 1.0, float("inf")), Range(0.0, 1.0)),
+        (between(float("nan"), 1.0), None),
+        (between(float("-inf"), 1.0), Range(float("-inf"), 1.0)),
+    ],
+)
+def test_a_range_is_in_order_whatever_was_declared(given: list[Any], range: Range | None) -> None:
+    found = descriptor_of(message(type=3, floating_point_range=given))
+    assert found is not None
+    assert found.range == range
+
+
+def test_endless_words_have_an_end_and_all_are_unicode() -> None:
+    found = descriptor_of(message(description="x" * 10**6, additional_constraints="\udce9"))
+    assert found is not None
+    assert len(found.description) < 5000
+    assert found.constraints == "?"
+
+
+def test_a_node_keeps_what_it_declared_and_does_not_change_what_is_read_only() -> None:
+    read, write = Operation.GET_PARAMETER, Operation.SET_PARAMETER
+    assert operations_on(None) == {read, write, Operation.DELETE_PARAMETER}
+    assert operations_on(Descriptor(dynamic_typing=True)) == {read, write, Operation.DELETE_PARAMETER}
+    assert operations_on(Descriptor(ParameterType.STRING)) == {read, write}
+    assert operations_on(Descriptor(ParameterType.STRING, read_only=True)) == {read}

@@ -1,0 +1,120 @@
+"""From what the middleware shows to the graph."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from rosld.adapters.model import Action, Endpoint, Graph, Live, Parameter, Qos, Stale, TypeRef
+from rosld.adapters.ros2.graph import Known, Observation, compose, stale
+from rosld.adapters.ros2.middleware import Seen
+
+STRING = TypeRef("std_msgs/msg/String", "RIHS01_aa")
+FEEDBACK = TypeRef("pkg/action/Fly_FeedbackMessage", "RIHS01_cc")
+KNOWN = Known("/_rosld_1", "/rosld")
+SEEN = Observation(
+    nodes=("/talker", "/_rosld_1", "/talker"),
+    topics={"/chatter": (STRING.name,), "/asked": (STRING.name,)},
+    services={"/talker/go": ("std_srvs/srv/Trigger",), "/gone": ("std_srvs/srv/Trigger",)},
+    publishers={"/chatter": (Seen("/talker", STRING, Qos("reliable", "transient_local"), b"1"),)},
+    subscribers={
+        "/chatter": (Seen("/_rosld_1", STRING, Qos("best_effort"), b"2"),),
+        "/asked": (Seen("/_rosld_1", STRING, Qos("best_effort"), b"3"),),
+    },
+    providers={"/talker": {"/talker/go": ("std_srvs/srv/Trigger",)}},
+)
+
+
+def test_what_is_there_only_because_we_look_is_not_in_the_graph() -> None:
+    graph = compose(Graph(0), SEEN, KNOWN)
+    assert list(graph.nodes) == ["/talker"]
+    assert list(graph.topics) == ["/chatter"]
+    assert graph.topics["/chatter"].subscribers == ()
+    assert graph.topics["/chatter"].publishers == (
+        Endpoint("/talker", STRING, latched=True, qos=Qos("reliable", "transient_local")),
+    )
+    assert list(graph.services) == ["/talker/go"]
+
+
+def test_the_same_look_gives_the_same_graph_and_another_shares_what_did_not_change() -> None:
+    graph = compose(Graph(0), SEEN, KNOWN)
+    assert graph.revision == 1
+    assert compose(graph, replace(SEEN), KNOWN) is graph
+    other = compose(graph, SEEN, replace(KNOWN, parameters={"/talker/x": Parameter("/talker/x", "/talker")}))
+    assert other.revision == 2
+    assert other.topics is graph.topics
+
+
+def test_rosld_is_a_node_while_it_advertises_and_only_with_what_it_advertises() -> None:
+    ours = Seen("/rosld", STRING, Qos("reliable"), b"4")
+    seen = replace(
+        SEEN,
+        nodes=(*SEEN.nodes, "/rosld"),
+        topics={**SEEN.topics, "/parameter_events": ("rcl_interfaces/msg/ParameterEvent",)},
+        publishers={**SEEN.publishers, "/asked": (ours,), "/parameter_events": (ours,)},
+    )
+    graph = compose(Graph(0), seen, replace(KNOWN, advertised=frozenset({"/asked"})))
+    assert list(graph.nodes) == ["/rosld", "/talker"]
+    assert [each.node for each in graph.topics["/asked"].publishers] == ["/rosld"]
+    assert "/parameter_events" not in graph.topics
+
+
+def test_a_node_of_our_name_is_anothers_while_we_advertise_nothing() -> None:
+    another = Seen("/rosld", STRING, Qos("reliable"), b"4")
+    seen = replace(SEEN, nodes=(*SEEN.nodes, "/rosld"), publishers={"/chatter": (another,)})
+    graph = compose(Graph(0), seen, KNOWN)
+    assert "/rosld" in graph.nodes
+    assert [each.node for each in graph.topics["/chatter"].publishers] == ["/rosld"]
+
+
+def test_only_publishers_keep_messages_for_those_who_come_late() -> None:
+    late = Seen("/late", STRING, Qos("reliable", "transient_local"), b"8")
+    graph = compose(Graph(0), replace(SEEN, subscribers={"/chatter": (late,)}), KNOWN)
+    [publisher], [subscriber] = graph.topics["/chatter"].publishers, graph.topics["/chatter"].subscribers
+    assert (publisher.latched, subscriber.latched) == (True, False)
+    assert subscriber.qos == late.qos
+
+
+def test_the_inner_names_of_an_action_are_there_and_its_services_say_why_they_are_not_called() -> None:
+    seen = replace(
+        SEEN,
+        topics={
+            "/fly/_action/feedback": ("pkg/action/Fly_FeedbackMessage",),
+            "/fly/_action/status": ("action_msgs/msg/GoalStatusArray",),
+        },
+        services={"/fly/_action/send_goal": ("pkg/action/Fly_SendGoal",)},
+        providers={"/pilot": {"/fly/_action/send_goal": ("pkg/action/Fly_SendGoal",)}},
+        callers={"/tower": {"/fly/_action/send_goal": ("pkg/action/Fly_SendGoal",)}},
+        publishers={"/fly/_action/feedback": (Seen("/pilot", FEEDBACK, Qos(), b"5"),)},
+        subscribers={"/fly/_action/status": (Seen("/_rosld_1", STRING, Qos(), b"9"),)},
+    )
+    graph = compose(Graph(0), seen, KNOWN)
+    assert graph.actions == {"/fly": Action("/fly", TypeRef("pkg/action/Fly"), ("/pilot",), ("/tower",))}
+    assert {name: topic.types for name, topic in graph.topics.items()} == {"/fly/_action/feedback": (FEEDBACK,)}
+    [service] = graph.services.values()
+    assert (service.name, service.type) == ("/fly/_action/send_goal", TypeRef("pkg/action/Fly_SendGoal"))
+    assert service.uncallable is not None
+    assert "the action /fly" in service.uncallable
+
+
+def test_a_type_that_cannot_be_used_is_named_with_the_reason() -> None:
+    graph = compose(Graph(0), SEEN, replace(KNOWN, problems=lambda name: f"{name} is not installed"))
+    assert graph.topics["/chatter"].unreadable == "std_msgs/msg/String is not installed"
+    assert graph.topics["/chatter"].types == (STRING,)
+    assert graph.services["/talker/go"].uncallable == "std_srvs/srv/Trigger is not installed"
+
+
+def test_two_types_of_a_topic_are_a_conflict_but_one_without_its_hash_is_none() -> None:
+    other = Seen("/other", TypeRef("std_msgs/msg/Int8", "RIHS01_bb"), Qos(), b"6")
+    bare = Seen("/humble", TypeRef(STRING.name), Qos(), b"7")
+    both = replace(SEEN, publishers={"/chatter": (*SEEN.publishers["/chatter"], other)})
+    assert compose(Graph(0), both, KNOWN).topics["/chatter"].type is None
+    same = replace(SEEN, publishers={"/chatter": (*SEEN.publishers["/chatter"], bare)})
+    assert compose(Graph(0), same, KNOWN).topics["/chatter"].type == STRING
+
+
+def test_a_system_that_cannot_be_seen_keeps_its_last_graph() -> None:
+    graph = compose(Graph(0), SEEN, KNOWN)
+    gone = stale(graph, 7, "gone")
+    assert (gone.state, gone.topics, gone.revision) == (Stale(7, "gone"), graph.topics, 2)
+    assert stale(gone, 8, "gone") is gone
+    assert compose(gone, SEEN, KNOWN).state == Live()

@@ -1,0 +1,74 @@
+"""Services of a real ROS 2 system, many at once, hanging and vanishing."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Any
+
+import pytest
+
+from rosld.adapters.model import NotFound, Refused, Sent, TimedOut, TypeRef, Unreachable
+
+
+def test_two_hundred_services_are_called_at_once_while_one_hangs(ros: Any, opened: Any) -> None:
+    async def scenario() -> None:
+        async with opened(ros) as session:
+            names = [f"/many/service_{number}" for number in range(200)]
+            await session.until(lambda: all(name in session.graph.services for name in names))
+            hanging = asyncio.create_task(session.trigger("/hangs", 8.0))
+            began = time.monotonic()
+            answers = await asyncio.gather(*(session.trigger(name, 60.0) for name in names))
+            assert answers == ["off"] * 200
+            first = time.monotonic() - began
+            began = time.monotonic()
+            assert await asyncio.gather(*(session.trigger(name, 60.0) for name in names)) == answers
+            assert time.monotonic() - began < 2 * max(first, 2.0)
+            with pytest.raises(TimedOut) as caught:
+                await hanging
+            assert caught.value.sent is Sent.MAYBE
+
+    asyncio.run(scenario())
+
+
+def test_a_service_of_another_type_or_with_bytes_that_are_no_request_is_refused_and_nothing_is_sent(
+    ros: Any, opened: Any
+) -> None:
+    async def scenario() -> None:
+        async with opened(ros) as session:
+            await session.until(lambda: "/set_power" in session.graph.services)
+            for type, data in (("std_srvs/srv/Trigger", b"\0\1\0\0\0"), ("std_srvs/srv/SetBool", b"")):
+                with pytest.raises(Refused, match="/set_power") as caught:
+                    await session.adapter.call("/set_power", TypeRef(type), data, deadline=session.deadline(2))
+                assert caught.value.sent is Sent.NO
+
+    asyncio.run(scenario())
+
+
+def test_a_server_that_goes_away_while_it_is_waited_for_is_unreachable_and_may_have_acted(
+    lone_ros: Any, opened: Any
+) -> None:
+    robot = lone_ros.node("robot.py")
+
+    async def scenario() -> None:
+        async with opened(lone_ros) as session:
+            await session.until(lambda: "/hangs" in session.graph.services)
+            assert await session.trigger("/get_power") == "off"
+            hanging = asyncio.create_task(session.trigger("/hangs", 40.0))
+            await asyncio.sleep(0.3)
+            began = time.monotonic()
+            robot.kill()
+            with pytest.raises(Unreachable) as caught:
+                await hanging
+            assert caught.value.sent is Sent.MAYBE
+            assert time.monotonic() - began < 20
+            await session.until(lambda: session.graph.state.__class__.__name__ == "Stale")
+            with pytest.raises((Unreachable, TimedOut, NotFound)) as again:
+                await session.trigger("/get_power", 0.5)
+            assert again.value.sent is Sent.NO
+            lone_ros.node("robot.py")
+            await session.until(lambda: session.graph.state.__class__.__name__ == "Live")
+            await session.until(lambda: "/get_power" in session.graph.services)
+            assert await session.trigger("/get_power") == "off"
+
+    asyncio.run(scenario())

@@ -1,0 +1,61 @@
+"""An adapter that is open on a real system, and what it told, for the tests of an adapter."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rosld.adapters.base import Adapter, Subscription
+from rosld.adapters.model import GoalEvent, GoalId, Graph, MessageSchema, Sample
+
+
+class Told:
+    """A sink that keeps what it was told."""
+
+    def __init__(self) -> None:
+        self.graphs: list[Graph] = []
+        self.parameters: list[str] = []
+        self.goals: list[tuple[GoalId, GoalEvent]] = []
+
+    def graph_changed(self, graph: Graph) -> None:
+        self.graphs.append(graph)
+
+    def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
+        self.goals.append((goal, event))
+
+    def parameter_changed(self, name: str) -> None:
+        self.parameters.append(name)
+
+
+class Session:
+    """An open adapter with the waiting that tests need."""
+
+    def __init__(self, opened: Adapter, told: Told) -> None:
+        self.adapter = opened
+        self.told = told
+
+    @property
+    def graph(self) -> Graph:
+        return self.adapter.graph
+
+    def deadline(self, seconds: float = 5.0) -> float:
+        return asyncio.get_running_loop().time() + seconds
+
+    async def until(self, true: Callable[[], Any], what: str = "what was waited for", timeout: float = 60.0) -> Any:
+        end = time.monotonic() + timeout
+        while not (found := true()):
+            assert time.monotonic() < end, f"never came: {what}"
+            await asyncio.sleep(0.02)
+        return found
+
+    async def first(self, subscription: Subscription, count: int = 1) -> list[Sample]:
+        """The newest samples, once there are as many as this."""
+        await self.until(lambda: len(subscription.latest()) >= count, f"{count} samples")
+        return list(subscription.latest())
+
+    async def decoded(self, sample: Sample) -> Any:
+        schema = await self.adapter.schema(sample.schema, deadline=self.deadline())
+        assert isinstance(schema, MessageSchema)
+        return schema.codec.decode(sample.data, sample.encoding)

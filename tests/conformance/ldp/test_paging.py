@@ -1,0 +1,327 @@
+"""A container of 100,000 members: told in pages, and no slower to write to than an empty one (LDP Paging 1.0)."""
+
+from __future__ import annotations
+
+import re
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import httpx
+import pytest
+from pyoxigraph import NamedNode, Triple
+
+from rosld.ontology.vocab import ldp
+from rosld.server.records import Model, Put, Record, Remove, Write
+from rosld.server.records.ledger import Entry, Ledger
+from rosld.server.records.sqlite import connect
+
+if TYPE_CHECKING:
+    from tests.conformance.ldp.conftest import Place, Served
+
+TURTLE = "text/turtle"
+MEMBERS = 100_000
+PAGE = 1000
+STATES = "https://www.w3.org/ns/solid/notifications-context/v1"
+
+
+def entries() -> Iterator[Entry]:
+    """`/data/many/` of 100,000 members, `/data/few/` of one, `/data/empty/` of none, as `rosld load` brings them in."""
+    containers = ("data/", "data/many/", "data/few/", "data/empty/")
+    yield from (Entry(number, record(path, Model.BASIC_CONTAINER)) for number, path in enumerate(containers, 1))
+    yield Entry(5, record("data/few/m0", Model.RDF_SOURCE))
+    yield from (Entry(number + 6, record(f"data/many/m{number}", Model.RDF_SOURCE)) for number in range(MEMBERS))
+
+
+def record(path: str, model: Model) -> Record:
+    return Record(path, model, 1, 0, 0)
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of data with a container of 100,000 members."""
+    folder = tmp_path_factory.mktemp("large")
+    connection = connect(folder)
+    ledger = Ledger(connection)
+    ledger.begin()
+    ledger.restore(entries(), (), time.time_ns())
+    ledger.commit()
+    connection.close()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def steps(filled: Path) -> Callable[[Write], int]:
+    """How many steps SQLite takes for a write, which is then undone; asked for before a server has the folder."""
+    connection = connect(filled)
+    ledger, taken = Ledger(connection), [0]
+
+    def count() -> int:
+        taken[0] += 1
+        return 0
+
+    def measure(write: Write) -> int:
+        ledger.begin()
+        try:
+            taken[0] = 0
+            connection.set_progress_handler(count, 1)
+            assert not isinstance(ledger.attempt([write], [], time.time_ns()), Exception)
+            connection.set_progress_handler(None, 1)
+            return taken[0]
+        finally:
+            connection.set_progress_handler(None, 1)
+            ledger.rollback()
+
+    found = {write: measure(write) for write in WRITES}
+    connection.close()
+    return found.__getitem__
+
+
+WRITES = (
+    Put("data/few/new", Model.RDF_SOURCE),
+    Put("data/many/new", Model.RDF_SOURCE),
+    Remove("data/few/m0"),
+    Remove("data/many/m50000"),
+)
+
+
+@pytest.fixture(scope="module")
+def large(filled: Path, steps: object, start_and_kill: Callable[..., Served]) -> Place:
+    """That container, served."""
+    return start_and_kill("aircraft", "--data", str(filled)).at("data/many/")
+
+
+def contained(page: httpx.Response) -> list[str]:
+    """The URLs of the members that a page of N-Triples tells of, in order."""
+    assert page.status_code == 200, page.text
+    return re.findall(r"<http://www.w3.org/ns/ldp#contains> <([^>]*)>", page.text)
+
+
+def read(place: Place, url: str) -> httpx.Response:
+    return place.get(url, Accept="application/n-triples")
+
+
+def test_paging_the_work_of_a_write_does_not_grow_with_the_container(steps: Callable[[Write], int]) -> None:
+    few, many, from_few, from_many = map(steps, WRITES)
+    assert few > 50
+    assert many <= 1.3 * few
+    assert from_many <= 1.3 * from_few
+
+
+def test_paging_a_hundred_thousand_members_are_walked_page_by_page(large: Place) -> None:
+    answer = large.get()
+    assert answer.status_code == 303
+    first = read(large, answer.headers["location"])
+    walked = [first]
+    for _ in range(3):
+        walked.append(read(large, walked[-1].links["next"]["url"]))
+    told = [url for page in walked for url in contained(page)]
+    assert told == [large.at(f"m{number}") for number in range(4 * PAGE)]
+    back = [walked[-1]]
+    while "prev" in back[-1].links:
+        back.append(read(large, back[-1].links["prev"]["url"]))
+    assert [str(page.url) for page in back] == [str(page.url) for page in reversed(walked)]
+    assert [page.text for page in back] == [page.text for page in reversed(walked)]
+
+
+def test_paging_the_last_of_a_hundred_pages_is_reached_at_once(large: Place) -> None:
+    first = large.http.get(large.url, follow_redirects=True)
+    last = read(large, first.links["last"]["url"])
+    assert contained(last)[-1] == large.at(f"m{MEMBERS - 1}")
+    assert "next" not in last.links
+    before = read(large, last.links["prev"]["url"])
+    assert before.links["next"]["url"] == str(last.url)
+    assert last.links["first"]["url"] == first.links["first"]["url"]
+
+
+def test_paging_what_is_posted_is_on_the_last_page_until_it_is_deleted(large: Place) -> None:
+    first = large.http.get(large.url, follow_redirects=True)
+    made = large.post()
+    last = read(large, first.links["last"]["url"])
+    if "next" in last.links:  # the page was full
+        last = read(large, last.links["next"]["url"])
+    assert contained(last)[-1] == made
+    assert large.send("DELETE", made).status_code == 204
+    last = read(large, large.http.get(large.url, follow_redirects=True).links["last"]["url"])
+    assert made not in contained(last)
+
+
+def test_paging_posting_to_many_is_not_slower_than_posting_to_none(large: Place) -> None:
+    empty = large.at("../empty/")
+
+    def seconds(to: str, **headers: str) -> float:
+        begun = time.perf_counter()
+        large.post(to=to, Prefer="return=minimal", **headers)
+        return time.perf_counter() - begun
+
+    pairs = [(seconds(large.url), seconds(large.url, If_Match="*"), seconds(empty)) for _ in range(40)]
+    many, guarded, none = (statistics.median(each) for each in zip(*pairs, strict=True))
+    assert many < 3 * none
+    assert guarded < 3 * none
+
+
+def test_paging_a_large_container_is_patched_without_its_members(large: Place) -> None:
+    begun = time.perf_counter()
+    patch = 'INSERT DATA { <> <http://purl.org/dc/terms/title> "Many" }'
+    assert large.send("PATCH", "", patch, "application/sparql-update").status_code == 204
+    assert time.perf_counter() - begun < 2
+    page = read(large, "?page=0")
+    assert '"Many"' in page.text
+    assert len(contained(page)) == PAGE
+    wrong = f"INSERT DATA {{ <> <{ldp.iri}contains> <m-1> }}"
+    assert large.send("PATCH", "", wrong, "application/sparql-update").status_code == 409
+
+
+def test_paging_a_large_container_can_be_followed(large: Place) -> None:
+    wish = {"@context": [STATES], "type": "http://www.w3.org/ns/solid/notifications#WebSocketChannel2023"}
+    url = large.url.replace("data/many/", "channels/WebSocketChannel2023")
+    answer = large.http.post(url, json={**wish, "topic": large.url}, headers={"Content-Type": "application/ld+json"})
+    assert answer.status_code == 201, answer.text
+
+
+# Containers of any size in pages, as a client prefers
+
+
+@pytest.fixture
+def few(place: Place) -> Place:
+    """A container of seven."""
+    for number in range(7):
+        place.put(f"m{number}", "")
+    return place
+
+
+def small(most: int) -> dict[str, str]:
+    return {"Prefer": f'return=representation; max-member-count="{most}"'}
+
+
+def test_paging_pages_have_as_many_members_as_a_client_prefers(few: Place) -> None:
+    page = few.http.get(few.url, headers={**small(3), "Accept": "application/n-triples"}, follow_redirects=True)
+    sizes = [len(contained(page))]
+    while "next" in page.links:
+        page = read(few, page.links["next"]["url"])
+        sizes.append(len(contained(page)))
+    assert sizes == [3, 3, 1]
+
+
+def test_paging_the_page_before_ends_where_a_page_begins_whatever_went(few: Place) -> None:
+    first = few.http.get(few.url, headers=small(2), follow_redirects=True)
+    last = read(few, first.links["last"]["url"])
+    assert contained(last) == [few.at("m6")]
+    assert few.send("DELETE", "m4").status_code == 204
+    before = read(few, read(few, str(last.url)).links["prev"]["url"])
+    assert contained(before) == [few.at("m3"), few.at("m5")]
+
+
+def test_paging_rdf_says_what_the_links_say(few: Place, read_triples: Callable[[httpx.Response], set[Triple]]) -> None:
+    first = few.http.get(few.url, headers=small(3), follow_redirects=True)
+    second = few.get(first.links["next"]["url"])
+    subject = NamedNode(str(second.url))
+    xhv = "http://www.w3.org/1999/xhtml/vocab#"
+    said = {each.predicate.value: each.object.value for each in read_triples(second) if each.subject == subject}
+    for rel in ("first", "prev", "next", "last"):
+        assert said[xhv + rel] == second.links[rel]["url"]
+    assert said[f"{ldp.iri}pageSequence"] == few.url
+
+
+def test_paging_a_page_tells_the_state_of_the_whole(few: Place) -> None:
+    """LDP Paging 1.0, 5.2: who walks on notices by the canonical link that something changed."""
+
+    def state() -> str:
+        links = few.http.get(few.url, headers=small(3), follow_redirects=True).headers["link"]
+        return re.findall(r'rel="canonical"; etag="([^"]+)"', links)[0]
+
+    before = state()
+    assert state() == before
+    assert few.get().headers["etag"].strip('"').partition(".")[0] == before.partition(".")[0]
+    few.post()
+    assert state() != before
+
+
+def test_paging_people_walk_by_links_on_the_page(few: Place) -> None:
+    first = few.http.get(few.url, headers={**small(3), "Accept": "text/html"}, follow_redirects=True)
+    second = few.http.get(few.at(re.findall(r'href="([^"]*)" rel="next"', first.text)[0].rpartition("/")[2]))
+    page = few.http.get(str(second.url), headers={"Accept": "text/html"}).text
+    shown = re.findall(r'<a href="([^"]*)" rel="(\w+)">(\w+)</a>', page)
+    assert [word for *_, word in shown] == ["First", "Previous", "Next", "Last"]
+    assert [second.url.join(href) for href, *_ in shown] == [second.links[rel]["url"] for _, rel, _ in shown]
+    assert f'href="?{second.url.query.decode()}&amp;format=ttl"' in page
+
+
+def test_paging_what_a_query_asks_for_is_asked_of_the_page(few: Place) -> None:
+    answer = few.http.get(f"{few.url}?format=nt", headers={**small(3), "Accept": "text/html"}, follow_redirects=True)
+    assert answer.headers["content-type"].startswith("application/n-triples")
+    assert len(contained(answer)) == 3
+
+
+# The robot's containers, which are ordered by name
+
+
+PARAMETERS = {f"p{number:04}": number for number in range(5000)} | {"a:b": {"deep": True}}
+
+
+@pytest.fixture(scope="module")
+def robot(served: Served) -> Iterator[Place]:
+    """A tree of 5,001 parameters, one of them a tree."""
+    place = served.at("parameters/paged/")
+    made = place.http.patch(f"{served.url}parameters/", json={"paged": PARAMETERS}, headers=MERGE)
+    assert made.status_code == 204, made.text
+    yield place
+    assert place.send("DELETE").status_code == 204
+
+
+MERGE = {"Content-Type": "application/merge-patch+json"}
+
+
+def test_paging_thousands_of_parameters_come_in_pages(robot: Place) -> None:
+    answer = robot.get(Accept=TURTLE)
+    assert answer.status_code == 303
+    walked = [read(robot, answer.headers["location"])]
+    while "next" in walked[-1].links:
+        walked.append(read(robot, walked[-1].links["next"]["url"]))
+    told = [url for page in walked for url in contained(page) if not url.endswith("deep")]
+    assert told == [robot.at("a%3Ab/"), *(robot.at(name) for name in sorted(PARAMETERS)[1:])]
+    assert walked[0].links["last"]["url"] == str(walked[-1].url)
+    back = [walked[-1]]
+    while "prev" in back[-1].links:
+        back.append(read(robot, back[-1].links["prev"]["url"]))
+    assert [page.text for page in back] == [page.text for page in reversed(walked)]
+    assert len({page.headers["etag"] for page in walked}) == len(walked)
+
+
+def test_paging_the_value_of_a_tree_is_one_and_comes_whole(robot: Place) -> None:
+    answer = robot.get(Accept="application/json")
+    assert answer.status_code == 200
+    assert answer.json() == PARAMETERS
+    assert robot.get("?format=json").json() == PARAMETERS
+    assert list(robot.get("?page=:p0000", Accept="application/json").json()) == sorted(PARAMETERS)[2:1002]
+
+
+def test_paging_a_tree_above_tells_only_that_a_large_one_is_there(robot: Place) -> None:
+    above = robot.get("../", Accept="application/n-triples")
+    assert above.status_code == 200
+    assert robot.url in contained(above)
+    assert "paged/p0000" not in above.text
+
+
+@pytest.mark.parametrize("path", ["topics/", "services/", "nodes/", "parameters/"])
+def test_paging_each_container_of_names_comes_in_pages_where_a_client_prefers_it(path: str, served: Served) -> None:
+    place = served.at(path)
+    whole = contained(read(place, place.url))
+    page = place.http.get(place.url, headers={**small(1), "Accept": "application/n-triples"}, follow_redirects=True)
+    told = contained(page)[:1]
+    while "next" in page.links:
+        page = read(place, page.links["next"]["url"])
+        told += contained(page)[:1]
+    direct = [url for url in whole if "/" not in url.removeprefix(place.url).rstrip("/")]
+    assert sorted(told) == sorted(direct)
+    assert place.get("?page=4711").status_code == 404
+
+
+def test_paging_people_see_on_a_page_what_it_tells_of(served: Served) -> None:
+    place = served.at("topics/")
+    page = place.http.get(place.url, headers={**small(1), "Accept": "text/html"}, follow_redirects=True).text
+    assert re.findall(r'<a href="[^"]*" rel="\w+">(\w+)</a>', page) == ["First", "Next", "Last"]
+    assert "aircraft/engine/speed" in page
+    assert "cockpit/display" not in page

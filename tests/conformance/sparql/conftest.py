@@ -1,0 +1,177 @@
+"""One rosld for the folder, reached over real HTTP; each test has a container of its own under `/data/`."""
+
+from __future__ import annotations
+
+import itertools
+import signal
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import httpx
+import pytest
+from pyoxigraph import CanonicalizationAlgorithm, Dataset, NamedNode, Quad, RdfFormat, Triple, parse
+
+from rosld.ontology.vocab import dcterms, ldp, rdf
+
+TURTLE = "text/turtle"
+EX = "http://example.org/"
+_COUNTED = itertools.count(1)
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """A server: the URL of its entry, a client for it."""
+
+    url: str
+    http: httpx.Client
+
+    def query(self, text: str, **parameters: str | list[str]) -> httpx.Response:
+        """A query by GET."""
+        return self.http.get(f"{self.url}sparql", params={"query": text, **parameters})
+
+    def ask(self, text: str, **parameters: str | list[str]) -> bool:
+        """The answer to an ASK."""
+        return boolean(self.query(text, **parameters))
+
+    def post(self, body: bytes | str, media_type: str | None, query: str = "", **headers: str) -> httpx.Response:
+        """A POST to the endpoint."""
+        content = body.encode() if isinstance(body, str) else body
+        typed = {} if media_type is None else {"Content-Type": media_type}
+        return self.http.post(f"{self.url}sparql{query}", content=content, headers=typed | headers)
+
+    def form(self, beside: str = "", /, **fields: str | list[str]) -> httpx.Response:
+        """A form that is posted to the endpoint; an underscore in a name is a hyphen."""
+        return self.http.post(
+            f"{self.url}sparql{beside}", data={name.replace("_", "-"): value for name, value in fields.items()}
+        )
+
+
+@dataclass(frozen=True)
+class Store:
+    """A container under `/data/` and its graphs, named by `?graph=` or by their own URLs."""
+
+    endpoint: Endpoint
+    url: str
+    direct: bool = False
+
+    def at(self, name: str) -> str:
+        """The name of a graph; one that is a whole IRI is itself."""
+        return name if ":" in name else self.url + name
+
+    def send(
+        self, method: str, name: str, body: bytes | str = b"", media_type: str | None = None, **headers: str
+    ) -> httpx.Response:
+        """A request on a graph; a header `If_Match="x"` is sent as `If-Match: x`."""
+        sent = {key.replace("_", "-"): value for key, value in headers.items()}
+        if media_type is not None:
+            sent["Content-Type"] = media_type
+        content = (body.encode() if isinstance(body, str) else body) or None
+        if self.direct:
+            return self.endpoint.http.request(method, self.at(name), content=content, headers=sent)
+        url = f"{self.endpoint.url}graphs"
+        return self.endpoint.http.request(method, url, params={"graph": self.at(name)}, content=content, headers=sent)
+
+    def put(self, name: str, turtle: str) -> str:
+        """Put a graph; its name."""
+        answer = self.send("PUT", name, turtle, TURTLE)
+        assert answer.status_code in (201, 204), answer.text
+        return self.at(name)
+
+    def holds(self, name: str, turtle: str) -> bool:
+        """Whether a graph says what is given and nothing else, the server's own triples about it left out."""
+        answer = self.send("GET", name, Accept=TURTLE)
+        assert answer.status_code == 200, answer.text
+        url = NamedNode(self.at(name))
+        said = (each for each in triples(answer) if not _is_managed(each, url))
+        wanted = parse(turtle.encode(), RdfFormat.TURTLE, base_iri=url.value)
+        return canonical(said) == canonical(quad.triple for quad in wanted)
+
+
+def boolean(answer: httpx.Response) -> bool:
+    """The answer to an ASK, in JSON."""
+    assert answer.status_code == 200, answer.text
+    assert answer.headers["content-type"] == "application/sparql-results+json"
+    found = answer.json()["boolean"]
+    assert isinstance(found, bool)
+    return found
+
+
+def triples(answer: httpx.Response) -> set[Triple]:
+    """The triples of an answer in any RDF syntax."""
+    syntax = RdfFormat.from_media_type(answer.headers["content-type"].partition(";")[0])
+    assert syntax is not None, answer.headers["content-type"]
+    return {quad.triple for quad in parse(answer.content, format=syntax, base_iri=str(answer.url))}
+
+
+def canonical(graph: Iterable[Triple]) -> set[str]:
+    """A graph with its blank nodes named alike in all graphs that are isomorphic to it."""
+    dataset = Dataset(Quad(each.subject, each.predicate, each.object) for each in graph)
+    dataset.canonicalize(CanonicalizationAlgorithm.UNSTABLE)
+    return {str(quad) for quad in dataset}
+
+
+def _is_managed(triple: Triple, url: NamedNode) -> bool:
+    if triple.subject != url:
+        return False
+    kind = triple.object.value if triple.predicate == rdf.type and isinstance(triple.object, NamedNode) else ""
+    return kind.startswith(ldp.iri) or triple.predicate in (dcterms.created, dcterms.modified)
+
+
+@contextmanager
+def running(*arguments: str) -> Iterator[Endpoint]:
+    """A server that ends afterwards, and in order."""
+    command = [sys.executable, "-m", "rosld", "serve", "aircraft", *arguments, "--port", "0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    url = process.stdout.readline().strip()
+    assert url.startswith("http"), f"{command} printed {url!r}"
+    with httpx.Client(timeout=20) as http:
+        yield Endpoint(url, http)
+    died = process.poll() is not None
+    process.send_signal(signal.SIGTERM)
+    code = process.wait(10)
+    assert not died, "the server died during the tests"
+    assert code == 0
+
+
+@pytest.fixture(scope="session")
+def endpoint() -> Iterator[Endpoint]:
+    """The embedded aircraft."""
+    with running("--max-publish-rate", "100000") as one:
+        yield one
+
+
+@pytest.fixture(scope="session")
+def read_only() -> Iterator[Endpoint]:
+    """A server that only reads."""
+    with running("--read-only") as one:
+        yield one
+
+
+@pytest.fixture(scope="session")
+def sharing() -> Iterator[Endpoint]:
+    """A server that shares with one other site."""
+    with running("--cors-origin", "https://page.example") as one:
+        yield one
+
+
+@pytest.fixture
+def store(endpoint: Endpoint) -> Store:
+    """A container of the test's own, its graphs named by `?graph=`."""
+    return Store(endpoint, f"{endpoint.url}data/of-{next(_COUNTED)}/")
+
+
+@pytest.fixture(params=("indirect", "direct"))
+def graphs(request: pytest.FixtureRequest, endpoint: Endpoint) -> Store:
+    """A container of the test's own, its graphs named by `?graph=`, and by their own URLs."""
+    return Store(endpoint, f"{endpoint.url}data/of-{next(_COUNTED)}/", request.param == "direct")
+
+
+@pytest.fixture
+def three(store: Store) -> tuple[str, str, str]:
+    """The names of three graphs, each with one triple of its own: `ex:data1 a ex:Kind1` and so on."""
+    one, two, three = (store.put(f"{n}", f"<{EX}data{n}> a <{EX}Kind{n}> .") for n in (1, 2, 3))
+    return one, two, three

@@ -1,0 +1,407 @@
+"""W3C's tests of the SPARQL 1.1 Graph Store HTTP Protocol, by their names: graphs named by `?graph=` and by their URLs.
+
+Where the server answers otherwise on purpose, the test says so.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import httpx
+import pytest
+
+if TYPE_CHECKING:
+    from tests.conformance.sparql.conftest import Endpoint, Store
+
+TURTLE = "text/turtle"
+PREFIXES = "@prefix foaf: <http://xmlns.com/foaf/0.1/> . @prefix v: <http://www.w3.org/2006/vcard/ns#> .\n"
+JOHN = PREFIXES + "<> a foaf:Person ; foaf:businessCard [ a v:VCard ; v:fn 'John Doe' ] ."
+JANE = PREFIXES + "<> a foaf:Person ; foaf:businessCard [ a v:VCard ; v:fn 'Jane Doe' ] ."
+NAMED_JANE = PREFIXES + "<> foaf:name 'Jane Doe' ."
+ALICE = PREFIXES + "[] a foaf:Person ; foaf:businessCard [ a v:VCard ; v:given-name 'Alice' ] ."
+MULTIPART = [
+    ("first", ("first.ttl", PREFIXES + "<> foaf:name 'Jane Doe' .", "text/turtle; charset=utf-8")),
+    ("second", ("second.ttl", PREFIXES + "<> foaf:givenName 'Jane' ; foaf:familyName 'Doe' .", "text/turtle")),
+]
+
+
+def posted(store: Store, name: str, files: list[tuple[str, tuple[str, str, str]]]) -> httpx.Response:
+    """A POST of multipart/form-data to a graph."""
+    http = store.endpoint.http
+    if store.direct:
+        return http.post(store.at(name), files=files)
+    return http.post(f"{store.endpoint.url}graphs", params={"graph": store.at(name)}, files=files)
+
+
+def test_put__initial_state(graphs: Store) -> None:
+    answer = graphs.send("PUT", "person/1", JOHN, "text/turtle; charset=utf-8")
+    assert answer.status_code == 201
+    assert answer.headers["location"] == graphs.at("person/1")
+
+
+def test_get_of_put__initial_state(graphs: Store) -> None:
+    graphs.put("person/1", JOHN)
+    answer = graphs.send("GET", "person/1", Accept=TURTLE)
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "text/turtle; charset=utf-8")
+    assert graphs.holds("person/1", JOHN)
+
+
+def test_put__graph_already_in_store(graphs: Store) -> None:
+    graphs.put("person/1", JOHN)
+    assert graphs.send("PUT", "person/1", JANE, TURTLE).status_code == 204
+
+
+def test_get_of_put__graph_already_in_store(graphs: Store) -> None:
+    graphs.put("person/1", JOHN)
+    graphs.put("person/1", JANE)
+    assert graphs.holds("person/1", JANE)
+
+
+def test_put__default_graph(endpoint: Endpoint) -> None:
+    """Not done: the default graph is the union of all graphs, and is written through them."""
+    answer = endpoint.http.put(f"{endpoint.url}graphs?default", content=ALICE, headers={"Content-Type": TURTLE})
+    assert answer.status_code == 405
+    assert answer.headers["allow"] == "GET, HEAD, OPTIONS"
+    assert "?graph=" in answer.json()["detail"]
+
+
+def test_get_of_put__default_graph(endpoint: Endpoint, store: Store) -> None:
+    """What is put into any graph is in the default graph."""
+    store.put("a", "<http://example.org/in-any> <http://example.org/p> 1 .")
+    url, accept = f"{endpoint.url}graphs?default", {"Accept": "application/n-triples"}
+    answer = endpoint.http.get(url, headers=accept)
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "application/n-triples")
+    assert "<http://example.org/in-any> <http://example.org/p>" in answer.text
+    head = endpoint.http.head(url, headers=accept)
+    assert (head.status_code, head.headers["content-type"]) == (200, "application/n-triples")
+    assert endpoint.http.get(f"{endpoint.url}graphs?default&format=jsonld").headers["content-type"].endswith("ld+json")
+
+
+def test_the_default_graph_is_as_limited_as_a_query(endpoint: Endpoint) -> None:
+    answer = endpoint.http.get(f"{endpoint.url}graphs?default&timeout=0.000001")
+    assert answer.status_code == 503
+    assert endpoint.http.get(f"{endpoint.url}graphs?default&timeout=never").status_code == 400
+
+
+def test_put__mismatched_payload(graphs: Store) -> None:
+    xml = '<?xml version="1.0"?><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"/>'
+    assert graphs.send("PUT", "person/1", xml, TURTLE).status_code == 400
+    assert graphs.send("GET", "person/1").status_code == 404
+
+
+def test_delete__existing_graph(graphs: Store) -> None:
+    graphs.put("person/2", JOHN)
+    assert graphs.send("DELETE", "person/2").status_code == 204
+
+
+def test_get_of_delete__existing_graph(graphs: Store) -> None:
+    """410 rather than 404: what is gone is known to be (RFC 9110 15.5.11)."""
+    graphs.put("person/2", JOHN)
+    graphs.send("DELETE", "person/2")
+    assert graphs.send("GET", "person/2").status_code == 410
+
+
+def test_delete__nonexistent_graph(graphs: Store) -> None:
+    assert graphs.send("DELETE", "person/2").status_code == 404
+
+
+def test_post__existing_graph(graphs: Store) -> None:
+    graphs.put("person/1", JANE)
+    assert graphs.send("POST", "person/1", NAMED_JANE, TURTLE).status_code == 204
+
+
+def test_get_of_post__existing_graph(graphs: Store) -> None:
+    graphs.put("person/1", JANE)
+    graphs.send("POST", "person/1", NAMED_JANE, TURTLE)
+    assert graphs.holds("person/1", JANE + NAMED_JANE.removeprefix(PREFIXES))
+
+
+def test_post__multipart_formdata(graphs: Store) -> None:
+    graphs.put("person/1", JANE)
+    assert posted(graphs, "person/1", MULTIPART).status_code == 204
+
+
+def test_get_of_post__multipart_formdata(graphs: Store) -> None:
+    graphs.put("person/1", JANE)
+    posted(graphs, "person/1", MULTIPART)
+    assert graphs.holds("person/1", JANE + "<> foaf:name 'Jane Doe' ; foaf:givenName 'Jane' ; foaf:familyName 'Doe' .")
+
+
+def created(store: Store) -> str:
+    """POST to the store itself, or to the container that is one; the name of the graph that it made."""
+    endpoint, headers = store.endpoint, {"Content-Type": "text/turtle; charset=utf-8"}
+    url = f"{endpoint.url}data/" if store.direct else f"{endpoint.url}graphs"
+    answer = endpoint.http.post(url, content=ALICE, headers=headers)
+    assert answer.status_code == 201, answer.text
+    return answer.headers["location"]
+
+
+def test_post__create__new_graph(graphs: Store) -> None:
+    assert created(graphs).startswith(f"{graphs.endpoint.url}data/")
+
+
+def test_get_of_post__create__new_graph(graphs: Store) -> None:
+    assert graphs.holds(created(graphs), ALICE)
+
+
+def test_get_of_post__after_noop(graphs: Store) -> None:
+    graph = created(graphs)
+    assert graphs.send("POST", graph, PREFIXES, "text/turtle; charset=utf-8").status_code == 204
+    assert graphs.holds(graph, ALICE)
+
+
+def test_head_on_an_existing_graph(graphs: Store) -> None:
+    graphs.put("person/1", JANE)
+    head, get = (graphs.send(method, "person/1", Accept=TURTLE) for method in ("HEAD", "GET"))
+    assert head.status_code == 200
+    assert head.content == b""
+    for name in ("content-type", "content-length", "etag"):
+        assert head.headers[name] == get.headers[name]
+
+
+def test_head_on_a_nonexisting_graph(graphs: Store) -> None:
+    assert graphs.send("HEAD", "person/4").status_code == 404
+
+
+# Beyond the tests of W3C: how graphs are named
+
+
+def test_relative_names_are_resolved_against_the_store(endpoint: Endpoint, store: Store) -> None:
+    store.put("a", JANE)
+    path = store.at("a").removeprefix(endpoint.url)
+    for name in (path, f"/{path}"):
+        answer = endpoint.http.get(f"{endpoint.url}graphs", params={"graph": name}, headers={"Accept": TURTLE})
+        assert answer.status_code == 200
+        assert store.at("a") in answer.text
+
+
+def test_what_is_not_ascii_in_a_name_is_the_same_as_when_it_is_encoded(store: Store) -> None:
+    store.put("ü", JANE)
+    assert store.send("GET", "%C3%BC").content == store.send("GET", "ü").content != b""
+
+
+@pytest.mark.parametrize("method", ["GET", "HEAD", "PUT", "PATCH", "DELETE"])
+@pytest.mark.parametrize("query", ["?graph=data/a&default", "?graph=data/a&graph=data/b", "?default&default"])
+def test_exactly_one_graph_is_named(endpoint: Endpoint, method: str, query: str) -> None:
+    url, typed = f"{endpoint.url}graphs{query}", {"Content-Type": TURTLE}
+    assert endpoint.http.request(method, url, headers=typed).status_code == 400
+
+
+@pytest.mark.parametrize("method", ["PUT", "PATCH", "DELETE"])
+def test_what_is_written_has_a_name(endpoint: Endpoint, method: str) -> None:
+    answer = endpoint.http.request(method, f"{endpoint.url}graphs", headers={"Content-Type": TURTLE})
+    assert answer.status_code == 400
+    assert "?graph=IRI" in answer.json()["detail"]
+
+
+def test_the_store_tells_how_to_name_a_graph(endpoint: Endpoint) -> None:
+    answer = endpoint.http.get(f"{endpoint.url}graphs", headers={"Accept": "application/n-triples"})
+    assert f"<{endpoint.url}graphs?default>" in answer.text
+    assert f"{endpoint.url}graphs?graph=URL" in answer.text
+
+
+@pytest.mark.parametrize(
+    "name", ["a b", "http://[", "data/../x", "data/%2E%2E/x", "graphs", "graphs?graph=data/x", "%"]
+)
+def test_what_names_no_graph_is_refused(endpoint: Endpoint, name: str) -> None:
+    answer = endpoint.http.get(f"{endpoint.url}graphs", params={"graph": name})
+    assert answer.status_code in (400, 404)
+    assert answer.json()["detail"]
+
+
+@pytest.mark.parametrize("name", ["http://example.org/g", "urn:example:g", "data/a#b"])
+def test_graphs_of_other_places_are_not_here_and_cannot_be(endpoint: Endpoint, store: Store, name: str) -> None:
+    where = endpoint.url + name if name.startswith("data") else name
+    for method in ("GET", "HEAD"):
+        assert store.send(method, where).status_code == 404
+    for method in ("PUT", "POST", "DELETE", "PATCH"):
+        answer = store.send(method, where, JANE, TURTLE)
+        assert answer.status_code == 403
+        assert f"{endpoint.url}data/" in answer.json()["detail"]
+
+
+# What is kept
+
+
+def test_a_new_graph_comes_with_the_containers_on_the_way(graphs: Store) -> None:
+    for method, name in (("PUT", "x/y/one"), ("POST", "x/y/two")):
+        if method == "PUT" or not graphs.direct:
+            answer = graphs.send(method, name, JANE, TURTLE)
+            assert answer.status_code == 201
+            assert answer.headers["location"] == graphs.at(name)
+            assert graphs.at(name) in graphs.send("GET", "x/y/", Accept=TURTLE).text
+            assert graphs.holds(name, JANE)
+
+
+def test_post_to_a_container_makes_a_graph_in_it(graphs: Store) -> None:
+    graphs.put("c/", "")
+    answer = graphs.send("POST", "c/", JANE, TURTLE, Slug="jane")
+    assert answer.status_code == 201
+    assert answer.headers["location"] == graphs.at("c/jane")
+    assert graphs.holds("c/jane", JANE)
+
+
+def test_parts_make_a_graph_that_is_named(store: Store) -> None:
+    answer = posted(store, "new", MULTIPART)
+    assert answer.status_code == 201
+    said = PREFIXES + "<> foaf:name 'Jane Doe' ; foaf:givenName 'Jane' ; foaf:familyName 'Doe' ."
+    assert store.holds(answer.headers["location"], said)
+    store.put("c/", "")
+    assert posted(store, "c/", MULTIPART).status_code == 415
+
+
+def test_blank_nodes_of_one_name_stay_apart(graphs: Store) -> None:
+    graphs.put("a", "<> <http://example.org/p> _:x . _:x <http://example.org/q> 1 .")
+    graphs.send("POST", "a", "<> <http://example.org/p> _:x . _:x <http://example.org/q> 2 .", TURTLE)
+    parts = [
+        (name, (name, f"<> <http://example.org/p> _:x . _:x <http://example.org/q> {name} .", TURTLE)) for name in "34"
+    ]
+    posted(graphs, "a", parts)
+    each = " , ".join(f"[ <http://example.org/q> {number} ]" for number in (1, 2, 3, 4))
+    assert graphs.holds("a", f"<> <http://example.org/p> {each} .")
+
+
+@pytest.mark.parametrize("media_type", ["text/plain", "application/json", "image/png"])
+def test_what_is_no_rdf_makes_no_graph(store: Store, media_type: str) -> None:
+    for method in ("PUT", "POST"):
+        answer = store.send(method, "new", b"{}", media_type)
+        assert answer.status_code == 415
+        assert "text/turtle" in answer.headers[f"accept-{method.lower()}"]
+    assert store.send("POST", "new", b"{}").status_code == 415
+    assert posted(store, "new", [("a", ("a", "{}", media_type))]).status_code == 415
+    assert store.send("GET", "new").status_code == 404
+
+
+@pytest.mark.parametrize(
+    "body", [b"", b"--x", b"--x\r\n\r\n", b"--y\r\n\r\n\r\n--y--", b"--x\r\nno blank line\r\n--x--"]
+)
+def test_parts_that_cannot_be_cut_apart_are_refused(graphs: Store, body: bytes) -> None:
+    graphs.put("a", JANE)
+    assert graphs.send("POST", "a", body or b"\n", "multipart/form-data; boundary=x").status_code == 400
+    assert graphs.send("POST", "a", body or b"\n", "multipart/form-data").status_code == 400
+    assert graphs.holds("a", JANE)
+
+
+def test_patch_changes_the_graph_and_no_other(graphs: Store) -> None:
+    graphs.put("a", "<> <http://example.org/p> 1 .")
+    update = "DELETE { <> ?p 1 } INSERT { <> ?p 2 } WHERE { <> ?p 1 }"
+    assert graphs.send("PATCH", "a", update, "application/sparql-update").status_code == 204
+    assert graphs.holds("a", "<> <http://example.org/p> 2 .")
+    beyond = f"INSERT DATA {{ GRAPH <{graphs.at('b')}> {{ <> <http://example.org/p> 3 }} }}"
+    assert graphs.send("PATCH", "a", beyond, "application/sparql-update").status_code == 422
+    assert graphs.send("GET", "b").status_code == 404
+
+
+def test_requests_are_conditional_as_on_the_url_itself(graphs: Store) -> None:
+    graphs.put("a", JANE)
+    etag = graphs.send("GET", "a", Accept=TURTLE).headers["etag"]
+    assert graphs.endpoint.http.get(graphs.at("a"), headers={"Accept": TURTLE}).headers["etag"] == etag
+    assert graphs.send("GET", "a", Accept=TURTLE, If_None_Match=etag).status_code == 304
+    for method in ("PUT", "POST", "DELETE"):
+        assert graphs.send(method, "a", JOHN, TURTLE, If_Match='"another.ttl"').status_code == 412
+    assert graphs.send("POST", "a", NAMED_JANE, TURTLE, If_Match=etag).status_code == 204
+    assert graphs.send("PUT", "a", JOHN, TURTLE, If_Match=etag).status_code == 412
+    assert graphs.send("PUT", "a", JOHN, TURTLE, If_None_Match="*").status_code == 412
+
+
+def test_a_write_answers_with_the_graph_where_that_is_preferred(graphs: Store) -> None:
+    graphs.put("a", JANE)
+    answer = graphs.send("POST", "a", NAMED_JANE, TURTLE, Prefer="return=representation", Accept=TURTLE)
+    assert answer.status_code == 200
+    assert answer.headers["content-location"] == graphs.at("a")
+    assert "Jane Doe" in answer.text
+
+
+def test_what_a_graph_is_to_the_store_it_is_to_queries(endpoint: Endpoint, store: Store) -> None:
+    graph = store.put("a", "<> <http://example.org/p> 1 .")
+    assert endpoint.ask(f"ASK {{ GRAPH <{graph}> {{ <{graph}> <http://example.org/p> 1 }} }}")
+    store.send("DELETE", "a")
+    assert not endpoint.ask(f"ASK {{ GRAPH <{graph}> {{ ?s ?p ?o }} }}")
+
+
+# The robot's graphs
+
+
+def test_a_graph_of_the_robot_answers_as_its_url_does(endpoint: Endpoint, store: Store) -> None:
+    url = f"{endpoint.url}topics/cockpit/display"
+    put = store.send("PUT", url, b'{"data": "through the store"}', "application/json")
+    assert put.status_code == 204
+    for method in ("GET", "HEAD", "OPTIONS"):
+        here = store.send(method, url, Accept=TURTLE)
+        there = endpoint.http.request(method, url, headers={"Accept": TURTLE})
+        assert (here.status_code, here.content) == (there.status_code, there.content)
+        for name in ("etag", "allow", "link", "content-type", "accept-put", "accept-patch"):
+            assert here.headers.get(name) == there.headers.get(name)
+    assert "through the store" in store.send("GET", url, Accept=TURTLE).text
+
+
+def test_refusals_of_the_robot_are_those_of_the_url(endpoint: Endpoint, store: Store) -> None:
+    url = f"{endpoint.url}topics/cockpit/display"
+    for body, media_type in ((b'{"data": 5}', "application/json"), (b"x", "text/plain"), (b"no turtle", TURTLE)):
+        here = store.send("PUT", url, body, media_type)
+        there = endpoint.http.put(url, content=body, headers={"Content-Type": media_type})
+        assert here.status_code == there.status_code >= 400
+        assert here.json() == there.json()
+    assert store.send("DELETE", f"{endpoint.url}nodes/").status_code == 405
+
+
+def test_a_parameter_is_set_and_deleted_as_a_graph(endpoint: Endpoint, store: Store) -> None:
+    url = f"{endpoint.url}parameters/through_the_store"
+    assert store.send("PUT", url, b"41", "application/json").status_code == 201
+    assert endpoint.http.get(url, headers={"Accept": "application/json"}).json() == 41
+    assert store.send("DELETE", url).status_code == 204
+    assert store.send("GET", url).status_code in (404, 410)
+
+
+@pytest.mark.parametrize("path", ["topics/cockpit/display", "services/aircraft/start", "parameters/", "sparql", ""])
+def test_nothing_is_merged_into_what_the_robot_says(endpoint: Endpoint, store: Store, path: str) -> None:
+    answer = store.send("POST", endpoint.url + path, JANE, TURTLE)
+    assert answer.status_code == 405
+    assert "POST" not in answer.headers["allow"]
+    assert "PUT or PATCH" in answer.json()["detail"]
+
+
+def test_other_parameters_are_those_of_the_graph_s_url(endpoint: Endpoint) -> None:
+    types = f"{endpoint.url}topics/cockpit/display"
+    answer = endpoint.http.get(f"{endpoint.url}graphs", params={"graph": types, "format": "nt"})
+    assert answer.headers["content-type"] == "application/n-triples"
+    own = endpoint.http.get(f"{endpoint.url}graphs", params={"graph": f"{types}?format=jsonld"})
+    assert own.headers["content-type"] == "application/ld+json"
+
+
+# The store itself
+
+
+def test_the_store_is_linked_from_the_entry_and_from_the_endpoint(endpoint: Endpoint) -> None:
+    for path in ("", "sparql"):
+        said = endpoint.http.get(endpoint.url + path, headers={"Accept": "application/n-triples"}).text
+        assert f"seeAlso> <{endpoint.url}graphs>" in said
+
+
+def test_options_tell_what_the_store_takes(endpoint: Endpoint) -> None:
+    answer = endpoint.http.options(f"{endpoint.url}graphs")
+    assert answer.status_code == 204
+    assert set(answer.headers["allow"].split(", ")) == {"GET", "HEAD", "OPTIONS", "PUT", "POST", "PATCH", "DELETE"}
+    assert "multipart/form-data" in answer.headers["accept-post"]
+    assert endpoint.http.options(f"{endpoint.url}graphs?default").headers["allow"] == "GET, HEAD, OPTIONS"
+
+
+def test_a_page_of_another_site_cannot_write_graphs(endpoint: Endpoint, store: Store) -> None:
+    files = [("a", ("a.ttl", JANE, TURTLE))]
+    for headers in ({"Origin": "https://evil.example"}, {"Sec-Fetch-Site": "cross-site"}):
+        params = {"graph": store.at("forged")}
+        answer = endpoint.http.post(f"{endpoint.url}graphs", params=params, files=files, headers=headers)
+        assert answer.status_code == 403
+    assert store.send("GET", "forged").status_code == 404
+
+
+def test_a_server_that_only_reads_writes_no_graph(read_only: Endpoint) -> None:
+    url, typed = f"{read_only.url}graphs", {"Content-Type": TURTLE}
+    for method in ("PUT", "POST"):
+        answer = read_only.http.request(method, url, params={"graph": "data/a"}, content=JANE, headers=typed)
+        assert answer.status_code == 405
+        assert "read-only" in answer.json()["detail"]
+    assert read_only.http.post(url, content=JANE, headers=typed).status_code == 405
+    assert read_only.http.options(url).headers["allow"] == "GET, HEAD, OPTIONS"
+    assert read_only.http.get(url, params={"graph": ""}).status_code == 400
+    assert read_only.http.get(url, params={"graph": "topics/"}).status_code == 200

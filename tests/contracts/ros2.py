@@ -1,0 +1,114 @@
+"""A real ROS 2 system as a robot of the contract suite; it has no name service, and its nodes own their parameters."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rosld.adapters.base import AdapterOptions
+from rosld.adapters.ros2 import adapter
+from tests.adapters.ros2.system import Ros2System
+from tests.contracts.robot import Acted, Asked, Robot, Spoken
+
+HAS = frozenset(
+    [
+        "writable",
+        "answering",
+        "hanging",
+        "acting",
+        "rejecting",
+        "other",
+        "owner",
+        "guarded",
+        "vanish",
+        "come_back",
+        "trace",
+    ]
+)
+
+_SETTLED = 0.5
+
+
+class Onlooker:
+    """A node of the tests' own, which sees what everybody in the domain can see."""
+
+    def __init__(self, domain: int) -> None:
+        from rclpy.context import Context
+        from rclpy.node import Node
+
+        self._context = Context()
+        self._context.init(args=[], domain_id=domain)
+        self._node: Any = Node("_onlooker", context=self._context)
+
+    def sees(self) -> object:
+        """The nodes and the publishers of topics but for what hides, once they have stopped changing."""
+        seen, since = self._look(), time.monotonic()
+        while time.monotonic() - since < _SETTLED:
+            time.sleep(0.02)
+            if (now := self._look()) != seen:
+                seen, since = now, time.monotonic()
+        return seen
+
+    def close(self) -> None:
+        """Look no more."""
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def _look(self) -> object:
+        nodes = sorted(name for name in self._node.get_node_names() if not name.startswith("_"))
+        topics = [name for name, _ in self._node.get_topic_names_and_types()]
+        publishers = [
+            (topic, sorted(each.node_name for each in self._node.get_publishers_info_by_topic(topic)))
+            for topic in sorted(topics)
+            if topic not in ("/parameter_events", "/rosout")
+        ]
+        return nodes, [(topic, names) for topic, names in publishers if names]
+
+
+@contextmanager
+def robot(folder: Path) -> Iterator[object]:
+    """The nodes, running."""
+    system = Ros2System()
+    nodes: list[Any] = []
+
+    def start() -> None:
+        nodes[:] = [system.node("robot.py"), system.node("pilot.py")]
+
+    def vanish() -> None:
+        for node in nodes:
+            node.told_to_end()
+        for node in nodes:
+            node.stop()
+
+    def send() -> Callable[[], None]:
+        tower = system.node("pilot.py", "send", "1e6")
+        tower.line("sent")
+        ending: Callable[[], None] = tower.stop
+        return ending
+
+    onlooker = Onlooker(system.domain)
+    try:
+        start()
+        yield Robot(
+            name="ros2",
+            adapter=lambda: adapter(system.source, AdapterOptions()),
+            nowhere=None,
+            readable="/counter",
+            writable=Spoken("/cockpit/display", "std_msgs/msg/String", {"data": "cleared for take-off"}),
+            answering=Asked("/get_power", "std_srvs/srv/Trigger", {}, response={"message": "off"}),
+            hanging=Asked("/hangs", "std_srvs/srv/Trigger", {}),
+            acting=Acted("/fly", "rosld_aircraft/action/Fly", quick={"distance": 5.0}, lasting={"distance": 1e6}),
+            rejecting=("/fly", "rosld_aircraft/action/Fly", {"distance": -1.0}),
+            other=send,
+            owner="/free",
+            guarded=("/listener/seats", 7, "there are four seats at most"),
+            vanish=vanish,
+            come_back=start,
+            trace=onlooker.sees,
+        )
+    finally:
+        onlooker.close()
+        system.close()

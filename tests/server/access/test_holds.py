@@ -1,0 +1,30 @@
+"""What a hold publishes at its end is read with the rights of its holder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from tests.server.access.conftest import Guarded
+
+RULES = """
+[[rule]]
+agents = ["pilot"]
+modes = ["read", "control"]
+paths = ["/topics/cockpit/**", "/holds/**"]
+"""
+
+
+def test_what_the_holder_may_not_read_is_not_published_at_the_end(guard: Callable[..., Guarded]) -> None:
+    pilot = guard(RULES, "pilot")["pilot"]
+    held: dict[str, Any] = {"json": {"data": "held"}, "params": {"rate": 1, "lease": 1}}
+    answers = []
+    for there in ("aircraft/engine/speed", "aircraft/engine/none"):
+        then = f"{pilot.base_url}topics/{there}"
+        answer = pilot.post("/topics/cockpit/display", **{**held, "params": {**held["params"], "then": then}})
+        assert answer.status_code == 422, answer.text
+        answers.append(answer.json()["detail"].replace(there, ""))
+    assert answers[0] == answers[1]
+    hold = pilot.post("/topics/cockpit/display", **held)
+    assert hold.status_code == 201
+    assert pilot.delete(hold.headers["location"]).status_code == 204

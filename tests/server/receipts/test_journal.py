@@ -1,0 +1,257 @@
+"""The journal: what it keeps, for how long, on the disk and off it."""
+
+from __future__ import annotations
+
+import asyncio
+import sqlite3
+import time
+from base64 import b64encode
+from collections.abc import Awaitable, Callable
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+
+from rosld.ontology.describe_activities import Receipt
+from rosld.ontology.urls import Space
+from rosld.server.access.agent import Agent
+from rosld.server.receipts.asked import Asked, held
+from rosld.server.receipts.disk import DATABASE
+from rosld.server.receipts.graphs import ReceiptGraphs
+from rosld.server.receipts.journal import Forgotten, Journal
+
+BASE = "http://robot.example/"
+
+
+def asked(
+    body: bytes | None = b'{"data": 1}',
+    *,
+    url: str = f"{BASE}topics/a",
+    query: bytes = b"",
+    status: int = 204,
+    ended_ns: int | None = None,
+    plan: tuple[str, ...] = ("publish",),
+    words: str | None = None,
+) -> Asked:
+    now = time.time_ns() if ended_ns is None else ended_ns
+    kept, digest = (None, None) if body is None else held(body)
+    length = 0 if body is None else len(body)
+    return Asked(
+        Agent("ann"), now - 1000, now, "PUT", url, query, "application/json", kept, length, digest, plan, (url,), 1,
+        status, None, words,
+    )  # fmt: skip
+
+
+def journal(folder: Path | None = None, *, most: int = 100, age: float = 3600.0, excerpt: int = 500) -> Journal:
+    return Journal(folder, most=most, age=age, excerpt_bytes=excerpt)
+
+
+def receipt(*requests: Asked, excerpt: int = 500) -> Receipt:
+    """The receipt of the last of these requests."""
+
+    async def noted() -> Receipt:
+        kept = journal(excerpt=excerpt)
+        return kept.find([kept.note(each) for each in requests][-1]).receipt
+
+    return asyncio.run(noted())
+
+
+def run(work: Callable[[], Awaitable[None]]) -> None:
+    async def main() -> None:
+        await work()
+
+    asyncio.run(main())
+
+
+# What a receipt tells
+
+
+def test_a_receipt_tells_how_the_body_begins_and_its_digest() -> None:
+    found = receipt(asked(b"climb " * 1000), excerpt=10)
+    assert (found.excerpt, found.length) == ("climb clim...", 6000)
+    assert found.digest == f"sha-256=:{b64encode(sha256(b'climb ' * 1000).digest()).decode()}:"
+
+
+def test_bytes_that_are_no_text_have_a_digest_and_no_excerpt() -> None:
+    for body in (b"\x89PNG\r\n\x1a\n\xff", b"a\0b"):
+        found = receipt(asked(body))
+        assert found.excerpt is None
+        assert found.digest is not None
+
+
+def test_an_excerpt_never_ends_within_a_character() -> None:
+    assert receipt(asked("ää".encode()), excerpt=3).excerpt == "ä..."
+    assert receipt(asked("ü".encode() * 5000)).excerpt == "ü" * 250 + "..."
+
+
+def test_no_excerpt_is_told_where_none_is_wanted() -> None:
+    assert receipt(asked(), excerpt=0).excerpt is None
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        asked(b'{"password": "hunter2"}', plan=("set the parameter /a to hunter2",), words="hunter2 is no number"),
+        asked(b'"hunter2"', url=f"{BASE}parameters/wifi/password", plan=("set it to hunter2",), words="not hunter2"),
+        asked(b"hunter2 " + b" " * 1000 + b'"the password"', words="hunter2 is no number"),
+    ],
+)
+def test_of_a_body_that_looks_like_credentials_nothing_is_told(request_: Asked) -> None:
+    found = receipt(request_)
+    assert found.withheld
+    assert (found.excerpt, found.digest) == (None, None)
+    assert "hunter2" not in repr(found)
+
+
+def test_credentials_in_the_query_or_in_a_step_are_not_told() -> None:
+    found = receipt(asked(b"{}", query=b"access_token=hunter2", plan=("set /secret to hunter2",)))
+    assert found.url == f"{BASE}topics/a?withheld"
+    assert "hunter2" not in repr(found)
+
+
+# What is kept
+
+
+def test_the_oldest_go_first_and_refusals_push_out_nothing_that_was_done() -> None:
+    async def work() -> None:
+        kept = journal(most=10)
+        done = [kept.note(asked()) for _ in range(12)]
+        refused = [kept.note(asked(status=422)) for _ in range(50)]
+        assert [entry.id for entry in kept.newest_first()] == [*refused[:-3:-1], *done[:1:-1]]
+        with pytest.raises(Forgotten):
+            kept.find(done[0])
+
+    run(work)
+
+
+def test_what_is_too_old_goes() -> None:
+    async def work() -> None:
+        kept = journal(age=60.0)
+        old = kept.note(asked(ended_ns=time.time_ns() - 61_000_000_000))
+        new = kept.note(asked())
+        kept.start()
+        assert [entry.id for entry in kept.newest_first()] == [new]
+        with pytest.raises(Forgotten):
+            kept.find(old)
+        await kept.close()
+
+    run(work)
+
+
+# The disk
+
+
+def test_an_orderly_end_loses_nothing(tmp_path: Path) -> None:
+    async def work() -> None:
+        first = journal(tmp_path)
+        ids = [first.note(asked()) for _ in range(20)]
+        await first.close()
+        second = journal(tmp_path)
+        assert [entry.id for entry in second.newest_first()] == ids[::-1]
+        assert second.find(ids[0]).receipt == first.find(ids[0]).receipt
+        newer = second.note(asked())
+        assert next(second.newest_first()).id == newer
+        await second.close()
+
+    run(work)
+
+
+def test_what_was_noted_is_on_the_disk_soon_and_what_was_forgotten_is_not(tmp_path: Path) -> None:
+    async def work() -> None:
+        kept = journal(tmp_path, most=5)
+        for _ in range(3):
+            for _ in range(4):
+                kept.note(asked())
+            await until(lambda: numbers(tmp_path) == sorted(entry.number for entry in kept.newest_first()))
+        await kept.close()
+
+    run(work)
+
+
+def test_secrets_do_not_reach_the_disk(tmp_path: Path) -> None:
+    async def work() -> None:
+        kept = journal(tmp_path)
+        kept.note(asked(b'{"password": "hunter2"}', words="hunter2"))
+        await kept.close()
+
+    run(work)
+    assert not any(b"hunter2" in file.read_bytes() for file in tmp_path.iterdir())
+
+
+def test_a_disk_that_fails_refuses_no_write_and_is_tried_again(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rosld.server.receipts.journal._RETRY_SECONDS", 0.01)
+    monkeypatch.setattr("rosld.server.receipts.disk._OPEN_SECONDS", 0.01)
+
+    async def work() -> None:
+        kept = journal(tmp_path)
+        other = sqlite3.connect(tmp_path / DATABASE, isolation_level=None)
+        other.execute("BEGIN IMMEDIATE")
+        first = kept.note(asked())
+        await until(lambda: "kept in memory" in caplog.text)
+        assert kept.find(first).receipt.agent == "ann"
+        other.execute("ROLLBACK")
+        other.close()
+        await until(lambda: len(numbers(tmp_path)) == 1)
+        await kept.close()
+
+    run(work)
+
+
+def test_a_file_that_is_no_database_of_receipts_is_refused(tmp_path: Path) -> None:
+    (tmp_path / DATABASE).write_bytes(b"no database" * 1000)
+    with pytest.raises(ValueError, match="receipts"):
+        journal(tmp_path)
+
+
+def numbers(folder: Path) -> list[int]:
+    connection = sqlite3.connect(folder / DATABASE)
+    try:
+        return [number for (number,) in connection.execute("SELECT number FROM receipt ORDER BY number")]
+    finally:
+        connection.close()
+
+
+async def until(holds: Callable[[], bool]) -> None:
+    async def wait() -> None:
+        while not holds():  # noqa: ASYNC110 - what is waited for is in a file
+            await asyncio.sleep(0.01)
+
+    await asyncio.wait_for(wait(), 10)
+
+
+# The dataset
+
+
+def test_the_dataset_is_told_what_came_and_what_went() -> None:
+    async def work() -> None:
+        kept = journal(most=3)
+        graphs = ReceiptGraphs(kept, Space(BASE))
+        held: dict[str, str] = {}
+        version = 0
+
+        def catch_up() -> None:
+            nonlocal version
+            for part in graphs.changes(version):
+                for iri, render in part.graphs.items():
+                    if render is None:
+                        held.pop(iri, None)
+                    else:
+                        held[iri] = render()
+                for edit in part.edits:
+                    lines = set(held.get(edit.graph, "").splitlines()) - set(edit.removed.splitlines())
+                    held[edit.graph] = "\n".join(sorted(lines | set(edit.added.splitlines())))
+            version = graphs.version
+
+        container = f"{BASE}activity/"
+        for count in (0, 2, 1, 7, 1):
+            for _ in range(count):
+                kept.note(asked())
+            catch_up()
+            urls = {f"{BASE}activity/{entry.id}" for entry in kept.newest_first()}
+            assert held.keys() == {container, *urls}
+            assert held[container].count("ldp#contains") == len(urls)
+            assert all(url in held[container] for url in urls)
+
+    run(work)

@@ -1,0 +1,237 @@
+"""Actions over HTTP: POST sends a goal, the goal is a resource, DELETE cancels it."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import httpx
+import pytest
+
+FLY = "/actions/aircraft/fly"
+JSON = {"Accept": "application/json"}
+ROS = "https://w3id.org/rosld#"
+TYPES = "https://w3id.org/rosld/types/"
+STREAM = {"Accept": "text/event-stream"}
+
+
+@pytest.fixture
+def plane(serve: Callable[..., Any]) -> httpx.Client:
+    """An aircraft of this test's own, its engine on."""
+    http: httpx.Client = serve("aircraft").http
+    assert http.post("/services/aircraft/start", json={}).status_code == 201
+    return http
+
+
+def sent(http: httpx.Client, distance: float, **headers: str) -> httpx.Response:
+    return http.post(FLY, json={"distance": distance}, headers={**JSON, **headers})
+
+
+def events(http: httpx.Client, url: str) -> Iterator[dict[str, Any]]:
+    """What the event stream of a resource tells."""
+    with http.stream("GET", url, headers=STREAM) as stream:
+        assert stream.headers["content-type"].startswith("text/event-stream")
+        for line in stream.iter_lines():
+            if line.startswith("data: "):
+                yield json.loads(line.removeprefix("data: "))
+
+
+def until(http: httpx.Client, url: str, status: str) -> list[dict[str, Any]]:
+    """What is told of a goal until it stands so."""
+    told: list[dict[str, Any]] = []
+    for event in events(http, url):
+        told.append(event)
+        if event["status"] == status:
+            return told
+    raise AssertionError(f"never {status}: {told}")
+
+
+def says(http: httpx.Client, url: str, predicate: str) -> list[str]:
+    """The objects of a predicate of a resource."""
+    lines = http.get(url, headers={"Accept": "application/n-triples"}).text.splitlines()
+    return [line.split(" ", 2)[2].removesuffix(" .") for line in lines if line.split(" ")[1] == f"<{predicate}>"]
+
+
+def test_an_action_says_what_it_takes_and_who_serves_it(plane: httpx.Client) -> None:
+    base = str(plane.base_url)
+    assert says(plane, FLY, f"{ROS}actionType") == [f"<{TYPES}rosld_aircraft/action/Fly>"]
+    assert says(plane, FLY, f"{ROS}provider") == [f"<{base}nodes/aircraft>"]
+    for part in ("goal", "result", "feedback"):
+        [shape] = set(says(plane, FLY, f"{ROS}{part}Shape"))
+        assert plane.get(shape.strip("<>")).status_code == 200
+    assert f"<{base}actions/aircraft/fly>" in says(plane, "/nodes/aircraft", f"{ROS}provides")
+    contains = "http://www.w3.org/ns/ldp#contains"
+    assert f"<{base}actions/>" in says(plane, "/", contains)
+    assert says(plane, "/actions/", contains) == [f"<{base}actions/aircraft/>"]
+    assert says(plane, "/actions/aircraft/", contains) == [f"<{base}actions/aircraft/fly>"]
+    kind = plane.get("/types/rosld_aircraft/action/Fly", headers={"Accept": "text/turtle"})
+    assert "ros:ActionType" in kind.text
+    assert "ros:feedbackType" in kind.text
+
+
+def test_a_goal_is_created_told_of_by_events_and_has_a_result(plane: httpx.Client) -> None:
+    answer = sent(plane, 50)
+    assert answer.status_code == 201, answer.text
+    goal = answer.headers["location"]
+    assert answer.headers["content-location"] == goal
+    assert answer.json() | {"feedback": None} == {
+        "id": goal.rpartition("/")[2],
+        "action": "/aircraft/fly",
+        "status": "accepted",
+        "words": None,
+        "goal": {"distance": 50.0},
+        "feedback": None,
+        "result": None,
+    }
+    told = until(plane, goal, "succeeded")
+    flown = [each["feedback"]["flown"] for each in told if each["feedback"]]
+    assert flown == sorted(flown)
+    assert len(set(flown)) > 2
+    assert told[-1]["result"] == {"flown": 50.0, "message": "arrived"}
+    assert {each["status"] for each in told} <= {"accepted", "executing", "succeeded"}
+    assert says(plane, goal, f"{ROS}status") == [f"<{ROS}Succeeded>"]
+    assert says(plane, goal, f"{ROS}statusWord") == ['"succeeded"']
+    assert says(plane, goal, f"{ROS}ended")
+    assert says(plane, FLY, f"{ROS}hasGoal") == [f"<{goal}>"]
+
+
+def test_a_goal_is_canceled_while_it_is_pursued_then_forgotten(plane: httpx.Client) -> None:
+    goal = sent(plane, 100_000).headers["location"]
+    assert "DELETE" in plane.get(goal).headers["allow"]
+    cancels = "https://www.w3.org/2019/wot/td#cancelAction"
+    assert f"<{cancels}>" in says(plane, goal, "https://www.w3.org/2019/wot/hypermedia#hasOperationType")
+    answer = plane.delete(goal)
+    assert (answer.status_code, answer.headers["location"]) == (202, goal)
+    assert until(plane, goal, "canceled")[-1]["result"]["message"] == "canceled"
+    after = says(plane, goal, "https://www.w3.org/2019/wot/hypermedia#hasOperationType")
+    assert f"<{cancels}>" not in after
+    assert plane.delete(goal).status_code == 204
+    assert plane.get(goal).status_code == 410
+    assert plane.delete(goal).status_code in (405, 410)
+    assert plane.get("/goals/never").status_code == 404
+
+
+def test_while_it_is_being_canceled_nothing_more_can_be_done(plane: httpx.Client) -> None:
+    goal = sent(plane, 100_000).headers["location"]
+    for _ in range(20):  # the time between is a tenth of a second at most
+        assert plane.delete(goal).status_code == 202
+        now = plane.get(goal, headers=JSON)
+        if now.json()["status"] == "canceling":
+            assert "DELETE" not in now.headers["allow"]
+            return
+        until(plane, goal, "canceled")
+        goal = sent(plane, 100_000).headers["location"]
+    raise AssertionError("never seen while it was being canceled")
+
+
+def test_a_rejected_goal_is_409_with_the_robots_words_and_is_kept(serve: Callable[..., Any]) -> None:
+    http = serve("aircraft").http
+    answer = sent(http, 1)
+    assert answer.status_code == 409
+    assert answer.json()["words"] == "the aircraft is off: start it before it is to fly"
+    goal = http.get(answer.headers["location"], headers=JSON).json()
+    assert (goal["status"], goal["words"]) == ("rejected", answer.json()["words"])
+    assert says(http, answer.headers["location"], f"{ROS}status") == [f"<{ROS}Rejected>"]
+
+
+def test_a_second_goal_at_a_time_is_rejected(plane: httpx.Client) -> None:
+    assert sent(plane, 100_000).status_code == 201
+    assert sent(plane, 1).status_code == 409
+
+
+def test_a_goal_is_aborted_when_the_aircraft_is_switched_off(plane: httpx.Client) -> None:
+    goal = sent(plane, 100_000).headers["location"]
+    assert plane.post("/services/aircraft/stop", json={}).status_code == 201
+    assert until(plane, goal, "aborted")[-1]["result"]["message"] == "the aircraft was switched off"
+
+
+def test_a_goal_may_be_sent_as_rdf(plane: httpx.Client) -> None:
+    fly = f"{TYPES}rosld_aircraft/action/Fly_Goal"
+    body = f'[] a <{fly}> ; <{fly}#distance> "20"^^<http://www.w3.org/2001/XMLSchema#double> .'
+    answer = plane.post(FLY, content=body, headers={"Content-Type": "text/turtle", **JSON})
+    assert answer.status_code == 201, answer.text
+    assert answer.json()["goal"] == {"distance": 20.0}
+
+
+def test_what_does_not_fit_is_422_with_every_violation(plane: httpx.Client) -> None:
+    for body in ({"distance": "far"}, {}, {"distance": 1.0, "speed": 2}):
+        answer = plane.post(FLY, json=body)
+        assert answer.status_code == 422, body
+        assert f"{FLY.replace('actions/aircraft/fly', 'shapes/rosld_aircraft/action/Fly_Goal')}" in answer.text + str(
+            answer.headers["link"]
+        )
+    assert plane.get("/goals/", headers={"Accept": "application/n-triples"}).text.count("ldp#contains") == 0
+
+
+def test_limits_by_type_hold_for_goals(serve: Callable[..., Any], tmp_path: Any) -> None:
+    limits = tmp_path / "limits.ttl"
+    limits.write_text(
+        "@prefix sh: <http://www.w3.org/ns/shacl#> .\n"
+        f"<#short> a sh:NodeShape ; sh:targetClass <{TYPES}rosld_aircraft/action/Fly_Goal> ; sh:property [\n"
+        f"  sh:path <{TYPES}rosld_aircraft/action/Fly_Goal#distance> ; sh:maxInclusive 10 ] .\n"
+    )
+    http = serve("aircraft", "--shapes", str(limits)).http
+    http.post("/services/aircraft/start", json={})
+    assert sent(http, 11).status_code == 422
+    assert sent(http, 9).status_code == 201
+
+
+def test_the_same_idempotency_key_is_the_same_goal(plane: httpx.Client) -> None:
+    first = sent(plane, 100_000, **{"Idempotency-Key": "a"})
+    again = sent(plane, 100_000, **{"Idempotency-Key": "a"})
+    assert (again.status_code, again.headers["location"]) == (201, first.headers["location"])
+    assert sent(plane, 5, **{"Idempotency-Key": "a"}).status_code == 422
+
+
+@pytest.mark.parametrize("option", [("--read-only",), ("--resources-only", "/aircraft/*")])
+def test_what_is_closed_takes_no_goals(serve: Callable[..., Any], option: tuple[str, ...]) -> None:
+    http = serve("aircraft", *option).http
+    assert "POST" not in http.get(FLY).headers["allow"]
+    assert sent(http, 1).status_code == 405
+    assert "invokeAction" not in http.get(FLY, headers={"Accept": "application/n-triples"}).text
+
+
+def test_goals_are_kept_in_number(serve: Callable[..., Any]) -> None:
+    http = serve("aircraft", "--setting", "goals_kept", "3").http
+    urls = [sent(http, 1).headers["location"] for _ in range(4)]
+    assert [http.get(url).status_code for url in urls] == [410, 200, 200, 200]
+
+
+def test_goals_are_in_the_dataset_as_they_are_at_their_urls(plane: httpx.Client) -> None:
+    goal = sent(plane, 0).headers["location"]
+    until(plane, goal, "succeeded")
+    query = f"SELECT ?g ?of WHERE {{ GRAPH ?g {{ ?goal <{ROS}status> <{ROS}Succeeded> ; <{ROS}action> ?of }} }}"
+    rows = plane.get("/sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"}).json()
+    [row] = rows["results"]["bindings"]
+    assert row["g"]["value"] == goal
+    assert row["of"]["value"] == f"{plane.base_url}actions/aircraft/fly"
+    ask = f"ASK {{ GRAPH <{row['of']['value']}> {{ ?a <{ROS}hasGoal> <{goal}> }} }}"
+    assert plane.get("/sparql", params={"query": ask}, headers={"Accept": "application/json"}).json()["boolean"]
+
+
+def test_pages_offer_to_send_a_goal_and_to_cancel_it(plane: httpx.Client) -> None:
+    html = {"Accept": "text/html"}
+    page = plane.get(FLY, headers=html).text
+    assert "Send a goal" in page
+    assert 'name="distance"' in page
+    goal = sent(plane, 100_000).headers["location"]
+    assert "Cancel the goal" in plane.get(goal, headers=html).text
+    plane.delete(goal)
+    until(plane, goal, "canceled")
+    assert "Forget the goal" in plane.get(goal, headers=html).text
+
+
+def test_a_long_poll_tells_of_feedback(plane: httpx.Client) -> None:
+    goal = sent(plane, 100_000).headers["location"]
+    seen: set[float] = set()
+    began = time.monotonic()
+    answer = plane.get(goal, headers=JSON)
+    while len(seen) < 3 and time.monotonic() - began < 10:
+        answer = plane.get(goal, headers=JSON, params={"after": answer.headers["etag"], "timeout": "5"})
+        feedback = answer.json()["feedback"] if answer.status_code == 200 else None
+        seen |= {feedback["flown"]} if feedback else set()
+    assert len(seen) == 3
+    assert not any(math.isnan(each) for each in seen)

@@ -1,0 +1,232 @@
+"""SERVICE and LOAD: no request leaves the machine, but to the endpoints that the settings list."""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+import httpx
+import pytest
+
+from rosld.server.sparql import child
+
+Served = Any
+ANSWER = b'{"head":{"vars":["x"]},"results":{"bindings":[{"x":{"type":"literal","value":"from afar"}}]}}'
+
+
+class Endpoint(ThreadingHTTPServer):
+    """An endpoint elsewhere: /sparql answers, /broken fails, /moved leads to /sparql, /silent waits for its end."""
+
+    daemon_threads = True
+
+    def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), _Handler)
+        self.asked: list[str] = []
+        self.ending = threading.Event()
+
+    def url(self, path: str) -> str:
+        return f"http://127.0.0.1:{self.server_port}/{path}"
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: Endpoint
+
+    def do_POST(self) -> None:
+        self.rfile.read(int(self.headers.get("Content-Length", 0)))
+        self.server.asked.append(self.path)
+        if self.path == "/silent":
+            self.server.ending.wait(60)
+        self.send_response({"/broken": 500, "/moved": 302}.get(self.path, 200))
+        self.send_header("Content-Type", "application/sparql-results+json")
+        self.send_header("Location", self.server.url("sparql"))
+        self.send_header("Content-Length", str(len(ANSWER)))
+        self.end_headers()
+        self.wfile.write(ANSWER)
+
+    def do_GET(self) -> None:
+        self.do_POST()
+
+    def log_message(self, *arguments: object) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def endpoint() -> Iterator[Endpoint]:
+    running = Endpoint()
+    thread = threading.Thread(target=running.serve_forever)
+    thread.start()
+    yield running
+    running.ending.set()
+    running.shutdown()
+    thread.join()
+    running.server_close()
+
+
+@pytest.fixture(scope="module")
+def federated(start_server: Callable[..., Served], endpoint: Endpoint) -> Served:
+    listed = [
+        each for path in ("sparql", "broken", "moved", "silent") for each in ("--allow-service", endpoint.url(path))
+    ]
+    return start_server("aircraft", *listed)
+
+
+def ask(served: Served, query: str, **parameters: str) -> httpx.Response:
+    answer: httpx.Response = served.http.get(
+        "/sparql", params={"query": query, **parameters}, headers={"Accept": "text/csv, application/problem+json;q=0.9"}
+    )
+    return answer
+
+
+@pytest.mark.skipif(not child.AVAILABLE, reason="without a process of its own it is not asked")
+def test_an_endpoint_that_is_listed_is_asked_each_time_anew(federated: Served, endpoint: Endpoint) -> None:
+    before = len(endpoint.asked)
+    query = f"SELECT ?x ?n {{ SERVICE <{endpoint.url('sparql')}> {{ ?s ?p ?x }} ?t a ros:Topic ; ros:name ?n }}"
+    for _ in range(2):
+        answer = ask(federated, query)
+        assert answer.status_code == 200, answer.text
+        assert "from afar,/cockpit/display" in answer.text
+    assert endpoint.asked[before:] == ["/sparql", "/sparql"]
+
+
+@pytest.mark.skipif(not child.AVAILABLE, reason="without a process of its own it is not asked")
+def test_an_endpoint_that_fails_is_502_and_silently_passed_over_where_asked_so(
+    federated: Served, endpoint: Endpoint
+) -> None:
+    for path in ("broken", "moved"):
+        query = f"SELECT ?x {{ SERVICE <{endpoint.url(path)}> {{ ?s ?p ?x }} }}"
+        before = len(endpoint.asked)
+        answer = ask(federated, query)
+        assert answer.status_code == 502, answer.text
+        assert endpoint.asked[before:] == [f"/{path}"]  # what it leads to is not asked
+        assert ask(federated, query.replace("SERVICE", "SERVICE SILENT")).status_code == 200
+
+
+@pytest.mark.skipif(not child.AVAILABLE, reason="without a process of its own it is not asked")
+def test_an_endpoint_that_does_not_answer_takes_no_longer_than_a_query_may(
+    federated: Served, endpoint: Endpoint
+) -> None:
+    answer = ask(federated, f"SELECT ?x {{ SERVICE <{endpoint.url('silent')}> {{ ?s ?p ?x }} }}", timeout="0.5")
+    assert (answer.status_code, answer.json()["reason"]) == (503, "time")
+
+
+REFUSED = [
+    "SELECT * {{ SERVICE <{url}> {{ ?s ?p ?o }} }}",
+    "SELECT * {{ SERVICE SILENT <{url}> {{ ?s ?p ?o }} }}",
+    "SELECT * {{ service<{url}>{{ ?s ?p ?o }} }}",
+    "SELECT * {{ SERVICESILENT<{url}>{{ ?s ?p ?o }} }}",
+    "SELECT * {{ SERVICE ?x {{ ?s ?p ?o }} }} VALUES ?x {{ <{url}> }}",
+    "SELECT * {{ BIND(<{url}> AS ?x) SERVICE SILENT ?x {{ ?s ?p ?o }} }}",
+    "PREFIX e: <{url}> SELECT * {{ SERVICE e: {{ ?s ?p ?o }} }}",
+    "BASE <{url}> SELECT * {{ SERVICE <> {{ ?s ?p ?o }} }}",
+    "SELECT * {{ S\\u0045RVICE <{url}> {{ ?s ?p ?o }} }}",
+    "SELECT * {{ ?s ?p ?o FILTER EXISTS {{ SERVICE <{url}> {{ ?a ?b ?c }} }} }}",
+    "SELECT * {{ {{ SELECT * {{ SERVICE <{url}> {{ ?a ?b ?c }} }} }} }}",
+    "SELECT * {{ ?s ?p 1.SERVICE <{url}> {{ ?a ?b ?c }} }}",
+    "SELECT * {{ ?s ?p true SERVICE <{url}> {{ ?a ?b ?c }} }}",
+    "SELECT * {{ ?s ?p trueSERVICE <{url}> {{ ?a ?b ?c }} }}",
+    "SELECT * # \n {{ SERVICE # > \n <{url}> {{ ?a ?b ?c }} }}",
+]
+
+
+@pytest.mark.parametrize("query", REFUSED)
+def test_an_endpoint_that_is_not_listed_is_refused_however_it_is_written(
+    aircraft: Served, federated: Served, endpoint: Endpoint, query: str
+) -> None:
+    before = len(endpoint.asked)
+    for served in (aircraft, federated):
+        answer = ask(served, query.format(url=endpoint.url("other")))
+        assert answer.status_code == 400, answer.text
+        assert "SERVICE" in answer.text or "S\\u" in query
+    assert len(endpoint.asked) == before
+
+
+def test_no_request_leaves_the_machine_whatever_is_asked(aircraft: Served) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        url = f"http://127.0.0.1:{listening.getsockname()[1]}/"
+        for query in [
+            *REFUSED,
+            "SELECT * FROM <{url}> {{ ?s ?p ?o }}",
+            "SELECT * FROM NAMED <{url}> {{ GRAPH ?g {{ ?s ?p ?o }} }}",
+            "DESCRIBE <{url}>",
+            "SELECT (<{url}>(1) AS ?x) {{ }}",
+        ]:
+            assert ask(aircraft, query.format(url=url)).status_code < 500
+            ask(aircraft, query.format(url=url), **{"default-graph-uri": url})
+        for update in (
+            "LOAD <{url}>",
+            "LOAD SILENT <{url}> INTO GRAPH <x:y>",
+            "INSERT {{ ?s ?p ?o }} WHERE {{ SERVICE <{url}> {{ ?s ?p ?o }} }}",
+        ):
+            for path in ("/sparql", "/topics/cockpit/display", "/data/"):
+                method = "POST" if path == "/sparql" else "PATCH"
+                answer = aircraft.http.request(
+                    method, path, content=update.format(url=url), headers={"Content-Type": "application/sparql-update"}
+                )
+                assert 400 <= answer.status_code < 500, answer.text
+        assert not select.select([listening], [], [], 0.2)[0]
+
+
+def test_settings_refuse_what_is_no_url_to_ask() -> None:
+    from rosld.server.settings import Settings
+
+    for url in ("a.example/sparql", "ftp://a.example/", "http://a.example/<x>", "http:///x"):
+        with pytest.raises(ValueError, match="--allow-service"):
+            Settings(allow_service=(url,))
+        with pytest.raises(ValueError, match="--allow-load"):
+            Settings(allow_load=(url,))
+
+
+@pytest.fixture
+def document() -> Iterator[str]:
+    """A document of two triples elsewhere; below it others that are none."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            body, kind = {
+                "/doc": (b"<#it> <urn:says> [ <urn:n> 1 ] .", "text/turtle"),
+                "/page": (b"<html></html>", "text/html"),
+                "/broken": (b"<#it> <urn:says>", "text/turtle"),
+            }.get(self.path, (b"", "text/turtle"))
+            self.send_response(302 if self.path == "/moved" else 200)
+            self.send_header("Location", "/doc")
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_: object) -> None: ...
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+def test_documents_that_are_listed_are_loaded_into_a_graph_and_no_others(
+    serve: Callable[..., Served], document: str
+) -> None:
+    listed = [f"{document}/{name}" for name in ("doc", "page", "broken", "moved")]
+    http = serve("aircraft", *(word for url in listed for word in ("--allow-load", url))).http
+
+    def load(text: str) -> int:
+        return int(
+            http.post("/sparql", content=text, headers={"Content-Type": "application/sparql-update"}).status_code
+        )
+
+    assert load(f"LOAD <{document}/doc> INTO GRAPH </data/loaded>") == 204
+    found = http.get("/data/loaded", headers={"Accept": "application/n-triples"}).text
+    assert f"<{document}/doc#it> <urn:says> _:" in found
+    assert load(f"LOAD <{document}/doc>") == 422
+    assert load(f"LOAD <{document}/other> INTO GRAPH </data/other>") == 403
+    assert load(f"LOAD <{document}/page> INTO GRAPH </data/other>") == 422
+    assert load(f"LOAD <{document}/broken> INTO GRAPH </data/other>") == 422
+    assert load(f"LOAD <{document}/moved> INTO GRAPH </data/other>") == 502
+    assert load(f"LOAD SILENT <{document}/moved> INTO GRAPH </data/other>") == 204
+    assert http.get("/data/other").status_code == 404

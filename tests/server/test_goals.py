@@ -1,0 +1,163 @@
+"""What is kept of goals, whoever tells of them, in whatever order, in whichever thread."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+import threading
+import time
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+
+from rosld.adapters.model import ActionSchema, Encoding, GoalEvent, GoalId, GoalStatus, TypeRef
+from rosld.adapters.model.library import TypeLibrary
+from rosld.ontology.urls import locate
+from rosld.server.calls import Gone
+from rosld.server.goals import Goal, Goals
+
+FLY = TypeLibrary(ros_version=1).find(TypeRef("rosld_aircraft/action/Fly"))
+
+
+class Robot:
+    """As much of an adapter as goals that others send need."""
+
+    class capabilities:  # noqa: N801 - as an adapter has it
+        encoding = Encoding.ROS1
+
+
+def keeping(scenario: Callable[[Goals], Awaitable[None]], *, most: int = 100, age: float = 3600.0) -> None:
+    async def run() -> None:
+        assert isinstance(FLY, ActionSchema)
+        robot: Any = Robot()
+        goals = Goals(robot, lambda _: FLY, most=most, age=age, idle=60.0)
+        goals.start()
+        try:
+            await scenario(goals)
+        finally:
+            await goals.stop()
+
+    asyncio.run(asyncio.wait_for(run(), 20))
+
+
+async def hear(goals: Goals, id: str, *events: GoalEvent, action: str = "/fly") -> Goal:
+    for event in events:
+        goals.hear(GoalId(action, id), event)
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+    return goals.of(action)[-1]
+
+
+def status(one: GoalStatus, at: int | None = None, **more: Any) -> GoalEvent:
+    return GoalEvent(time.time_ns() if at is None else at, one, **more)
+
+
+def flown(distance: float) -> bytes:
+    return struct.pack("<d", distance)
+
+
+def test_no_state_comes_after_one_that_is_final_but_a_lost_goal_may_still_have_ended() -> None:
+    async def scenario(goals: Goals) -> None:
+        goal = await hear(goals, "a", status(GoalStatus.EXECUTING), status(GoalStatus.ACCEPTED))
+        assert goal.status is GoalStatus.EXECUTING
+        goal = await hear(goals, "a", status(GoalStatus.LOST, words="gone"), status(GoalStatus.EXECUTING))
+        assert (goal.status, goal.words) == (GoalStatus.LOST, "gone")
+        goal = await hear(goals, "a", status(GoalStatus.SUCCEEDED, words=""), status(GoalStatus.ABORTED))
+        assert (goal.status, goal.words) == (GoalStatus.SUCCEEDED, None)
+
+    keeping(scenario)
+
+
+@pytest.mark.parametrize("state", list(GoalStatus))
+def test_every_state_can_be_told(state: GoalStatus) -> None:
+    async def scenario(goals: Goals) -> None:
+        goal = await hear(goals, "a", status(state))
+        assert goal.status is state
+        assert (goal.ended_ns is not None) is state.is_final
+
+    keeping(scenario)
+
+
+def test_feedback_faster_than_the_loop_is_told_as_one_and_counted() -> None:
+    async def scenario(goals: Goals) -> None:
+        woken: list[None] = []
+        goals.changes.watch(lambda: woken.append(None), lambda about: about == "a")
+
+        def tell() -> None:
+            for number in range(1000):
+                goals.hear(GoalId("/fly", "a"), status(GoalStatus.EXECUTING, feedback=flown(number)))
+
+        thread = threading.Thread(target=tell)
+        thread.start()
+        thread.join()  # the loop stands still meanwhile
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        goal = goals.find("a")
+        assert goal.feedback is not None
+        assert getattr(goal.feedback.message, "flown", None) == 999.0
+        assert goal.feedback.count == 1000
+        assert len(woken) == 1
+
+    keeping(scenario)
+
+
+def test_a_result_that_comes_after_the_end_is_kept() -> None:
+    async def scenario(goals: Goals) -> None:
+        result = flown(1) + struct.pack("<I", 2) + b"ok"
+        goal = await hear(goals, "a", status(GoalStatus.SUCCEEDED), GoalEvent(2, result=result))
+        assert goal.result is not None
+
+    keeping(scenario)
+
+
+def test_what_cannot_be_read_is_said_and_the_rest_kept() -> None:
+    async def scenario(goals: Goals) -> None:
+        goal = await hear(goals, "a", status(GoalStatus.EXECUTING, feedback=b"?"))
+        assert goal.status is GoalStatus.EXECUTING
+        assert goal.unreadable
+
+    keeping(scenario)
+
+
+def test_ids_are_safe_in_urls_and_no_two_goals_share_one() -> None:
+    async def scenario(goals: Goals) -> None:
+        hostile = ["/node-1-2.5", "../..", "a" * 100_000, "", "\udcff", "ä?#%2F", "x", "x\0"]
+        for action in ("/fly", "/swim"):
+            for id in hostile:
+                await hear(goals, id, status(GoalStatus.EXECUTING), action=action)
+        ids = [goal.id for goal in goals.all()]
+        assert len(set(ids)) == len(ids) == 2 * len(hostile)
+        assert all(len(id) < 100 and locate(f"/goals/{id}").segments == (id,) for id in ids)
+        assert "x" in ids
+
+    keeping(scenario)
+
+
+def test_the_oldest_that_has_ended_goes_first_and_is_not_learnt_again() -> None:
+    async def scenario(goals: Goals) -> None:
+        await hear(goals, "a", status(GoalStatus.EXECUTING))
+        await hear(goals, "b", status(GoalStatus.SUCCEEDED))
+        await hear(goals, "c", status(GoalStatus.EXECUTING))
+        assert [goal.id for goal in goals.all()] == ["a", "c"]
+        await hear(goals, "b", status(GoalStatus.SUCCEEDED))
+        with pytest.raises(Gone):
+            goals.find("b")
+        goals.delete("a")
+        with pytest.raises(Gone):
+            goals.find("a")
+        with pytest.raises(KeyError):
+            goals.find("d")
+
+    keeping(scenario, most=2)
+
+
+def test_what_was_not_heard_of_for_long_is_forgotten() -> None:
+    async def scenario(goals: Goals) -> None:
+        goals.hear(GoalId("/fly", "a"), status(GoalStatus.SUCCEEDED, at=1))
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        with pytest.raises(Gone):
+            goals.find("a")
+
+    keeping(scenario, age=1.0)

@@ -1,0 +1,453 @@
+"""Holds: a message goes on being published while its holder is there, and something else follows when not."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import httpx
+import pytest
+
+from rosld.adapters.base import Published
+from rosld.adapters.model import TypeRef, Unreachable
+from tests.server.robots.made_up import MadeUp, served
+
+DRIVE, STAMPED, NAMED, SENSOR = "/drive", "/stamped", "/named", "/sensor"
+JSON = {"Accept": "application/json"}
+ROS = "https://w3id.org/rosld#"
+STILL = {"linear": {"x": 0.0, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
+
+
+def ahead(x: float) -> dict[str, Any]:
+    return {**STILL, "linear": {"x": x, "y": 0.0, "z": 0.0}}
+
+
+class Driven(MadeUp):
+    """A robot that notes when it was told what; it may take its time, or be gone."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.told: list[tuple[float, str, Any]] = []
+        self.is_gone = False
+        self.seconds = 0.0
+        self.at_once = self.most_at_once = 0
+        self.topic(DRIVE, "geometry_msgs/msg/Twist", published=False, heard=True)
+        self.topic(STAMPED, "geometry_msgs/msg/TwistStamped", published=False, heard=True)
+        self.topic(NAMED, "std_msgs/msg/String", published=False, heard=True)
+        self.topic(SENSOR, "std_msgs/msg/String", published=True, heard=True)
+
+    async def publish(
+        self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
+    ) -> Published:
+        if self.is_gone:
+            raise Unreachable("the robot is gone")
+        self.at_once += 1
+        self.most_at_once = max(self.most_at_once, self.at_once)
+        try:
+            await asyncio.sleep(self.seconds)
+            published = await super().publish(topic, type, data, latch=latch, deadline=deadline)
+        finally:
+            self.at_once -= 1
+        with self._happened:
+            self.told.append((time.monotonic(), topic, self.sent[topic][-1]))
+            self._happened.notify_all()
+        return published
+
+    def on(self, topic: str) -> list[Any]:
+        """What it was told on a topic."""
+        return [message for _, name, message in list(self.told) if name == topic]
+
+    def is_told(self, message: Any) -> bool:
+        """Whether it was told this last."""
+        return self.told[-1][2] == message
+
+
+@pytest.fixture(scope="module")
+def driven() -> Driven:
+    return Driven()
+
+
+@pytest.fixture(scope="module")
+def server(driven: Driven) -> Iterator[httpx.Client]:
+    with served(driven) as client:
+        yield client
+
+
+@pytest.fixture
+def http(driven: Driven, server: httpx.Client) -> Iterator[httpx.Client]:
+    """The robot, which nobody holds and which was told nothing yet."""
+    driven.told.clear()
+    driven.is_gone, driven.seconds, driven.most_at_once = False, 0.0, 0
+    yield server
+    for hold in holds(server):
+        server.delete(hold)
+
+
+def held(http: httpx.Client, topic: str = DRIVE, message: Any = None, **query: Any) -> httpx.Response:
+    return http.post(f"/topics{topic}", params={"rate": 50, **query}, json=ahead(1.0) if message is None else message)
+
+
+def begun(http: httpx.Client, topic: str = DRIVE, message: Any = None, **query: Any) -> str:
+    answer = held(http, topic, message, **query)
+    assert answer.status_code == 201, answer.text
+    return str(answer.headers["location"])
+
+
+def holds(http: httpx.Client) -> list[str]:
+    graph = http.get("/holds/", headers={"Accept": "application/ld+json"}).text
+    return [f"/holds/{part}" for part in {one.partition('"')[0] for one in graph.split("/holds/")[1:]} if part]
+
+
+def says(http: httpx.Client, url: str, predicate: str) -> list[str]:
+    lines = http.get(url, headers={"Accept": "application/n-triples"}).text.splitlines()
+    return [line.split(" ", 2)[2].removesuffix(" .") for line in lines if line.split(" ")[1] == f"<{predicate}>"]
+
+
+# Holding
+
+
+def test_a_hold_publishes_until_its_lease_lapses_and_then_stands_still(driven: Driven, http: httpx.Client) -> None:
+    began = time.monotonic()
+    answer = held(http, lease=0.3)
+    assert answer.status_code == 201
+    hold = answer.headers["location"]
+    driven.until(lambda: driven.on(DRIVE)[-1:] == [STILL], "standing still")
+    assert time.monotonic() - began > 0.28
+    assert driven.on(DRIVE) == [ahead(1.0)] * (len(driven.on(DRIVE)) - 1) + [STILL]
+    assert 2 <= len(driven.on(DRIVE)) <= 17
+    gone = http.get(hold)
+    assert gone.status_code == 410
+    assert "its lease lapsed" in gone.text
+
+
+def test_who_renews_goes_on_and_never_faster_than_the_rate(driven: Driven, http: httpx.Client) -> None:
+    hold = begun(http, lease=1)
+    began = driven.told[0][0]
+    for _ in range(5):
+        time.sleep(0.3)
+        assert http.patch(hold).status_code == 204
+    assert http.delete(hold).status_code == 204
+    times = [at for at, _, message in driven.told if message != STILL]
+    assert times[-1] - began > 1.2
+    for number, at in enumerate(times):
+        assert at >= began + (number - 1) / 50, "there are more than one a beat"
+
+
+def test_another_message_comes_without_a_gap_and_without_a_double(driven: Driven, http: httpx.Client) -> None:
+    hold = begun(http, lease=1)
+    for x in (2.0, 3.0, 4.0):
+        assert http.patch(hold, json=ahead(x)).status_code == 204
+        driven.until(partial(driven.is_told, ahead(x)), "the other message")
+    assert (
+        http.patch(
+            hold, content=json.dumps({"linear": {"x": 5.0}}), headers={"Content-Type": "application/merge-patch+json"}
+        ).status_code
+        == 204
+    )
+    driven.until(lambda: driven.on(DRIVE)[-1] == ahead(5.0), "the last")
+    twist = "https://w3id.org/rosld/types/geometry_msgs/msg/Twist"
+    given = f"<#message> a <{twist}> ; <{twist}#linear> {_vector(6)} ; <{twist}#angular> {_vector(0)} ."
+    changed = http.patch(hold, content=given, headers={"Content-Type": "text/turtle"})
+    assert changed.status_code == 204, changed.text
+    driven.until(lambda: driven.on(DRIVE)[-1] == ahead(6.0), "that of the Turtle")
+    http.delete(hold)
+    xs = [message["linear"]["x"] for message in driven.on(DRIVE)]
+    assert xs[:-1] == sorted(xs[:-1])
+    assert set(xs) == {1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 0.0}
+    times = [at for at, *_ in driven.told[:-1]]
+    assert all(at >= times[0] + (number - 1) / 50 for number, at in enumerate(times)), "one was published twice"
+
+
+def _vector(x: float) -> str:
+    vector = "https://w3id.org/rosld/types/geometry_msgs/msg/Vector3#"
+    return f"[ <{vector}x> {float(x)} ; <{vector}y> 0.0 ; <{vector}z> 0.0 ] "
+
+
+def test_deleting_a_hold_publishes_its_last_message_before_it_is_answered(driven: Driven, http: httpx.Client) -> None:
+    hold = begun(http, lease=5)
+    assert http.delete(hold).status_code == 204
+    assert driven.on(DRIVE)[-1] == STILL
+    count = len(driven.told)
+    time.sleep(0.1)
+    assert len(driven.told) == count
+    assert http.delete(hold).status_code == 410
+    assert http.patch(hold).status_code == 410
+
+
+def test_the_rate_and_the_lease_can_be_changed(driven: Driven, http: httpx.Client) -> None:
+    hold = begun(http, rate=1, lease=0.5)
+    assert http.patch(hold, params={"rate": 50, "lease": 2}).status_code == 204
+    driven.until(lambda: len(driven.told) > 10, "the other rate")
+    told = http.get(hold, headers=JSON).json()
+    assert (told["rate"], told["lease"], told["topic"], told["holder"]) == (50.0, 2.0, DRIVE, "anybody")
+    assert told["message"] == ahead(1.0)
+
+
+# What is published at the end
+
+
+def test_what_commands_no_velocity_ends_with_nothing_unless_asked(driven: Driven, http: httpx.Client) -> None:
+    http.delete(begun(http, NAMED, {"data": "go"}))
+    assert {one["data"] for one in driven.on(NAMED)} == {"go"}
+
+
+def test_a_message_anywhere_on_the_server_can_be_the_last(driven: Driven, http: httpx.Client) -> None:
+    text = (
+        "<#message> a <https://w3id.org/rosld/types/std_msgs/msg/String> ; "
+        '<https://w3id.org/rosld/types/std_msgs/msg/String#data> "park" .'
+    )
+    kept = http.put("/data/park", content=text, headers={"Content-Type": "text/turtle"})
+    assert kept.status_code in (201, 204)
+    for then in ("/data/park", f"{http.base_url}data/park", "/data/park#message"):
+        hold = begun(http, NAMED, {"data": "go"}, then=then)
+        http.put("/data/park", content=text.replace("park", "other"), headers={"Content-Type": "text/turtle"})
+        http.delete(hold)
+        assert driven.on(NAMED)[-1] == {"data": "park"}, "it is read when the hold begins"
+        http.put("/data/park", content=text, headers={"Content-Type": "text/turtle"})
+
+
+@pytest.mark.parametrize("then", ["/data/nothing", "http://elsewhere.example/x", "/topics/drive", "nonsense", "/a%ZZ"])
+def test_what_is_no_message_for_the_topic_is_refused_before_anything_moves(
+    driven: Driven, http: httpx.Client, then: str
+) -> None:
+    answer = held(http, NAMED, {"data": "go"}, then=then)
+    assert answer.status_code == 422
+    assert then.split("?")[0] in answer.json()["detail"]
+    assert not driven.told
+
+
+def test_a_stamp_that_was_left_open_is_that_of_the_moment(driven: Driven, http: httpx.Client) -> None:
+    header = {"seq": 0, "stamp": {"sec": 0, "nanosec": 0}, "frame_id": "base"}
+    begin = time.time()
+    http.delete(begun(http, STAMPED, {"header": header, "twist": ahead(1.0)}))
+    first, *_, last = driven.on(STAMPED)
+    for one in (first, last):
+        assert begin - 1 <= one["header"]["stamp"]["sec"] <= time.time()
+        assert one["header"]["frame_id"] == "base"
+    assert (first["twist"], last["twist"]) == (ahead(1.0), STILL)
+    fixed = {**header, "stamp": {"sec": 7, "nanosec": 0}}
+    http.delete(begun(http, STAMPED, {"header": fixed, "twist": ahead(1.0)}))
+    assert driven.on(STAMPED)[-2]["header"]["stamp"]["sec"] == 7
+
+
+# Whose it is
+
+
+def test_one_hold_a_topic_and_the_second_is_told_whose_it_is(driven: Driven, http: httpx.Client) -> None:
+    hold = begun(http, lease=5)
+    second = held(http)
+    assert second.status_code == 409
+    assert second.json()["hold"] == hold
+    assert second.json()["holder"] == "anybody"
+    assert begun(http, NAMED, {"data": "other"}) != hold
+
+
+def test_while_a_topic_is_held_nothing_else_is_published_on_it(driven: Driven, http: httpx.Client) -> None:
+    begun(http, lease=5)
+    put = http.put(f"/topics{DRIVE}", json=ahead(9.0))
+    assert put.status_code == 409
+    assert "/holds/" in put.json()["hold"]
+    x = "<https://w3id.org/rosld/types/geometry_msgs/msg/Vector3#x>"
+    graph = f"GRAPH <{http.base_url}topics/drive>"
+    old, new = f"{{ {graph} {{ ?v {x} ?old }} }}", f"{{ {graph} {{ ?v {x} 9e0 }} }}"
+    update = f"DELETE {old} INSERT {new} WHERE {old}"
+    assert http.post("/sparql", data={"update": update}).status_code == 409
+    assert ahead(9.0) not in driven.on(DRIVE)
+    assert {json.dumps(one) for one in driven.on(DRIVE)} == {json.dumps(ahead(1.0))}
+
+
+def test_holds_are_in_sparql_on_their_topic_and_in_its_stream(driven: Driven, http: httpx.Client) -> None:
+    hold = begun(http, lease=5)
+    query = (
+        f"SELECT ?topic ?holder ?rate {{ ?topic <{ROS}heldBy> ?hold . ?hold <{ROS}holder> ?holder ; "
+        f"<{ROS}publishRate> ?rate }}"
+    )
+    found = http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"}).text.splitlines()[1:]
+    assert found == [f"{http.base_url}topics/drive,anybody,50"]
+    assert says(http, f"/topics{DRIVE}", f"{ROS}heldBy") == [f"<{hold}>"]
+    assert f"<{http.base_url}holds/>" in says(http, "/", "http://www.w3.org/ns/ldp#contains")
+    with http.stream("GET", hold, headers={"Accept": "text/event-stream"}) as stream:
+        lines = stream.iter_lines()
+        assert next(line for line in lines if line.startswith("data: "))
+        http.patch(hold, json=ahead(2.0))
+        assert '"x":2.0' in next(line for line in lines if line.startswith("data: "))
+        http.delete(hold)
+        assert "event: gone" in list(lines)
+
+
+def test_a_writable_topic_says_how_it_is_held_and_a_sensor_does_not(http: httpx.Client) -> None:
+    assert "POST" in http.options(f"/topics{DRIVE}").headers["allow"]
+    assert "POST" not in http.options(f"/topics{SENSOR}").headers["allow"]
+    assert held(http, SENSOR, {"data": "x"}).status_code == 405
+    affordance = "https://www.w3.org/2019/wot/td#hasActionAffordance"
+    assert says(http, f"/topics{DRIVE}", affordance) == [f"<{http.base_url}topics/drive#hold>"]
+    assert says(http, f"/topics{SENSOR}", affordance) == []
+    [target] = says(http, f"/topics{DRIVE}", "https://www.w3.org/2019/wot/hypermedia#hasTarget")
+    assert "topics/drive{?rate,lease,then}" in target
+    paths = http.get("/openapi.json").json()["paths"]
+    rate = next(one for one in paths["/topics/drive"]["post"]["parameters"] if one.get("name") == "rate")
+    assert (rate["required"], rate["schema"]["maximum"]) == (True, 50.0)
+    assert {"get", "patch", "delete"} <= paths["/holds/{id}"].keys()
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("query", "status"),
+    [
+        ({"rate": 0}, 400), ({"rate": -1}, 400), ({"rate": 50.1}, 400), ({"rate": "NaN"}, 400), ({"rate": "inf"}, 400),
+        ({"rate": "fast"}, 400), ({"rate": "1e-300"}, 400), ({"rate": 10, "lease": 0}, 400),
+        ({"rate": 10, "lease": 5.1}, 400), ({"rate": 10, "lease": "NaN"}, 400), ({}, 400),
+    ],
+)  # fmt: skip
+def test_rates_and_leases_out_of_range_are_refused(
+    driven: Driven, http: httpx.Client, query: dict[str, Any], status: int
+) -> None:
+    assert http.post(f"/topics{DRIVE}", params=query, json=ahead(1.0)).status_code == status
+    hold = begun(http, NAMED, {"data": "go"})
+    if query:
+        assert http.patch(hold, params=query).status_code == status
+    assert not driven.on(DRIVE)
+
+
+def test_what_does_not_fit_is_refused_and_the_hold_goes_on_as_it_was(driven: Driven, http: httpx.Client) -> None:
+    assert held(http, message={"linear": "fast"}).status_code == 422
+    assert not driven.told
+    hold = begun(http, lease=5)
+    assert http.patch(hold, json={"linear": "fast"}).status_code == 422
+    assert http.patch(hold, json=ahead(2.0), params={"then": "/data/nothing"}).status_code == 422
+    assert http.patch(hold, content=b"x", headers={"Content-Type": "image/png"}).status_code == 415
+    assert http.get(hold, headers=JSON).json()["message"] == ahead(1.0)
+
+
+def test_limits_hold_for_what_is_held_what_it_is_changed_to_and_what_comes_last(
+    driven: Driven, http: httpx.Client
+) -> None:
+    vector = "https://w3id.org/rosld/types/geometry_msgs/msg"
+    limit = f"""@prefix sh: <http://www.w3.org/ns/shacl#> . @prefix ros: <{ROS}> .
+        <#slow> a sh:NodeShape ; sh:targetClass <{vector}/Twist> ; sh:property [
+            sh:path <{vector}/Twist#linear> ; sh:property [
+                sh:path <{vector}/Vector3#x> ; sh:minInclusive 0.5 ; sh:maxInclusive 1.5 ] ] ."""
+    kept = http.put("/shapes/slow", content=limit, headers={"Content-Type": "text/turtle"})
+    assert kept.status_code in (201, 204), kept.text
+    try:
+        assert http.put(f"/topics{DRIVE}", json=ahead(9.0)).status_code == 422
+        assert held(http, message=ahead(9.0), then="none").status_code == 422
+        assert held(http).status_code == 422, "to stand still is outside these limits"
+        hold = begun(http, then="none", lease=5)
+        assert http.patch(hold, json=ahead(9.0)).status_code == 422
+        assert set(map(json.dumps, driven.on(DRIVE))) == {json.dumps(ahead(1.0))}
+    finally:
+        http.delete("/shapes/slow")
+
+
+def test_a_robot_that_is_gone_is_told_of_and_the_hold_goes_on_when_it_is_back(
+    driven: Driven, http: httpx.Client
+) -> None:
+    driven.is_gone = True
+    assert held(http).status_code == 503
+    driven.is_gone = False
+    hold = begun(http, lease=5)
+    driven.is_gone = True
+    end = time.monotonic() + 5
+    while not (trouble := http.get(hold, headers=JSON).json()["trouble"]):
+        assert time.monotonic() < end
+    assert "gone" in trouble
+    count, driven.is_gone = len(driven.told), False
+    driven.until(lambda: len(driven.told) > count, "it goes on")
+
+
+def test_nothing_queues_up_while_the_robot_is_slow(driven: Driven, http: httpx.Client) -> None:
+    hold = begun(http, lease=5)
+    driven.seconds = 0.15
+    count = len(driven.told)
+    driven.until(lambda: len(driven.told) > count + 4, "slow messages")
+    driven.most_at_once = 0
+    http.patch(hold)
+    driven.until(lambda: len(driven.told) > count + 6, "more of them")
+    assert driven.most_at_once == 1
+    driven.seconds = 0.0
+    http.delete(hold)
+    assert driven.on(DRIVE)[-1] == STILL
+
+
+def test_a_server_that_is_read_only_has_no_holds(driven: Driven) -> None:
+    with served(driven, read_only=True) as http:
+        assert held(http).status_code == 405
+        assert http.get("/holds/").status_code == 200
+
+
+# Who goes
+
+
+KEEPER = """
+import sys, httpx
+with httpx.stream("GET", sys.argv[1], headers={"Accept": "text/event-stream"}, timeout=None) as stream:
+    for line in stream.iter_lines():
+        print(line, flush=True)
+"""
+
+
+def test_a_stream_keeps_a_hold_and_the_hold_ends_when_its_reader_is_killed(driven: Driven, http: httpx.Client) -> None:
+    hold = begun(http, lease=5)
+    keeper = subprocess.Popen([sys.executable, "-c", KEEPER, f"{hold}?keep=true"], stdout=subprocess.PIPE, text=True)
+    try:
+        assert keeper.stdout is not None
+        assert any("data: " in line for line in keeper.stdout)
+        assert http.patch(hold, params={"lease": 0.2}).status_code == 204
+        time.sleep(0.6)
+        assert http.get(hold, headers=JSON).json()["kept"]
+        assert STILL not in driven.on(DRIVE)
+    finally:
+        keeper.kill()
+        killed = time.monotonic()
+        keeper.wait()
+    driven.until(lambda: driven.on(DRIVE)[-1] == STILL, "standing still")
+    assert driven.told[-1][0] - killed < 0.4
+    assert "stream ended" in http.get(hold).text
+
+
+def test_whoever_only_looks_at_a_hold_does_not_keep_it(driven: Driven, http: httpx.Client) -> None:
+    hold = begun(http, lease=1)
+    with http.stream("GET", hold, headers={"Accept": "text/event-stream"}) as stream:
+        assert "event: gone" in list(stream.iter_lines())
+    assert driven.on(DRIVE)[-1] == STILL
+
+
+def test_a_stream_that_keeps_a_hold_says_twice_a_lease_that_it_is_alive(http: httpx.Client) -> None:
+    hold = begun(http, lease=1)
+    with http.stream("GET", f"{hold}?keep=true", headers={"Accept": "text/event-stream"}) as stream:
+        lines, began = stream.iter_lines(), time.monotonic()
+        for _ in range(2):
+            assert next(line for line in lines if line.startswith(":"))
+        assert time.monotonic() - began < 10
+
+
+def test_the_server_ends_its_holds_before_it_ends(driven: Driven) -> None:
+    driven.told.clear()
+    with served(driven) as http:
+        begun(http, lease=5)
+        driven.until(lambda: len(driven.told) > 2, "messages")
+    assert driven.on(DRIVE)[-1] == STILL
+    assert driven.on(DRIVE).count(STILL) == 1
+
+
+def test_it_is_the_signal_that_ends_holds_not_the_end_of_all_requests(serve: Callable[..., Any]) -> None:
+    """A request that is under way keeps a server for seconds; its holds have ended before."""
+    aircraft = serve("aircraft")
+    answer = aircraft.http.post("/topics/cockpit/display", params={"rate": 10, "lease": 5}, json={"data": "on"})
+    hold = answer.headers["location"]
+    with aircraft.http.stream("GET", hold, headers={"Accept": "text/event-stream"}) as stream:
+        lines = stream.iter_lines()
+        next(line for line in lines if line.startswith("data: "))
+        aircraft.process.send_signal(signal.SIGTERM)
+        list(lines)
+    assert aircraft.process.wait(10) == 0

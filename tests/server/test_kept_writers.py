@@ -1,0 +1,83 @@
+"""RDF sources that are put again and again: what is kept, which writes are refused, what is nobody's to say."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.server.robots.made_up import Serving
+
+TURTLE = {"Content-Type": "text/turtle"}
+TITLE = "<http://purl.org/dc/terms/title>"
+CREATED = "<http://purl.org/dc/terms/created>"
+LDP = "http://www.w3.org/ns/ldp#"
+
+
+def kept(http: httpx.Client, path: str) -> list[str]:
+    """What a resource says, as N-Triples."""
+    answer = http.get(path, headers={"Accept": "application/n-triples"})
+    assert answer.status_code == 200, answer.text
+    return answer.text.splitlines()
+
+
+@pytest.fixture(params=["in memory", "in a folder"])
+def http(request: pytest.FixtureRequest, serving: Serving, tmp_path: Path) -> httpx.Client:
+    return serving(data=None if request.param == "in memory" else tmp_path)
+
+
+def test_of_many_who_put_at_once_without_a_condition_none_is_refused(http: httpx.Client) -> None:
+    assert http.put("/data/x", content="", headers=TURTLE).status_code == 201
+
+    def put(number: int) -> int:
+        return http.put("/data/x", content=f'<> {TITLE} "{number}" .', headers=TURTLE).status_code
+
+    with ThreadPoolExecutor(16) as pool:
+        assert set(pool.map(put, range(160))) == {204}
+    (title,) = [line for line in kept(http, "/data/x") if TITLE in line]
+    assert title.split('"')[1] in map(str, range(160))
+
+
+def test_of_many_who_put_at_once_on_what_they_have_read_one_succeeds(http: httpx.Client) -> None:
+    assert http.put("/data/x", content="", headers=TURTLE).status_code == 201
+    etag = http.get("/data/x", headers={"Accept": "text/turtle"}).headers["etag"]
+
+    def put(number: int) -> int:
+        headers = {**TURTLE, "If-Match": etag}
+        return http.put("/data/x", content=f'<> {TITLE} "{number}" .', headers=headers).status_code
+
+    with ThreadPoolExecutor(16) as pool:
+        assert sorted(pool.map(put, range(16))) == [204] + [412] * 15
+
+
+def test_words_that_look_like_the_servers_are_kept_where_they_are_none(http: httpx.Client) -> None:
+    url = f"{http.base_url}data/x"
+    said = [
+        f'<{url}> {TITLE} "<{LDP}contains> {CREATED} << >>" .',
+        f'<{url}#part> {CREATED} "yesterday" .',
+        f"<{url}#part> <{LDP}contains> <{url}> .",
+    ]
+    for status in (201, 204):
+        assert http.put("/data/x", content="\n".join(said), headers=TURTLE).status_code == status
+        assert set(said) <= set(kept(http, "/data/x"))
+
+
+def test_what_is_the_servers_to_say_is_left_out(http: httpx.Client) -> None:
+    url = f"{http.base_url}data/x"
+    said = f'<> {CREATED} "yesterday" ; a <{LDP}Container> ; {TITLE} "x" .'
+    for status in (201, 204):
+        assert http.put("/data/x", content=said, headers=TURTLE).status_code == status
+        found = kept(http, "/data/x")
+        assert f'<{url}> {TITLE} "x" .' in found
+        assert not any("yesterday" in line or "Container" in line for line in found)
+
+
+def test_containment_and_triples_about_triples_are_refused(http: httpx.Client) -> None:
+    assert http.put("/data/x", content="", headers=TURTLE).status_code == 201
+    assert http.put("/data/x", content=f"<> <{LDP}contains> <#y> .", headers=TURTLE).status_code == 409
+    for path in ("/data/x", "/data/y"):
+        answer = http.put(path, content=f"<> {TITLE} <<( <#a> <#b> <#c> )>> .", headers=TURTLE)
+        assert answer.status_code == 422
+        assert "constrainedBy" in answer.headers["link"]

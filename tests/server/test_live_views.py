@@ -1,0 +1,225 @@
+"""What a query sees of a robot that changes: values as of its start, of one moment, as far as it names them."""
+
+from __future__ import annotations
+
+import asyncio
+import csv
+import io
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import httpx
+import pytest
+
+from rosld.adapters.base import ParameterValue
+from rosld.adapters.model import Sample
+from rosld.adapters.slots import Slot
+from rosld.ontology.document import Document
+from rosld.server.live.topics import LiveTopics
+from rosld.server.resources import topics as topic_resources
+from tests.server.robots.made_up import MadeUp, Serving
+
+TYPES = "https://w3id.org/rosld/types/"
+VECTOR = f"{TYPES}geometry_msgs/msg/Vector3"
+PREFIX = f"PREFIX v: <{VECTOR}#> "
+
+
+def rows(http: httpx.Client, query: str) -> list[list[str]]:
+    """The rows of a SELECT."""
+    answer = http.get("/sparql", params={"query": PREFIX + query}, headers={"Accept": "text/csv"})
+    assert answer.status_code == 200, answer.text
+    return list(csv.reader(io.StringIO(answer.text)))[1:]
+
+
+def subscribed(robot: MadeUp) -> set[str]:
+    """The topics that somebody is subscribed to."""
+    return {name for name, topic in robot._topics.items() if topic.slot.subscriptions}
+
+
+@contextmanager
+def meanwhile(act: Callable[[int], None]) -> Iterator[None]:
+    """Do something again and again, counting, until this ends."""
+    ended, failed = threading.Event(), []
+
+    def run() -> None:
+        count = 0
+        try:
+            while not ended.is_set():
+                count += 1
+                act(count)
+        except BaseException as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+    assert not failed, failed
+
+
+def all_equal(number: int) -> dict[str, int]:
+    return {"x": number, "y": number, "z": number}
+
+
+@pytest.mark.parametrize(
+    ("query", "number"),
+    [
+        ("SELECT ?x ?y ?z { <topics/place#message> v:x ?x ; v:y ?y ; v:z ?z }", 1000),
+        ("SELECT ?x ?y ?z { ?t ros:latest ?m . ?m v:x ?x . OPTIONAL { ?m v:y ?y } OPTIONAL { ?m v:z ?z } }", 40),
+        (
+            "SELECT (MIN(?a) AS ?x) (MAX(?a) AS ?y) (AVG(?a) AS ?z) "
+            "{ { ?m v:x ?a } UNION { ?m v:y ?a } UNION { ?m v:z ?a } }",
+            40,
+        ),
+    ],
+    ids=["by name", "by type", "in sum"],
+)
+def test_a_message_is_never_seen_torn(robot: MadeUp, serving: Serving, query: str, number: int) -> None:
+    robot.topic("/place", "geometry_msgs/msg/Vector3", all_equal(0))
+    http = serving()
+    seen = set()
+    with meanwhile(lambda count: robot.publishes("/place", all_equal(count))):
+        for _ in range(number):
+            [values] = rows(http, query)
+            assert len(set(map(float, values))) == 1, values
+            seen.add(values[0])
+    assert len(seen) > 10
+
+
+def test_topics_that_change_together_are_seen_together(robot: MadeUp, serving: Serving) -> None:
+    names = [f"/part{number}" for number in range(5)]
+    for name in names:
+        robot.topic(name, "geometry_msgs/msg/Vector3", all_equal(0))
+    http = serving()
+
+    def publish_all(count: int) -> None:
+        data = robot._encoded(names[0], all_equal(count))
+        robot._do(lambda: [robot._put(name, "/robot", data) for name in names])
+
+    query = "SELECT ?t ?x { ?t ros:latest ?m . ?m v:x ?x }"
+    assert len(rows(http, query)) == len(names)
+    seen = set()
+    with meanwhile(publish_all):
+        for _ in range(500):
+            found = rows(http, query)
+            assert len(found) == len(names)
+            assert len({x for _, x in found}) == 1, found
+            seen.add(found[0][1])
+    assert len(seen) > 10
+
+
+def test_a_query_sees_what_was_published_before_it_began(robot: MadeUp, serving: Serving) -> None:
+    robot.topic("/place", "geometry_msgs/msg/Vector3", all_equal(0))
+    http = serving()
+    for count in range(500):
+        robot.publishes("/place", all_equal(count))
+        assert rows(http, "SELECT ?x { <topics/place#message> v:x ?x }") == [[str(count)]]
+
+
+def test_a_query_pays_for_the_topics_it_names_and_not_for_the_size_of_the_robot(
+    robot: MadeUp, serving: Serving, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    every = 200
+    robot.topic("/t0", "geometry_msgs/msg/Vector3")
+    robot._topics.update({f"/t{number}": replace(robot._topics["/t0"], slot=Slot()) for number in range(1, 2000)})
+    for number in range(2000):
+        robot.publishes(f"/t{number}", all_equal(number))
+    lifted: list[str] = []
+    whole = topic_resources.topic_document
+
+    def counted(topic: Any, *arguments: Any, **options: Any) -> Document:
+        lifted.append(topic.name)
+        return whole(topic, *arguments, **options)
+
+    monkeypatch.setattr(topic_resources, "topic_document", counted)
+    http = serving()
+    assert len(rows(http, "SELECT ?t { ?t a ros:Topic ; ros:messageType <" + VECTOR + "> }")) == 2000
+    assert subscribed(robot) == set()
+    assert lifted == []  # what is asked of the graph needs no value
+    named = " ".join(f"<topics/t{number}>" for number in range(0, 2000, every))
+    wanted = {f"/t{number}" for number in range(0, 2000, every)}
+    query = f"SELECT ?t ?x {{ VALUES ?t {{ {named} }} ?t ros:latest ?m . ?m v:x ?x }}"
+    assert {float(x) for _, x in rows(http, query)} == set(map(float, range(0, 2000, every)))
+    assert subscribed(robot) == wanted
+    assert sorted(lifted) == sorted(wanted)
+    lifted.clear()
+    rows(http, query)
+    assert lifted == []  # nothing has changed
+    robot.publishes("/t400", all_equal(-1))
+    robot.publishes("/t401", all_equal(-1))
+    assert ["-1"] in [[x] for _, x in rows(http, query)]
+    assert lifted == ["/t400"]
+    assert subscribed(robot) == wanted
+
+
+def test_silent_topics_are_waited_for_together_and_once(
+    robot: MadeUp, serving: Serving, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    silent = 100
+    for number in range(silent):
+        robot.topic(f"/silent{number}", "geometry_msgs/msg/Vector3")
+    waiting = 0
+    together = asyncio.Event()
+
+    async def wait(self: LiveTopics, look: object, seconds: float) -> None:
+        nonlocal waiting
+        assert seconds == 0.25
+        waiting += 1
+        if waiting == silent:
+            together.set()
+        await asyncio.wait_for(together.wait(), 10)  # nobody waits for one after the other
+
+    monkeypatch.setattr(LiveTopics, "_wait", wait)
+    http = serving(first_value_wait=0.25)
+    query = "SELECT ?t ?x { ?t ros:latest ?m . ?m v:x ?x }"
+    assert rows(http, query) == []
+    assert waiting == silent
+    assert rows(http, query) == []
+    assert http.get("/topics/silent7").status_code == 200
+    assert waiting == silent
+    robot.publishes("/silent7", all_equal(7))
+    assert rows(http, query) == [[str(http.base_url.join("/topics/silent7")), "7"]]
+
+
+def test_the_parameters_a_query_needs_are_asked_for_together(
+    robot: MadeUp, serving: Serving, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in range(50):
+        robot.parameter(f"/p{number}", number)
+    http = serving()
+    asked: list[Sequence[str]] = []
+    get = robot.get_parameters
+
+    async def counted(names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
+        asked.append(names)
+        return await get(names, deadline=deadline)
+
+    monkeypatch.setattr(robot, "get_parameters", counted)
+    found = rows(http, "SELECT ?v { ?p a ros:Parameter ; ros:value ?v }")
+    assert {int(value) for [value] in found} == set(range(50))
+    assert [len(names) for names in asked] == [50]
+    assert rows(http, "SELECT ?v { <parameters/p7> ros:value ?v }") == [["7"]]
+    assert [list(names) for names in asked[1:]] == [["/p7"]]
+
+
+def test_a_value_says_when_it_was_received_and_age_counts_from_there(robot: MadeUp, serving: Serving) -> None:
+    robot.topic("/place", "geometry_msgs/msg/Vector3", all_equal(1))
+    http = serving()
+    aged: list[Sample] = []
+    robot.age_ns = lambda sample: aged.append(sample) or 2_500_000_000  # type: ignore[method-assign,func-returns-value]
+    query = (
+        "SELECT ?r ?age ?again { <topics/place> ros:latest/ros:received ?r "
+        "BIND(ros:age(<topics/place>) AS ?age) BIND(ros:age(<topics/place>) AS ?again) }"
+    )
+    [[received, age, again]] = rows(http, query)
+    [sample] = aged
+    assert received.startswith("20")
+    assert (age, again) == ("2.5", "2.5")
+    assert sample.received_ns > 0
+    assert rows(http, "SELECT ?age { BIND(ros:age(<topics/nowhere>) AS ?age) FILTER(BOUND(?age)) }") == []

@@ -1,0 +1,284 @@
+"""Nodes over HTTP: what each takes part in, and the transitions of a managed one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from pyoxigraph import NamedNode, Triple
+
+from rosld.adapters.model import Lifecycle, Sent, TimedOut, Unreachable
+from rosld.ontology.vocab import hctl, htv, rdf, ros, sh, td
+from tests.server.robots.made_up import served
+from tests.server.robots.managed import Managed, standing
+
+TRIPLES = {"Accept": "application/n-triples"}
+PROBLEM = {"Accept": "application/problem+json"}
+
+
+@pytest.fixture
+def camera() -> Managed:
+    """A robot with a managed node."""
+    return Managed()
+
+
+@pytest.fixture
+def http(camera: Managed) -> Iterator[httpx.Client]:
+    """A client of it."""
+    with served(camera) as client:
+        yield client
+
+
+@pytest.fixture
+def said(triples_of: Callable[[httpx.Response], set[Triple]]) -> Callable[..., list[str]]:
+    """What the document of a node says of it, or of a fragment, by a predicate."""
+
+    def read(http: httpx.Client, predicate: NamedNode, at: str = "", node: str = "/nodes/camera") -> list[str]:
+        subject = NamedNode(str(http.base_url.join(node)) + at)
+        found = triples_of(http.get(node, headers=TRIPLES))
+        return sorted(each.object.value for each in found if each.subject == subject and each.predicate == predicate)
+
+    return read
+
+
+def post(http: httpx.Client, transition: object, **headers: str) -> httpx.Response:
+    """Ask for a transition in JSON."""
+    return http.post("/nodes/camera", json={"transition": transition}, headers={**PROBLEM, **headers})
+
+
+def test_a_managed_node_tells_its_state_and_what_is_legal_in_it(http: httpx.Client, said: Any) -> None:
+    assert ros.ManagedNode.value in said(http, rdf.type)
+    assert said(http, ros.lifecycleState) == [ros.Unconfigured.value]
+    assert said(http, ros.lifecycleStateWord) == ["unconfigured"]
+    url = f"{http.base_url}nodes/camera"
+    assert said(http, td.hasActionAffordance) == [f"{url}#transitions/configure", f"{url}#transitions/shutdown"]
+    at = "#transitions/configure"
+    assert said(http, ros.goalState, at) == [ros.Configuring.value]
+    assert said(http, htv.methodName, f"{at}/invoke") == ["POST"]
+    assert said(http, hctl.hasTarget, f"{at}/invoke") == [url]
+    assert said(http, ros.shape, at) == [f"{url}{at}/shape"]
+    assert said(http, sh.path, f"{at}/shape/transition") == [ros.transition.value]
+    assert said(http, sh.hasValue, f"{at}/shape/transition") == ["configure"]
+    assert "POST" in http.options("/nodes/camera").headers["allow"]
+    assert "application/json" in http.options("/nodes/camera").headers["accept-post"]
+
+
+def test_a_node_tells_its_endpoints_with_their_quality_of_service_and_its_parameters(
+    http: httpx.Client, said: Any, triples_of: Any
+) -> None:
+    (endpoint,) = said(http, ros.endpoint)
+    assert endpoint == f"{http.base_url}topics/chatter#publisher/camera"
+    assert said(http, ros.parameter) == [f"{http.base_url}parameters/camera/exposure"]
+    assert said(http, ros.provides) == [f"{http.base_url}services/camera/change_state"]
+    document = triples_of(http.get("/nodes/camera", headers=TRIPLES))
+    of_topic = triples_of(http.get("/topics/chatter", headers=TRIPLES))
+    own = {
+        each
+        for each in document
+        if each.subject.value in (endpoint, f"{http.base_url}topics/chatter#qos/publisher/camera")
+    }
+    assert {each.predicate for each in own} >= {ros.topic, ros.node, ros.qos, ros.reliability, ros.depth}
+    assert own <= of_topic
+    (other,) = said(http, ros.endpoint, node="/nodes/plain")
+    assert other == f"{http.base_url}topics/chatter#subscriber/plain"
+
+
+def test_a_transition_is_made_and_the_state_that_is_shown_then_is_the_nodes_own(http: httpx.Client, said: Any) -> None:
+    before = http.get("/nodes/camera").headers["etag"]
+    made = post(http, "configure")
+    assert (made.status_code, made.content) == (204, b"")
+    assert said(http, ros.lifecycleState) == [ros.Inactive.value]
+    assert http.get("/nodes/camera").headers["etag"] != before
+    url = str(http.base_url.join("/nodes/camera"))
+    body = f"<{url}> <{ros.transition.value}> 'activate' ."
+    headers = {"Content-Type": "text/turtle", "Prefer": "return=representation", **TRIPLES}
+    shown = http.post("/nodes/camera", content=body, headers=headers)
+    assert shown.status_code == 200
+    assert ros.Active.value in shown.text
+
+
+def test_the_changes_of_a_node_are_streamed(http: httpx.Client) -> None:
+    with http.stream("GET", "/nodes/camera?format=nt", headers={"Accept": "text/event-stream"}) as stream:
+        lines = stream.iter_lines()
+        assert next(line for line in lines if "lifecycleState>" in line).count(ros.Unconfigured.value)
+        assert post(http, "configure").status_code == 204
+        assert next(line for line in lines if ros.Inactive.value in line)
+
+
+def test_what_is_not_legal_now_is_409_with_the_state_and_what_is(http: httpx.Client, camera: Managed) -> None:
+    refused = post(http, "activate")
+    assert refused.status_code == 409
+    told = refused.json()
+    assert (told["state"], told["transitions"], told["sent"]) == ("unconfigured", ["configure", "shutdown"], "no")
+    assert "is unconfigured" in told["detail"]
+    assert not camera.asked
+
+
+def test_a_transition_that_the_node_does_not_make_is_409_with_its_state(http: httpx.Client, camera: Managed) -> None:
+    camera.fails["configure"] = False
+    refused = post(http, "configure").json()
+    assert (refused["status"], refused["state"], refused["sent"]) == (409, "unconfigured", "yes")
+    assert camera.asked == ["configure"]
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "sent"),
+    [
+        (TimedOut("/camera/change_state did not answer in time", sent=Sent.MAYBE), 504, "maybe"),
+        (Unreachable("its node went away", sent=Sent.MAYBE), 503, "maybe"),
+        (Unreachable("no server was connected"), 503, "no"),
+    ],
+)
+def test_a_node_that_does_not_answer_is_told_as_for_services(
+    http: httpx.Client, camera: Managed, error: Any, status: int, sent: str
+) -> None:
+    camera.fails["configure"] = error
+    answer = post(http, "configure")
+    assert (answer.status_code, answer.json()["sent"]) == (status, sent)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"[]",
+        b'"activate"',
+        b"{}",
+        b'{"transition": 3}',
+        b'{"transition": "configure", "x": 1}',
+        b'{"transition": null}',
+    ],
+)
+def test_what_names_no_transition_is_422(http: httpx.Client, camera: Managed, body: bytes) -> None:
+    answer = http.post("/nodes/camera", content=body, headers={**PROBLEM, "Content-Type": "application/json"})
+    assert answer.status_code == 422, answer.text
+    assert not camera.asked
+
+
+def test_two_transitions_at_once_and_no_rdf_are_refused(http: httpx.Client) -> None:
+    headers = {**PROBLEM, "Content-Type": "text/turtle"}
+    two = f"<> <{ros.transition.value}> 'configure', 'shutdown' ."
+    assert http.post("/nodes/camera", content=two, headers=headers).status_code == 422
+    assert http.post("/nodes/camera", content="no turtle", headers=headers).status_code == 400
+    assert http.post("/nodes/camera", content="x", headers={"Content-Type": "text/plain"}).status_code == 415
+
+
+def test_a_precondition_guards_a_transition(http: httpx.Client, camera: Managed) -> None:
+    etag = http.get("/nodes/camera").headers["etag"]
+    camera.stands("inactive")
+    assert post(http, "activate", **{"If-Match": etag}).status_code == 412
+    assert not camera.asked
+    assert post(http, "activate", **{"If-Match": http.get("/nodes/camera").headers["etag"]}).status_code == 204
+
+
+def test_nodes_without_a_lifecycle_or_whose_state_was_never_told_take_no_post(
+    http: httpx.Client, camera: Managed, said: Any
+) -> None:
+    plain = http.post("/nodes/plain", json={"transition": "activate"}, headers=PROBLEM)
+    assert plain.status_code == 405
+    assert "no lifecycle" in plain.json()["detail"]
+    assert http.post("/nodes/none", json={"transition": "activate"}).status_code in (404, 405)
+    camera.stands(Lifecycle("/camera/change_state", unknown="the package lifecycle_msgs is not installed"))
+    unknown = post(http, "configure")
+    assert unknown.status_code == 405
+    assert "not installed" in unknown.json()["detail"]
+    assert said(http, ros.lifecycleUnknown) == ["the package lifecycle_msgs is not installed"]
+    assert said(http, ros.lifecycleState) == []
+    page = http.get("/nodes/camera", headers={"Accept": "text/html"}).text
+    assert "not installed" in page
+
+
+def test_a_node_that_went_silent_keeps_its_last_state_and_offers_nothing(
+    http: httpx.Client, camera: Managed, said: Any
+) -> None:
+    silent = replace(standing("/camera", "active"), transitions=(), unknown="it did not answer")
+    camera.stands(silent)
+    assert said(http, ros.lifecycleState) == [ros.Active.value]
+    assert said(http, ros.lifecycleUnknown) == ["it did not answer"]
+    assert said(http, td.hasActionAffordance) == []
+    camera.stands("finalized")
+    refused = post(http, "activate").json()
+    assert (refused["status"], refused["state"], refused["transitions"]) == (409, "finalized", [])
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"read_only": True}, "read-only"),
+        ({"resources_only": ("/camera",)}, "/camera is written under /resources/ only"),
+        ({"resources_only": ("/camera/*",)}, "/camera/change_state is written under /resources/ only"),
+    ],
+)
+def test_what_is_closed_offers_no_transitions(camera: Managed, settings: Any, says: str, triples_of: Any) -> None:
+    with served(camera, **settings) as http:
+        refused = post(http, "configure")
+        assert refused.status_code == 405
+        assert says in refused.json()["detail"]
+        found = triples_of(http.get("/nodes/camera", headers=TRIPLES))
+        assert td.hasActionAffordance not in {each.predicate for each in found}
+        assert not camera.asked
+
+
+def test_a_robot_that_is_stopped_makes_no_transitions(http: httpx.Client, camera: Managed) -> None:
+    assert http.post("/stop", json={}).status_code < 300
+    assert post(http, "configure").status_code == 423
+    assert not camera.asked
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [
+        f"sh:targetNode <nodes/camera> ; sh:property [ sh:path <{ros.transition.value}> ; sh:in ( 'configure' ) ] .",
+        "sh:targetClass <https://w3id.org/rosld/types/lifecycle_msgs/msg/Transition> ; sh:property [ sh:path "
+        "<https://w3id.org/rosld/types/lifecycle_msgs/msg/Transition#label> ; sh:in ( 'configure' ) ] .",
+    ],
+    ids=["node", "type"],
+)
+def test_limits_hold_for_transitions(camera: Managed, tmp_path: Path, limit: str) -> None:
+    path = tmp_path / "limits.ttl"
+    path.write_text(f"@prefix sh: <http://www.w3.org/ns/shacl#> . <#limit> a sh:NodeShape ; {limit}")
+    with served(camera, shapes=(path,)) as http:
+        refused = post(http, "shutdown")
+        assert refused.status_code == 422, refused.text
+        assert not camera.asked
+        assert post(http, "configure").status_code == 204
+
+
+def test_the_page_has_a_button_for_each_transition(http: httpx.Client, camera: Managed) -> None:
+    def buttons(page: str) -> list[str]:
+        return re.findall(r'<button type="submit" name="transition" value="(\w+)"', page)
+
+    page = http.get("/nodes/camera", headers={"Accept": "text/html"}).text
+    assert buttons(page) == ["configure", "shutdown"]
+    own = page[page.index('class="form choice"') :]
+    (name, token) = re.findall(r'name="(_?csrf)" value="([^"]+)"', own)[0]
+    form = {name: token, "method": "POST"}
+    done = http.post("/nodes/camera", data={**form, "transition": "configure"}, headers={"Accept": "text/html"})
+    assert done.status_code == 303, done.text
+    camera.fails["activate"] = False
+    failed = http.post("/nodes/camera", data={**form, "transition": "activate"}, headers={"Accept": "text/html"})
+    assert failed.status_code == 409
+    assert "did not make the transition" in failed.text
+    assert buttons(failed.text) == ["cleanup", "activate", "shutdown"]
+    assert http.post("/nodes/camera", data={**form, "x": "y"}, headers={"Accept": "text/html"}).status_code == 422
+
+
+def test_lifecycles_are_in_the_dataset_as_they_are_at_their_urls(http: httpx.Client) -> None:
+    query = "SELECT ?state WHERE { ?node a ros:ManagedNode ; ros:lifecycleState ?state }"
+    for state in (ros.Unconfigured, ros.Inactive):
+        rows = http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"}).text.split()
+        assert rows == ["state", state.value]
+        post(http, "configure")
+
+
+def test_the_description_tells_of_transitions_where_there_are_any(http: httpx.Client) -> None:
+    paths = http.get("/openapi.json").json()
+    managed, plain = (paths["paths"][f"/nodes/{name}"] for name in ("camera", "plain"))
+    shared = paths["components"].get("pathItems", {})
+    managed, plain = (shared[one["$ref"].rpartition("/")[2]] if "$ref" in one else one for one in (managed, plain))
+    assert "post" in managed
+    assert "post" not in plain

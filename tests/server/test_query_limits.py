@@ -1,0 +1,360 @@
+"""No query takes the server down: over real connections, with real processes that are killed."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, urlsplit
+
+import httpx
+import pytest
+from pyoxigraph import Literal, NamedNode, RdfFormat, parse
+
+from rosld.server.sparql import child
+
+pytestmark = pytest.mark.skipif(not child.AVAILABLE, reason="only Linux forks safely")
+
+# `Served` of conftest.py arrives as what its fixture starts.
+Served = Any
+CROSS = "SELECT * { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l }"
+ENDLESS = f"{CROSS} ORDER BY ?a ?d ?g"
+HEAVY = "SELECT (COUNT(*) AS ?n) { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l }"
+NEVER = 'FILTER(STR(?c) = CONCAT(STR(?f), STR(?i), "*", STR(?l)))'
+PATIENCE = 20.0
+ACCEPT = "text/csv, application/problem+json;q=0.9, text/turtle;q=0.8"
+
+
+@pytest.fixture(scope="module")
+def single(start_server: Callable[..., Served]) -> Served:
+    """A server that answers one query at a time, for a minute; one more may wait."""
+    return start_server(
+        "aircraft", "--setting", "query_time_limit", "60", "--setting", "query_concurrency", "1",
+        "--setting", "query_queue", "1", "--query-row-limit", "30000",
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def narrow(start_server: Callable[..., Served]) -> Served:
+    """A server whose answers have a hundred rows at most."""
+    return start_server("aircraft", "--query-row-limit", "100")
+
+
+def children(served: Served) -> set[int]:
+    """The processes of queries."""
+    tasks = Path(f"/proc/{served.process.pid}/task")
+    return {int(pid) for file in tasks.glob("*/children") for pid in file.read_text().split()}
+
+
+def quiet(served: Served) -> None:
+    """Wait until no query is at work."""
+    until = time.monotonic() + PATIENCE
+    while children(served):
+        assert time.monotonic() < until, "its process goes on"
+        select.select([], [], [], 0.01)
+
+
+@pytest.fixture
+def served(single: Served) -> Iterator[Served]:
+    """The server that answers one query at a time, while it has none."""
+    quiet(single)
+    yield single
+    assert single.process.poll() is None
+
+
+def child_of(served: Served) -> int:
+    """The process of the query that has just been sent, as soon as there is one."""
+    until = time.monotonic() + PATIENCE
+    while not (found := children(served)):
+        assert time.monotonic() < until, "no process was made for the query"
+        select.select([], [], [], 0.01)
+    return found.pop()
+
+
+def ends(pid: int, within: float = PATIENCE) -> bool:
+    """Whether a process ends."""
+    try:
+        descriptor = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return True
+    try:
+        return bool(select.select([descriptor], [], [], within)[0])
+    finally:
+        os.close(descriptor)
+
+
+def asked(served: Served, query: str, more: str = "") -> socket.socket:
+    """A connection on which a query was sent, and nothing read yet."""
+    address = urlsplit(served.url)
+    connection = socket.create_connection((address.hostname, address.port), timeout=PATIENCE)
+    target = f"/sparql?query={quote(query)}{more}"
+    fields = f"Host: {address.netloc}\r\nAccept: {ACCEPT}\r\nConnection: close"
+    connection.sendall(f"GET {target} HTTP/1.1\r\n{fields}\r\n\r\n".encode())
+    return connection
+
+
+def everything(connection: socket.socket) -> bytes:
+    """All that comes until the connection ends, as it comes."""
+    found = b""
+    while data := connection.recv(65536):
+        found += data
+    return found
+
+
+def get(served: Served, query: str, **parameters: str) -> httpx.Response:
+    answer: httpx.Response = served.http.get(
+        "/sparql", params={"query": query, **parameters}, headers={"Accept": ACCEPT}, timeout=PATIENCE
+    )
+    return answer
+
+
+def stopped(answer: httpx.Response, reason: str) -> None:
+    assert answer.status_code == 503, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.json()["reason"] == reason
+    assert answer.json()["detail"]
+
+
+# The time
+
+
+KINDS = {
+    "a cross product": HEAVY,
+    "ORDER BY": ENDLESS,
+    "DISTINCT": CROSS.replace("*", "DISTINCT ?a ?d ?g ?j", 1) + " OFFSET 100000000",
+    "GROUP BY": "SELECT ?a (COUNT(*) AS ?n) { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l } GROUP BY ?a",
+    "a property path": "SELECT (COUNT(*) AS ?n) { ?a (!<a:b>|^!<a:b>)* ?b . ?c (!<a:b>|^!<a:b>)* ?d }",
+    "a regular expression": (
+        'SELECT (COUNT(*) AS ?n) { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i FILTER(REGEX(STR(?c), CONCAT("^(((a?){30}){30}", '
+        'STR(?f), STR(?i), ")*$"))) }'
+    ),
+    "OPTIONAL": "SELECT (COUNT(*) AS ?n) { ?a ?b ?c "
+    + "OPTIONAL { ?d ?e ?f OPTIONAL { ?g ?h ?i " * 6
+    + "} } " * 6
+    + "}",
+    "UNION": "SELECT (COUNT(*) AS ?n) { " + "{ ?a ?b ?c } UNION { ?c ?b ?a } . ?d ?e ?f . " * 5 + "}",
+    "VALUES": "SELECT (COUNT(*) AS ?n) { "
+    + " ".join(f"VALUES ?v{at} {{ {' '.join(map(str, range(300)))} }}" for at in range(5))
+    + "}",
+    "MINUS": f"SELECT (COUNT(*) AS ?n) {{ {CROSS[10:-1]} MINUS {{ ?a ?b ?m . ?d ?e ?n }} }}",
+    "EXISTS": "SELECT (COUNT(*) AS ?n) { ?a ?b ?c FILTER NOT EXISTS "
+    "{ ?d ?e ?f . ?g ?h ?i . ?j ?k 1.5e300 } }",
+    "a subquery": f"SELECT * {{ {{ {HEAVY} }} ?x ?y ?z }}",
+    "CONSTRUCT": f"CONSTRUCT {{ ?a ?b ?f }} WHERE {{ {CROSS[10:-1]} {NEVER} }}",
+    "ASK": f"ASK {{ {CROSS[10:-1]} {NEVER} }}",
+    "what starts at one place": "SELECT (COUNT(*) AS ?n) { ?t a ros:Topic . ?t ?p ?x . ?u ?q ?x . ?u ?r ?y . "
+    "?v ?s ?y . ?v ?w ?z . ?a ?w ?z . ?a ?b ?c }",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_query_is_over_when_its_time_is_and_frees_the_processor(aircraft: Served, kind: str) -> None:
+    begun = time.monotonic()
+    answer = get(aircraft, KINDS[kind], timeout="0.4")
+    if answer.status_code == 503 and answer.json()["reason"] == "memory":
+        pytest.fail("the machine is too small for this test")
+    stopped(answer, "time")
+    assert "0.4 s" in answer.json()["detail"]
+    assert time.monotonic() - begun < 5
+    quiet(aircraft)
+
+
+@pytest.mark.parametrize("given", ["0", "-1", "nan", "inf", "soon", "", "1&timeout=2", "\u0661"])
+def test_a_time_that_is_none_is_refused(http: httpx.Client, given: str) -> None:
+    value = given if "&" in given else quote(given)
+    answer = http.get(f"/sparql?query={quote('ASK {}')}&timeout={value}")
+    assert answer.status_code == 400
+    assert "timeout" in answer.json()["detail"]
+
+
+def test_a_time_beyond_the_limit_is_the_limit(serve: Callable[..., Served]) -> None:
+    served = serve("aircraft", "--setting", "query_time_limit", "0.3")
+    answer = get(served, HEAVY, timeout="100000")
+    stopped(answer, "time")
+    assert "0.3 s" in answer.json()["detail"]
+
+
+def test_the_time_is_taken_from_a_form_too(http: httpx.Client) -> None:
+    stopped(http.post("/sparql", data={"query": HEAVY, "timeout": "0.2"}), "time")
+
+
+# Memory and rows
+
+
+def test_a_query_that_wants_too_much_memory_is_stopped_and_told_so(serve: Callable[..., Served]) -> None:
+    served = serve("aircraft", "--setting", "query_memory_limit", str(64 * 1024 * 1024))
+    stopped(get(served, ENDLESS), "memory")
+    growing = 'SELECT ?z { BIND("0123456789" AS ?x0) '
+    growing += (
+        " ".join(f"BIND(CONCAT(?x{at}, ?x{at}) AS ?x{at + 1})" for at in range(40)) + " BIND(STRLEN(?x40) AS ?z) }"
+    )
+    stopped(get(served, growing), "memory")
+    assert get(served, "ASK {}").status_code == 200
+
+
+@pytest.mark.parametrize("kind", ["json", "xml", "csv", "tsv"])
+def test_as_many_rows_as_may_be_are_answered_and_one_more_is_refused(narrow: Served, kind: str) -> None:
+    for limit, status in ((100, 200), (101, 503)):
+        for query in (f"SELECT * {{ ?s ?p ?o }} LIMIT {limit}", f"SELECT * {{ ?a ?b ?c . ?d ?e ?f }} LIMIT {limit}"):
+            answer = narrow.http.get("/sparql", params={"query": query, "format": kind})
+            assert answer.status_code == status, answer.text[:500]
+            if status == 503:
+                stopped(answer, "rows")
+                assert "100 rows" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize(
+    "accept",
+    [
+        "text/turtle",
+        "application/n-triples",
+        "application/ld+json",
+        "application/rdf+xml",
+        "application/trig",
+        "text/n3",
+    ],
+)
+def test_triples_of_a_graph_are_rows_too(narrow: Served, accept: str) -> None:
+    for limit, status in ((100, 200), (101, 503)):
+        query = f"CONSTRUCT {{ ?s ?p ?o }} WHERE {{ ?s ?p ?o }} LIMIT {limit}"
+        answer = narrow.http.get(
+            "/sparql", params={"query": query}, headers={"Accept": f"{accept};q=0.9, application/problem+json"}
+        )
+        assert answer.status_code == status, answer.text[:500]
+        if status == 503:
+            stopped(answer, "rows")
+
+
+def test_stopped_after_the_first_byte_an_answer_never_looks_whole(served: Served) -> None:
+    for more in ("&timeout=2", ""):  # by the time, by the rows
+        with closing(asked(served, CROSS, more)) as connection:
+            found = everything(connection)
+        head, _, body = found.partition(b"\r\n\r\n")
+        assert head.startswith(b"HTTP/1.1 200")
+        assert b"transfer-encoding: chunked" in head.lower()
+        assert len(body) > 100_000
+        assert not body.endswith(b"0\r\n\r\n")
+    assert get(served, "ASK {}").status_code == 200
+
+
+# Who waits, and who hangs up
+
+
+def test_whoever_hangs_up_has_the_query_killed_and_its_place_freed(served: Served) -> None:
+    for query in (ENDLESS, HEAVY):
+        with closing(asked(served, query)):
+            pid = child_of(served)
+            assert not ends(pid, 0.1)
+        assert ends(pid, 5)
+        quiet(served)
+    assert get(served, "SELECT (COUNT(*) AS ?n) { ?a a ?c . ?b a ?c }").status_code == 200
+
+
+def test_whoever_hangs_up_in_the_middle_of_an_answer_has_the_query_killed(served: Served) -> None:
+    with closing(asked(served, CROSS.replace("?a ?b ?c", "?a ?b ?c FILTER(?b != <x:y>)"))) as connection:
+        assert connection.recv(1000).startswith(b"HTTP/1.1 200")
+        pid = child_of(served)
+    assert ends(pid, 5)
+
+
+def test_whoever_hangs_up_while_waiting_frees_the_place_in_the_queue(served: Served) -> None:
+    small = "SELECT (COUNT(*) AS ?n) { ?a a ?c . ?b a ?c }"
+    with closing(asked(served, HEAVY)) as first:
+        pid = child_of(served)
+        with closing(waiting(served, HEAVY)):
+            refused(served, small)
+        with closing(waiting(served, small)) as third:
+            first.close()
+            assert ends(pid, 5)
+            assert third.recv(65536).startswith(b"HTTP/1.1 200")
+
+
+def waiting(served: Served, query: str) -> socket.socket:
+    """A connection whose query waits for its turn, sent again for as long as there is no place for it."""
+    until = time.monotonic() + PATIENCE
+    while True:
+        connection = asked(served, query)
+        if not select.select([connection], [], [], 1.0)[0]:
+            return connection
+        assert b'"reason": "busy"' in everything(connection)
+        connection.close()
+        assert time.monotonic() < until, "there is no place to wait"
+
+
+def refused(served: Served, query: str) -> None:
+    """Hold that there is no place for a query, not even to wait."""
+    with closing(asked(served, query)) as connection:
+        answer = everything(connection)
+    assert answer.startswith(b"HTTP/1.1 503"), answer
+    assert b"retry-after: 1" in answer.lower()
+    assert b'"reason": "busy"' in answer
+
+
+def test_what_is_small_is_answered_while_all_workers_are_busy(served: Served) -> None:
+    with closing(asked(served, HEAVY)), closing(asked(served, HEAVY)):
+        child_of(served)
+        assert get(served, f"SELECT ?n {{ <{served.topic('/cockpit/display')}> ros:name ?n }}").status_code == 200
+        assert get(served, "SELECT ?t { ?t a ros:Topic }").status_code == 200
+
+
+# Crashes
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGBUS])
+def test_a_process_killed_from_outside_is_one_failure_and_business_goes_on(served: Served, number: int) -> None:
+    with closing(asked(served, HEAVY)) as connection:
+        os.kill(child_of(served), number)
+        answer = everything(connection)
+    assert answer.startswith(b"HTTP/1.1 500"), answer
+    assert b"ended before it was done" in answer
+    assert get(served, "SELECT (COUNT(*) AS ?n) { ?a a ?c . ?b a ?c }").status_code == 200
+
+
+def test_a_process_killed_in_the_middle_of_an_answer_breaks_the_connection(served: Served) -> None:
+    slow = "SELECT * { ?a ?b ?c . ?d ?e ?f FILTER(?a != ?d) }"
+    with closing(asked(served, slow)) as connection:
+        begun = connection.recv(10)
+        os.kill(child_of(served), signal.SIGKILL)
+        found = begun + everything(connection)
+    assert found.startswith(b"HTTP/1.1 200")
+    assert not found.endswith(b"0\r\n\r\n")
+
+
+# What is told of them
+
+
+def test_the_limits_are_in_the_description_of_the_service(served: Served) -> None:
+    answer = served.http.get("/sparql", headers={"Accept": "text/turtle"})
+    ros = "https://w3id.org/rosld#"
+    told = {
+        quad.predicate.value.removeprefix(ros): float(quad.object.value)
+        for quad in parse(answer.content, RdfFormat.TURTLE, base_iri=f"{served.url}sparql")
+        if quad.subject == NamedNode(f"{served.url}sparql")
+        and quad.predicate.value.startswith(ros)
+        and isinstance(quad.object, Literal)
+    }
+    expected = {"timeLimit": 60, "memoryLimit": 2**30, "rowLimit": 30000, "concurrencyLimit": 1, "queueLimit": 1}
+    assert expected.items() <= told.items()
+
+
+def test_a_long_query_is_read_without_keeping_others_waiting(aircraft: Served) -> None:
+    query = "SELECT (COUNT(*) AS ?n) { VALUES ?x { " + "1 " * 120_000 + "} }"
+    text = query.encode()
+    address = urlsplit(aircraft.url)
+    with closing(socket.create_connection((address.hostname, address.port), timeout=PATIENCE * 3)) as connection:
+        fields = f"Host: {address.netloc}\r\nContent-Type: application/sparql-query\r\nAccept: {ACCEPT}"
+        head = f"POST /sparql HTTP/1.1\r\n{fields}\r\nConnection: close\r\nContent-Length: {len(text)}\r\n\r\n"
+        connection.sendall(head.encode() + text)
+        answered = 0
+        while not select.select([connection], [], [], 0)[0]:
+            assert aircraft.http.get("/topics/cockpit/display").status_code == 200
+            answered += 1
+        found = everything(connection)
+    assert found.startswith((b"HTTP/1.1 200", b"HTTP/1.1 503")), found[:300]  # a busy machine may be too slow for it
+    assert answered > 5

@@ -1,0 +1,330 @@
+"""The stop: one request, and nothing moves the robot any more; however busy the server is."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import httpx
+import pytest
+
+from rosld.adapters.base import Published
+from rosld.adapters.model import TypeRef
+from tests.server.robots.made_up import MadeUp, served
+
+JSON = {"Accept": "application/json"}
+TURTLE = {"Content-Type": "text/turtle"}
+ROS = "https://w3id.org/rosld#"
+MAPPING = """@prefix map: <https://w3id.org/rosld/mapping#> .
+<#arm> a map:ComplexResource ; map:path "/arm/" ;
+  map:stop [ map:call "brake" ; map:content "{\\"azimuth\\": 1.5, \\"elevation\\": 0}" ] ,
+           [ map:publish "/drive" ] , [ map:call "/nowhere" ] ."""
+
+
+class Stoppable(MadeUp):
+    """A robot with everything that moves it; what is published on `/slow` waits until it is let go."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.let_go = asyncio.Event()
+        self.waiting = threading.Event()
+        self.braked: list[float] = []
+        self.offer("/arm/brake", "made_up/srv/Aim", self._brake)
+        self.offer("/arm/aim", "made_up/srv/Aim", lambda _: {"hit": True})
+        self.variable("/arm/label", "Words", words="x")
+        self.topic("/drive", "geometry_msgs/msg/Twist", published=False, heard=True)
+        self.topic("/slow", "std_msgs/msg/String", published=False, heard=True)
+        self.parameter("/gain", 1)
+
+    def _brake(self, request: dict[str, Any]) -> dict[str, Any]:
+        self.braked.append(time.monotonic())
+        assert request == {"azimuth": 1.5, "elevation": 0.0}
+        return {"hit": True}
+
+    async def publish(
+        self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
+    ) -> Published:
+        if topic == "/slow":
+            self.waiting.set()
+            await self.let_go.wait()
+        return await super().publish(topic, type, data, latch=latch, deadline=deadline)
+
+    def moved(self) -> tuple[object, ...]:
+        """All that it was told but to brake."""
+        calls = {name: count for name, count in self.calls.items() if name not in ("/arm/brake", "/arm/get_label")}
+        return json.dumps(self.sent), calls, len(self.sets)
+
+
+@pytest.fixture
+def robot() -> Stoppable:
+    return Stoppable()
+
+
+@pytest.fixture
+def http(robot: Stoppable) -> Iterator[httpx.Client]:
+    with served(robot) as client:
+        assert client.put("/mappings/arm", content=MAPPING, headers=TURTLE).status_code == 201
+        yield client
+
+
+WRITES: list[tuple[str, str, dict[str, Any]]] = [
+    ("PUT", "/topics/drive", {"json": {}, "params": {"defaults": "true"}}),
+    ("POST", "/topics/drive", {"json": {}, "params": {"defaults": "true", "rate": 10}}),
+    ("POST", "/services/arm/aim", {"json": {"azimuth": 1, "elevation": 1}}),
+    ("PUT", "/parameters/gain", {"json": 2}),
+    ("DELETE", "/parameters/gain", {}),
+    ("PUT", "/resources/arm/label", {"json": "moved"}),
+    ("POST", "/sparql", {}),
+]
+
+
+def writes(base: str) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    for method, path, content in WRITES:
+        if path == "/sparql":
+            graph = f"GRAPH <{base}parameters/gain>"
+            old = f"{{ {graph} {{ ?p <{ROS}value> ?v }} }}"
+            update = f"DELETE {old} INSERT {{ {graph} {{ ?p <{ROS}value> 3 }} }} WHERE {old}"
+            content = {"data": {"update": update}}
+        yield method, path, content
+
+
+def stopped(http: httpx.Client, **body: str) -> dict[str, Any]:
+    answer = http.post("/stop", json=body, headers=JSON)
+    assert answer.status_code == 200, answer.text
+    found: dict[str, Any] = answer.json()
+    return found
+
+
+def test_every_write_that_would_reach_the_robot_is_refused_until_it_is_released(
+    robot: Stoppable, http: httpx.Client
+) -> None:
+    stopped(http, reason="a person on the track")
+    before = robot.moved()
+    for method, path, content in writes(str(http.base_url)):
+        answer = http.request(method, path, **content)
+        assert answer.status_code == 423, (method, path, answer.text)
+        assert "stopped by anybody" in answer.json()["detail"]
+        assert "a person on the track" in answer.text
+    assert robot.moved() == before
+    assert http.put("/data/x", content="<> <p> 1 .", headers=TURTLE).status_code == 201
+    assert http.get("/resources/arm/label", headers=JSON).json() == "x", "reading goes on, by getters too"
+    assert http.delete("/stop").status_code == 204
+    for method, path, content in writes(str(http.base_url)):
+        assert http.request(method, path, **content).status_code < 300, (method, path)
+
+
+def test_a_stop_does_what_mappings_say_and_tells_what_became_of_it(robot: Stoppable, http: httpx.Client) -> None:
+    planned = {step["does"]: step["state"] for step in http.get("/stop", headers=JSON).json()["steps"]}
+    assert len(planned) == 3
+    assert set(planned.values()) == {"NotSent"}
+    told = stopped(http)
+    steps = {step["does"].split(" with ")[0]: step for step in told["steps"]}
+    assert (told["stopped"], told["by"], told["reason"]) == (True, "anybody", None)
+    assert steps["call /arm/brake"]["state"] == "Succeeded"
+    assert steps["publish on /drive"]["state"] == "Succeeded"
+    assert steps["call /nowhere"]["state"] == "Failed"
+    assert "/nowhere" in steps["call /nowhere"]["words"]
+    assert len(robot.braked) == 1
+    assert robot.sent["/drive"][-1]["linear"] == {"x": 0.0, "y": 0.0, "z": 0.0}
+
+
+def test_a_stop_ends_holds_with_their_last_message_and_nothing_follows(robot: Stoppable, http: httpx.Client) -> None:
+    body = {"linear": {"x": 1, "y": 0, "z": 0}, "angular": {"x": 0, "y": 0, "z": 0}}
+    hold = http.post("/topics/drive", params={"rate": 50, "lease": 5}, json=body).headers["location"]
+    stopped(http)
+    assert http.get(hold).status_code == 410
+    assert "stopped by anybody" in http.get(hold).text
+    count = len(robot.sent["/drive"])
+    assert robot.sent["/drive"][-1]["linear"]["x"] == 0.0
+    time.sleep(0.15)
+    assert len(robot.sent["/drive"]) == count
+
+
+def test_what_is_under_way_is_cut_off(robot: Stoppable, http: httpx.Client) -> None:
+    robot.hold("/arm/aim")
+    with ThreadPoolExecutor(3) as pool:
+        other = [httpx.Client(base_url=http.base_url, timeout=20) for _ in range(2)]
+        slow = pool.submit(other[0].put, "/topics/slow", json={"data": "late"})
+        call = pool.submit(other[1].post, "/services/arm/aim", json={"azimuth": 1, "elevation": 1})
+        assert robot.waiting.wait(10)
+        robot.until(lambda: robot.calls["/arm/aim"] == 1)
+        stopped(http)
+        assert slow.result(10).status_code == 423
+        assert "may have been carried out" in slow.result().json()["detail"]
+        assert call.result(10).status_code == 423
+        assert call.result().json()["state"] == "OutcomeUnknown"
+    robot._do(robot.let_go.set)
+    robot.release("/arm/aim")
+    time.sleep(0.05)
+    assert "/slow" not in robot.sent
+
+
+def test_stopping_twice_stops_again_and_the_first_is_who_stopped_it(robot: Stoppable, http: httpx.Client) -> None:
+    first = stopped(http, reason="first")
+    second = stopped(http, reason="second")
+    assert (second["reason"], second["since"]) == ("first", first["since"])
+    assert len(robot.braked) == 2
+    assert http.delete("/stop").status_code == 204
+    assert http.delete("/stop").status_code == 204, "releasing twice is fine"
+    assert http.get("/stop", headers=JSON).json()["stopped"] is False
+
+
+def test_a_stop_action_that_hangs_holds_nobody_up(robot: Stoppable) -> None:
+    with served(robot, call_deadline=1.0) as http:
+        assert http.put("/mappings/arm", content=MAPPING, headers=TURTLE).status_code == 201
+        robot.hold("/arm/brake")
+        with ThreadPoolExecutor(1) as pool:
+            other = httpx.Client(base_url=http.base_url, timeout=20)
+            stopping = pool.submit(other.post, "/stop", headers=JSON)
+            robot.until(lambda: robot.calls["/arm/brake"] == 1)
+            assert http.put("/parameters/gain", json=2).status_code == 423
+            assert http.delete("/stop").status_code == 409, "it is still being stopped"
+            [brake] = [one for one in stopping.result(20).json()["steps"] if "/arm/brake" in one["does"]]
+        assert brake["state"] in ("Running", "Failed")
+
+
+@pytest.mark.parametrize("body", [b"[]", b'{"reason": 1}', b'{"other": "x"}', b'{"reason": "%s"}' % (b"x" * 501)])
+def test_a_body_that_is_no_reason_is_refused_and_an_empty_one_stops(http: httpx.Client, body: bytes) -> None:
+    refused = http.post("/stop", content=body, headers={"Content-Type": "application/json"})
+    assert refused.status_code == 422
+    assert http.get("/stop", headers=JSON).json()["stopped"] is False
+    assert http.post("/stop").status_code == 200
+
+
+def test_a_stop_is_streamed_and_is_in_sparql(http: httpx.Client) -> None:
+    with http.stream("GET", "/stop", headers={"Accept": "text/event-stream"}) as stream:
+        lines = stream.iter_lines()
+        assert '"stopped":false' in next(line for line in lines if line.startswith("data: "))
+        other = httpx.Client(base_url=http.base_url)
+        stopped(other, reason="streamed")
+        assert '"reason":"streamed"' in next(line for line in lines if line.startswith("data: "))
+    query = f"SELECT ?who ?why {{ ?stop <{ROS}stoppedBy> ?who ; <{ROS}reason> ?why }}"
+    found = http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"}).text.split()
+    assert found[1:] == ["anybody,streamed"]
+
+
+def test_every_page_has_a_button_that_stops_without_a_script_and_says_when_it_is_stopped(http: httpx.Client) -> None:
+    html = {"Accept": "text/html"}
+    pages = ("/", "/topics/drive", "/resources/arm/", "/sparql", "/nothing", "/data/", "/stop", "/queries/topics")
+    for page in pages:
+        text = http.get(page, headers=html).text
+        assert '<form class="stop" method="post" action="/stop"' in text, page
+        assert "Nothing is written to it until" not in text, page
+    form = text.split('<form class="stop"')[1].split("</form>")[0]
+    token = form.split('name="csrf" value="')[1].split('"')[0]
+    fields = {"csrf": token, "method": "POST"}
+    forged = http.post("/stop", data={**fields, "csrf": "forged"}, headers=html)
+    assert forged.status_code == 403
+    pressed = http.post("/stop", data=fields, headers=html)
+    assert (pressed.status_code, pressed.headers["location"]) == (303, f"{http.base_url}stop")
+    for page in pages:
+        assert "Nothing is written to it until" in http.get(page, headers=html).text, page
+    release = http.get("/stop", headers=html).text
+    assert "Release" in release
+    assert http.post("/stop", data={**fields, "method": "DELETE"}, headers=html).status_code == 303
+    assert "Nothing is written to it until" not in http.get("/topics/drive", headers=html).text
+
+
+def test_a_page_that_is_open_shows_the_stop_and_its_end_and_values_are_not_told_twice(http: httpx.Client) -> None:
+    stream = {"Accept": "text/event-stream"}
+    with (
+        http.stream("GET", "/parameters/gain", params={"format": "html"}, headers=stream) as page,
+        http.stream("GET", "/parameters/gain", params={"format": "json"}, headers=stream) as values,
+        httpx.Client(base_url=http.base_url) as other,
+    ):
+        pages, told = events(page), events(values)
+        assert "a person on the track" not in next(pages)
+        assert next(told) == "1"
+        stopped(other, reason="a person on the track")
+        assert "a person on the track" in next(pages)
+        assert other.delete("/stop").status_code == 204
+        assert "a person on the track" not in next(pages)
+        assert other.put("/parameters/gain", json=2).status_code == 204
+        assert next(told) == "2"
+
+
+def events(stream: httpx.Response) -> Iterator[str]:
+    """What each event of a stream says."""
+    said: list[str] = []
+    for line in stream.iter_lines():
+        if line.startswith("data: "):
+            said.append(line.removeprefix("data: "))
+        elif not line and said:
+            yield "\n".join(said)
+            said.clear()
+
+
+def test_every_thing_description_has_the_stop(http: httpx.Client) -> None:
+    for url in ("/.well-known/wot", "/resources/arm/?format=td"):
+        forms = http.get(url).json()["actions"]["stopRobot"]["forms"]
+        told = {(form["op"], form["htv:methodName"], form["href"]) for form in forms}
+        href = f"{http.base_url}stop"
+        assert told == {("invokeaction", "POST", href), ("queryaction", "GET", href), ("cancelaction", "DELETE", href)}
+    paths = http.get("/openapi.json").json()["paths"]
+    assert {"get", "post", "delete"} <= paths["/stop"].keys()
+    assert f"<{ROS}stop> <{http.base_url}stop>" in http.get("/", headers={"Accept": "application/n-triples"}).text
+
+
+def test_a_server_that_is_read_only_tells_the_robot_nothing_not_even_to_stop(robot: Stoppable) -> None:
+    with served(robot, read_only=True) as http:
+        assert http.post("/stop").status_code == 405
+        assert "read-only" in http.post("/stop").text
+        assert http.get("/stop", headers=JSON).json()["stopped"] is False
+        assert '<form class="stop"' not in http.get("/", headers={"Accept": "text/html"}).text
+        assert "stopRobot" not in http.get("/.well-known/wot").json()["actions"]
+
+
+def test_goals_sent_from_here_are_canceled_and_a_goal_of_a_robot_that_stands_can_be(serve: Callable[..., Any]) -> None:
+    http: httpx.Client = serve("aircraft").http
+    assert http.post("/services/aircraft/start", json={}).status_code == 201
+    goal = http.post("/actions/aircraft/fly", json={"distance": 5000.0}).headers["location"]
+    assert http.put("/resources/aircraft/engine/speed", json=300).status_code < 300
+    told = stopped(http, reason="enough")
+    assert {step["state"] for step in told["steps"]} == {"Succeeded"}, told
+    assert any("cancel the goal" in step["does"] for step in told["steps"])
+    with http.stream("GET", goal, headers={"Accept": "text/event-stream"}) as stream:
+        assert any('"status":"canceled"' in line for line in stream.iter_lines() if line.startswith("data: "))
+    assert http.get("/topics/cockpit/display", headers=JSON).json() == {"data": "stopped"}
+    assert http.post("/actions/aircraft/fly", json={"distance": 1.0}).status_code == 423
+    assert http.post("/resources/aircraft/start").status_code in (409, 423)
+
+
+def test_the_robot_is_stopped_while_queries_and_slow_calls_saturate_the_server(
+    robot: Stoppable, http: httpx.Client
+) -> None:
+    robot.hold("/arm/aim")
+    over = threading.Event()
+    heavy = "SELECT (COUNT(*) AS ?n) { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i }"
+
+    def asks() -> None:
+        with httpx.Client(base_url=http.base_url, timeout=60) as client:
+            while not over.is_set():
+                client.get("/sparql", params={"query": heavy, "timeout": 1})
+
+    def calls() -> None:
+        with httpx.Client(base_url=http.base_url, timeout=60) as client:
+            client.post("/services/arm/aim", json={"azimuth": 1, "elevation": 1})
+
+    def reads() -> None:
+        with httpx.Client(base_url=http.base_url, timeout=60) as client:
+            while not over.is_set():
+                client.get("/topics/drive")
+
+    with ThreadPoolExecutor(40) as pool:
+        for work, number in ((asks, 8), (calls, 16), (reads, 8)):
+            for _ in range(number):
+                pool.submit(work)
+        robot.until(lambda: robot.calls["/arm/aim"] == 16)
+        try:
+            pressed = time.monotonic()
+            told = stopped(http)
+            assert robot.braked[0] - pressed < 2.0
+            assert told["stopped"]
+        finally:
+            over.set()
+            robot.release("/arm/aim")

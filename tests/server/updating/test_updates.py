@@ -1,0 +1,310 @@
+"""SPARQL Update over HTTP: each graph it changes is written as its resource is, all of them or none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import httpx
+import pytest
+from pyoxigraph import RdfFormat, parse
+
+UPDATE = {"Content-Type": "application/sparql-update"}
+TURTLE = {"Content-Type": "text/turtle"}
+STRING = "https://w3id.org/rosld/types/std_msgs/msg/String"
+
+
+@pytest.fixture(scope="module")
+def plane(start_server: Callable[..., object]) -> httpx.Client:
+    """An aircraft of this module's own."""
+    client: httpx.Client = start_server("aircraft", "--max-publish-rate", "100000").http  # type: ignore[attr-defined]
+    return client
+
+
+def update(client: httpx.Client, text: str, **query: str) -> httpx.Response:
+    """Send an update."""
+    return client.post("/sparql", content=text.encode(), headers=UPDATE, params=query)
+
+
+def done(answer: httpx.Response) -> None:
+    """Hold that an update was carried out."""
+    assert answer.status_code == 204, answer.text
+
+
+def says(client: httpx.Client, path: str, pattern: str) -> bool:
+    """Whether a pattern is found in the graph of a resource, as queries see it."""
+    query = f"ASK {{ GRAPH <{path}> {{ {pattern} }} }}"
+    answer = client.get("/sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"})
+    return bool(answer.json()["boolean"])
+
+
+def lines(answer: httpx.Response) -> set[str]:
+    """The triples of an answer, as N-Triples."""
+    return {str(quad.triple) for quad in parse(answer.content, RdfFormat.TURTLE, base_iri=str(answer.url))}
+
+
+# What is kept
+
+
+def test_a_new_graph_below_data_is_made_and_contained_as_by_put(plane: httpx.Client) -> None:
+    done(update(plane, "INSERT DATA { GRAPH </data/made/note> { </data/made/note> <urn:says> 'hello' } }"))
+    answer = plane.get("/data/made/note")
+    assert answer.status_code == 200
+    assert "hello" in answer.text
+    assert str(plane.base_url.join("/data/made/note")) in plane.get("/data/made/").text
+
+
+def test_what_an_update_leaves_alone_keeps_its_spelling(plane: httpx.Client) -> None:
+    body = b'<> <urn:padded> "007"^^<http://www.w3.org/2001/XMLSchema#integer> ; <urn:goes> 1 .'
+    plane.put("/data/spelt", content=body, headers=TURTLE)
+    done(update(plane, "DELETE WHERE { GRAPH </data/spelt> { ?s <urn:goes> ?o } }"))
+    text = plane.get("/data/spelt").text
+    assert '"007"' in text
+    assert "urn:goes" not in text
+
+
+def test_what_is_deleted_is_found_by_its_value_however_it_is_spelt(plane: httpx.Client) -> None:
+    body = b'<> <urn:n> "007"^^<http://www.w3.org/2001/XMLSchema#integer> .'
+    plane.put("/data/value", content=body, headers=TURTLE)
+    done(update(plane, "DELETE DATA { GRAPH </data/value> { </data/value> <urn:n> 7 } }"))
+    assert "urn:n" not in plane.get("/data/value").text
+
+
+def test_blank_nodes_of_what_is_kept_are_matched_and_removed(plane: httpx.Client) -> None:
+    plane.put("/data/blank", content=b"<> <urn:has> [ <urn:x> 1 ], [ <urn:x> 2 ] .", headers=TURTLE)
+    done(
+        update(
+            plane,
+            "DELETE { GRAPH </data/blank> { ?s <urn:has> ?b . ?b ?p ?o } } "
+            "WHERE { GRAPH </data/blank> { ?s <urn:has> ?b . ?b <urn:x> 1 ; ?p ?o } }",
+        )
+    )
+    assert says(plane, "/data/blank", "?s <urn:has> [ <urn:x> 2 ]")
+    assert not says(plane, "/data/blank", "?b <urn:x> 1")
+    assert len([line for line in lines(plane.get("/data/blank")) if "urn:has" in line]) == 1
+
+
+def test_each_operation_sees_what_those_before_it_did(plane: httpx.Client) -> None:
+    done(
+        update(
+            plane,
+            "INSERT DATA { GRAPH </data/first> { </data/first> <urn:n> 1 } } ; "
+            "INSERT { GRAPH </data/second> { </data/second> <urn:n> ?m } } "
+            "WHERE { GRAPH </data/first> { ?s <urn:n> ?n } BIND(?n + 1 AS ?m) } ; "
+            "DELETE WHERE { GRAPH </data/first> { ?s <urn:n> ?n } }",
+        )
+    )
+    assert says(plane, "/data/second", "?s <urn:n> 2")
+    assert not says(plane, "/data/first", "?s <urn:n> ?n")
+
+
+def test_where_without_a_graph_sees_the_union_as_a_query_does(plane: httpx.Client) -> None:
+    plane.put("/data/union", content=b"<> <urn:union> 'here' .", headers=TURTLE)
+    done(update(plane, "INSERT { GRAPH </data/union2> { ?s <urn:saw> ?o } } WHERE { ?s <urn:union> ?o }"))
+    assert says(plane, "/data/union2", "?s <urn:saw> 'here'")
+
+
+def test_with_and_using_choose_the_graphs(plane: httpx.Client) -> None:
+    plane.put("/data/one", content=b"<> <urn:v> 1 .", headers=TURTLE)
+    plane.put("/data/two", content=b"<> <urn:v> 2 .", headers=TURTLE)
+    done(update(plane, "WITH </data/one> DELETE { ?s <urn:v> ?v } INSERT { ?s <urn:w> ?v } WHERE { ?s <urn:v> ?v }"))
+    assert says(plane, "/data/one", "?s <urn:w> 1")
+    done(update(plane, "INSERT { GRAPH </data/one> { ?s <urn:u> ?v } } USING </data/two> WHERE { ?s <urn:v> ?v }"))
+    assert says(plane, "/data/one", "?s <urn:u> 2")
+    answer = plane.post(
+        "/sparql",
+        content=b"INSERT { GRAPH </data/one> { ?s <urn:t> ?v } } WHERE { ?s ?p ?v . FILTER(?p = <urn:v>) }",
+        headers=UPDATE,
+        params={"using-graph-uri": str(plane.base_url.join("/data/two"))},
+    )
+    done(answer)
+    assert says(plane, "/data/one", "?s <urn:t> 2")
+
+
+def test_graphs_that_are_kept_are_copied_moved_added_cleared_and_dropped(plane: httpx.Client) -> None:
+    plane.put("/data/a", content=b"<> <urn:v> 'a' .", headers=TURTLE)
+    done(update(plane, "COPY </data/a> TO </data/b>"))
+    assert says(plane, "/data/b", "?s <urn:v> 'a'")
+    done(update(plane, "INSERT DATA { GRAPH </data/b> { <urn:x> <urn:v> 'b' } } ; ADD </data/b> TO </data/a>"))
+    assert says(plane, "/data/a", "<urn:x> <urn:v> 'b'")
+    done(update(plane, "MOVE </data/b> TO </data/c>"))
+    assert plane.get("/data/b").status_code == 410
+    assert says(plane, "/data/c", "<urn:x> <urn:v> 'b'")
+    done(update(plane, "CLEAR GRAPH </data/c>"))
+    assert not says(plane, "/data/c", "?s <urn:v> ?o")
+    assert plane.get("/data/c").status_code == 200
+    done(update(plane, "DROP GRAPH </data/c>"))
+    assert plane.get("/data/c").status_code == 410
+    assert update(plane, "DROP GRAPH </data/none>").status_code == 409
+    done(update(plane, "DROP SILENT GRAPH </data/none>"))
+    done(update(plane, "CREATE GRAPH </data/created>"))
+    assert plane.get("/data/created").status_code == 200
+    assert update(plane, "CREATE GRAPH </data/created>").status_code == 409
+
+
+def test_containment_cannot_be_forged(plane: httpx.Client) -> None:
+    plane.put("/data/box/", content=b"", headers=TURTLE)
+    ldp = "http://www.w3.org/ns/ldp#contains"
+    forged = update(plane, f"INSERT DATA {{ GRAPH </data/box/> {{ </data/box/> <{ldp}> </data/elsewhere> }} }}")
+    assert forged.status_code == 409
+    assert "/data/box/" in forged.json()["detail"]
+
+
+def test_a_deleted_url_is_not_used_again(plane: httpx.Client) -> None:
+    plane.put("/data/gone", content=b"<> <urn:v> 1 .", headers=TURTLE)
+    plane.delete("/data/gone")
+    assert update(plane, "INSERT DATA { GRAPH </data/gone> { <urn:a> <urn:b> 1 } }").status_code == 410
+
+
+# What moves the robot
+
+
+def test_changing_the_graph_of_a_parameter_sets_it_and_emptying_it_deletes_it(plane: httpx.Client) -> None:
+    plane.put("/parameters/height", json=10)
+    done(
+        update(
+            plane,
+            "DELETE { GRAPH </parameters/height> { ?p ros:value ?old } } "
+            "INSERT { GRAPH </parameters/height> { ?p ros:value ?new } } "
+            "WHERE { GRAPH </parameters/height> { ?p ros:value ?old } BIND(?old + 5 AS ?new) }",
+        )
+    )
+    assert plane.get("/parameters/height", headers={"Accept": "application/json"}).json() == 15
+    done(update(plane, "DELETE WHERE { GRAPH </parameters/height> { ?s ?p ?o } }"))
+    assert plane.get("/parameters/height").status_code == 404
+    done(update(plane, "INSERT DATA { GRAPH </parameters/fresh> { </parameters/fresh> ros:value 'new' } }"))
+    assert plane.get("/parameters/fresh", headers={"Accept": "application/json"}).json() == "new"
+
+
+def test_changing_a_resource_calls_its_setter(plane: httpx.Client) -> None:
+    member = "/resources/aircraft/power"
+    plane.put(member, json="off")
+    power = plane.get(member, headers={"Accept": "application/json"}).json()
+    assert power == "off"
+    value = "<http://www.w3.org/1999/02/22-rdf-syntax-ns#value>"
+    done(
+        update(
+            plane,
+            f"DELETE {{ GRAPH <{member}> {{ ?s {value} ?v }} }} INSERT {{ GRAPH <{member}> {{ ?s {value} 'on' }} }} "
+            f"WHERE {{ GRAPH <{member}> {{ ?s {value} ?v }} }}",
+        )
+    )
+    assert plane.get(member, headers={"Accept": "application/json"}).json() == "on"
+
+
+def test_changing_the_graph_of_a_command_topic_publishes_once(plane: httpx.Client) -> None:
+    display = "/topics/cockpit/display"
+    plane.put(display, json={"data": "before"})
+    text = (
+        f"DELETE {{ GRAPH <{display}> {{ ?m <{STRING}#data> ?t }} }} "
+        f"INSERT {{ GRAPH <{display}> {{ ?m <{STRING}#data> 'after' }} }} "
+        f"WHERE {{ GRAPH <{display}> {{ ?m <{STRING}#data> ?t }} }}"
+    )
+    done(update(plane, text))
+    assert plane.get(display, headers={"Accept": "application/json"}).json() == {"data": "after"}
+    tag = plane.get(display).headers["etag"]
+    done(update(plane, text))  # it says so already
+    assert plane.get(display).headers["etag"] == tag
+
+
+def test_if_one_graph_is_refused_nothing_is_stored_and_nothing_moves(plane: httpx.Client) -> None:
+    plane.put("/parameters/still", json=1)
+    speed = "/topics/aircraft/engine/speed"
+    answer = update(
+        plane,
+        "INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> 1 } } ; "
+        "DELETE WHERE { GRAPH </parameters/still> { ?s ros:value ?v } } ; "
+        f"INSERT DATA {{ GRAPH <{speed}> {{ <{speed}#message> <urn:x> 1 }} }}",
+    )
+    assert answer.status_code == 403
+    assert [each["graph"] for each in answer.json()["graphs"]] == [str(plane.base_url.join(speed))]
+    assert plane.get("/data/never").status_code == 404
+    assert plane.get("/parameters/still", headers={"Accept": "application/json"}).json() == 1
+
+
+def test_a_state_that_does_not_fit_is_422_and_names_the_graph(plane: httpx.Client) -> None:
+    display = "/topics/cockpit/display"
+    plane.put(display, json={"data": "fits"})
+    answer = update(plane, f"INSERT DATA {{ GRAPH <{display}> {{ <{display}#message> <{STRING}#data> 'two' }} }}")
+    assert answer.status_code == 422
+    assert display in answer.json()["detail"]
+    assert plane.get(display, headers={"Accept": "application/json"}).json() == {"data": "fits"}
+
+
+@pytest.mark.parametrize(
+    ("text", "status"),
+    [
+        ("INSERT DATA { <urn:a> <urn:b> 1 }", 422),
+        ("DELETE WHERE { ?s ?p ?o }", 422),
+        ("CLEAR DEFAULT", 422),
+        ("CLEAR ALL", 403),
+        ("DROP NAMED", 403),
+        ("CLEAR GRAPH </topics/cockpit/display>", 403),
+        ("MOVE </parameters/x> TO </data/x>", 403),
+        ("COPY </data/spelt> TO </parameters/x>", 403),
+        ("INSERT DATA { GRAPH <http://example.org/elsewhere> { <urn:a> <urn:b> 1 } }", 403),
+        ("INSERT DATA { GRAPH </nodes/aircraft> { <urn:a> <urn:b> 1 } }", 403),
+        ("INSERT DATA { GRAPH </topics/> { <urn:a> <urn:b> 1 } }", 403),
+        ("INSERT DATA { GRAPH </ontology> { <urn:a> <urn:b> 1 } }", 403),
+        ("LOAD <http://127.0.0.1:9/>", 403),
+        ("INSERT DATA { GRAPH </data/x> { <urn:a> <urn:b> } }", 400),
+        ("INSERT { GRAPH </data/x> { ?a <urn:b> 1 } } WHERE { SELECT }", 400),
+        ("NOT AN UPDATE", 400),
+        ("SELECT * WHERE { ?s ?p ?o }", 400),
+    ],
+)
+def test_what_cannot_be_done_is_refused_with_its_reason(plane: httpx.Client, text: str, status: int) -> None:
+    answer = update(plane, text)
+    assert answer.status_code == status, answer.text
+    assert answer.json()["detail"]
+
+
+def test_a_dry_run_tells_the_plan_and_does_nothing(plane: httpx.Client) -> None:
+    plane.put("/parameters/dry", json=1)
+    answer = update(
+        plane,
+        "INSERT DATA { GRAPH </data/dry> { <urn:a> <urn:b> 1 } } ; "
+        "DELETE WHERE { GRAPH </parameters/dry> { ?s ros:value ?v } }",
+        **{"dry-run": "true"},
+    )
+    assert answer.status_code == 200
+    told = {each["graph"].removeprefix(str(plane.base_url)): each["does"] for each in answer.json()["graphs"]}
+    assert told == {"data/dry": "make /data/dry", "parameters/dry": "delete the parameter /dry"}
+    assert plane.get("/data/dry").status_code == 404
+    assert plane.get("/parameters/dry", headers={"Accept": "application/json"}).json() == 1
+
+
+def test_an_update_that_changes_nothing_is_done(plane: httpx.Client) -> None:
+    done(update(plane, "INSERT { GRAPH </data/nothing> { ?s ?p ?o } } WHERE { ?s <urn:is-nowhere> ?o . ?s ?p ?o }"))
+    assert plane.get("/data/nothing").status_code == 404
+
+
+def test_no_update_of_many_at_once_is_lost(plane: httpx.Client) -> None:
+    plane.put("/parameters/count", json=0)
+    plane.put("/data/count", content=b"<> <urn:count> 0 .", headers=TURTLE)
+    text = (
+        "DELETE { GRAPH ?g { ?s ?p ?old } } INSERT { GRAPH ?g { ?s ?p ?new } } WHERE { "
+        "VALUES (?g ?p) { (</parameters/count> ros:value) (</data/count> <urn:count>) } "
+        "GRAPH ?g { ?s ?p ?old } BIND(?old + 1 AS ?new) }"
+    )
+    with ThreadPoolExecutor(8) as pool:
+        answers = list(pool.map(lambda _: update(plane, text).status_code, range(40)))
+    assert set(answers) <= {204, 409}
+    number = answers.count(204)
+    assert number > 0
+    assert plane.get("/parameters/count", headers={"Accept": "application/json"}).json() == number
+    assert says(plane, "/data/count", f"?s <urn:count> {number}")
+
+
+def test_with_may_name_a_graph_that_is_not_there_yet(plane: httpx.Client) -> None:
+    plane.put("/data/source", content=b"<> <urn:v> 1 .", headers=TURTLE)
+    done(update(plane, "WITH </data/with1> INSERT { <urn:a> <urn:b> 1 } WHERE { }"))
+    assert says(plane, "/data/with1", "<urn:a> <urn:b> 1")
+    done(
+        update(
+            plane,
+            "WITH </data/with2> INSERT { ?s <urn:w> ?n } WHERE { GRAPH </data/source> { ?s <urn:v> ?v } "
+            "FILTER NOT EXISTS { ?a ?b ?c } BIND(?v + 1 AS ?n) }",
+        )
+    )
+    assert says(plane, "/data/with2", "?s <urn:w> 2")

@@ -1,0 +1,143 @@
+"""Updates that are meant to do harm: each is refused in time, nothing is done, and the server lives on."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from collections.abc import Callable
+from typing import Any
+from urllib.parse import urlsplit
+
+import httpx
+import pytest
+
+UPDATE = {"Content-Type": "application/sparql-update"}
+TURTLE = {"Content-Type": "text/turtle"}
+CROSS = "?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l"
+
+
+@pytest.fixture(scope="module")
+def plane(start_server: Callable[..., Any]) -> httpx.Client:
+    """An aircraft that gives a query a second."""
+    client: httpx.Client = start_server("aircraft", "--setting", "query_time_limit", "1").http
+    client.timeout = httpx.Timeout(60)
+    client.put("/data/numbers", content=" , ".join(["<> <urn:n> 0", *map(str, range(1, 400))]) + " .", headers=TURTLE)
+    return client
+
+
+def update(client: httpx.Client, text: str | bytes) -> httpx.Response:
+    """Send an update."""
+    return client.post("/sparql", content=text, headers=UPDATE)
+
+
+def lives(client: httpx.Client) -> None:
+    """Hold that the server answers, and does what it is told."""
+    answer = update(client, "INSERT DATA { GRAPH </data/lives> { <urn:a> <urn:b> 1 } }")
+    assert answer.status_code == 204, answer.text
+    assert client.get("/data/never").status_code == 404
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        CROSS,
+        f"{CROSS} FILTER(CONCAT(STR(?c), STR(?f), STR(?i), STR(?l)) = 'x')",
+        f"{{ SELECT (COUNT(*) AS ?a) WHERE {{ {CROSS} }} }}",
+        f"{{ SELECT ?a WHERE {{ {CROSS} }} ORDER BY ?l DESC(?a) }}",
+    ],
+)
+@pytest.mark.parametrize("before", ["", "INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> 1 } } ; "])
+def test_a_cross_product_is_stopped_and_nothing_is_done(plane: httpx.Client, before: str, where: str) -> None:
+    began = time.monotonic()
+    answer = update(plane, f"{before}INSERT {{ GRAPH </data/never> {{ <urn:a> <urn:b> ?a }} }} WHERE {{ {where} }}")
+    assert answer.status_code in (503, 422), answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert time.monotonic() - began < 20
+    lives(plane)
+
+
+def test_more_solutions_than_an_update_may_have_are_422(start_server: Callable[..., Any]) -> None:
+    client: httpx.Client = start_server("aircraft", "--setting", "query_time_limit", "60").http
+    client.timeout = httpx.Timeout(90)
+    for number, fine in ((400, False), (100, True)):
+        body = " , ".join(["<> <urn:n> 0", *map(str, range(1, number))]) + " ."
+        assert client.put("/data/numbers", content=body, headers=TURTLE).status_code in (201, 204)
+        answer = update(
+            client,
+            "INSERT { GRAPH </data/sums> { <urn:a> <urn:b> ?z } } WHERE { GRAPH </data/numbers> { ?s <urn:n> ?x , ?y } "
+            "BIND(?x + ?y AS ?z) }",
+        )
+        assert answer.status_code == (204 if fine else 422), answer.text
+        if not fine:
+            assert "more than 100000 solutions" in answer.json()["detail"]
+            assert client.get("/data/sums").status_code == 404
+    assert client.get("/data/sums").status_code == 200
+
+
+def test_a_megabyte_of_data_is_stored(plane: httpx.Client) -> None:
+    lines = [f"<urn:s{number}> <urn:p> 'the wind at gate {number}, in knots' ." for number in range(20_000)]
+    text = f"INSERT DATA {{ GRAPH </data/large> {{ {' '.join(lines)} }} }}"
+    assert len(text) > 1_000_000
+    answer = update(plane, text)
+    assert answer.status_code == 204, answer.text
+    query = "SELECT (COUNT(*) AS ?n) { GRAPH </data/large> { ?s <urn:p> ?o } }"
+    assert plane.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"}).text.split() == ["n", "20000"]
+    lives(plane)
+
+
+@pytest.mark.parametrize(
+    ("text", "status"),
+    [
+        ("INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> " + "( " * 100_000 + ") " * 100_000 + "} }", 400),
+        ("INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> " + "[ <urn:b> " * 100_000 + "] " * 100_000 + "} }", 400),
+        ("INSERT { } WHERE " + "{ " * 100_000 + "} " * 100_000, 400),
+        ("INSERT { } WHERE { FILTER(" + "!" * 100_000 + "true) }", 400),
+        ("INSERT { } WHERE { ?s " + "<urn:p>/" * 20_000 + "<urn:p> ?o }", 400),
+        ("INSERT DATA { } ; " * 20_000, 400),
+        ("PREFIX e: <urn:e:> " * 20_000, 400),
+        ("DELETE DATA { " + "GRAPH </data/never> { } " * 20_000 + "}", 400),
+        ("INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> '" + "x" * 200_000, 400),
+        ("#" * 500_000, 204),
+        (";" * 100_000, 400),
+        ("INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> " + "'" * 100_001 + " } }", 400),
+        ("\x00", 400),
+        ("INSERT DATA { GRAPH </data/nul> { <urn:a> <urn:b> '\x00' } }", 204),
+    ],
+    ids=range(14),
+)
+def test_bombs_are_refused_at_once(plane: httpx.Client, text: str, status: int) -> None:
+    began = time.monotonic()
+    answer = update(plane, text)
+    assert answer.status_code == status, answer.text[:500]
+    assert time.monotonic() - began < 20
+    lives(plane)
+
+
+@pytest.mark.parametrize(
+    "text", [b"\xff\xfe", "INSERT DATA { GRAPH </data/never> { <urn:a> <urn:b> 'é' } }".encode("latin-1")]
+)
+def test_what_is_no_utf8_is_400(plane: httpx.Client, text: bytes) -> None:
+    answer = update(plane, text)
+    assert answer.status_code == 400
+    assert "not UTF-8" in answer.json()["detail"]
+
+
+def test_a_client_that_hangs_up_does_no_harm(plane: httpx.Client) -> None:
+    """Whatever became of its update, it is whole, and others have their turn."""
+    address = urlsplit(str(plane.base_url))
+    assert address.hostname is not None
+    texts = [
+        f"INSERT {{ GRAPH </data/unheard> {{ <urn:a> <urn:b> ?a }} }} WHERE {{ {CROSS} }}",
+        "INSERT DATA { GRAPH </data/left> { <urn:a> <urn:b> 1 , 2 , 3 } }",
+    ]
+    for text in texts:
+        for _ in range(8):
+            with socket.create_connection((address.hostname, address.port or 80)) as connection:
+                head = f"POST /sparql HTTP/1.1\r\nHost: {address.netloc}\r\nContent-Type: application/sparql-update\r\n"
+                connection.sendall(f"{head}Content-Length: {len(text)}\r\n\r\n{text}".encode())
+    lives(plane)
+    assert plane.get("/data/unheard").status_code == 404
+    query = "SELECT (COUNT(*) AS ?n) { GRAPH </data/left> { <urn:a> <urn:b> ?o } }"
+    found = plane.get("/sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"})
+    assert json.loads(found.text)["results"]["bindings"][0]["n"]["value"] in ("0", "3")

@@ -1,0 +1,134 @@
+"""What a node declares of a parameter, as RDF, as a SHACL shape, and held against values."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pyshacl
+import pytest
+import rdflib
+from hypothesis import given
+from hypothesis import strategies as st
+from pyoxigraph import Literal, NamedNode
+from rdflib.namespace import RDF, SH
+
+from rosld.adapters.model import Descriptor, ParameterType, ParameterValue, Range, fitted
+from rosld.ontology.document import Document
+from rosld.ontology.parameters import parameter_document
+from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import dcterms, ros, sh
+from rosld.shapes.components import component
+from rosld.shapes.parameter import constraint_url, declared_triples, violations
+
+SPACE = Space("http://127.0.0.1:8080/")
+NAME = "/driver/frequency"
+URL = SPACE.parameter(NAME)
+FREQUENCY = Descriptor(
+    ParameterType.INTEGER, "How often it looks.", constraints="A prime is best.", range=Range(10, 60, 10)
+)
+GAIN = Descriptor(ParameterType.DOUBLE, range=Range(0.0, 1.0, 0.1))
+
+
+def graph_of(value: ParameterValue, descriptor: Descriptor) -> rdflib.Graph:
+    document = parameter_document(NAME, value, SPACE)
+    whole = Document(document.url, (*document.triples, *declared_triples(descriptor, URL, SPACE)))
+    return rdflib.Graph().parse(serialize(whole, Syntax.N_TRIPLES), format="nt")
+
+
+def conforms(value: ParameterValue, descriptor: Descriptor) -> bool:
+    """What pyshacl says of the document of a parameter, which holds its own shape."""
+    graph = graph_of(value, descriptor)
+    return bool(pyshacl.validate(graph, shacl_graph=graph)[0])
+
+
+def broken(descriptor: Descriptor, value: ParameterValue) -> tuple[str, ...]:
+    return tuple(each.message for each in violations(descriptor, NAME, URL, value))
+
+
+def test_what_is_declared_is_said_in_words_and_as_a_shape() -> None:
+    triples = declared_triples(FREQUENCY, URL, SPACE)
+    own = {each.predicate: each.object for each in triples if each.subject == NamedNode(URL)}
+    assert own[dcterms.description] == Literal("How often it looks.")
+    assert own[ros.readOnly].value == "false"  # type: ignore[union-attr]
+    assert own[ros.parameterType] == Literal("integer")
+    assert own[ros.shape] == NamedNode(f"{URL}#constraint")
+    value = {each.predicate: each.object for each in triples if each.subject == NamedNode(f"{URL}#constraint.value")}
+    assert [value[one].value for one in (sh.minInclusive, sh.maxInclusive, ros.step)] == ["10", "60", "10"]  # type: ignore[union-attr]
+    assert value[sh.description] == Literal("A prime is best.")
+    graph = graph_of(20, FREQUENCY)
+    assert (rdflib.URIRef(f"{URL}#constraint"), SH.targetNode, rdflib.URIRef(URL)) in graph
+    assert (rdflib.URIRef(f"{URL}#constraint"), RDF.type, SH.NodeShape) in graph
+
+
+@pytest.mark.parametrize("descriptor", [Descriptor(dynamic_typing=True), Descriptor(read_only=True)])
+def test_a_parameter_whose_type_may_change_has_no_shape(descriptor: Descriptor) -> None:
+    assert constraint_url(URL, descriptor) is None
+    assert {each.predicate for each in declared_triples(descriptor, URL, SPACE)} == {ros.readOnly}
+    assert broken(descriptor, "anything") == ()
+
+
+@pytest.mark.parametrize(
+    ("descriptor", "value", "words"),
+    [
+        (FREQUENCY, 0, "must be at least 10, not 0"),
+        (FREQUENCY, 70.0, "must be at most 60, not 70.0"),
+        (FREQUENCY, 25, "must be on a step (10 and steps of 10 from there, up to 60), which 25 is not"),
+        (FREQUENCY, "fast", 'is declared as integer, which "fast" is not'),
+        (FREQUENCY, {"a": 1}, 'is declared as integer, which {"a": 1} is not'),
+        (GAIN, float("nan"), "must be at least 0.0, not NaN"),
+        (GAIN, 0.25, "must be on a step (0.0 and steps of 0.1 from there, up to 1.0), which 0.25 is not"),
+        (replace(FREQUENCY, range=None), 2**63, f"must be at most {2**63 - 1}, not {2**63}"),
+        (Descriptor(ParameterType.INTEGER_ARRAY), [1, 2.5], "is declared as integer array, which [1,2.5] is not"),
+    ],
+)
+def test_what_does_not_fit_is_told_with_the_value_and_the_bound(
+    descriptor: Descriptor, value: ParameterValue, words: str
+) -> None:
+    assert broken(descriptor, value) == (words,)
+
+
+def test_a_violation_says_what_shacl_says_of_one() -> None:
+    (found,) = violations(FREQUENCY, NAME, URL, 5)
+    assert (found.path, found.focus, found.predicate) == (NAME, NamedNode(URL), ros.value)
+    assert (found.shape, found.component) == (NamedNode(f"{URL}#constraint.value"), component(sh.minInclusive))
+    assert found.term is not None
+    assert found.term.value == "5"
+    (step,) = violations(FREQUENCY, NAME, URL, 15)
+    assert step.component == ros.StepConstraintComponent
+
+
+@pytest.mark.parametrize("value", [10, 20.0, 60])
+def test_what_fits_in_another_form_fits(value: ParameterValue) -> None:
+    assert broken(FREQUENCY, value) == ()
+
+
+integers = st.builds(
+    lambda least, length, step: Descriptor(ParameterType.INTEGER, range=Range(least, least + length, step)),
+    st.integers(-50, 50),
+    st.integers(0, 60),
+    st.none() | st.integers(2, 70),
+)
+doubles = st.builds(
+    lambda least, length: Descriptor(ParameterType.DOUBLE, range=Range(least, least + length)),
+    st.floats(-50, 50),
+    st.floats(0, 60),
+)
+plain_types = st.sampled_from([*ParameterType]).map(Descriptor)
+values = st.one_of(
+    st.integers(-100, 120), st.floats(-100, 120), st.booleans(), st.text("ab1", max_size=3), st.binary(max_size=3)
+)
+
+
+@given(integers | doubles | plain_types, values | st.lists(st.integers(0, 3), max_size=2))
+def test_the_shape_and_the_check_agree_about_every_value_that_a_node_would_have(
+    descriptor: Descriptor, value: ParameterValue
+) -> None:
+    assert descriptor.type is not None
+    fit = fitted(value, descriptor.type)
+    if fit is None:
+        assert broken(descriptor, value)
+        if not isinstance(value, list):  # the elements of a list are none of the datatype's business
+            assert not conforms(value, descriptor)
+        return
+    assert conforms(fit, descriptor) is (not broken(descriptor, value))

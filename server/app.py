@@ -27,6 +27,7 @@ from rosld.server.events.feed import Feeds
 from rosld.server.http import link
 from rosld.server.http.origin import Site, check_host, check_origin, sharing, site
 from rosld.server.http.problem import Problem, render
+from rosld.server.hypermedia.mappings import relations
 from rosld.server.ldp.alone import Alone
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import Pages
@@ -71,7 +72,13 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     synchroniser = Synchroniser(store, source, kept, ReceiptGraphs(robot.receipts, robot.space))
     reach = Reach(frozenset(settings.allow_service))
     bounded = Bounds(size=settings.query_size_limit)
-    analyser = Analyser(robot.space.base, robot.space.types, bounds=bounded, reach=reach)
+    analyser = Analyser(
+        robot.space.base,
+        robot.space.types,
+        bounds=bounded,
+        reach=reach,
+        relations=lambda: relations(robot.mappings.arrangement),
+    )
     service = query_service(robot, store, synchroniser, analyser)
     mirror = mirror_of(robot, store, synchroniser, {*ROOMS, "queries", "sparql"})
     names = site(settings.base_url, settings.host, settings.port, settings.cors_origins)

@@ -1,15 +1,17 @@
 """The dataset that SPARQL sees: one named graph a resource, exactly what a GET of it says.
 
 Graphs without live values (the computation graph, containers, types, shapes, the vocabulary) are descriptions, listed
-all. Topics with their messages, parameters with their values and recorded messages are made when a query needs them.
+all. Topics with their messages, parameters with their values, resources whose getters are called and recorded messages
+are made when a query needs them.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Hashable, Iterator, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Collection, Coroutine, Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from itertools import product
+from itertools import chain, product
 
 from pyoxigraph import NamedNode
 
@@ -26,7 +28,9 @@ from rosld.ontology.triples import RDF_SOURCE, about, text
 from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.layout import path_of
+from rosld.server.hypermedia.mappings import related
 from rosld.server.in_force import limits, queries
 from rosld.server.ldp.resource import Resource
 from rosld.server.ldp.state import State
@@ -48,6 +52,7 @@ from rosld.server.resources.types import WHOLE, known_types, names_below, whole_
 from rosld.server.robot import Robot, Same
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.sync import GraphEntry
+from rosld.server.sparql.terms import ACTIONS, COMPLEX, PROPERTIES
 from rosld.shapes.message import shape_document
 from rosld.shapes.parameter import declared_triples
 
@@ -91,6 +96,18 @@ class Dataset:
             self._described = (revision, {entry.iri: entry for entry in self._describe()})
         return self._described[1]
 
+    async def documents_of(self, terms: Collection[str]) -> Collection[str]:
+        """The URLs of the complex resources, properties and actions that these terms may be said of."""
+        layout, space = await self._robot.offers.layout(), self._robot.space
+        paths: set[str] = set()
+        for term in terms:
+            paths |= set(layout.paths) if term in COMPLEX else related(layout.arrangement, term)
+        if not PROPERTIES.isdisjoint(terms):
+            paths.update(layout.properties)
+        if not ACTIONS.isdisjoint(terms):
+            paths.update(layout.actions)
+        return {url_of(path, space) for path in paths}
+
     async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
         """The graphs of topics and parameters whose values a query needs, as of now.
 
@@ -98,12 +115,11 @@ class Dataset:
         nothing, what is subscribed to already is all there is.
         """
         resources = self._resources(needs)
-        await self._look(resources, deadline)
         parameters = [one for one in resources if isinstance(one, ParameterResource)]
         topics = [one for one in resources if isinstance(one, TopicResource)]
         others = [one for one in resources if not isinstance(one, ParameterResource | TopicResource)]
+        found = await self._look(topics, others, deadline)
         stored = await self._parameters(parameters, deadline)
-        found = [entry for one in others if (entry := await self._entry(one.url, one.state())) is not None]
         return [*stored, *found, *await self._of_topics(topics)]
 
     def _resources(self, needs: Needs) -> Sequence[Resource]:
@@ -169,17 +185,21 @@ class Dataset:
                 case Location("resources", (_, *_), False):
                     yield MemberResource(self._robot, location.name)
 
-    async def _look(self, resources: Sequence[Resource], deadline: float) -> None:
-        """Have what must be waited for looked at together: the first values of topics, what getters answer."""
-        topics = self._robot.topics
-        tasks: list[asyncio.Future[object]] = []
+    async def _look(
+        self, topics: Iterable[TopicResource], others: Iterable[Resource], deadline: float
+    ) -> Sequence[GraphEntry]:
+        """The graphs of `others`. What must be waited for is looked at together: what getters answer, and the first
+
+        values of topics.
+        """
+        is_settled = self._robot.topics.is_settled
+        firsts = (self._first(topic) for topic in topics if not is_settled(topic.name))
+        shown = (self._entry(one.url, one.state()) for one in others)
+        tasks: list[asyncio.Future[GraphEntry | None]] = []
         try:
-            for one in resources:
-                if isinstance(one, TopicResource) and not topics.is_settled(one.name):
-                    tasks.append(asyncio.ensure_future(topics.look(one.name)))
-                elif isinstance(one, ComplexResource | MemberResource):
-                    tasks.append(asyncio.ensure_future(one.state()))
-                if len(tasks) % _AT_ONCE == _AT_ONCE - 1:
+            for coming in chain(firsts, shown):
+                tasks.append(asyncio.ensure_future(coming))
+                if len(tasks) % _AT_ONCE == 0:
                     await asyncio.sleep(0)
             if tasks:
                 seconds = max(0.0, deadline - asyncio.get_running_loop().time())
@@ -188,8 +208,13 @@ class Dataset:
             for task in tasks:
                 if not task.done():
                     task.cancel()
-                elif not task.cancelled():
-                    task.exception()  # what failed is seen again when it is shown
+        entries = [task.result() for task in tasks if task.done() and not task.cancelled()]
+        return [entry for entry in entries if entry is not None]
+
+    async def _first(self, topic: TopicResource) -> None:
+        """Have the first value of a topic come; what fails is seen again when it is shown."""
+        with contextlib.suppress(Problem, RosError):
+            await self._robot.topics.look(topic.name)
 
     async def _parameters(self, resources: Sequence[ParameterResource], deadline: float) -> Sequence[GraphEntry]:
         """The graphs of parameters, asked for all together."""

@@ -184,6 +184,17 @@ class Layout:
         """The path of every complex resource there may be."""
         return self._children
 
+    @property
+    def properties(self) -> Iterable[str]:
+        """The name of every property there may be."""
+        return self.catalogue.properties.keys() | self._picked.keys()
+
+    @property
+    def actions(self) -> Iterable[str]:
+        """The name of every action there may be."""
+        derived = (name for name, one in self.catalogue.actions.items() if one.service not in self._claimed)
+        return self._named.keys() | derived
+
     def complex(self, path: str) -> ComplexPlan | None:
         """The complex resource at a path, None where there is none."""
         return _kept(self._complexes, path, self._complex)

@@ -80,6 +80,18 @@ class _Index:
     services: Mapping[str, list[tuple[ComplexResource, MappedAction]]]
     dependents: Mapping[str, frozenset[str]]
     components: Mapping[str, frozenset[str]]
+    related: Mapping[str, frozenset[str]]
+    relations: frozenset[str]
+
+
+def relations(arrangement: Arrangement) -> frozenset[str]:
+    """The IRIs of all predicates that mappings give complex resources: the same object for one arrangement."""
+    return _index(arrangement).relations
+
+
+def related(arrangement: Arrangement, relation: str) -> frozenset[str]:
+    """The paths of the complex resources that mappings give this predicate, by its IRI."""
+    return _index(arrangement).related.get(relation, frozenset())
 
 
 def guards_of_member(arrangement: Arrangement, name: str) -> tuple[Condition, ...]:
@@ -121,7 +133,11 @@ def _make_index(arrangement: Arrangement) -> _Index:
     guards: dict[str, dict[str, Condition]] = {}
     services: dict[str, list[tuple[ComplexResource, MappedAction]]] = {}
     concerned: dict[str, set[str]] = {}
+    related: dict[str, set[str]] = {}
     for resource in arrangement.resources.values():
+        given = (*(one.predicate for one in resource.properties), *(one.relation for one in resource.actions))
+        for relation in (*given, *(one.relation for one in resource.links)):
+            related.setdefault(relation.value, set()).add(resource.path)
         for one in resource.properties:
             guards.setdefault(one.member, {}).update((each.iri, each) for each in one.writable_when)
         for action in resource.actions:
@@ -133,6 +149,8 @@ def _make_index(arrangement: Arrangement) -> _Index:
         services,
         {about: frozenset(paths) for about, paths in concerned.items()},
         _components(arrangement, concerned),
+        {relation: frozenset(paths) for relation, paths in related.items()},
+        frozenset(related),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -58,7 +58,8 @@ class Analysis:
 class Analyser:
     """Analyses queries for one server: `base` resolves their relative IRIs, `types` is the namespace of message types.
 
-    `prefixes` hold where a query does not declare them itself; `reach` is where SERVICE may lead.
+    `prefixes` hold where a query does not declare them itself; `reach` is where SERVICE may lead. `relations` tells the
+    predicates that mappings give complex resources: the same object for as long as they are the same.
     """
 
     def __init__(
@@ -69,16 +70,27 @@ class Analyser:
         prefixes: Mapping[str, str] = PREFIXES,
         bounds: Bounds = BOUNDS,
         reach: Reach = NOWHERE,
+        relations: Callable[[], frozenset[str]] = frozenset,
     ) -> None:
         self.base = base
         self.prefixes = dict(prefixes)
         self._types = types
         self._bounds = bounds
         self._reach = reach
-        self.analyse = lru_cache(maxsize=_KEPT)(self.analyse_once)
+        self._relations = relations
+        self._known = relations()
+        self._kept = lru_cache(maxsize=_KEPT)(self.analyse_once)
+
+    def analyse(self, text: str) -> Analysis:
+        """The analysis of a query, kept for when it is asked again. Raises as `analyse_once` does."""
+        relations = self._relations()
+        if relations is not self._known:
+            self._known = relations
+            self._kept.cache_clear()
+        return self._kept(text)
 
     def analyse_once(self, text: str) -> Analysis:
-        """The analysis of a query, to be had from `analyse` where it is asked again and again.
+        """The analysis of a query, in any thread.
 
         Raises Problems: those of `check`, and 400 for an update.
         """
@@ -90,7 +102,7 @@ class Analyser:
         except (Unrecognised, RecursionError):
             return self._unread(checked)
         lasting = not reading.functions & _CHANGING
-        terms = Terms(self._types)
+        terms = Terms(self._types, self._known)
         words = [token.text.upper() for token in checked.tokens if token.kind is Kind.WORD]
         steps = sum(token.kind in (Kind.WORD, Kind.MARK) for token in checked.tokens)
         found = None

@@ -148,7 +148,7 @@ class QueryService:
         limits, until = self._begun(request)
         analysis = await self._analysed(request.text, limits, until)
         media_type = results.choose(analysis.form, accept)
-        needs = _readable(_needs(analysis, request), judge)
+        needs = _readable(await self._synchroniser.resolved(_needs(analysis, request)), judge)
         async with self._synchroniser.synced(needs, deadline=self._deadline(limits)):
             if not judge.reads_all:
                 seen = await self._seen(judge)
@@ -183,13 +183,17 @@ class QueryService:
             self._carry_out(work, cost, limits, pickled, check, leash, seen.store)
             found.append(pickle.loads(pickled.getvalue()))  # our own
 
-        needs = _readable(_needs(analysis, request), judge)
+        needs = _readable(await self._synchroniser.resolved(_needs(analysis, request)), judge)
         async with self._synchroniser.synced(needs, deadline=self._deadline(limits)):
             if not judge.reads_all:
                 seen = await self._seen(judge)
             cost = self._cost(analysis, request, seen.store)
             await Evaluation(job, limits, until).run(self._pool(cost), hung_up)
         return found[0]
+
+    async def resolved(self, needs: Needs) -> Needs:
+        """The needs with all documents that they name, as `over` wants them."""
+        return await self._synchroniser.resolved(needs)
 
     async def over(self, needs: Needs, work: Callable[[Seen], T], asked: Sequence[Analysis] | None) -> T:
         """What `work` comes to over the store, which holds what the needs ask for: within the limits of a query.

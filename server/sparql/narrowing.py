@@ -26,7 +26,7 @@ def needs(reading: Reading, terms: Terms) -> Needs:
     """What a query needs, its FROM aside."""
     search = _Search(terms)
     search.group(reading.where, {})
-    return Needs(tuple(largest(search.demands)), frozenset(search.documents))
+    return Needs(tuple(largest(search.demands)), frozenset(search.documents), frozenset(search.terms))
 
 
 class _Search:
@@ -36,6 +36,7 @@ class _Search:
         self._terms = terms
         self.demands: list[Demand] = []
         self.documents: set[str] = set()
+        self.terms: set[str] = set()
 
     def group(self, group: Group, around: Mapping[str, Said]) -> None:
         """The demands of a group and of those within; `around` is what certainly holds of variables outside."""
@@ -47,6 +48,7 @@ class _Search:
             self._demand(part, facts)
         for pattern in group.patterns:
             self._demand_apart(pattern, group)
+            self._name(pattern, group, facts)
         for child in group.children:
             before = Facts(self._terms, group.graph, group.patterns[: child.after], child.bound, around)
             self.group(child.group, before.variables)
@@ -60,6 +62,12 @@ class _Search:
                 self.documents.add(document(term.value))
         for values in group.bound.values():
             self.documents.update(map(document, values))
+
+    def _name(self, pattern: Pattern, group: Group, facts: Facts) -> None:
+        """The terms that name resources, unless the one that is meant is named itself."""
+        said = facts.subject(pattern.subject)
+        if not isinstance(group.graph, Iri) and not isinstance(pattern.subject, Iri) and said.graphs is None:
+            self.terms |= self._terms.of_resources(pattern, said)
 
     def _demand(self, part: Part, facts: Facts) -> None:
         live = NEITHER

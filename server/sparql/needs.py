@@ -42,16 +42,18 @@ class Needs:
     """All live values that a query could see: those that any of its `demands` asks for.
 
     `documents` are the IRIs (without fragment) of resources that the query names, live or not: what is in the dataset
-    only when it is named (a recorded message, say) is to be put there.
+    only when it is named (a recorded message, say) is to be put there. `terms` are the classes and predicates by which
+    it names resources below `resources/`, whose URLs become documents (`GraphSource.documents_of`).
     """
 
     demands: tuple[Demand, ...] = ()
     documents: frozenset[str] = frozenset()
+    terms: frozenset[str] = frozenset()
 
     @cached_property
     def nothing(self) -> bool:
         """Whether the query needs no live value and names no document."""
-        return not self.demands and not self.documents
+        return not (self.demands or self.documents or self.terms)
 
     @cached_property
     def everything(self) -> bool:
@@ -98,12 +100,16 @@ class Needs:
         return all(any(mine.covers(one) for mine in self.demands) for one in other.demands)
 
     def within(self, graphs: Collection[str]) -> Needs:
-        """The same query over these graphs alone (FROM, `default-graph-uri`), which it thereby names."""
+        """The same query over these graphs alone (FROM, `default-graph-uri`), which it thereby names, and no others."""
         allowed = frozenset(graphs)
         narrowed = (
             replace(one, graphs=allowed if one.graphs is None else one.graphs & allowed) for one in self.demands
         )
         return Needs(tuple(one for one in narrowed if one.graphs), self.documents | allowed)
+
+    def resolved(self, documents: Collection[str]) -> Needs:
+        """The same with the documents that its terms stand for."""
+        return Needs(self.demands, self.documents.union(documents))
 
 
 EVERYTHING = Needs((Demand(parameters=True),))

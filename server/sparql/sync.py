@@ -11,7 +11,7 @@ import asyncio
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from itertools import count, islice
 from typing import NamedTuple, Protocol
@@ -55,6 +55,10 @@ class GraphSource(Protocol):
 
         That of a topic or a parameter is there too, without its values.
         """
+        ...
+
+    async def documents_of(self, terms: Collection[str]) -> Collection[str]:
+        """The resources that these classes and predicates may be said of, and that are there only where named."""
         ...
 
     async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
@@ -159,6 +163,10 @@ class Synchroniser:
     def held(self) -> Sequence[str]:
         """The graphs in the store that come from the source: all but those that clients keep."""
         return list(self._held)
+
+    async def resolved(self, needs: Needs) -> Needs:
+        """The needs with all documents that they name, be it by terms: to be `synced`."""
+        return needs.resolved(await self._source.documents_of(needs.terms)) if needs.terms else needs
 
     def synced(self, needs: Needs, *, deadline: float) -> AbstractAsyncContextManager[None]:
         """Within it the store holds what the needs ask for: begin the query there. Raises what the source raises."""

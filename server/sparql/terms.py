@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 from urllib.parse import unquote
 
-from rosld.ontology.vocab import rdf, ros
+from rosld.ontology.vocab import rdf, ros, td
 from rosld.server.sparql.patterns import Iri, Pattern, Term, Variable
 
 
@@ -86,6 +86,7 @@ _DESCRIBED = frozenset(
         ros.requested, ros.qosMismatchCount, ros.readOnly, ros.parameterType, ros.step,
         ros.parameter, ros.lifecycleState, ros.lifecycleStateWord, ros.lifecycleUnknown, ros.transition, ros.goalState,
         ros.goalStateWord, ros.touches, ros.matched, ros.does, ros.duration, ros.digest, ros.excerpt, ros.withheld,
+        ros.readsFrom, ros.writesTo, ros.invokes, ros.hasGoal,
     )
 )  # fmt: skip
 """Never said of what is live. Terms of the vocabulary that are not listed anywhere here count as live."""
@@ -106,16 +107,35 @@ _CLASSES: Mapping[str, Said] = {
         for term in (
             ros.Graph, ros.Master, ros.Node, ros.Service, ros.Action, ros.Bag, ros.MessageType, ros.ServiceType,
             ros.ActionType, ros.Field, ros.Constant, ros.Query, ros.Write, ros.Qos, ros.QosMismatch, ros.ManagedNode,
+            ros.ComplexResource, ros.Property, ros.Goal, ros.Hold, ros.Stop,
         )
     },
 }  # fmt: skip
 
+COMPLEX = frozenset(
+    one.value
+    for one in (
+        ros.ComplexResource, td.PropertyAffordance, td.ActionAffordance, td.hasPropertyAffordance,
+        td.hasActionAffordance,
+    )
+)  # fmt: skip
+"""Said of every complex resource, beside the relations that mappings give some of them."""
+PROPERTIES = frozenset(one.value for one in (ros.Property, ros.readsFrom, ros.writesTo, rdf.value))
+"""Said of every property."""
+ACTIONS = frozenset({ros.invokes.value})
+"""Said of every action."""
+_OF_RESOURCES = COMPLEX | PROPERTIES | ACTIONS
+
 
 @dataclass(frozen=True, slots=True)
 class Terms:
-    """The vocabulary as seen by a query; `types` is the namespace of message types."""
+    """The vocabulary as seen by a query.
+
+    `types` is the namespace of message types, `relations` are the predicates that mappings give complex resources.
+    """
 
     types: str
+    relations: frozenset[str] = frozenset()
 
     def type_named(self, iri: str) -> str | None:
         """The message type (`geometry_msgs/msg/Twist`) that an IRI is the class, or a property, of."""
@@ -179,6 +199,18 @@ class Terms:
         if predicate == ros.publisher.value:  # of a topic it is description, of a message not
             return NEITHER if resource else MESSAGES
         return BOTH if predicate.startswith(ros.iri) and predicate not in _DESCRIBED else NEITHER
+
+    def of_resources(self, pattern: Pattern, subject: Said) -> frozenset[str]:
+        """The terms of a pattern by which it names resources below `resources/`, its subject being what it is.
+
+        A class names them whatever else is said of the subject; a predicate only where that can be one of them.
+        """
+        if pattern.predicates == frozenset({rdf.type.value}):
+            named = frozenset({pattern.object.value}) if isinstance(pattern.object, Iri) else frozenset()
+            return named & _OF_RESOURCES
+        if subject.live != BOTH or pattern.predicates is None:
+            return frozenset()
+        return pattern.predicates & (_OF_RESOURCES | self.relations)
 
     def _live_class(self, object: Term, resource: bool) -> bool:
         if isinstance(object, Variable):

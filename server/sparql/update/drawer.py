@@ -56,7 +56,7 @@ class Drawer:
         Raises Problems as a query does, and those of `drawing.draw`.
         """
         asked = [self._asked(each) for each in _wheres(operations)]
-        needs = _together(asked, graphs_named(operations) | more)
+        needs = await self._service.resolved(_together(asked, graphs_named(operations) | more))
         again = asks_again(operations)
         if again and not child.AVAILABLE:
             raise Problem(501, "On this system a WHERE cannot follow another operation: send them one by one.")
@@ -141,7 +141,7 @@ def _together(asked: Sequence[_Asked], graphs: frozenset[str]) -> Needs:
     if graphs:
         demands.append(Demand(graphs, parameters=True))
     documents = graphs.union(*(one.needs.documents for one in asked))
-    return Needs(tuple(dict.fromkeys(demands)), documents)
+    return Needs(tuple(dict.fromkeys(demands)), documents, frozenset().union(*(one.needs.terms for one in asked)))
 
 
 def _read(needs: Needs, seen: Seen) -> Mapping[str, Hashable]:

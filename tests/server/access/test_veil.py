@@ -90,6 +90,8 @@ def solutions(client: httpx.Client, query: str) -> list[str]:
         "SELECT ?s ?p ?o { GRAPH </nodes/aircraft> { ?s ?p ?o } }",
         "SELECT ?g (COUNT(*) AS ?n) { GRAPH ?g { ?s ?p ?o } } GROUP BY ?g",
         "SELECT (STR(?o) AS ?t) { ?s ?p ?o }",
+        "SELECT ?x ?p ?o { ?x a ros:ComplexResource ; ?p ?o }",
+        "SELECT ?x ?p ?o { ?x a ros:Property ; ?p ?o }",
     ],
 )
 def test_queries_see_what_their_agent_may_read_and_no_mention_of_anything_else(guarded: Guarded, query: str) -> None:

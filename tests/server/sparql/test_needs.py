@@ -25,6 +25,7 @@ PREFIX tf: <{TYPES}{TF}#>
 PREFIX st: <{TYPES}{STAMPED}#>
 PREFIX t: <{BASE}topics/>
 """
+RELATIONS = frozenset({"http://example.org/wing"})
 A, B = f"{BASE}topics/a", f"{BASE}topics/b"
 
 
@@ -101,6 +102,45 @@ def test_a_query_about_the_computation_graph_needs_no_values(query: str) -> None
 )
 def test_a_query_needs_what_its_patterns_name_together(query: str, demand: Demand) -> None:
     assert needs(query).demands == (demand,)
+
+
+@pytest.mark.parametrize(
+    ("query", "terms"),
+    [
+        ("SELECT * { ?r a ros:ComplexResource ; ?p ?o }", {"ros:ComplexResource"}),
+        ("SELECT * { ?r a ros:Property ; rdf:value ?v ; dcterms:title ?t }", {"ros:Property"}),
+        ("SELECT * { ?r rdf:value|rdfs:label ?v }", {"rdf:value"}),
+        ("SELECT * { ?t ros:name ?n . OPTIONAL { ?a ros:invokes ?s } FILTER EXISTS { ?p ros:readsFrom ?t } }",
+         {"ros:invokes", "ros:readsFrom"}),
+        ("SELECT * { ?plane <http://example.org/wing> ?w }", {"http://example.org/wing"}),
+        ("SELECT * { ?w ^<http://example.org/wing> ?plane }", {"http://example.org/wing"}),
+        ("SELECT * { ?plane <http://example.org/tail> ?w }", set()),
+        ("SELECT * { ?s ?p ?o ; a ?class }", set()),
+        ("SELECT * { ?t a ros:Topic ; rdf:value ?v }", set()),
+        ("SELECT * { <resources/a> rdf:value ?v }", set()),
+        ("SELECT * { VALUES ?r { <resources/a> } ?r a ros:Property }", set()),
+        ("SELECT * { GRAPH <resources/a> { ?r a ros:Property } }", set()),
+        ("SELECT * FROM <resources/a> { ?r a ros:Property }", set()),
+    ],
+)  # fmt: skip
+def test_classes_and_predicates_that_only_resources_have_name_them(query: str, terms: set[str]) -> None:
+    analysed = Analyser(BASE, TYPES, relations=lambda: RELATIONS).analyse(query)
+    found = analysed.needs.within(analysed.default_graphs) if analysed.default_graphs else analysed.needs
+    names = {f"{prefix}:": iri for prefix, iri in analyser().prefixes.items() if prefix in ("ros", "rdf")}
+    expected = {term.replace(name, iri) for term in terms for name, iri in names.items() if term.startswith(name)}
+    assert found.terms == expected | {term for term in terms if term.startswith("http:")}
+    assert not any(demand.anything and demand.messages for demand in found.demands) or not terms
+
+
+def test_a_relation_counts_from_when_a_mapping_has_it() -> None:
+    known = [frozenset[str]()]
+    told = Analyser(BASE, TYPES, relations=lambda: known[0])
+    query = "SELECT * { ?plane <http://example.org/wing> ?w }"
+    assert told.analyse(query).needs.nothing
+    known[0] = RELATIONS
+    assert told.analyse(query).needs.terms == RELATIONS
+    known[0] = frozenset()
+    assert told.analyse(query).needs.nothing
 
 
 def test_patterns_about_different_nodes_do_not_narrow_each_other() -> None:

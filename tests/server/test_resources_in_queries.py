@@ -1,0 +1,147 @@
+"""What lies below `/resources/` in queries: there for the query that names it, be it by a class or a predicate."""
+
+from __future__ import annotations
+
+import csv
+import io
+import time
+
+import httpx
+import pytest
+
+from tests.server.robots import asking
+from tests.server.robots.made_up import MadeUp, Serving
+
+EX, mapped = asking.EX, asking.mapped
+HAND = """
+<#hand> a map:ComplexResource ; map:path "/arm/hand/" ; map:existsWhen <#manual> ;
+  map:property [ map:predicate ex:width ; map:member "width" ] ;
+  map:action [ map:relation ex:greet ; map:service "/arm/hand/wave" ] .
+<#manual> a sh:NodeShape ; map:about "/arm/mode" ; sh:property [ sh:path rdf:value ; sh:hasValue "manual" ] .
+"""
+
+
+@pytest.fixture
+def arm(robot: MadeUp) -> MadeUp:
+    """An arm with a hand."""
+    robot.variable("/arm/grip", "Byte", value=1)
+    robot.variable("/arm/mode", "Words", words="manual")
+    robot.variable("/arm/hand/width", "Byte", value=9)
+    robot.answer("/arm/hand/wave", "std_srvs/srv/Trigger", success=True)
+    return robot
+
+
+def found(http: httpx.Client, where: str) -> set[str]:
+    """The one column of a SELECT, as paths or words, each of them once."""
+    query = f"PREFIX ex: <{EX}> PREFIX td: <https://www.w3.org/2019/wot/td#> SELECT ?x {{ {where} }}"
+    answer = http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"})
+    assert answer.status_code == 200, answer.text
+    rows = [row[0].removeprefix(str(http.base_url)) for row in list(csv.reader(io.StringIO(answer.text)))[1:]]
+    assert len(rows) == len(set(rows)), f"found twice: {rows}"
+    return set(rows)
+
+
+def getters(robot: MadeUp) -> set[str]:
+    """The getters that were called."""
+    return {name for name, count in robot.calls.items() if count and "/get_" in name}
+
+
+def test_their_class_finds_all_complex_resources_with_what_is_said_of_them(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    assert found(http, "?x a ros:ComplexResource") == {"resources/", "resources/arm/", "resources/arm/hand/"}
+    assert found(http, "?r a ros:ComplexResource ; ros:name ?x") == {"/", "/arm", "/arm/hand"}
+    assert found(http, "?r ros:name '/arm' . ?r ldp:contains ?x . ?x a ros:ComplexResource") == {"resources/arm/hand/"}
+    assert found(http, "GRAPH ?x { ?x a ros:ComplexResource }") == {
+        "resources/",
+        "resources/arm/",
+        "resources/arm/hand/",
+    }
+
+
+def test_their_class_and_what_they_are_read_from_find_properties(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    properties = {"resources/arm/grip", "resources/arm/mode", "resources/arm/hand/width"}
+    assert found(http, "?x a ros:Property") == properties
+    assert found(http, "?x ros:readsFrom ?any") == properties
+    assert found(http, "?x ros:writesTo <services/arm/set_grip>") == {"resources/arm/grip"}
+    assert found(http, "?p a ros:Property ; rdf:value ?x") == {"1", "manual", "9"}
+    assert found(http, "?p rdf:value ?x") == {"1", "manual", "9"}
+    assert found(http, "?x ros:invokes ?service") == {"resources/arm/hand/wave"}
+
+
+def test_what_may_be_done_is_found_by_its_class(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    assert found(http, "?a a td:ActionAffordance ; td:name ?x") == {"wave", "stop"}
+    assert found(http, "?x td:hasActionAffordance ?any") == {"resources/arm/hand/", "stop"}
+
+
+def test_a_relation_of_a_mapping_finds_the_resources_that_have_it_and_calls_for_no_others(
+    arm: MadeUp, serving: Serving
+) -> None:
+    http = serving()
+    assert found(http, "?hand ex:width ?x") == set()  # nobody says so yet
+    mapped(http, HAND)
+    arm.calls.clear()
+    assert found(http, "?hand ex:width ?x") == {"9"}
+    assert found(http, "?x ex:greet ?action") == {"resources/arm/hand/"}
+    assert getters(arm) == {"/arm/hand/get_width", "/arm/get_mode"}
+    assert http.delete("/mappings/mine").status_code == 204
+    assert found(http, "?hand ex:width ?x") == set()
+
+
+def test_what_is_not_there_now_is_not_found(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(http, HAND)
+    assert "resources/arm/hand/" in found(http, "?x a ros:ComplexResource")
+    assert http.put("/resources/arm/mode", json="automatic").status_code == 204
+    assert "resources/arm/hand/" not in found(http, "?x a ros:ComplexResource")
+    assert found(http, "?hand ex:width ?x") == set()
+
+
+def test_values_are_as_of_each_query(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    for number in (3, 7):
+        assert http.put("/resources/arm/grip", json=number).status_code == 204
+        assert str(number) in found(http, "?p a ros:Property ; rdf:value ?x")
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        "?x ?p ?o",
+        "?x a ros:Topic ; rdf:value ?v",
+        "?x a ros:Goal ; td:hasActionAffordance ?a",
+        "<topics/arm/state> rdf:value ?x",
+        "GRAPH <topics/arm/state> { ?x a ros:ComplexResource }",
+        "VALUES ?x { <nodes/arm> } ?x rdf:value ?v",
+    ],
+)
+def test_queries_that_speak_of_something_else_call_no_getter(arm: MadeUp, serving: Serving, where: str) -> None:
+    http = serving()
+    http.get("/sparql", params={"query": f"PREFIX td: <https://www.w3.org/2019/wot/td#> ASK {{ {where} }}"})
+    assert getters(arm) == set()
+
+
+def test_getters_that_hang_hold_a_query_up_once_and_together(arm: MadeUp, serving: Serving) -> None:
+    for number in range(30):
+        arm.variable(f"/arm/stuck{number}", "Byte", value=0)
+        arm.hold(f"/arm/get_stuck{number}")
+    http = serving(read_deadline=0.5)
+    began = time.monotonic()
+    assert "9" in found(http, "?p a ros:Property ; rdf:value ?x")
+    assert time.monotonic() - began < 0.5 * 15, "they were waited for one after the other"
+    assert len(found(http, "?x a ros:Property ; ros:unreadable ?why")) == 30
+    for number in range(30):
+        arm.release(f"/arm/get_stuck{number}")
+
+
+def test_an_update_finds_them_by_the_same_terms_and_writes_them(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(http, HAND)
+    update = (
+        f"PREFIX ex: <{EX}> DELETE {{ GRAPH ?g {{ ?h ex:width ?old }} }} INSERT {{ GRAPH ?g {{ ?h ex:width 12 }} }} "
+    )
+    update += "WHERE { GRAPH ?g { ?h ex:width ?old } }"
+    answer = http.post("/sparql", content=update, headers={"Content-Type": "application/sparql-update"})
+    assert answer.status_code in (200, 204), answer.text
+    assert asking.value(http, "/resources/arm/hand/width") == 12

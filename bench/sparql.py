@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from http.client import HTTPConnection
 from pathlib import Path
@@ -163,6 +163,14 @@ class Robot:
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
         return self._descriptions
+
+    async def documents_of(self, terms: Collection[str]) -> Collection[str]:
+        """None: it has topics only."""
+        return ()
+
+    def glance(self, needs: Needs) -> Hashable | None:
+        """Every topic has a new message at once."""
+        return self._turn
 
     async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
         named = self._urls if needs.graphs is None else sorted(needs.graphs)

@@ -17,6 +17,7 @@ from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.server.access import gate
+from rosld.server.access.agent import ANYBODY
 from rosld.server.access.door import Door
 from rosld.server.clients import REFUSAL_SECONDS, Allowance, Clients, TooMuch
 from rosld.server.dataset import ELSEWHERE, Dataset
@@ -25,12 +26,14 @@ from rosld.server.events import websocket
 from rosld.server.events.channels import Channels
 from rosld.server.events.feed import Feeds
 from rosld.server.http import link
+from rosld.server.http.again import SCOPE, Again
 from rosld.server.http.origin import Site, check_host, check_origin, sharing, site
 from rosld.server.http.problem import Problem, render
 from rosld.server.hypermedia.mappings import relations
 from rosld.server.ldp.alone import Alone
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import Pages
+from rosld.server.ldp.prepared import Prepared
 from rosld.server.ldp.resource import Resource
 from rosld.server.ldp.verbs import Verbs, options
 from rosld.server.mirroring import mirror_of
@@ -141,6 +144,7 @@ class Application:
         settings = robot.settings
         allowance = Allowance(settings.client_rate, settings.client_requests, settings.client_connections)
         self.clients = Clients(allowance, loopback=settings.limit_loopback)
+        self.again = Again(self._passes) if door is None else None
         self._door = door
         self._acl = link.Link(f"{robot.space.base}acl", "acl")
         self._standing = (b"link", link.render([notifications.link]).encode("latin-1"))
@@ -214,6 +218,8 @@ class Application:
         if origin is not None or self._site.shared or self._site.anybody:
             _share(response, sharing(self._site, exchange.method, origin))
         response.raw_headers = [*response.raw_headers, self._standing]
+        if self.again is not None and isinstance(response, Prepared) and response.still is not None:
+            scope[SCOPE] = response.still
         await response(scope, receive, send)
 
     async def _websocket(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -250,6 +256,14 @@ class Application:
         if exchange.method != "POST" or not scope["raw_path"].endswith(b"/stop"):
             client = scope["client"]
             exchange.client = self.clients.admit(exchange.agent, client[0] if client else None)
+
+    def _passes(self, address: str | None) -> bool:
+        """Whether a client may have an answer that is at hand; it counts as a request."""
+        try:
+            self.clients.leave(self.clients.admit(ANYBODY, address))
+        except TooMuch:
+            return False
+        return True
 
     def _counted(self, exchange: Exchange, error: Exception) -> Exception:
         """What became of a request: one that was refused before it was let pass counts like any other (429)."""

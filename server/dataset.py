@@ -77,17 +77,7 @@ class Dataset:
     @property
     def revision(self) -> Hashable:
         """Changes whenever a description may have changed."""
-        robot = self._robot
-        return (
-            robot.graph.revision,
-            robot.schemas.count,
-            robot.calls.revision,
-            robot.goals.revision,
-            robot.holds.revision,
-            robot.stops.revision,
-            robot.queries.version,
-            Same(robot.limits),
-        )
+        return self._robot.revision
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
         """Every graph without live values, by IRI."""
@@ -107,6 +97,13 @@ class Dataset:
         if not ACTIONS.isdisjoint(terms):
             paths.update(layout.actions)
         return {url_of(path, space) for path in paths}
+
+    def glance(self, needs: Needs) -> Hashable | None:
+        """What tells whether `live` would find what it found, at once; None where that must be looked for."""
+        if any(demand.anything for demand in needs.demands):
+            return None
+        found = [resource.standing() for resource in self._resources(needs)]
+        return None if None in found else tuple(found)
 
     async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
         """The graphs of topics and parameters whose values a query needs, as of now.

@@ -128,6 +128,21 @@ class Robot:
         return None if newest is None else self.adapter.age_ns(newest) / 1e9
 
     @property
+    def revision(self) -> Hashable:
+        """Another one whenever anything has changed but values and what clients keep."""
+        return (
+            Same(self.adapter.graph),
+            self.schemas.count,
+            self.calls.revision,
+            self.goals.revision,
+            self.holds.revision,
+            self.stops.revision,
+            self.queries.version,
+            Same(self.limits_in_force.now),
+            Same(self.mappings.arrangement),
+        )
+
+    @property
     def limits(self) -> Limits:
         """The limits on what is written that are in force now."""
         return self.limits_in_force.now

@@ -13,6 +13,7 @@ from typing import Any
 import uvicorn
 from starlette.types import ASGIApp
 
+from rosld.server.http.again import Again
 from rosld.server.http.connection import Bounded, Bounds, Connection
 from rosld.server.sparql.evaluation import Aborted
 
@@ -61,6 +62,7 @@ class Server(uvicorn.Server):
         listening: Callable[[], None],
         bounds: Bounds | None = None,
         connections: int = CONNECTIONS,
+        again: Again | None = None,
     ) -> None:
         config = Bounded(
             app,
@@ -80,6 +82,7 @@ class Server(uvicorn.Server):
         )
         if bounds is not None:
             config.bounds = bounds
+        config.again = again
         super().__init__(config)
         self._listening = listening
 

@@ -60,7 +60,7 @@ class Serving:
         self._url = url
         settings = app.robot.settings
         bounds = Bounds(settings.head_limit, settings.head_timeout, settings.read_timeout, app.clients.connect)
-        self._server = listening.Server(app, self._listening, bounds, settings.connections)
+        self._server = listening.Server(app, self._listening, bounds, settings.connections, app.again)
         tls.apply(self._server.config, app.robot.settings.tls_cert, app.robot.settings.tls_key)
         self._work: asyncio.Task[None] | None = None
 

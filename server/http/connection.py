@@ -1,4 +1,7 @@
-"""Connections: uvicorn's HTTP/1.1 protocol with bounds on what a stranger may send before a request is one."""
+"""Connections: uvicorn's HTTP/1.1 protocol with bounds on what a stranger may send before a request is one, and with
+
+answers to requests that were answered before (`again.py`).
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,8 @@ from typing import cast
 import uvicorn
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from rosld.server.http import problem
+from rosld.server.http import again, problem
+from rosld.server.http.again import Again
 from rosld.server.http.problem import Problem
 
 _JOINED = 64 * 1024
@@ -41,18 +45,23 @@ class Bounds:
 
 
 class Bounded(uvicorn.Config):
-    """uvicorn's configuration with bounds for its connections."""
+    """uvicorn's configuration with bounds for its connections, and the answers that they may give again."""
 
     bounds = Bounds()
+    again: Again | None = None
 
 
 class Together:
-    """A transport that sends the head of an answer together with the first of its body: one call of the system less."""
+    """A transport that sends the head of an answer together with the first of its body: one call of the system less.
+
+    `joined` is what was sent so last, if that was short.
+    """
 
     def __init__(self, transport: asyncio.Transport, loop: asyncio.AbstractEventLoop) -> None:
         self._transport = transport
         self._soon = loop.call_soon
         self._head = b""
+        self.joined = b""
 
     def __getattr__(self, name: str) -> object:
         return getattr(self._transport, name)
@@ -61,14 +70,22 @@ class Together:
         """Send bytes; a head waits for what is written next, or for the loop's next turn."""
         if self._head:
             head, self._head = self._head, b""
-            self._transport.write(head + data if len(data) < _JOINED else head)
-            if len(data) >= _JOINED:
+            if len(data) < _JOINED:
+                self.joined = head + data
+                self._transport.write(self.joined)
+            else:
+                self._transport.write(head)
                 self._transport.write(data)
         elif data.startswith(b"HTTP/1.1 "):
-            self._head = data
+            self._head, self.joined = data, b""
             self._soon(self.flush)
         else:
             self._transport.write(data)
+
+    def write_whole(self, answer: bytes) -> None:
+        """Send an answer that is there with head and body."""
+        self.flush()
+        self._transport.write(answer)
 
     def writelines(self, parts: Iterable[bytes]) -> None:
         """Send several pieces."""
@@ -93,8 +110,15 @@ class Together:
 
 
 class Connection(HttpToolsProtocol):
-    """Ends connections whose request line and headers are too large (431) or too slow (408); says 400 in RFC 9457."""
+    """Ends connections whose request line and headers are too large (431) or too slow (408); says 400 in RFC 9457.
 
+    What comes as a whole, with nothing else before or after it, is answered as it was the last time if that stands.
+    """
+
+    _whole: bytes | None = None
+    """A request that came as a whole, until it is answered or something else comes."""
+    _begun = 0
+    """Requests that have begun in it."""
     _head_is_open = True
     _head_size = 0
     _impatience: asyncio.TimerHandle | None = None
@@ -126,6 +150,10 @@ class Connection(HttpToolsProtocol):
         """Bytes came."""
         if self._is_over:
             return
+        if not self._is_idle:
+            self._whole = None
+        elif self._answered_again(data):
+            return
         if self._head_is_open:
             self._head_size += len(data)
         super().data_received(data)
@@ -136,6 +164,55 @@ class Connection(HttpToolsProtocol):
             self._end(Problem(431, f"The request line and the headers are larger than {most} bytes."))
         elif self._impatience is None:
             self._impatience = self.loop.call_later(self._bounds.head_seconds, self._too_slow)
+
+    @property
+    def _is_idle(self) -> bool:
+        """Whether nothing of a request has come that is not answered."""
+        is_answered = self.cycle is None or self.cycle.response_complete
+        return is_answered and self._head_is_open and not self._head_size
+
+    def _answered_again(self, data: bytes) -> bool:
+        """Answer the request that these bytes are as it was answered before, if that stands."""
+        known, is_short = self._again, len(data) <= again.LONGEST_REQUEST
+        self._begun, self._whole = 0, data if is_short else None
+        if known is None or not is_short or self.flow.write_paused or self.transport.is_closing():
+            return False
+        answer = known.answer(data, self.client[0] if self.client else None, self._date)
+        if answer is None:
+            return False
+        self._be_patient()
+        self._together.write_whole(answer)
+        self.server_state.total_requests += 1
+        self._unset_keepalive_if_required()
+        self.timeout_keep_alive_task = self.loop.call_later(self.timeout_keep_alive, self.timeout_keep_alive_handler)
+        return True
+
+    @property
+    def _again(self) -> Again | None:
+        return self.config.again if isinstance(self.config, Bounded) else None
+
+    @property
+    def _together(self) -> Together:
+        return cast("Together", self.transport)
+
+    @property
+    def _date(self) -> bytes:
+        """The date of answers of now, which uvicorn makes each second."""
+        return next((value for name, value in self.server_state.default_headers if name == b"date"), b"")
+
+    def on_message_begin(self) -> None:
+        """A request begins."""
+        self._begun += 1
+        super().on_message_begin()
+
+    def on_response_complete(self) -> None:
+        """A request is answered; how is kept where the application says how to tell that it stands."""
+        request, self._whole = self._whole, None
+        still: again.Still | None = self.cycle.scope.get(again.SCOPE)  # type: ignore[assignment]
+        is_alone = self._begun == 1 and not self.cycle.more_body
+        if request and is_alone and still and self._again and self.cycle.keep_alive and self._together.joined:
+            self._again.keep(request, self._together.joined, still)
+        super().on_response_complete()
 
     def on_headers_complete(self) -> None:
         """The head of a request is there. Its scope has the transport, for who must know when the client is silent."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -117,6 +118,7 @@ class Verbs:
             return special
         if asked.stream_is_preferred(exchange.accept, OFFERS):
             return await self._stream(exchange, resource)
+        standing = resource.standing()
         state = await resource.state()
         unchanged = False
         if b"after=" in exchange.request.scope["query_string"] and "after" in exchange.query:
@@ -125,14 +127,20 @@ class Verbs:
                 raise unproven("Your rights have changed meanwhile.")
             state = await resource.state()
             unchanged = asked.is_state(exchange.query["after"], self._name(state))
-        rendering = await self.rendering(exchange, resource, state)
-        headers = rendering.headers
+            standing = None
+        media_type = chosen(exchange)
+        rendering = await self.represented(resource, state, media_type, exchange.judge)
+        headers, age = rendering.headers, 0
         if state.received_ns is not None:
             age = max(0, time.time_ns() - state.received_ns) // 1_000_000_000
             headers = [*headers, (b"age", b"%d" % age)]
+        still = None
+        if standing is not None and media_type != HTML:
+            older = math.inf if state.received_ns is None else state.received_ns + (age + 1) * 1_000_000_000
+            still = partial(_stands, resource, standing, older)
         if unchanged or _not_modified(exchange, rendering):
-            return Prepared(304, b"", [pair for pair in headers if pair[0] not in _CONTENT])
-        return Prepared(200, rendering.body, headers)
+            return Prepared(304, b"", [pair for pair in headers if pair[0] not in _CONTENT], still)
+        return Prepared(200, rendering.body, headers, still)
 
     async def rendering(self, exchange: Exchange, resource: Resource, state: State) -> Rendering:
         """The representation that the request prefers, kept with the state or made now. Raises a 406 Problem."""
@@ -376,6 +384,11 @@ def _linked(resource: Resource, problem: Problem) -> Problem:
         there = problem.headers.get("Link")
         problem.headers["Link"] = ", ".join([link.render(resource.links), *([there] if there else ())])
     return problem
+
+
+def _stands(resource: Resource, standing: Hashable, older_ns: float) -> bool:
+    """Whether a resource is as it was, and its value not a second older."""
+    return time.time_ns() < older_ns and resource.standing() == standing
 
 
 def chosen(exchange: Exchange) -> str:

@@ -80,7 +80,7 @@ def told(answer: QueryAnswer) -> Response:
     if isinstance(answer.body, bytes):
         length = (b"content-length", b"%d" % len(answer.body))
         kind = (b"content-type", answer.content_type.encode("ascii"))
-        return Prepared(200, answer.body, [kind, length, *_STANDING])
+        return Prepared(200, answer.body, [kind, length, *_STANDING], answer.still)
     stream: AsyncIterator[bytes] = answer.body
     headers = {name.decode(): value.decode() for name, value in _STANDING}
     return StreamingResponse(stream, headers={**headers, "Content-Type": answer.content_type})

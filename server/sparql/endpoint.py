@@ -7,15 +7,17 @@ import io
 import pickle
 import time
 from collections import OrderedDict
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Hashable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import partial
 from typing import BinaryIO, NamedTuple, TypeAlias, TypeVar
 
 from pyoxigraph import NamedNode, QueryTriples
 
 from rosld.server.access.judge import EVERYTHING, Judge
+from rosld.server.http.again import Still
 from rosld.server.http.problem import Problem
 from rosld.server.sparql import child, results, rows
 from rosld.server.sparql.analysis import Analyser, Analysis
@@ -38,10 +40,14 @@ T = TypeVar("T")
 
 
 class QueryAnswer(NamedTuple):
-    """Results in one media type; `content_type` adds its charset. A `body` that is an iterator may raise Aborted."""
+    """Results in one media type; `content_type` adds its charset. A `body` that is an iterator may raise Aborted.
+
+    `still` says whether the same query would be answered the same again.
+    """
 
     media_type: str
     body: bytes | AsyncIterator[bytes]
+    still: Still | None = None
 
     @property
     def content_type(self) -> str:
@@ -149,6 +155,7 @@ class QueryService:
         analysis = await self._analysed(request.text, limits, until)
         media_type = results.choose(analysis.form, accept)
         needs = _readable(await self._synchroniser.resolved(_needs(analysis, request)), judge)
+        before = self._synchroniser.glance(needs) if analysis.lasting and judge.reads_all else None
         async with self._synchroniser.synced(needs, deadline=self._deadline(limits)):
             if not judge.reads_all:
                 seen = await self._seen(judge)
@@ -156,14 +163,19 @@ class QueryService:
                 return QueryAnswer(media_type, await self._evaluate(analysis, request, media_type, how))
             key = (request.text, request.default_graphs, request.named_graphs, media_type)
             version = self._store.version
+            still = None if before is None else partial(self._stands, needs, before, version)
             kept = self._kept.get(key, version) if analysis.lasting else None
             if kept is not None:
-                return QueryAnswer(media_type, kept)
+                return QueryAnswer(media_type, kept, still)
             how = Evaluating(limits, until, hung_up, Sight(self._store))
             body = await self._evaluate(analysis, request, media_type, how)
             if analysis.lasting and isinstance(body, bytes):
                 self._kept.put(key, version, body)
-            return QueryAnswer(media_type, body)
+            return QueryAnswer(media_type, body, still)
+
+    def _stands(self, needs: Needs, before: Hashable, version: int) -> bool:
+        """Whether the dataset is as it was, and would be after another look at what the query needs."""
+        return self._store.version == version and self._synchroniser.glance(needs) == before
 
     async def table(
         self, request: QueryRequest, limit: int, hung_up: HangUp | None = None, judge: Judge = EVERYTHING

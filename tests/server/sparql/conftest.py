@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Collection, Coroutine, Hashable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import pytest
@@ -54,6 +54,12 @@ class RobotSource:
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
         return {self.url(topic): self._entry(topic, False) for topic in range(self.count)}
+
+    async def documents_of(self, terms: Collection[str]) -> Collection[str]:
+        return ()
+
+    def glance(self, needs: Needs) -> Hashable | None:
+        return self.revision, tuple(self.values.values()), tuple(self.silent), tuple(self.bags.items())
 
     async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
         self.looks.append(needs)

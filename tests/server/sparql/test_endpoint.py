@@ -236,6 +236,26 @@ def test_an_answer_is_kept_for_as_long_as_the_dataset_is_the_same(
     run(scenario())
 
 
+def test_an_answer_says_whether_it_would_be_given_again(make_source: Make, make_endpoint: Make, run: Make) -> None:
+    async def scenario() -> None:
+        source = make_source()
+        endpoint = make_endpoint(source)
+        live = await endpoint.answer("SELECT ?x { ?m <https://w3id.org/rosld/types/p/msg/T3#f0> ?x }")
+        still = await endpoint.answer("SELECT ?n { <topics/t3> ros:name ?n }")
+        assert live.still()
+        assert still.still()
+        source.tick()
+        assert not live.still()
+        again = await endpoint.answer("SELECT ?x { ?m <https://w3id.org/rosld/types/p/msg/T3#f0> ?x }")
+        assert again.still()
+        source.revision += 1
+        assert not again.still()
+        assert not still.still()
+        assert (await endpoint.answer("SELECT (RAND() AS ?x) { }")).still is None
+
+    run(scenario())
+
+
 @pytest.mark.parametrize("expression", ["RAND()", "UUID()", "STRUUID()", "NOW()", "BNODE()"])
 def test_what_is_new_each_time_is_not_kept(make_source: Make, make_endpoint: Make, run: Make, expression: str) -> None:
     async def scenario() -> None:

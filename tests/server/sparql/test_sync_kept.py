@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from typing import Any
 
 import httpx
@@ -33,6 +33,12 @@ class NoRobot:
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
         return {}
+
+    async def documents_of(self, terms: Collection[str]) -> Collection[str]:
+        return ()
+
+    def glance(self, needs: Needs) -> Hashable | None:
+        return ()
 
     async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
         return ()

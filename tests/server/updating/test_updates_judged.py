@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
@@ -186,6 +186,12 @@ class Room:
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
         return {entry.iri: entry for entry in self._entries()}
+
+    async def documents_of(self, terms: Collection[str]) -> Collection[str]:
+        return ()
+
+    def glance(self, needs: Needs) -> Hashable | None:
+        return self._live
 
     async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
         return [entry for entry in self._entries() if self._live and entry.iri in needs.documents]

@@ -272,6 +272,8 @@ def taken_here(text: str) -> str | None:
                 pyoxigraph.Store().query(ANALYSER.analyse(operation.where.query).text, base_iri=BASE)
             except (SyntaxError, Problem) as error:
                 return str(error)
+            except (OSError, RuntimeError, ValueError):  # whether it can be carried out is another matter
+                pass
     return None
 
 

@@ -35,7 +35,7 @@ from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.update.drawer import Drawer, Drawn
 from rosld.server.sparql.update.drawing import GraphChange, graphs_named
 from rosld.server.sparql.update.operations import Manage, Operation, Verb
-from rosld.server.sparql.update.reading import read_update
+from rosld.server.sparql.update.shaped import Reader
 
 ATTEMPTS = 4
 """Times that an update is drawn where what it is drawn over changes before it is carried out."""
@@ -75,8 +75,7 @@ class Updates:
     ) -> None:
         self._robot = robot
         self._drawer = drawer
-        self._analyser = analyser
-        self._bounds = bounds
+        self._reader = Reader(analyser.prefixes, analyser.base, bounds)
         self._at = at
         self._alone = alone
         self._line = Alone(_PATIENCE)
@@ -136,10 +135,9 @@ class Updates:
         )
 
     async def _read(self, request: UpdateRequest) -> Sequence[Operation]:
-        arguments = (request, self._analyser.prefixes, self._analyser.base, self._bounds)
         if len(request.text) <= _INLINE:
-            return read_update(*arguments)
-        return await asyncio.to_thread(read_update, *arguments)
+            return self._reader.read(request)
+        return await asyncio.to_thread(self._reader.read, request)
 
     # What graphs are
 
@@ -257,7 +255,7 @@ class Updates:
     async def _plan(self, change: GraphChange, resource: Resource) -> Plan:
         await resource.ready()
         triples: Sequence[Triple] | None = change.after
-        if triples is not None and change.before is not None:
+        if triples is not None and change.before is not None and isinstance(resource, Kept):
             triples = spelt(triples, (await resource.state()).document.all_triples())
         return await resource.planned(triples)
 

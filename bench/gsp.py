@@ -1,12 +1,13 @@
 """Graphs by their names (SPARQL 1.1 Graph Store HTTP Protocol), as ratios to the Oxigraph server on the same graphs.
 
+Each GET is measured twice: the same request again and again, and no two requests the same.
+
 Run: python bench/gsp.py [seconds]. Needs `wrk` (Debian: apt-get install wrk) and `pip install oxigraph`.
 """
 
 from __future__ import annotations
 
 import shutil
-import statistics
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -16,7 +17,7 @@ from urllib.parse import quote
 
 import httpx
 from sparql import oxigraph
-from web import ROUNDS, measure, serving
+from web import compare, compare_reading, heading, serving
 
 TURTLE, TRIPLES = "text/turtle", "application/n-triples"
 NUMBER = 9
@@ -83,13 +84,10 @@ def main() -> None:
         serving("-m", "rosld", "serve", "aircraft", "--port", "0") as rosld,
         oxigraph() as other,
     ):
-        print(f"{'':44}{'rosld/s':>10}{'oxigraph/s':>12}{'ratio':>8}")
+        heading(44, "oxigraph")
         for label, ours, theirs, options in rows(rosld, other, Path(folder)):
-            pairs = [(measure(ours, seconds, *options), measure(theirs, seconds, *options)) for _ in range(ROUNDS)]
-            ratio = statistics.median(one.per_second / another.per_second for one, another in pairs)
-            fast, slow = (statistics.median(pair[at].per_second for pair in pairs) for at in (0, 1))
-            failures = sum(each.failures for pair in pairs for each in pair)
-            print(f"{label:44}{fast:10.0f}{slow:12.0f}{ratio:8.2f}" + (f"  {failures} failed" if failures else ""))
+            told = compare_reading if label.startswith("GET") else compare
+            told(44, label, ours, theirs, seconds, *options)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import httpx
-from web import BASELINE, ROUNDS, Rate, measure, serving
+from web import ANEW, BASELINE, ROUNDS, Rate, measure, serving
 
 PACKAGE = "@solid/community-server"
 VERSION = "7.2.0"
@@ -154,8 +154,9 @@ def main() -> None:
     package = installed()
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        script = folder / "put.lua"
+        script, anew = folder / "put.lua", folder / "anew.lua"
         script.write_text(PUT)
+        anew.write_text(ANEW)
         serve = ("-m", "rosld", "serve", "aircraft", "--port", "0")
         on_disk = ("--data", str(folder / "data"))
         servers = [
@@ -169,7 +170,9 @@ def main() -> None:
         for server in servers:
             httpx.put(f"{server.url}x", content=BODY, headers=TURTLE).raise_for_status()
         print(f"{'':36}{'requests':>8}{'rosld : it':>12}")
-        table("GET, 1 kB Turtle", rates(servers, seconds, "-H", "Accept: text/turtle"))
+        reading = ("-H", "Accept: text/turtle")
+        table("GET, 1 kB Turtle, the same request again", rates(servers, seconds, *reading))
+        table("GET, 1 kB Turtle, no two requests the same", rates(servers, seconds, *reading, "-s", str(anew)))
         table("PUT, 1 kB Turtle, each other than the last", rates(servers, seconds, "-s", str(script)))
 
 

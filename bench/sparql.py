@@ -25,7 +25,7 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
-from web import ROUNDS, measure, serving
+from web import compare_reading, heading, serving
 
 from rosld.adapters.model import Encoding, TypeRef
 from rosld.adapters.model.library import TypeLibrary
@@ -98,18 +98,15 @@ def against_oxigraph(seconds: int) -> None:
         graph = f"SELECT ?p ?o {{ GRAPH <{topic}> {{ <{topic}#message> ?p ?o }} }}"
         new = f"SELECT ?x ?r {{ <{topic}> <{ros.latest.value}> ?m . ?m <{DATA}> ?x BIND(RAND() AS ?r) }}"
         httpx.get(f"{rosld}sparql", params={"query": graph}).raise_for_status()
-        print(f"{copy(rosld, other)} graphs on both\n{'':36}{'rosld/s':>10}{'oxigraph/s':>12}{'ratio':>8}")
+        print(f"{copy(rosld, other)} graphs on both")
+        heading(36, "oxigraph")
         for label, query in (
             ("SELECT, one value at 10 Hz", small),
             ("SELECT, a message's graph at 10 Hz", graph),
             ("SELECT, never the same (RAND)", new),
         ):
-            urls = (f"{rosld}sparql?query={quote(query)}", f"{other}query?query={quote(query)}")
-            pairs = [tuple(measure(url, seconds) for url in urls) for _ in range(ROUNDS)]
-            failures = sum(one.failures for pair in pairs for one in pair)
-            ours, theirs = (statistics.median(pair[at].per_second for pair in pairs) for at in (0, 1))
-            ratio = statistics.median(pair[0].per_second / pair[1].per_second for pair in pairs)
-            print(f"{label:36}{ours:10.0f}{theirs:12.0f}{ratio:8.2f}" + (f"  {failures} failed" if failures else ""))
+            ours, theirs = f"{rosld}sparql?query={quote(query)}", f"{other}query?query={quote(query)}"
+            compare_reading(36, label, ours, theirs, seconds)
 
 
 def many_rows() -> None:

@@ -1,5 +1,8 @@
 """GET and PUT through HTTP, as ratios to a bare Starlette on the same server (uvloop, httptools), in one run.
 
+Each GET is measured twice: the same request again and again, as who polls sends it, and no two requests the same, so
+that each is read and answered by itself.
+
 Run: python bench/web.py [seconds]. Needs `wrk` (Debian: apt-get install wrk).
 """
 
@@ -44,6 +47,15 @@ wrk.headers["Content-Type"] = "text/turtle"
 wrk.body = [[<#message> a <https://w3id.org/rosld/types/std_msgs/msg/String> ;
   <https://w3id.org/rosld/types/std_msgs/msg/String#data> "climb to 3000" .]]
 """
+ANEW = """
+local number = 0
+request = function()
+  number = number + 1
+  wrk.headers["X-Number"] = number
+  return wrk.format()
+end
+"""
+"""No two requests the same."""
 
 
 class Rate(NamedTuple):
@@ -75,6 +87,29 @@ def measure(url: str, seconds: int, *options: str) -> Rate:
     return Rate(float(found[1]), int(failed[1]) if failed else 0)
 
 
+def heading(width: int, other: str) -> None:
+    """Print the names of the columns of `compare`."""
+    print(f"{'':{width}}{'rosld/s':>10}{other + '/s':>12}{'ratio':>8}")
+
+
+def compare(width: int, label: str, ours: str, theirs: str, seconds: int, *options: str) -> None:
+    """Print the rates of two servers and their ratio: medians over some rounds."""
+    pairs = [(measure(ours, seconds, *options), measure(theirs, seconds, *options)) for _ in range(ROUNDS)]
+    ratio = statistics.median(one.per_second / other.per_second for one, other in pairs)
+    fast, slow = (statistics.median(pair[at].per_second for pair in pairs) for at in (0, 1))
+    failures = sum(each.failures for pair in pairs for each in pair)
+    print(f"{label:{width}}{fast:10.0f}{slow:12.0f}{ratio:8.2f}" + (f"  {failures} failed" if failures else ""))
+
+
+def compare_reading(width: int, label: str, ours: str, theirs: str, seconds: int, *options: str) -> None:
+    """The same for a GET: the same again and again, and no two the same."""
+    compare(width, label, ours, theirs, seconds, *options)
+    with tempfile.NamedTemporaryFile("w", suffix=".lua") as script:
+        script.write(ANEW)
+        script.flush()
+        compare(width, "  no two the same", ours, theirs, seconds, *options, "-s", script.name)
+
+
 def main() -> None:
     """Print the table."""
     if shutil.which("wrk") is None:
@@ -95,13 +130,10 @@ def main() -> None:
                 "GET property by a getter, JSON": (f"{aircraft}power", f"{bare}x", ("-H", "Accept: application/json")),
                 "PUT that publishes, Turtle": (f"{rosld}topics/cockpit/display", f"{bare}x", ("-s", str(script))),
             }
-            print(f"{'':36}{'rosld/s':>10}{'bare/s':>10}{'ratio':>8}")
+            heading(36, "bare")
             for label, (ours, theirs, options) in rows.items():
-                pairs = [(measure(ours, seconds, *options), measure(theirs, seconds, *options)) for _ in range(ROUNDS)]
-                ratio = statistics.median(one.per_second / other.per_second for one, other in pairs)
-                fast, slow = (statistics.median(pair[at].per_second for pair in pairs) for at in (0, 1))
-                failures = sum(one.failures for one, _ in pairs)
-                print(f"{label:36}{fast:10.0f}{slow:10.0f}{ratio:8.2f}" + (f"  {failures} failed" if failures else ""))
+                told = compare_reading if label.startswith("GET") else compare
+                told(36, label, ours, theirs, seconds, *options)
 
 
 if __name__ == "__main__":

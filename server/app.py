@@ -218,7 +218,7 @@ class Application:
         if origin is not None or self._site.shared or self._site.anybody:
             _share(response, sharing(self._site, exchange.method, origin))
         response.raw_headers = [*response.raw_headers, self._standing]
-        if self.again is not None and isinstance(response, Prepared) and response.still is not None:
+        if exchange.may_come_again and self._door is None and isinstance(response, Prepared):
             scope[SCOPE] = response.still
         await response(scope, receive, send)
 

@@ -2,7 +2,8 @@
 
 Who polls sends the same bytes each time, and most of the time nothing has changed. Such a request need not be read,
 routed and rendered anew: whoever answered it says how to tell that the answer still stands. Only what is answered alike
-to everybody who sends these bytes may be kept here.
+to everybody who sends these bytes may be kept here. What is asked for once costs next to nothing: of its request a hash
+is remembered, and its answer is kept when the same bytes come for the second time.
 """
 
 from __future__ import annotations
@@ -15,12 +16,14 @@ Still: TypeAlias = Callable[[], bool]
 """Whether an answer would be given again now: told at once, on the loop. Asking is looking at what was answered."""
 
 SCOPE = "rosld.still"
-"""Where in the scope of a request the application puts the `Still` of its answer."""
+"""Where in the scope of a request that may come again the application finds None, and puts its answer's `Still`."""
 LONGEST_REQUEST = 4096
 """Bytes of a request that may be one that was answered before."""
 LONGEST_ANSWER = 64 * 1024
 MOST = 8 * 1024 * 1024
 """Bytes of requests and answers that are kept."""
+_REMEMBERED = 4096
+"""Requests that came once, of which the hashes are remembered: these, and as many before them."""
 _DATE = b"\r\ndate: "
 
 
@@ -55,6 +58,18 @@ class Again:
         self._most = most
         self._size = 0
         self._answers: OrderedDict[bytes, _Answer] = OrderedDict()
+        self._once: set[int] = set()
+        self._before: set[int] = set()
+
+    def has_come(self, request: bytes) -> bool:
+        """Whether these bytes, which come now, came before, as far as is remembered."""
+        mark = hash(request)
+        if mark in self._once or mark in self._before:
+            return True
+        if len(self._once) >= _REMEMBERED:
+            self._once, self._before = set(), self._once
+        self._once.add(mark)
+        return False
 
     def answer(self, request: bytes, address: str | None, date: bytes) -> bytes | None:
         """The answer to these very bytes if it still stands, with this date (RFC 9110 6.6.1)."""

@@ -116,7 +116,7 @@ class Connection(HttpToolsProtocol):
     """
 
     _whole: bytes | None = None
-    """A request that came as a whole, until it is answered or something else comes."""
+    """A request that came as a whole, and before, until it is answered or something else comes."""
     _begun = 0
     """Requests that have begun in it."""
     _head_is_open = True
@@ -173,12 +173,13 @@ class Connection(HttpToolsProtocol):
 
     def _answered_again(self, data: bytes) -> bool:
         """Answer the request that these bytes are as it was answered before, if that stands."""
-        known, is_short = self._again, len(data) <= again.LONGEST_REQUEST
-        self._begun, self._whole = 0, data if is_short else None
+        self._begun, self._whole, known = 0, None, self._again
+        is_short = len(data) <= again.LONGEST_REQUEST
         if known is None or not is_short or self.flow.write_paused or self.transport.is_closing():
             return False
         answer = known.answer(data, self.client[0] if self.client else None, self._date)
         if answer is None:
+            self._whole = data if known.has_come(data) else None
             return False
         self._be_patient()
         self._together.write_whole(answer)
@@ -219,6 +220,8 @@ class Connection(HttpToolsProtocol):
         self._head_is_open, self._head_size = False, 0
         self._be_patient()
         self.scope["rosld.transport"] = self.transport  # type: ignore[typeddict-unknown-key]
+        if self._whole is not None:
+            self.scope[again.SCOPE] = None  # type: ignore[literal-required]
         super().on_headers_complete()
 
     def on_message_complete(self) -> None:

@@ -15,7 +15,7 @@ from rosld.server.access.door import OPEN
 from rosld.server.access.gate import Judged
 from rosld.server.access.judge import Judge
 from rosld.server.clients import Client
-from rosld.server.http import media, prefer
+from rosld.server.http import again, media, prefer
 from rosld.server.http.body import TIMEOUT, read_body, read_chunks
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.account import Account
@@ -66,6 +66,11 @@ class Exchange:
     def hosts(self) -> Sequence[str]:
         """Every Host field of the request."""
         return [value.decode("latin-1") for name, value in self.request.scope["headers"] if name == b"host"]
+
+    @property
+    def may_come_again(self) -> bool:
+        """Whether the same request came before, so that it is worth knowing how long its answer stands."""
+        return again.SCOPE in self.request.scope
 
     @property
     def receive(self) -> Receive:

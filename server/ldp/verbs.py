@@ -118,7 +118,7 @@ class Verbs:
             return special
         if asked.stream_is_preferred(exchange.accept, OFFERS):
             return await self._stream(exchange, resource)
-        standing = resource.standing()
+        standing = resource.standing() if exchange.may_come_again else None
         state = await resource.state()
         unchanged = False
         if b"after=" in exchange.request.scope["query_string"] and "after" in exchange.query:

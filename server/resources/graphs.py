@@ -218,4 +218,5 @@ class DefaultGraph(Resource):
             content_type = results.content_type(results.choose("CONSTRUCT", accept))
             return Response(headers={"Content-Type": content_type, "Vary": "Accept", "Cache-Control": "no-cache"})
         asked = replace(_EVERYTHING, timeout=timeout_asked(exchange.query.items()))
-        return told(await self._service.answer(asked, accept, judge=exchange.judge))
+        again = exchange.may_come_again
+        return told(await self._service.answer(asked, accept, judge=exchange.judge, again=again))

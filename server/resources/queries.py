@@ -79,7 +79,9 @@ class Runner:
             return None
         request = QueryRequest(bind(query, given, self.base), timeout=timeout)
         hung_up = hangup.of(exchange.request.receive)
-        answer = told(await self.service.answer(request, accept, hung_up, exchange.judge))
+        answer = told(
+            await self.service.answer(request, accept, hung_up, exchange.judge, again=exchange.may_come_again)
+        )
         return self._identified(exchange, resource, answer, state)
 
     def _identified(self, exchange: Exchange, resource: Resource, answer: Response, state: str | None) -> Response:

@@ -230,7 +230,8 @@ class SparqlResource(Resource):
     async def _answer(self, request: QueryRequest, accept: str | None, exchange: Exchange) -> Response:
         hung_up, judge = hangup.of(exchange.request.receive), exchange.judge
         if not prefers_page(accept):
-            return told(await self._service.answer(request, accept, hung_up, judge))
+            again = exchange.may_come_again
+            return told(await self._service.answer(request, accept, hung_up, judge, again=again))
         try:
             return self._page(judge, request.text, await results_of(self._service, request, hung_up, judge))
         except Problem as problem:

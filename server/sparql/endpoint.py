@@ -145,8 +145,12 @@ class QueryService:
         accept: str | None,
         hung_up: HangUp | None = None,
         judge: Judge = EVERYTHING,
+        *,
+        again: bool = False,
     ) -> QueryAnswer:
         """The results in the form that the client prefers, over what the judge lets be seen; `hung_up` ends it early.
+
+        `again`: it is worth knowing how long the answer stands (`still`).
 
         Raises Problems: 400 for what is no query (in the parser's words) or may not be asked, 406, 413, 503 when it
         reaches a limit (its `reason` is time, memory or rows) or too many are being answered.
@@ -155,7 +159,7 @@ class QueryService:
         analysis = await self._analysed(request.text, limits, until)
         media_type = results.choose(analysis.form, accept)
         needs = _readable(await self._synchroniser.resolved(_needs(analysis, request)), judge)
-        before = self._synchroniser.glance(needs) if analysis.lasting and judge.reads_all else None
+        before = self._synchroniser.glance(needs) if again and analysis.lasting and judge.reads_all else None
         async with self._synchroniser.synced(needs, deadline=self._deadline(limits)):
             if not judge.reads_all:
                 seen = await self._seen(judge)

@@ -240,18 +240,22 @@ def test_an_answer_says_whether_it_would_be_given_again(make_source: Make, make_
     async def scenario() -> None:
         source = make_source()
         endpoint = make_endpoint(source)
-        live = await endpoint.answer("SELECT ?x { ?m <https://w3id.org/rosld/types/p/msg/T3#f0> ?x }")
-        still = await endpoint.answer("SELECT ?n { <topics/t3> ros:name ?n }")
+
+        async def answer(query: str) -> QueryAnswer:
+            return await endpoint.service.answer(QueryRequest(query), None, again=True)
+
+        live = await answer("SELECT ?x { ?m <https://w3id.org/rosld/types/p/msg/T3#f0> ?x }")
+        still = await answer("SELECT ?n { <topics/t3> ros:name ?n }")
         assert live.still()
         assert still.still()
         source.tick()
         assert not live.still()
-        again = await endpoint.answer("SELECT ?x { ?m <https://w3id.org/rosld/types/p/msg/T3#f0> ?x }")
+        again = await answer("SELECT ?x { ?m <https://w3id.org/rosld/types/p/msg/T3#f0> ?x }")
         assert again.still()
         source.revision += 1
         assert not again.still()
         assert not still.still()
-        assert (await endpoint.answer("SELECT (RAND() AS ?x) { }")).still is None
+        assert (await answer("SELECT (RAND() AS ?x) { }")).still is None
 
     run(scenario())
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import csv
 import io
 import time
+from collections.abc import Callable
+from typing import Any
 
 import httpx
 import pytest
 
 from tests.server.robots import asking
 from tests.server.robots.made_up import MadeUp, Serving
+from tests.waiting import until
 
 EX, mapped = asking.EX, asking.mapped
 HAND = """
@@ -145,3 +148,25 @@ def test_an_update_finds_them_by_the_same_terms_and_writes_them(arm: MadeUp, ser
     answer = http.post("/sparql", content=update, headers={"Content-Type": "application/sparql-update"})
     assert answer.status_code in (200, 204), answer.text
     assert asking.value(http, "/resources/arm/hand/width") == 12
+
+
+def test_one_query_tells_an_agent_what_may_be_done_now(serve: Callable[..., Any]) -> None:
+    http = serve("aircraft").http
+
+    def offers(**given: str) -> set[tuple[str, str, str]]:
+        answer = http.get("/queries/what-can-be-done", params={"format": "csv", **given})
+        assert answer.status_code == 200, answer.text
+        rows = list(csv.reader(io.StringIO(answer.text)))[1:]
+        return {(name, method, target.removeprefix(str(http.base_url))) for _, name, method, target in rows}
+
+    start, stop = (("start", "POST", "resources/aircraft/start"), ("stop", "POST", "resources/aircraft/stop"))
+    speed = ("speed", "PUT", "resources/aircraft/engine/speed")
+    assert {start, ("stop", "POST", "stop"), ("send", "POST", "actions/aircraft/fly")} <= offers()
+    assert offers().isdisjoint({stop, speed})
+    for name, method, target in offers(below="/resources/aircraft/"):
+        if name == "start":
+            assert http.request(method, f"/{target}").is_success
+    assert start not in offers(below="/resources/")
+    assert {stop, speed} <= offers(below="/resources/")
+    assert http.put(f"/{speed[2]}", json=300).is_success
+    until(lambda: stop not in offers(below="/resources/"), "its engine turns, so it may not be stopped")

@@ -284,6 +284,14 @@ def test_managed_nodes_are_shown_with_state_and_transitions(ask: Ask) -> None:
     assert ask("lifecycles", state="active") == []
 
 
+def test_what_can_be_done_is_told_with_the_request_that_does_it(ask: Ask) -> None:
+    camera = "/nodes/camera"
+    expected = [(camera, label, "POST", camera) for label in ("activate", "cleanup")]
+    assert ask("what-can-be-done") == expected
+    assert ask("what-can-be-done", below="/camera") == expected
+    assert ask("what-can-be-done", below="/elsewhere") == []
+
+
 def test_services_are_found_by_type_and_without_one(ask: Ask) -> None:
     reset = ("/services/reset", "/reset", TRIGGER, "/nodes/talker", None)
     lost = ("/services/lost", "/lost", None, "/nodes/mute", "its node does not answer")

@@ -18,13 +18,14 @@ demo: $(READY)
 # hundreds of servers, each of which would compile all of rosld where Python is told to keep nothing that it compiled.
 # What failed runs once more with nothing beside it, and must pass then: a busy machine is no fault of the code.
 WORKERS ?= 3
+PYTEST := -m pytest --quiet --timeout 900
 test: export PYTHONDONTWRITEBYTECODE =
 test: $(READY) debian
 	@$(MAKE) --no-print-directory ros2 & making=$$!; trap "kill $$making" INT TERM; \
-		$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -q; failed=$$?; wait $$making; \
+		$(BIN)/python $(PYTEST) -n $(WORKERS) --dist loadfile --no-loadscope-reorder; failed=$$?; wait $$making; \
 		if test $$failed = 1; then \
 			echo "Once more, one after the other, what failed above:"; \
-			$(BIN)/python -m pytest --last-failed --last-failed-no-failures none --exitfirst -q; failed=$$?; \
+			$(BIN)/python $(PYTEST) --last-failed --last-failed-no-failures none --exitfirst; failed=$$?; \
 		fi; exit $$failed
 
 check: $(READY)

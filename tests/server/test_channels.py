@@ -302,8 +302,9 @@ def test_what_a_client_says_is_not_listened_to(aircraft: Any) -> None:
 
 
 def test_a_hundred_receivers_hear_of_one_change_at_once(aircraft: Any) -> None:
+    channels = [subscribed(aircraft, NIGHT)["receiveFrom"] for _ in range(100)]
     with ThreadPoolExecutor(100) as pool, ExitStack() as open_ones:
-        made = pool.map(lambda _: connect(subscribed(aircraft, NIGHT)["receiveFrom"]), range(100))
+        made = pool.map(connect, channels)
         sockets = [open_ones.enter_context(ws) for ws in made]
         began = time.monotonic()
         turn(aircraft)

@@ -365,7 +365,7 @@ def _of_parameter(resource: ParameterResource, value: ParameterValue | None) -> 
 
 
 def _live(iri: str, state: State) -> GraphEntry:
-    return GraphEntry(iri, state.tag, lambda: _ntriples(state.document))
+    return GraphEntry(iri, state.tag, lambda: _ntriples(state.document), lambda: state.document.all_triples())
 
 
 def _described(iri: str, token: Hashable, describe: Callable[[], Document]) -> GraphEntry:

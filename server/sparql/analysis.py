@@ -36,8 +36,8 @@ class Analysis:
     dataset is. `modest`: its form keeps it small where no resource has many values. `prefixes`: those of the server
     that its names use. `enclosed` are the graphs that all its patterns stand in (GRAPH), None where one may match in
     others. `plan` is how to find out whether it is small over a dataset, None where it may be anything. `streams`:
-    every statement that is looked at is told. `filters`: the store may scan what a constraint leaves nothing of.
-    `elsewhere`: it asks other endpoints (SERVICE).
+    every statement that is looked at is told. `plain`: it is nothing but patterns, each in one graph. `filters`: the
+    store may scan what a constraint leaves nothing of. `elsewhere`: it asks other endpoints (SERVICE).
     """
 
     text: str
@@ -51,6 +51,7 @@ class Analysis:
     enclosed: frozenset[str] | None = None
     plan: Plan | None = None
     streams: bool = False
+    plain: bool = False
     filters: bool = True
     elsewhere: bool = False
 
@@ -121,6 +122,7 @@ class Analyser:
             graphs_around(reading.where),
             found,
             single and reading.plain and "OFFSET" not in words,
+            reading.plain,
             any("FILTER" in word or "HAVING" in word for word in words),
             ELSEWHERE in words,
         )

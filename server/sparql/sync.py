@@ -11,10 +11,12 @@ import asyncio
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from itertools import count, islice
 from typing import NamedTuple, Protocol
+
+from pyoxigraph import Triple
 
 from rosld.server.sparql.kept import NOTHING, Backlog, KeptSource
 from rosld.server.sparql.needs import Needs
@@ -35,11 +37,15 @@ _SLICE = 0.002
 
 
 class GraphEntry(NamedTuple):
-    """A named graph as its source has it: `token` changes whenever `ntriples()` would (called in any thread)."""
+    """A named graph as its source has it: `token` changes whenever `ntriples()` would (called in any thread).
+
+    `triples` are the same as terms, where these are at hand.
+    """
 
     iri: str
     token: Hashable
     ntriples: Callable[[], str]
+    triples: Callable[[], Iterable[Triple]] | None = None
 
 
 class GraphSource(Protocol):

@@ -16,9 +16,10 @@ from rosld.server.sparql.analysis import Analyser, Analysis
 from rosld.server.sparql.endpoint import Cost, QueryService
 from rosld.server.sparql.needs import Demand, Needs
 from rosld.server.sparql.protocol import QueryRequest
-from rosld.server.sparql.sync import GraphSource, Seen
+from rosld.server.sparql.sync import GraphEntry, GraphSource, Seen
 from rosld.server.sparql.update.drawing import Canvas, GraphChange, Row, asks_again, draw, graphs_named
 from rosld.server.sparql.update.operations import Modify, Operation, Where
+from rosld.server.sparql.update.sketch import sketched
 from rosld.server.store import MemoryStore, Store
 
 
@@ -83,6 +84,9 @@ class Drawer:
         entries = await self._source.live(needs, deadline=deadline) if graphs else ()
         if not graphs or {entry.iri for entry in entries} != graphs:
             return None
+        changes = _sketched(operations, asked, entries)
+        if changes is not None:
+            return Drawn(tuple(changes), {entry.iri: entry.token for entry in entries}, 0)
         dataset = pyoxigraph.Store()
         for entry in entries:
             text = entry.ntriples().encode()
@@ -126,6 +130,18 @@ class Drawer:
         results = self._service.solutions(QueryRequest(query), store)
         assert isinstance(results, QueryTriples)
         return list(results) or None
+
+
+def _sketched(
+    operations: Sequence[Operation], asked: Sequence[Analysis], entries: Sequence[GraphEntry]
+) -> Sequence[GraphChange] | None:
+    """What one operation makes of one graph whose triples are at hand, where that takes no store to say."""
+    if len(operations) != 1 or len(entries) != 1 or not all(each.plain for each in asked):
+        return None
+    [operation], [entry] = operations, entries
+    if not isinstance(operation, Modify) or entry.triples is None:
+        return None
+    return sketched(operation, asked[0].plan if asked else None, entry.iri, entry.triples())
 
 
 def _wheres(operations: Sequence[Operation]) -> Iterator[Where]:

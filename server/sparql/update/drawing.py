@@ -165,8 +165,8 @@ def _modify(operation: Modify, canvas: Canvas, ask: Ask) -> None:
     where = operation.where
     holes = () if where is None else where.holes
     rows = [()] if where is None else list(_bounded(ask(where)))
-    removed = [quad for row in rows for quad in _filled(operation.deletes, dict(zip(holes, row, strict=True)))]
-    added = [quad for row in rows for quad in _filled(operation.inserts, dict(zip(holes, row, strict=True)))]
+    removed = [quad for row in rows for quad in filled(operation.deletes, dict(zip(holes, row, strict=True)))]
+    added = [quad for row in rows for quad in filled(operation.inserts, dict(zip(holes, row, strict=True)))]
     canvas.remove(dict.fromkeys(removed))
     canvas.insert(dict.fromkeys(added))
 
@@ -178,7 +178,7 @@ def _bounded(rows: Iterable[Row]) -> Iterator[Row]:
         yield row
 
 
-def _filled(quads: Sequence[QuadTemplate], values: Mapping[str, Term | None]) -> Iterator[Quad]:
+def filled(quads: Sequence[QuadTemplate], values: Mapping[str, Term | None]) -> Iterator[Quad]:
     """The quads of one solution; those with something unbound, or that cannot be, are left out (3.1.3)."""
     blank: dict[BlankNode, BlankNode] = {}
 

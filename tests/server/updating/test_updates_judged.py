@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -14,7 +15,7 @@ import pytest
 from hypothesis import example, given, reject, settings
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn
-from pyoxigraph import BlankNode, CanonicalizationAlgorithm, Dataset, DefaultGraph, NamedNode, Quad, RdfFormat
+from pyoxigraph import BlankNode, CanonicalizationAlgorithm, Dataset, DefaultGraph, NamedNode, Quad, RdfFormat, Triple
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser
@@ -182,7 +183,7 @@ class Room:
         }
 
     def _entries(self) -> list[GraphEntry]:
-        return [GraphEntry(graph, 1, lambda text=text: text) for graph, text in self._texts.items()]  # type: ignore[misc]
+        return [GraphEntry(graph, 1, partial(str, text), partial(parsed, text)) for graph, text in self._texts.items()]
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
         return {entry.iri: entry for entry in self._entries()}
@@ -195,6 +196,11 @@ class Room:
 
     async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
         return [entry for entry in self._entries() if self._live and entry.iri in needs.documents]
+
+
+def parsed(text: str) -> list[Triple]:
+    """The triples of N-Triples."""
+    return [quad.triple for quad in pyoxigraph.parse(text.encode(), RdfFormat.N_TRIPLES)]
 
 
 def drawn(text: str, live: bool) -> tuple[GraphChange, ...]:

@@ -63,6 +63,8 @@ class Again:
 
     def has_come(self, request: bytes) -> bool:
         """Whether these bytes, which come now, came before, as far as is remembered."""
+        if request in self._answers:
+            return True
         mark = hash(request)
         if mark in self._once or mark in self._before:
             return True

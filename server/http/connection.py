@@ -13,8 +13,8 @@ from typing import cast
 import uvicorn
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from rosld.server.http import again, problem
-from rosld.server.http.again import Again
+from rosld.server.http import problem
+from rosld.server.http.again import LONGEST_REQUEST, SCOPE, Again, Still
 from rosld.server.http.problem import Problem
 
 _JOINED = 64 * 1024
@@ -117,8 +117,7 @@ class Connection(HttpToolsProtocol):
 
     _whole: bytes | None = None
     """A request that came as a whole, and before, until it is answered or something else comes."""
-    _begun = 0
-    """Requests that have begun in it."""
+    _again: Again | None = None
     _head_is_open = True
     _head_size = 0
     _impatience: asyncio.TimerHandle | None = None
@@ -133,6 +132,7 @@ class Connection(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """A client connected, and has a while to say what it wants."""
         super().connection_made(cast("asyncio.Transport", Together(transport, self.loop)))
+        self._again = self.config.again if isinstance(self.config, Bounded) else None
         self._impatience = self.loop.call_later(self._bounds.head_seconds, self._too_slow)
         try:
             self._let_go = self._bounds.connect(self.client[0] if self.client else None)
@@ -150,10 +150,13 @@ class Connection(HttpToolsProtocol):
         """Bytes came."""
         if self._is_over:
             return
-        if not self._is_idle:
-            self._whole = None
-        elif self._answered_again(data):
-            return
+        self._whole = None
+        known = self._again
+        is_short = not self._head_size and len(data) <= LONGEST_REQUEST
+        if known is not None and is_short and known.has_come(data) and self._is_idle:
+            if self._answered(data, known):
+                return
+            self._whole = data
         if self._head_is_open:
             self._head_size += len(data)
         super().data_received(data)
@@ -171,15 +174,12 @@ class Connection(HttpToolsProtocol):
         is_answered = self.cycle is None or self.cycle.response_complete
         return is_answered and self._head_is_open and not self._head_size
 
-    def _answered_again(self, data: bytes) -> bool:
-        """Answer the request that these bytes are as it was answered before, if that stands."""
-        self._begun, self._whole, known = 0, None, self._again
-        is_short = len(data) <= again.LONGEST_REQUEST
-        if known is None or not is_short or self.flow.write_paused or self.transport.is_closing():
+    def _answered(self, request: bytes, known: Again) -> bool:
+        """Answer a request as it was answered before, if that stands."""
+        if self.flow.write_paused or self.transport.is_closing():
             return False
-        answer = known.answer(data, self.client[0] if self.client else None, self._date)
+        answer = known.answer(request, self.client[0] if self.client else None, self._date)
         if answer is None:
-            self._whole = data if known.has_come(data) else None
             return False
         self._be_patient()
         self._together.write_whole(answer)
@@ -187,10 +187,6 @@ class Connection(HttpToolsProtocol):
         self._unset_keepalive_if_required()
         self.timeout_keep_alive_task = self.loop.call_later(self.timeout_keep_alive, self.timeout_keep_alive_handler)
         return True
-
-    @property
-    def _again(self) -> Again | None:
-        return self.config.again if isinstance(self.config, Bounded) else None
 
     @property
     def _together(self) -> Together:
@@ -201,18 +197,15 @@ class Connection(HttpToolsProtocol):
         """The date of answers of now, which uvicorn makes each second."""
         return next((value for name, value in self.server_state.default_headers if name == b"date"), b"")
 
-    def on_message_begin(self) -> None:
-        """A request begins."""
-        self._begun += 1
-        super().on_message_begin()
-
     def on_response_complete(self) -> None:
         """A request is answered; how is kept where the application says how to tell that it stands."""
         request, self._whole = self._whole, None
-        still: again.Still | None = self.cycle.scope.get(again.SCOPE)  # type: ignore[assignment]
-        is_alone = self._begun == 1 and not self.cycle.more_body
-        if request and is_alone and still and self._again and self.cycle.keep_alive and self._together.joined:
-            self._again.keep(request, self._together.joined, still)
+        if request is not None and self._again is not None:
+            cycle, answer = self.cycle, self._together.joined
+            still: Still | None = cycle.scope.get(SCOPE)  # type: ignore[assignment]
+            is_alone = not self.pipeline and cycle.scope is self.scope  # nothing of another request has come
+            if still is not None and is_alone and cycle.keep_alive and not cycle.more_body and answer:
+                self._again.keep(request, answer, still)
         super().on_response_complete()
 
     def on_headers_complete(self) -> None:
@@ -221,7 +214,7 @@ class Connection(HttpToolsProtocol):
         self._be_patient()
         self.scope["rosld.transport"] = self.transport  # type: ignore[typeddict-unknown-key]
         if self._whole is not None:
-            self.scope[again.SCOPE] = None  # type: ignore[literal-required]
+            self.scope[SCOPE] = None  # type: ignore[literal-required]
         super().on_headers_complete()
 
     def on_message_complete(self) -> None:

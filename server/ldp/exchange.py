@@ -39,6 +39,8 @@ class Exchange:
         """Whose limits it counts against, once it was let pass."""
         self.account = Account()
         """What it tells of its write, for its receipt."""
+        self.may_come_again = again.SCOPE in request.scope
+        """Whether the same request came before, so that it is worth knowing how long its answer stands."""
         self.answering: Judged | None = None
         """The resource that answers, once it is known."""
 
@@ -66,11 +68,6 @@ class Exchange:
     def hosts(self) -> Sequence[str]:
         """Every Host field of the request."""
         return [value.decode("latin-1") for name, value in self.request.scope["headers"] if name == b"host"]
-
-    @property
-    def may_come_again(self) -> bool:
-        """Whether the same request came before, so that it is worth knowing how long its answer stands."""
-        return again.SCOPE in self.request.scope
 
     @property
     def receive(self) -> Receive:

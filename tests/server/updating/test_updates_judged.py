@@ -221,13 +221,15 @@ def drawn(text: str, live: bool) -> tuple[GraphChange, ...]:
 
 
 def made_of(changes: Sequence[GraphChange]) -> list[Quad]:
-    """The quads after changes."""
+    """The quads after changes, as a store has them: a change may be spelt as it was asked for."""
     graphs: dict[str, Any] = {}
     for quad in start():
         graphs.setdefault(quad.graph_name.value, []).append(quad.triple)
     for change in changes:
         graphs[change.graph] = change.after or ()
-    return [Quad(*triple, NamedNode(graph)) for graph, triples in graphs.items() for triple in triples]
+    store = pyoxigraph.Store()
+    store.extend(Quad(*triple, NamedNode(graph)) for graph, triples in graphs.items() for triple in triples)
+    return list(store)
 
 
 def made_there(text: str) -> list[Quad]:

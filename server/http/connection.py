@@ -76,7 +76,7 @@ class Together:
             else:
                 self._transport.write(head)
                 self._transport.write(data)
-        elif data.startswith(b"HTTP/1.1 "):
+        elif data.startswith(b"HTTP/1.1 ") and not data.startswith(b"HTTP/1.1 1"):  # 100 has no body to wait for
             self._head, self.joined = data, b""
             self._soon(self.flush)
         else:
@@ -204,7 +204,8 @@ class Connection(HttpToolsProtocol):
             cycle, answer = self.cycle, self._together.joined
             still: Still | None = cycle.scope.get(SCOPE)  # type: ignore[assignment]
             is_alone = not self.pipeline and cycle.scope is self.scope  # nothing of another request has come
-            if still is not None and is_alone and cycle.keep_alive and not cycle.more_body and answer:
+            is_plain = cycle.keep_alive and not self.expect_100_continue  # which is answered 100 before
+            if still is not None and is_alone and is_plain and not cycle.more_body and answer:
                 self._again.keep(request, answer, still)
         super().on_response_complete()
 

@@ -263,6 +263,20 @@ def test_who_waits_for_leave_to_send_is_given_it_each_time() -> None:
     assert talking(app, work) == [b"1 /ax", b"2 /ax", b"3 /ax"]
 
 
+def test_who_waits_for_leave_and_sends_all_the_same_is_answered_whole_each_time() -> None:
+    request = post(b"/a", b"x", b"Expect: 100-continue")
+
+    async def work(talk: Talk) -> list[bytes]:
+        found = []
+        for _ in range(4):
+            talk.send(request)
+            assert b" 100 " in await talk._reader.readuntil(b"\r\n\r\n")
+            found.append(await talk.read())
+        return found
+
+    assert talking(Counting(), work) == [b"1 /ax", b"2 /ax", b"3 /ax", b"4 /ax"]
+
+
 def test_a_connection_that_was_answered_again_may_be_silent_as_long_as_any_other() -> None:
     app = Counting()
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import signal
 import socket
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import httpx
 import pytest
+
+from tests.server.robots.durable import running
 
 TURTLE = {"Content-Type": "text/turtle"}
 NT = {"Accept": "application/n-triples"}
@@ -188,20 +186,6 @@ def test_limits_are_guarded_negotiated_and_patched_as_data_is(plane: httpx.Clien
     assert {"DELETE", "GET", "PATCH", "PUT"} <= set(options["allow"].split(", "))
     assert "/shapes/limits>" in options["link"]
     assert "text/turtle" in plane.options("/shapes/").headers["accept-post"]
-
-
-@contextmanager
-def running(folder: Path, port: int) -> Iterator[httpx.Client]:
-    """A server on a folder of data, at the one port that the folder's URLs have."""
-    command = [sys.executable, "-m", "rosld", "serve", "aircraft", "--data", str(folder), "--port", str(port)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        with httpx.Client(base_url=process.stdout.readline().strip(), timeout=15) as client:
-            yield client
-    finally:
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(10) == 0
 
 
 def test_limits_survive_a_restart(tmp_path: Path) -> None:

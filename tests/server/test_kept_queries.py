@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
-import signal
 import socket
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
@@ -21,6 +17,7 @@ from pyoxigraph import NamedNode, Triple
 from rosld.ontology.vocab import dcterms, ldp, rdf, ros
 from rosld.server.cli import main
 from rosld.server.records import Model, Put, open_records
+from tests.server.robots.durable import running
 
 QUERY = {"Content-Type": "application/sparql-query"}
 CSV = {"Accept": "text/csv"}
@@ -511,20 +508,6 @@ def test_a_stream_of_results_is_not_to_be_had(shared: httpx.Client) -> None:
 
 
 # Durability
-
-
-@contextmanager
-def running(folder: Path, port: int) -> Iterator[httpx.Client]:
-    """A server on a folder of data, at the one port that the folder's URLs have."""
-    command = [sys.executable, "-m", "rosld", "serve", "aircraft", "--data", str(folder), "--port", str(port)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        with httpx.Client(base_url=process.stdout.readline().strip(), timeout=15) as client:
-            yield client
-    finally:
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(10) == 0
 
 
 def free_port() -> int:

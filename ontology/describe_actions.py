@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pyoxigraph import Literal, NamedNode, Triple
+from pyoxigraph import Literal, NamedNode
 
 from rosld.adapters.model import Action, GoalStatus, Graph, Message, MessageSchema
+from rosld.ontology.affordances import affordance, form
 from rosld.ontology.describe_topics import defined
 from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.namespaces import is_namespace
 from rosld.ontology.triples import RDF_SOURCE, Statement, about, boolean, each, moment, text
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import hctl, htv, rdf, ros, td
+from rosld.ontology.vocab import hctl, rdf, ros, td
 
 _SETTINGS = LiftSettings()
 _BODIES = tuple(map(Literal, ("application/json", "text/turtle", "application/ld+json")))
@@ -46,8 +47,8 @@ def action_document(
     )
     if takes_goals and action.type is not None:
         shape = (ros.goalShape, NamedNode(space.shape(f"{action.type.name}_Goal")))
-        triples += _affordance(subject, "send", td.hasActionAffordance, td.ActionAffordance, shape)
-        triples += _form(subject, "send", "invoke", "POST", td.invokeAction, *each(hctl.forContentType, _BODIES))
+        triples += affordance(subject, "send", td.hasActionAffordance, td.ActionAffordance, shape)
+        triples += form(subject, "send", "invoke", "POST", td.invokeAction, *each(hctl.forContentType, _BODIES))
     if action.type is not None:
         triples += defined(action.type, space)
     return Document(url, tuple(triples), simulated_time=graph.simulated_time)
@@ -118,38 +119,10 @@ def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTIN
         (ros.result, NamedNode(f"{url}#result") if goal.result else None),
     )
     if not goal.status.is_final:
-        triples += _affordance(subject, "events", td.hasEventAffordance, td.EventAffordance)
+        triples += affordance(subject, "events", td.hasEventAffordance, td.EventAffordance)
         stream = each(hctl.forContentType, _STREAM)
-        triples += _form(subject, "events", "subscribe", "GET", td.subscribeEvent, *stream, _SSE)
+        triples += form(subject, "events", "subscribe", "GET", td.subscribeEvent, *stream, _SSE)
     if goal.cancelable:
-        triples += _affordance(subject, "cancel", td.hasActionAffordance, td.ActionAffordance)
-        triples += _form(subject, "cancel", "cancel", "DELETE", td.cancelAction)
+        triples += affordance(subject, "cancel", td.hasActionAffordance, td.ActionAffordance)
+        triples += form(subject, "cancel", "cancel", "DELETE", td.cancelAction)
     return Document(url, tuple(triples), tuple(messages))
-
-
-def _affordance(subject: NamedNode, name: str, relation: NamedNode, kind: NamedNode, *more: Statement) -> list[Triple]:
-    """What may be done with an action or a goal now."""
-    node = NamedNode(f"{subject.value}#{name}")
-    return [
-        Triple(subject, relation, node),
-        *about(node, (rdf.type, kind), (td.name, text(name)), *more),
-    ]
-
-
-def _form(
-    subject: NamedNode, affordance: str, name: str, method: str, operation: NamedNode, *more: Statement
-) -> list[Triple]:
-    """A form of an affordance: how it is done."""
-    node = NamedNode(f"{subject.value}#{affordance}")
-    form = NamedNode(f"{node.value}/{name}")
-    return [
-        Triple(node, td.hasForm, form),
-        *about(
-            form,
-            (rdf.type, hctl.Form),
-            (hctl.hasOperationType, operation),
-            (htv.methodName, Literal(method)),
-            (hctl.hasTarget, subject),
-            *more,
-        ),
-    ]

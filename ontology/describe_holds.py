@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import Message, MessageSchema
+from rosld.ontology.affordances import affordance, form
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.lift import LiftSettings, lifter
-from rosld.ontology.triples import RDF_SOURCE, Statement, about, boolean, double, each, moment, text
+from rosld.ontology.triples import RDF_SOURCE, about, boolean, double, each, moment, text
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import hctl, htv, js, rdf, rdfs, ros, td, xsd
+from rosld.ontology.vocab import hctl, js, rdf, rdfs, ros, td
 
 MOST_RATE = 50.0
 """Hz: how often a hold may publish."""
@@ -68,15 +69,17 @@ def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTIN
         (ros.atTheEnd, text(hold.then_asked)),
     )
     if hold.changeable:
-        triples += _affordance(subject, "renew", td.hasActionAffordance, td.ActionAffordance)
+        triples += affordance(subject, "renew", td.hasActionAffordance, td.ActionAffordance)
         target = f"{url}{{?rate,lease,then}}"
-        triples += _form(subject, "renew", "PATCH", td.invokeAction, *each(hctl.forContentType, _BODIES), target=target)
+        triples += form(
+            subject, "renew", "patch", "PATCH", td.invokeAction, *each(hctl.forContentType, _BODIES), target=target
+        )
         triples += _variables(subject, "renew")
-        triples += _affordance(subject, "keep", td.hasEventAffordance, td.EventAffordance)
+        triples += affordance(subject, "keep", td.hasEventAffordance, td.EventAffordance)
         stream = each(hctl.forContentType, _STREAM)
-        triples += _form(subject, "keep", "GET", td.subscribeEvent, *stream, _SSE, target=f"{url}?keep=true")
-        triples += _affordance(subject, "end", td.hasActionAffordance, td.ActionAffordance)
-        triples += _form(subject, "end", "DELETE", td.cancelAction)
+        triples += form(subject, "keep", "get", "GET", td.subscribeEvent, *stream, _SSE, target=f"{url}?keep=true")
+        triples += affordance(subject, "end", td.hasActionAffordance, td.ActionAffordance)
+        triples += form(subject, "end", "delete", "DELETE", td.cancelAction)
     return Document(url, tuple(triples), tuple(messages))
 
 
@@ -84,9 +87,9 @@ def holdable(topic: str) -> list[Triple]:
     """What says that the topic at this URL can be held: an action with its parameters."""
     subject = NamedNode(topic)
     return [
-        *_affordance(subject, "hold", td.hasActionAffordance, td.ActionAffordance),
-        *_form(
-            subject, "hold", "POST", td.invokeAction, *each(hctl.forContentType, _BODIES),
+        *affordance(subject, "hold", td.hasActionAffordance, td.ActionAffordance),
+        *form(
+            subject, "hold", "post", "POST", td.invokeAction, *each(hctl.forContentType, _BODIES),
             target=f"{topic}{{?rate,lease,then}}",
         ),
         *_variables(subject, "hold"),
@@ -131,35 +134,11 @@ def stop_document(
     for node, step in zip(nodes, steps, strict=True):
         triples += about(node, (rdfs.label, text(step.does)), (ros.state, step.state), (ros.words, text(step.words)))
     if usable:
-        triples += _affordance(subject, "stop", td.hasActionAffordance, td.ActionAffordance)
-        triples += _form(subject, "stop", "POST", td.invokeAction, (hctl.forContentType, _BODIES[0]))
+        triples += affordance(subject, "stop", td.hasActionAffordance, td.ActionAffordance)
+        triples += form(subject, "stop", "post", "POST", td.invokeAction, (hctl.forContentType, _BODIES[0]))
         if by is not None:
-            triples += _form(subject, "stop", "DELETE", td.cancelAction)
+            triples += form(subject, "stop", "delete", "DELETE", td.cancelAction)
     return Document(url, tuple(triples))
-
-
-def _affordance(subject: NamedNode, name: str, relation: NamedNode, kind: NamedNode) -> list[Triple]:
-    node = NamedNode(f"{subject.value}#{name}")
-    return [Triple(subject, relation, node), *about(node, (rdf.type, kind), (td.name, text(name)))]
-
-
-def _form(
-    subject: NamedNode, affordance: str, method: str, operation: NamedNode, *more: Statement, target: str | None = None
-) -> list[Triple]:
-    """A form of an affordance; a target with parameters is a URI template (RFC 6570)."""
-    node = NamedNode(f"{subject.value}#{affordance}")
-    form = NamedNode(f"{node.value}/{method.lower()}")
-    return [
-        Triple(node, td.hasForm, form),
-        *about(
-            form,
-            (rdf.type, hctl.Form),
-            (hctl.hasOperationType, operation),
-            (htv.methodName, Literal(method)),
-            (hctl.hasTarget, subject if target is None else Literal(target, datatype=xsd.anyURI)),
-            *more,
-        ),
-    ]
 
 
 def _variables(subject: NamedNode, affordance: str) -> list[Triple]:

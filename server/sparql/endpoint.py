@@ -158,7 +158,7 @@ class QueryService:
         limits, until = self._begun(request)
         analysis = await self._analysed(request.text, limits, until)
         media_type = results.choose(analysis.form, accept)
-        needs = _readable(await self._synchroniser.resolved(_needs(analysis, request)), judge)
+        needs = await self._needed(analysis, request, judge)
         before = self._synchroniser.glance(needs) if again and analysis.lasting and judge.reads_all else None
         async with self._synchroniser.synced(needs, deadline=self._deadline(limits)):
             if not judge.reads_all:
@@ -199,7 +199,7 @@ class QueryService:
             self._carry_out(work, cost, limits, pickled, check, leash, seen.store)
             found.append(pickle.loads(pickled.getvalue()))  # our own
 
-        needs = _readable(await self._synchroniser.resolved(_needs(analysis, request)), judge)
+        needs = await self._needed(analysis, request, judge)
         async with self._synchroniser.synced(needs, deadline=self._deadline(limits)):
             if not judge.reads_all:
                 seen = await self._seen(judge)
@@ -267,6 +267,10 @@ class QueryService:
             raise out_of_time(limits.seconds) from error
         finally:
             self._long -= 1
+
+    async def _needed(self, analysis: Analysis, request: QueryRequest, judge: Judge) -> Needs:
+        """What the query needs, with all documents that it names, as far as it may be read."""
+        return _readable(await self.resolved(_needs(analysis, request)), judge)
 
     def _deadline(self, limits: Limits) -> float:
         return asyncio.get_running_loop().time() + limits.seconds

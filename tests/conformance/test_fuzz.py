@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import http.client
 import json
-import os
 import re
 import signal
 import subprocess
@@ -23,13 +22,13 @@ from urllib.parse import quote, urlsplit
 import httpx
 import pytest
 import schemathesis
-from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from schemathesis.generation import GenerationMode
 
-EXAMPLES = int(os.environ.get("ROSLD_FUZZ_EXAMPLES", "25"))
-SEED = int(os.environ.get("ROSLD_FUZZ_SEED", "0"))
+from tests.conformance.fuzzing import fuzzing
+
 JSON = ("Content-Type", "application/json")
 PATIENCE = 15.0
 """Seconds in which every answer has come: a service has 10 at most."""
@@ -186,18 +185,6 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     assert running.process.poll() is None, f"the server died: {running.log[-3000:]}"
     assert running.stop() == 0, running.log[-3000:]
     assert "Traceback" not in running.log, running.log[-6000:]
-
-
-def fuzzing(times: float = 1.0) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Runs a test on the same examples each time."""
-    how = settings(
-        max_examples=max(1, int(EXAMPLES * times)),
-        deadline=None,
-        database=None,
-        phases=(Phase.explicit, Phase.generate, Phase.shrink),
-        suppress_health_check=list(HealthCheck),
-    )
-    return lambda test: seed(SEED)(how(test))
 
 
 # What was found this way, on an aircraft that nothing was done to yet

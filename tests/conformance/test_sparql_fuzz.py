@@ -8,7 +8,6 @@ these, of the queries that come with rosld and of a list of what has hurt others
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -22,12 +21,12 @@ from typing import Any
 
 import httpx
 import pytest
-from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pyoxigraph import NamedNode, QueryBoolean, QuerySolutions, RdfFormat, Store, parse
 
-EXAMPLES = int(os.environ.get("ROSLD_FUZZ_EXAMPLES", "25"))
-SEED = int(os.environ.get("ROSLD_FUZZ_SEED", "0"))
+from tests.conformance.fuzzing import fuzzing
+
 LIMIT = 3.0
 """Seconds a query may take."""
 PATIENCE = LIMIT + 7.0
@@ -126,18 +125,6 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     assert running.stop() == 0, running.log[-3000:]
     assert "failed on this request" not in running.log, running.log[-6000:]
     assert "Traceback" not in running.log, running.log[-6000:]
-
-
-def fuzzing(times: float = 1.0) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Runs a test on the same examples each time."""
-    how = settings(
-        max_examples=max(1, int(EXAMPLES * times)),
-        deadline=None,
-        database=None,
-        phases=(Phase.explicit, Phase.generate, Phase.shrink),
-        suppress_health_check=list(HealthCheck),
-    )
-    return lambda test: seed(SEED)(how(test))
 
 
 # A grammar of queries

@@ -66,7 +66,7 @@ def _type(action: Action, space: Space) -> list[Statement]:
     ]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class GoalView:
     """A goal as it is described; a message comes with its schema, feedback with when it came and its number.
 

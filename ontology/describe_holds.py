@@ -25,7 +25,7 @@ _STREAM = (Literal("text/event-stream"),)
 _SSE = (hctl.forSubProtocol, Literal("sse"))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class HoldView:
     """A hold as it is described; messages come with their schema. Times are wall-clock nanoseconds.
 

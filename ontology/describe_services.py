@@ -47,7 +47,7 @@ def _type(service: Service, space: Space) -> list[Statement]:
     ]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class CallView:
     """A call as it is described: `state` is a local name of the vocabulary (`Running`, `Succeeded`, ...); a message
 

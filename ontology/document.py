@@ -24,7 +24,7 @@ class Envelope(NamedTuple):
     publisher: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class LiftedMessage:
     """A message within a document: `node` is its fragment (`#message`); the link to it is among the triples.
 

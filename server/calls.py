@@ -27,7 +27,7 @@ class CallState(Enum):
     NOT_SENT = "NotSent"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Call:
     """One call: immutable, replaced by its next state. Times are wall-clock nanoseconds."""
 

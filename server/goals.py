@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import hashlib
+import logging
 import re
 import secrets
 import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 from rosld.adapters.base import Adapter, Watch
 from rosld.adapters.model import (
@@ -28,6 +29,7 @@ from rosld.adapters.model import (
 from rosld.server.calls import Gone, KeyReused
 from rosld.server.events.watches import Signal
 
+_log = logging.getLogger("rosld")
 _PLAIN = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _NOT_PLAIN = re.compile(r"[^A-Za-z0-9_-]+")
 _LONGEST = 48
@@ -37,7 +39,7 @@ _ORDER: Mapping[GoalStatus, int] = {GoalStatus.ACCEPTED: 0, GoalStatus.EXECUTING
 _ENDED = 3
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Told:
     """A message that a server of an action sent, and when it came."""
 
@@ -46,11 +48,12 @@ class Told:
     count: int = 1
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Goal:
-    """One goal: immutable, replaced by its next state. `key` is None for one that was rejected when it was sent.
+    """One goal: immutable, replaced by its next state, compared by identity.
 
-    Times are wall-clock nanoseconds. What cannot be read of what is told is left out, and `unreadable` says why.
+    `key` is None for a goal that was rejected when it was sent. Times are wall-clock nanoseconds. What cannot be read
+    of what is told is left out, and `unreadable` says why.
     """
 
     id: str
@@ -72,6 +75,10 @@ class Goal:
     def is_cancelable(self) -> bool:
         """Whether asking for it to be canceled may still change anything."""
         return self.status in (GoalStatus.ACCEPTED, GoalStatus.EXECUTING)
+
+
+_MESSAGES = frozenset({"goal", "feedback", "result"})
+_FIELDS = tuple(field.name for field in fields(Goal))
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +206,10 @@ class Goals:
         with self._lock:
             heard, self._heard = self._heard, OrderedDict()
         for key, (event, count) in heard.items():
-            self._take(key, event, count)
+            try:
+                self._take(key, event, count)
+            except Exception:  # the events of the other goals are taken all the same
+                _log.exception("what became known of goal %.100r of %s was not taken", key.id, key.action)
 
     def _take(self, key: GoalId, event: GoalEvent, count: int) -> None:
         if key in self._dropped:
@@ -227,7 +237,7 @@ class Goals:
             changed = self._with_messages(changed, schema, event, count)
         if status is not goal.status and status.is_final:
             changed = replace(changed, ended_ns=event.received_ns)
-        return goal if changed == goal else replace(changed, heard_ns=max(goal.heard_ns, event.received_ns))
+        return goal if _is_same(goal, changed) else replace(changed, heard_ns=max(goal.heard_ns, event.received_ns))
 
     def _with_messages(self, goal: Goal, schema: ActionSchema, event: GoalEvent, count: int) -> Goal:
         encoding = self._adapter.capabilities.encoding
@@ -364,6 +374,14 @@ class _GoalWatch:
             following.watches -= 1
             following.looked_at = asyncio.get_running_loop().time()
         self._watch.close()
+
+
+def _is_same(before: Goal, after: Goal) -> bool:
+    """Whether two states of a goal say the same; messages are compared by identity, for they may hold arrays."""
+    return all(
+        (one is other) if name in _MESSAGES else (one == other)
+        for name, one, other in ((name, getattr(before, name), getattr(after, name)) for name in _FIELDS)
+    )
 
 
 def _rank(status: GoalStatus) -> int:

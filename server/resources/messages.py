@@ -14,7 +14,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.robot import Robot
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Decoded:
     """A sample with its message, or with the reason why it cannot be read."""
 

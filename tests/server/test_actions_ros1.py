@@ -10,6 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
+from tests import waiting
 from tests.adapters.ros1.system import RosSystem, running
 from tests.server.test_actions import ROS, until
 
@@ -74,3 +75,14 @@ def test_the_goals_of_others_are_resources_and_can_be_canceled(ros: RosSystem, h
     assert http.delete(goal["url"]).status_code == 202
     assert until(http, goal["url"], "canceled")[-1]["words"] == "preempted"
     other.line("done 2")  # PREEMPTED
+
+
+def test_feedback_with_arrays_goes_on_to_the_last_and_so_does_the_result(ros: RosSystem, http: httpx.Client) -> None:
+    ros.node("fibonacci_node.py")
+    waiting.until(lambda: http.get("/actions/fibonacci").status_code == 200, "the action")
+    goal = http.post("/actions/fibonacci", json={"order": 7}, headers=JSON)
+    assert goal.status_code == 201, goal.text
+    told = until(http, goal.headers["location"], "succeeded")
+    assert len({len(each["feedback"]["sequence"]) for each in told if each["feedback"]}) > 1
+    last = http.get(goal.headers["location"], headers=JSON).json()
+    assert last["result"] == last["feedback"] == {"sequence": [0, 1, 1, 2, 3, 5, 8]}

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
+import importlib
+import pkgutil
+import re
 import struct
 import threading
 import time
@@ -11,13 +15,16 @@ from typing import Any
 
 import pytest
 
-from rosld.adapters.model import ActionSchema, Encoding, GoalEvent, GoalId, GoalStatus, TypeRef
+import rosld.ontology
+import rosld.server
+from rosld.adapters.model import ActionSchema, Encoding, GoalEvent, GoalId, GoalStatus, Schema, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.urls import locate
 from rosld.server.calls import Gone
-from rosld.server.goals import Goal, Goals
+from rosld.server.goals import Goal, Goals, Told
 
 FLY = TypeLibrary(ros_version=1).find(TypeRef("rosld_aircraft/action/Fly"))
+COUNT = TypeLibrary(ros_version=1).learn_action("made_up/action/Count", "int32 to\n---\n---\nint32[] sequence")
 
 
 class Robot:
@@ -27,11 +34,13 @@ class Robot:
         encoding = Encoding.ROS1
 
 
-def keeping(scenario: Callable[[Goals], Awaitable[None]], *, most: int = 100, age: float = 3600.0) -> None:
+def keeping(
+    scenario: Callable[[Goals], Awaitable[None]], *, most: int = 100, age: float = 3600.0, schema: Schema = FLY
+) -> None:
     async def run() -> None:
-        assert isinstance(FLY, ActionSchema)
+        assert isinstance(schema, ActionSchema)
         robot: Any = Robot()
-        goals = Goals(robot, lambda _: FLY, most=most, age=age, idle=60.0)
+        goals = Goals(robot, lambda _: schema, most=most, age=age, idle=60.0)
         goals.start()
         try:
             await scenario(goals)
@@ -100,6 +109,53 @@ def test_feedback_faster_than_the_loop_is_told_as_one_and_counted() -> None:
         assert len(woken) == 1
 
     keeping(scenario)
+
+
+def test_feedback_with_arrays_is_told_again_and_again_and_wakes_only_for_what_is_new() -> None:
+    async def scenario(goals: Goals) -> None:
+        woken: list[None] = []
+        goals.changes.watch(lambda: woken.append(None), lambda about: about == "a")
+        for number in range(1, 4):
+            sequence = struct.pack(f"<I{number}i", number, *range(number))
+            goal = await hear(goals, "a", status(GoalStatus.EXECUTING, words="counting", feedback=sequence))
+            assert goal.feedback is not None
+            assert goal.feedback.count == number
+            assert list(getattr(goal.feedback.message, "sequence")) == list(range(number))  # noqa: B009
+        for words in ("counting", "count" + "ing".lower()):  # equal texts, whoever made them
+            await hear(goals, "a", status(GoalStatus.EXECUTING, words=words))
+        assert len(woken) == 3
+
+    keeping(scenario, schema=COUNT)
+
+
+def test_what_fails_to_be_taken_of_one_goal_keeps_nothing_of_the_others_back(caplog: pytest.LogCaptureFixture) -> None:
+    async def scenario(goals: Goals) -> None:
+        hostile: Any = object()
+        goals.hear(GoalId("/fly", "bad"), status(hostile))
+        goals.hear(GoalId("/fly", "good"), status(GoalStatus.EXECUTING))
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        assert goals.find("good").status is GoalStatus.EXECUTING
+        assert "bad" in caplog.text
+
+    keeping(scenario)
+
+
+def test_records_that_hold_messages_are_compared_by_identity() -> None:
+    """Messages hold numpy arrays, whose comparison is an array and has no truth value."""
+    holding = []
+    for package in (rosld.server, rosld.ontology):
+        for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if "__main__" not in found.name:
+                holding += [each for each in vars(importlib.import_module(found.name)).values() if _holds_message(each)]
+    assert {Goal, Told} <= set(holding)
+    assert [each for each in set(holding) if each.__eq__ is not object.__eq__] == []
+
+
+def _holds_message(found: object) -> bool:
+    if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
+        return False
+    return any(re.search(r"\bMessage\b", str(field.type)) for field in dataclasses.fields(found))
 
 
 def test_a_result_that_comes_after_the_end_is_kept() -> None:

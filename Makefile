@@ -1,5 +1,5 @@
 # demo: the paper's aircraft at http://127.0.0.1:8080/     test: all tests     check: style and types
-# bench: the table of ratios     clean: back to a fresh clone
+# interop: other people's clients     bench: the table of ratios     clean: back to a fresh clone
 #
 # Each of them makes .venv when it is missing or pyproject.toml has changed. PYTHON=python3.12 chooses another Python.
 
@@ -9,7 +9,7 @@ READY := .venv/.ready
 PORT ?= 8080
 HEADERS := import sysconfig; print(sysconfig.get_path("include") + "/Python.h")
 
-.PHONY: demo test check bench clean venv debian ros2
+.PHONY: demo test interop check bench clean venv debian ros2
 
 demo: $(READY)
 	$(BIN)/rosld serve aircraft --port $(PORT)
@@ -27,6 +27,16 @@ test: $(READY) debian
 			echo "Once more, one after the other, what failed above:"; \
 			$(BIN)/python $(PYTEST) --last-failed --last-failed-no-failures none --exitfirst; failed=$$?; \
 		fi; exit $$failed
+
+# Clients that others wrote, against rosld: Java, Maven, curl and nginx from Debian, a Node of its own from PyPI.
+interop: $(READY)
+	@{ command -v curl && command -v javac && command -v mvn && { command -v nginx || test -x /usr/sbin/nginx; }; } \
+		>/dev/null || .ci/debian tests/interop/debian.txt
+	@test -e .venv/.interop || \
+		{ $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[interop]' && touch .venv/.interop; } || \
+		{ echo "The extra interop of pyproject.toml could not be installed: tests that need it are skipped." >&2; \
+			test "$$CI" != true; }
+	$(BIN)/python $(PYTEST) -n 2 --dist loadfile --no-loadscope-reorder tests/interop
 
 check: $(READY)
 	$(BIN)/ruff check .

@@ -1,0 +1,32 @@
+"""Clients that others wrote, in their default configuration, each against a real rosld over real HTTP.
+
+`make interop` runs this folder and `make test` leaves it out. What a client needs and is not here is named and skipped;
+with CI=true it fails.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from tests.server.conftest import start_server, triples_of
+
+__all__ = ["start_server", "triples_of"]
+"""Fixtures of the server's tests: one starts servers, one reads answers."""
+
+_COUNTER = itertools.count(1)
+
+
+@pytest.fixture(scope="session")
+def server(start_server: Callable[..., Any]) -> Any:
+    """A server of the embedded aircraft, shared by all clients: `url` is its entry, `http` an HTTP client for it."""
+    return start_server("aircraft", "--max-publish-rate", "100000")
+
+
+@pytest.fixture
+def folder(server: Any) -> str:
+    """The URL of a container of the test's own below `/data/`, which a client's first write makes."""
+    return f"{server.url}data/t{next(_COUNTER)}/"

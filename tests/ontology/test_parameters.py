@@ -10,9 +10,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from rosld.adapters.model import ParameterValue
 from rosld.ontology.body import parse_body, parse_json
 from rosld.ontology.parameters import (
-    ParameterValue,
     lower_json,
     lower_parameter,
     parameter_container_document,

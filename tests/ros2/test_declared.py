@@ -58,7 +58,7 @@ def test_a_parameter_says_what_its_node_declares_and_its_shape_judges_it(http: h
         found.set((subject, ROS.value, rdflib.Literal(value)))
         assert pyshacl.validate(found, shacl_graph=found)[0] is good, value
     gain = graph(http, f"{LAMP}gain")
-    assert [each.toPython() for each in gain.objects(None, ROS.step)] == [0.1]  # type: ignore[union-attr]
+    assert [each.toPython() for each in gain.objects(None, ROS.step)] == [0.1]  # type: ignore[union-attr, attr-defined]
 
 
 def test_every_parameter_conforms_to_its_own_shape(http: httpx.Client) -> None:

@@ -7,12 +7,14 @@ from collections.abc import Callable
 import httpx
 import pytest
 
+from tests.server.conftest import Served
+
 ROS = "https://w3id.org/rosld#"
 JSON = {"Accept": "application/json"}
 
 
 @pytest.fixture
-def plane(serve: Callable[..., object]) -> httpx.Client:
+def plane(serve: Callable[..., Served]) -> httpx.Client:
     """An aircraft of this test's own."""
     return serve("aircraft").http
 

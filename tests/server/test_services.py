@@ -8,12 +8,14 @@ from collections.abc import Callable
 import httpx
 import pytest
 
+from tests.server.conftest import Served
+
 TYPES = "https://w3id.org/rosld/types/"
 JSON = {"Accept": "application/json"}
 
 
 @pytest.fixture
-def plane(serve: Callable[..., object]) -> httpx.Client:
+def plane(serve: Callable[..., Served]) -> httpx.Client:
     """An aircraft of this test's own, standing."""
     return serve("aircraft").http
 

@@ -9,6 +9,8 @@ import httpx
 import pytest
 from pyoxigraph import Literal, NamedNode, Triple
 
+from tests.server.conftest import Served
+
 ROS = "https://w3id.org/rosld#"
 TYPES = "https://w3id.org/rosld/types/"
 Triples = Callable[[httpx.Response], set[Triple]]
@@ -49,7 +51,7 @@ def test_plain_json_is_the_message_as_ros_has_it(http: httpx.Client) -> None:
     assert answer.json() == {"data": 0.0}
 
 
-def test_a_topic_that_nobody_has_published_on_is_null_in_plain_json(serve: Callable[..., object]) -> None:
+def test_a_topic_that_nobody_has_published_on_is_null_in_plain_json(serve: Callable[..., Served]) -> None:
     served = serve("aircraft")
     assert served.http.get(DISPLAY, headers={"Accept": "application/json"}).text == "null"
     assert f"{ROS}latest" not in served.http.get(DISPLAY).text
@@ -95,7 +97,7 @@ def test_put_answers_with_the_representation_where_it_is_preferred(http: httpx.C
     assert answer.headers["preference-applied"] == "return=representation"
 
 
-def test_a_message_nobody_listens_to_is_202_and_says_so(serve: Callable[..., object]) -> None:
+def test_a_message_nobody_listens_to_is_202_and_says_so(serve: Callable[..., Served]) -> None:
     served = serve("aircraft", "--allow-publish", "/lonely")
     turtle = {"Content-Type": "text/turtle"}
     assert served.http.put("/topics/lonely", content=message("1"), headers=turtle).status_code == 201
@@ -104,7 +106,7 @@ def test_a_message_nobody_listens_to_is_202_and_says_so(serve: Callable[..., obj
     assert "no subscriber" in answer.json()["detail"]
 
 
-def test_a_new_topic_is_made_by_rdf_that_states_its_type_and_unmade_by_delete(serve: Callable[..., object]) -> None:
+def test_a_new_topic_is_made_by_rdf_that_states_its_type_and_unmade_by_delete(serve: Callable[..., Served]) -> None:
     served = serve("aircraft")
     assert served.http.put("/topics/new", json={"data": "x"}).status_code == 404
     made = served.http.put("/topics/new", content=message("x"), headers={"Content-Type": "text/turtle"})
@@ -143,7 +145,7 @@ def test_patch_by_sparql_update_is_about_the_one_topic(http: httpx.Client) -> No
     assert http.get(DISPLAY, headers={"Accept": "application/json"}).json() == {"data": "swapped"}
 
 
-def test_patch_of_a_topic_without_a_message_is_409(serve: Callable[..., object]) -> None:
+def test_patch_of_a_topic_without_a_message_is_409(serve: Callable[..., Served]) -> None:
     served = serve("aircraft")
     headers = {"Content-Type": "application/merge-patch+json", "If-Match": "*"}
     assert served.http.patch(DISPLAY, content='{"data": "x"}', headers=headers).status_code == 409
@@ -187,7 +189,7 @@ def test_what_was_read_can_be_put_back(http: httpx.Client) -> None:
     assert http.get(DISPLAY, headers={"Accept": "application/json"}).json() == {"data": "round trip"}
 
 
-def test_more_publishes_than_the_limit_are_429_with_retry_after(serve: Callable[..., object]) -> None:
+def test_more_publishes_than_the_limit_are_429_with_retry_after(serve: Callable[..., Served]) -> None:
     served = serve("aircraft", "--max-publish-rate", "3")
     codes = [served.http.put(DISPLAY, json={"data": str(number)}).status_code for number in range(8)]
     assert codes[:3] == [204] * 3
@@ -197,7 +199,7 @@ def test_more_publishes_than_the_limit_are_429_with_retry_after(serve: Callable[
     assert served.http.get(DISPLAY).status_code == 200
 
 
-def test_a_read_only_server_offers_nothing_to_write(serve: Callable[..., object]) -> None:
+def test_a_read_only_server_offers_nothing_to_write(serve: Callable[..., Served]) -> None:
     served = serve("aircraft", "--read-only")
     assert served.http.put(DISPLAY, json={"data": "x"}).status_code == 405
     assert served.http.options(DISPLAY).headers["allow"] == "GET, HEAD, OPTIONS"

@@ -350,13 +350,17 @@ def test_a_shape_tells_at_most_twenty_violations() -> None:
 
 def test_paths_are_the_predicates_looked_at() -> None:
     p, q = (NamedNode(f"http://h/v#{name}") for name in "pq")
-    assert compiled(":shape sh:property [ sh:path ex:p ; sh:minCount 1 ] .").paths == {p}
-    assert compiled(":shape sh:not [ sh:property [ sh:path ex:p ; sh:hasValue 1 ] ] .").paths == {p}
-    assert compiled(":shape sh:or ( [ sh:path ex:p ; sh:hasValue 1 ] [ sh:path ex:q ; sh:hasValue 1 ] ) .").paths == {
-        p,
-        q,
-    }
-    assert compiled(":shape sh:property [ sh:path ex:p ; sh:lessThan ex:q ] .").paths == {p, q}
+    assert compiled(":shape sh:property [ sh:path ex:p ; sh:minCount 1 ] .").paths == frozenset({p})
+    assert compiled(":shape sh:not [ sh:property [ sh:path ex:p ; sh:hasValue 1 ] ] .").paths == frozenset({p})
+    assert compiled(
+        ":shape sh:or ( [ sh:path ex:p ; sh:hasValue 1 ] [ sh:path ex:q ; sh:hasValue 1 ] ) ."
+    ).paths == frozenset(
+        {
+            p,
+            q,
+        }
+    )
+    assert compiled(":shape sh:property [ sh:path ex:p ; sh:lessThan ex:q ] .").paths == frozenset({p, q})
     assert compiled(":shape sh:property [ sh:path ( ex:p ex:q ) ; sh:minCount 1 ] .").paths is None
     assert compiled(":shape sh:nodeKind sh:IRI .").paths == frozenset()
 

@@ -21,6 +21,7 @@ from rosld.adapters.model import (
     MessageSchema,
     Node,
     Parameter,
+    ParameterValue,
     Service,
     Topic,
     Transition,
@@ -30,7 +31,6 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology import describe
 from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import lifter
-from rosld.ontology.parameters import ParameterValue
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import PREFIXES

@@ -127,7 +127,8 @@ def _others() -> str:
 def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> None:
     """Serve SOURCE on the web.
 
-    Listens once the source is open, then prints one line, the URL to begin with. Ends on Ctrl-C.
+    Listens once the source is open, then prints one line, the URL to begin with. Ends on Ctrl-C, SIGTERM, SIGQUIT,
+    and SIGHUP unless that is ignored (nohup).
 
     \b
     Examples:

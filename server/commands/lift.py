@@ -22,6 +22,7 @@ from rosld.ontology.serialize import Syntax
 from rosld.ontology.urls import Space
 from rosld.server.commands.failure import Failure, told
 from rosld.server.commands.lifting import Lifting
+from rosld.server.commands.signals import end_signals
 from rosld.server.commands.types import opened
 from rosld.server.commands.writing import writer
 
@@ -57,7 +58,9 @@ def target(path: Path) -> Target:
 
 def lift(recording: Path, output: Path, base: str, options: AdapterOptions, settings: LiftSettings) -> None:
     """Write all of a recording to `output`, with a progress bar on stderr. Raises Failure."""
-    signal.signal(signal.SIGTERM, _exit)  # an exception, so that the draft is removed
+    for number in end_signals():
+        if number is not signal.SIGINT:
+            signal.signal(number, _exit)  # an exception, so that the draft is removed
     with told():
         to, space = target(output), Space(base, settings.types)
         with opened(f"recording:{recording}", options) as adapter:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import signal
 import socket
 import sys
 import threading
@@ -19,6 +18,7 @@ from rosld.server import settings as settings_module
 from rosld.server.commands import data_folder, listening, tls
 from rosld.server.commands.failure import told
 from rosld.server.commands.lifespan import lifespan
+from rosld.server.commands.signals import end_signals
 from rosld.server.http.connection import Bounds
 from rosld.server.settings import Settings
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 LAST_SECONDS = 4.5
 """Seconds after which a server that was told to end is ended, whatever still holds it: five are promised."""
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def serve(source: str, settings: Settings, *, base_given: bool) -> None:
@@ -67,7 +66,7 @@ class Serving:
     async def until_stopped(self) -> None:
         """Serve until a signal. Raises what opening the source raises; the adapter is closed in any case."""
         loop = asyncio.get_running_loop()
-        for number in _SIGNALS:
+        for number in end_signals():
             loop.add_signal_handler(number, self._told_to_stop)
         self._work = loop.create_task(self._open_and_serve())
         try:
@@ -98,7 +97,8 @@ def end_at_the_latest(seconds: float) -> None:
     """End the process so many seconds from now, if it still runs: a stuck thread must not hold it."""
 
     def end() -> None:
-        os.write(2, b"rosld: ended by force, something did not let go in time\n")
+        with contextlib.suppress(OSError):  # the terminal may have gone
+            os.write(2, b"rosld: ended by force, something did not let go in time\n")
         os._exit(1)
 
     timer = threading.Timer(seconds, end)

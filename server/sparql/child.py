@@ -202,7 +202,7 @@ def _be_alone(writing: int, limits: Limits) -> None:
     """Let go of every socket and file, and take the limits on."""
     import resource
 
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, limits.seconds + 1)

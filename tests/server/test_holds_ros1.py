@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -54,7 +55,7 @@ def listen_for_ever(wheels: Process) -> None:
         wheels.line("heard", timeout=2)
 
 
-def test_the_robot_stands_still_when_the_client_the_stop_or_a_signal_ends_a_hold(wheels: Process, served: Any) -> None:
+def test_the_robot_stands_still_when_the_client_the_lease_or_the_stop_ends_a_hold(wheels: Process, served: Any) -> None:
     http = served.http
     hold = held(http, 1)
     keeper = subprocess.Popen([sys.executable, "-c", KEEPER, f"{hold}?keep=true"], stdout=subprocess.PIPE, text=True)
@@ -78,11 +79,19 @@ def test_the_robot_stands_still_when_the_client_the_stop_or_a_signal_ends_a_hold
     assert http.put(TOPIC, json=ahead(9)).status_code == 423
     assert http.delete("/stop").status_code == 204
 
-    held(http, 4)
-    hears(wheels, ahead(4))
-    assert served.stop() == 0
-    hears(wheels, STILL)
     assert json.dumps(ahead(9)) not in " ".join(wheels.seen)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT])
+def test_the_robot_stands_still_when_a_signal_ends_the_server(
+    wheels: Process, served: Any, number: signal.Signals
+) -> None:
+    held(served.http, 40 + number)
+    hears(wheels, ahead(40 + number))
+    served.http.close()
+    served.process.send_signal(number)
+    assert served.process.wait(10) == 0
+    hears(wheels, STILL)
 
 
 def test_a_server_that_is_killed_says_nothing_more_so_the_robot_itself_must_stop(wheels: Process, served: Any) -> None:

@@ -182,7 +182,8 @@ def test_a_missing_folder_is_told_in_one_line(bag: Path, tmp_path: Path) -> None
     assert "Traceback" not in result.stderr
 
 
-def test_a_run_that_is_ended_leaves_nothing_behind(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+def test_a_run_that_is_ended_leaves_nothing_behind(tmp_path: Path, number: signal.Signals) -> None:
     long = record(tmp_path / "long.bag", 30_000)
     output = tmp_path / "out"
     output.mkdir()
@@ -192,10 +193,10 @@ def test_a_run_that_is_ended_leaves_nothing_behind(tmp_path: Path) -> None:
         try:
             while len(list(output.iterdir())) < 2 and process.poll() is None:
                 time.sleep(0.005)  # until the draft is there
-            process.send_signal(signal.SIGTERM)
+            process.send_signal(number)
             code = process.wait(10)
         finally:
             process.kill()
-    assert code == 128 + signal.SIGTERM
+    assert code == 128 + number
     assert [path.name for path in output.iterdir()] == ["x.nt.gz"]
     assert (output / "x.nt.gz").read_text() == "as it was"

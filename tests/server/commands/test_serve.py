@@ -46,7 +46,7 @@ def failure(*arguments: str) -> Result:
     return result
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_it_prints_its_url_and_nothing_else_and_ends_in_time_with_clients_connected(number: signal.Signals) -> None:
     with serving("aircraft", "--port", "0") as (process, url), httpx.Client(base_url=url, timeout=10) as idle:
         assert idle.get("/", headers={"Accept": "text/turtle"}).status_code == 200
@@ -62,6 +62,20 @@ def test_it_prints_its_url_and_nothing_else_and_ends_in_time_with_clients_connec
     assert process.returncode == 0, errors
     assert rest == ""
     assert "Traceback" not in errors
+
+
+def test_started_by_nohup_it_outlives_its_terminal() -> None:
+    command = [sys.executable, "-m", "rosld", "serve", "aircraft", "--port", "0"]
+    with subprocess.Popen(["nohup", *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            url = process.stdout.readline().strip()
+            process.send_signal(signal.SIGHUP)
+            assert httpx.get(url, timeout=10).status_code == 200
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(FIVE_SECONDS) == 0
+        finally:
+            process.kill()
 
 
 def test_it_may_be_told_to_end_before_it_has_begun() -> None:

@@ -24,6 +24,7 @@ from rosld.server.events.watches import Signal
 from rosld.server.gate import Holder
 from rosld.server.http.problem import Problem
 from rosld.server.schedule import Lapse, Publish, Schedule, Wait
+from rosld.server.writable import refusal
 
 if TYPE_CHECKING:
     from rosld.server.robot import Robot
@@ -139,6 +140,7 @@ class Holds:
         self._running[hold.id] = running
         running.begin()
         self.revise(hold)
+        self.end_refused()
         return running.hold
 
     def change(self, id: str, changed: Hold) -> Hold:
@@ -172,6 +174,16 @@ class Holds:
     def end_all(self, why: str) -> Sequence[tuple[Hold, asyncio.Task[None]]]:
         """End every hold at once."""
         return [(each.hold, each.end(why)) for each in list(self._running.values())]
+
+    def end_refused(self) -> None:
+        """End the holds whose start would be refused in the graph as it is now: another node publishes there."""
+        graph, permitted = self._robot.graph, self._robot.settings.allow_publish
+        for hold in self.all():
+            topic = graph.topics.get(hold.topic)
+            why = None if topic is None else refusal(topic, graph, permitted, needs_subscriber=False)
+            if why is not None:
+                _log.warning("the hold on %s ends: %s", hold.topic, why)
+                self.end(hold.id, f"it would be refused now. {why.removesuffix('.')}")
 
     def close(self, why: str) -> None:
         """End every hold at once, and let none begin any more."""

@@ -218,6 +218,7 @@ class Robot:
     def _moved(self) -> None:
         self._changed.set()
         self.changes.give()
+        self.holds.end_refused()
 
     def _kept(self, changes: Sequence[Changed]) -> None:
         for each in changes:

@@ -14,10 +14,11 @@ RESERVED = frozenset({"/clock", "/tf", "/tf_static", "/rosout", "/rosout_agg", "
 _ACTION_PARTS = frozenset({"goal", "cancel", "status", "feedback", "result"})
 
 
-def refusal(topic: Topic, graph: Graph, permitted: tuple[str, ...]) -> str | None:
+def refusal(topic: Topic, graph: Graph, permitted: tuple[str, ...], *, needs_subscriber: bool = True) -> str | None:
     """Why `topic` must not be published to, in a sentence; None where it may be.
 
     `permitted` are the globs of --allow-publish; reserved topics must be among them by their exact name.
+    `needs_subscriber` is False for what is being published already: a subscriber that restarts does not end it.
     """
     name = topic.name
     if name in permitted:
@@ -33,7 +34,7 @@ def refusal(topic: Topic, graph: Graph, permitted: tuple[str, ...]) -> str | Non
             f"To publish there anyway start rosld with --allow-publish {name}."
         )
     own = any(endpoint.node == graph.own_node for endpoint in topic.publishers)
-    if not own and not any(endpoint.node != graph.own_node for endpoint in topic.subscribers):
+    if needs_subscriber and not own and not any(endpoint.node != graph.own_node for endpoint in topic.subscribers):
         return f"No node subscribes to {name}; to publish there anyway start rosld with --allow-publish {name}."
     return _conflict(topic)
 

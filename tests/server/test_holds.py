@@ -18,6 +18,7 @@ import pytest
 from rosld.adapters.base import Published
 from rosld.adapters.model import TypeRef, Unreachable
 from tests.server.robots.made_up import MadeUp, served
+from tests.waiting import until
 
 DRIVE, STAMPED, NAMED, SENSOR = "/drive", "/stamped", "/named", "/sensor"
 JSON = {"Accept": "application/json"}
@@ -363,6 +364,46 @@ def test_a_robot_that_is_gone_is_told_of_and_the_hold_goes_on_when_it_is_back(
     assert "gone" in trouble
     count, driven.is_gone = len(driven.told), False
     driven.until(lambda: len(driven.told) > count, "it goes on")
+
+
+def test_a_hold_ends_with_its_last_message_when_another_node_publishes_on_its_topic(
+    driven: Driven, http: httpx.Client
+) -> None:
+    hold = begun(http, lease=5)
+    other = begun(http, NAMED, {"data": "on"}, lease=5)
+    driven.until(lambda: len(driven.on(DRIVE)) > 2, "messages")
+    try:
+        driven.topic(DRIVE, "geometry_msgs/msg/Twist", published=True, heard=True)
+        driven.until(lambda: driven.on(DRIVE)[-1] == STILL, "the last message")
+        until(lambda: http.get(hold).status_code == 410, "the hold is gone")
+        assert "/drive is published by /robot" in http.get(hold).json()["detail"]
+        assert held(http).status_code == 405
+        assert http.get(other).status_code == 200
+        assert driven.on(DRIVE).count(STILL) == 1
+    finally:
+        driven.topic(DRIVE, "geometry_msgs/msg/Twist", published=False, heard=True)
+    assert held(http, lease=0.2).status_code == 201
+
+
+def test_a_hold_goes_on_beside_another_publisher_where_that_is_permitted() -> None:
+    driven = Driven()
+    with served(driven, allow_publish=(DRIVE,)) as http:
+        hold = begun(http, lease=5)
+        driven.topic(DRIVE, "geometry_msgs/msg/Twist", published=True, heard=True)
+        told = len(driven.told)
+        driven.until(lambda: len(driven.told) > told + 3, "further messages")
+        assert http.get(hold).status_code == 200
+
+
+def test_a_hold_goes_on_while_its_only_subscriber_restarts(driven: Driven, http: httpx.Client) -> None:
+    hold = begun(http, lease=5)
+    try:
+        driven.topic(DRIVE, "geometry_msgs/msg/Twist", published=False, heard=False)
+        told = len(driven.told)
+        driven.until(lambda: len(driven.told) > told + 3, "further messages")
+        assert http.get(hold).status_code == 200
+    finally:
+        driven.topic(DRIVE, "geometry_msgs/msg/Twist", published=False, heard=True)
 
 
 def test_nothing_queues_up_while_the_robot_is_slow(driven: Driven, http: httpx.Client) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import httpx
 import pytest
 
+from tests import waiting
 from tests.adapters.ros1.system import RosSystem, running
 from tests.processes import Process
 from tests.server.test_holds import KEEPER, STILL, ahead
@@ -92,6 +93,22 @@ def test_the_robot_stands_still_when_a_signal_ends_the_server(
     served.process.send_signal(number)
     assert served.process.wait(10) == 0
     hears(wheels, STILL)
+
+
+def test_the_robot_stands_still_when_another_node_begins_to_publish(
+    ros: RosSystem, wheels: Process, served: Any
+) -> None:
+    hold = held(served.http, 6)
+    hears(wheels, ahead(6))
+    other = ros.publish("/cmd_vel", "geometry_msgs/Twist", "{linear: {x: 0.5}}", rate=1)
+    try:
+        hears(wheels, STILL)
+        waiting.until(lambda: served.http.get(hold).status_code == 410, "the hold has ended")
+        assert "is published by /rostopic" in served.http.get(hold).json()["detail"]
+        hears(wheels, ahead(0.5))
+        assert json.dumps(ahead(6)) not in " ".join(wheels.seen[-3:])
+    finally:
+        other.stop()
 
 
 def test_a_server_that_is_killed_says_nothing_more_so_the_robot_itself_must_stop(wheels: Process, served: Any) -> None:

@@ -19,6 +19,7 @@ PARTS = (
     "rights.py",
     "holds.py",
     "stop.py",
+    "pauses.py",
     "clients.py",
 )
 

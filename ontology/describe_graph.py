@@ -59,6 +59,7 @@ def entry_document(graph: Graph, space: Space, system: str = "ROS") -> Document:
         *(((ros.simulatedTime, boolean(True)),) if graph.simulated_time else ()),
         *each(ldp.contains, rooms.values()),
         (ros.stop, NamedNode(space.stop)),
+        (ros.serverStatus, NamedNode(f"{space.base}status")),
         (rdfs.seeAlso, sparql),
         (rdfs.seeAlso, graphs),
         (rdfs.seeAlso, ontology),

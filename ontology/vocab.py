@@ -252,6 +252,14 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     pending: NamedNode
     refused: NamedNode
 
+    # the server itself
+    ServerStatus: NamedNode
+    serverStatus: NamedNode
+    longestPause: NamedNode
+    longestPauseEnd: NamedNode
+    longestPauseCode: NamedNode
+    recentPause: NamedNode
+
     # receipts
     Write: NamedNode
     touches: NamedNode

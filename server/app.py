@@ -45,6 +45,7 @@ from rosld.server.resources.channels import Notifications, rooms
 from rosld.server.resources.kept.graphs import RecordGraphs
 from rosld.server.resources.mirror import mirror_room
 from rosld.server.resources.router import ROOMS, Router
+from rosld.server.resources.status import status_room
 from rosld.server.resources.typed import types_at
 from rosld.server.resources.updating.service import Updates
 from rosld.server.robot import Robot, Same
@@ -59,6 +60,7 @@ from rosld.server.sparql.update.drawer import Drawer
 from rosld.server.store import MemoryStore
 from rosld.server.store.mirror import Mirror
 from rosld.server.turns import Turns
+from rosld.server.watchdog import Watchdog
 
 _log = logging.getLogger("rosld")
 _TELLING_NOTHING = frozenset({401, 404, 410})
@@ -93,12 +95,14 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     notifications = Notifications(robot, Channels(robot.boot), feeds, names, router.resolve)
     router.add(rooms(notifications, ROOMS[".well-known"]))
     router.add(mirror_room(mirror))
+    watchdog = Watchdog()
+    router.add(status_room(watchdog))
     door = None if settings.auth is None else Door(settings.auth, robot.space, partial(types_at, robot))
     if door is not None:
         door.changed.watch(feeds.stir)
     router.add(acl_room(door))
     verbs = Verbs(robot.boot, pages, feeds, alone)
-    return Application(robot, router, verbs, pages, names, notifications, service, mirror, door)
+    return Application(robot, router, verbs, pages, names, notifications, service, watchdog, mirror, door)
 
 
 def query_service(robot: Robot, store: MemoryStore, synchroniser: Synchroniser, analyser: Analyser) -> QueryService:
@@ -127,6 +131,7 @@ class Application:
         names: Site,
         notifications: Notifications,
         service: QueryService,
+        watchdog: Watchdog,
         mirror: Mirror | None = None,
         door: Door | None = None,
     ) -> None:
@@ -137,6 +142,7 @@ class Application:
         self._site = names
         self._notifications = notifications
         self._service = service
+        self._watchdog = watchdog
         self._turns = Turns()
         self._stop = f"{robot.space.path}stop".encode("ascii")
         self._mirror = mirror
@@ -179,6 +185,7 @@ class Application:
     async def _lifespan(self, receive: Receive, send: Send) -> None:
         await receive()
         await self.robot.start()
+        self._watchdog.start()
         background = [asyncio.ensure_future(self._service.keep_up())]
         if self._mirror is not None:
             background.append(asyncio.ensure_future(self._mirror.run()))
@@ -186,6 +193,7 @@ class Application:
             background.append(asyncio.ensure_future(self._door.keep_up()))
         await send({"type": "lifespan.startup.complete"})
         await receive()
+        self._watchdog.stop()
         for each in background:
             each.cancel()
         await asyncio.wait(background)

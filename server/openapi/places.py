@@ -172,6 +172,7 @@ class Places:
         yield from self._activity()
         yield from self._holds()
         yield self._stop()
+        yield self._status()
         yield from self._parameters()
         yield from self._resources()
         yield from self._types()
@@ -315,6 +316,13 @@ class Places:
                 "DELETE": "Ends the hold; what it was told to say last is published.",
             },
         )
+
+    def _status(self) -> Place:
+        seconds: DataSchema = {"type": "number", "minimum": 0}
+        told: DataSchema = dict.fromkeys(("longestPause", "longestPauseBusy", "recentPause"), seconds)
+        told = {**told, **dict.fromkeys(("longestPauseEnd", "longestPauseCode"), or_null(TEXT))}
+        place = self._place("/status", "status", "How promptly the server itself answers")
+        return replace(place, plain={"type": "object", "properties": told})
 
     def _stop(self) -> Place:
         stop = self._place("/stop", "stop", "The stop of the whole robot")

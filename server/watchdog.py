@@ -1,0 +1,158 @@
+"""Watchdog of the event loop: measures how long it is kept from running, and tells which code did it.
+
+A timer on the loop is due every few milliseconds; how late it runs is how long the loop was paused. A thread looks at
+the same clock, and takes the stack of the loop's thread while the timer is late.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import sys
+import threading
+import time
+import traceback
+from collections import deque
+from dataclasses import dataclass
+from types import FrameType
+
+_log = logging.getLogger("rosld")
+
+BEAT_SECONDS = 0.01
+LATE_SECONDS = 0.02
+"""From here on the stack of a pause is taken."""
+LOGGED_SECONDS = 0.1
+"""From here on a pause is logged. On a busy machine the system itself takes shorter ones."""
+LOG_INTERVAL_SECONDS = 60.0
+RECENT_SECONDS = 60.0
+_SLOTS = 6
+_FRAMES = 12
+_PACKAGE = "rosld"
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """One pause of the event loop: its length and how much of it the loop's thread was working, in seconds.
+
+    `ended_ns` is the wall clock when it ended. `code` is the innermost function of rosld that ran then, `stack` all of
+    it; both are None where the loop's thread waited for others.
+    """
+
+    seconds: float
+    busy: float
+    ended_ns: int
+    code: str | None = None
+    stack: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Pauses:
+    """The longest pause since the server started, and the seconds of the longest within the last minute."""
+
+    longest: Pause
+    recent: float
+
+
+class Watchdog:
+    """Measures the pauses of the loop that it is started on."""
+
+    def __init__(self) -> None:
+        self._longest = Pause(0.0, 0.0, time.time_ns())
+        self._slots: deque[tuple[float, float]] = deque(maxlen=_SLOTS + 1)
+        self._due = 0.0
+        self._busy = 0.0
+        self._timer: asyncio.TimerHandle | None = None
+        self._loop_thread = 0
+        self._sample: tuple[float, str | None, str | None] = (0.0, None, None)
+        self._to_log: Pause | None = None
+        self._ended = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin to measure the running loop, which this is called on."""
+        self._loop_thread = threading.get_ident()
+        self._schedule(asyncio.get_running_loop())
+        self._thread = threading.Thread(target=self._watch, name="loop-watchdog", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Measure no more. Idempotent."""
+        self._ended.set()
+        if self._timer is not None:
+            self._timer.cancel()
+
+    @property
+    def pauses(self) -> Pauses:
+        """What was measured so far."""
+        since = time.monotonic() - RECENT_SECONDS
+        return Pauses(self._longest, max((seconds for at, seconds in self._slots if at >= since), default=0.0))
+
+    # On the loop
+
+    def _schedule(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._busy = time.thread_time()
+        self._due = time.monotonic() + BEAT_SECONDS
+        self._timer = loop.call_later(BEAT_SECONDS, self._beat, loop)
+
+    def _beat(self, loop: asyncio.AbstractEventLoop) -> None:
+        now, due = time.monotonic(), self._due
+        self._record(now, max(0.0, now - due), due)
+        self._schedule(loop)
+
+    def _record(self, now: float, late: float, due: float) -> None:
+        slots, width = self._slots, RECENT_SECONDS / _SLOTS
+        if not slots or now - slots[-1][0] >= width:
+            slots.append((now, late))
+        elif late > slots[-1][1]:
+            slots[-1] = (slots[-1][0], late)
+        if late <= max(self._longest.seconds, 0.0) and late < LOGGED_SECONDS:
+            return
+        sampled, code, stack = self._sample
+        if sampled != due:
+            code = stack = None
+        pause = Pause(late, max(0.0, time.thread_time() - self._busy), time.time_ns(), code, stack)
+        if late > self._longest.seconds:
+            self._longest = pause
+        waiting = self._to_log
+        if late >= LOGGED_SECONDS and (waiting is None or late > waiting.seconds):
+            self._to_log = pause
+
+    # In the thread
+
+    def _watch(self) -> None:
+        logged = -LOG_INTERVAL_SECONDS
+        while not self._ended.wait(BEAT_SECONDS):
+            due, now = self._due, time.monotonic()
+            if now - due > LATE_SECONDS and self._sample[0] != due:
+                self._sample = (due, *self._stack())
+            pause = self._to_log
+            if pause is not None and now - logged >= LOG_INTERVAL_SECONDS:
+                self._to_log, logged = None, now
+                _log.warning("%s", words(pause))
+
+    def _stack(self) -> tuple[str | None, str | None]:
+        """The innermost function of rosld that the loop's thread runs, and the whole stack."""
+        frame = sys._current_frames().get(self._loop_thread)
+        if frame is None:
+            return None, None
+        code = _innermost(frame)
+        return code, None if code is None else "".join(traceback.format_stack(frame)[-_FRAMES:])
+
+
+def words(pause: Pause) -> str:
+    """A pause in words for the log, with its stack."""
+    where = f", in {pause.code}" if pause.code else ""
+    head = f"the event loop was paused for {pause.seconds:.2f} s, {pause.busy:.2f} s of them at work{where}"
+    return f"{head}\n{pause.stack}" if pause.stack else head
+
+
+def _innermost(frame: FrameType | None) -> str | None:
+    """The innermost function of rosld on a stack, as `module.function`; None where none but the loop's own runs."""
+    while frame is not None:
+        module = str(frame.f_globals.get("__name__", ""))
+        if module.partition(".")[0] == _PACKAGE:
+            if module.startswith(f"{_PACKAGE}.server.commands"):
+                return None
+            return f"{module}.{frame.f_code.co_qualname if sys.version_info >= (3, 11) else frame.f_code.co_name}"
+        frame = frame.f_back
+    return None

@@ -1,0 +1,74 @@
+"""The watchdog: a pause of the loop is measured, named and told at /status and in the log."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from typing import Any
+
+import pytest
+from pyoxigraph import Literal, NamedNode, RdfFormat, parse
+
+from rosld.server.watchdog import Watchdog
+from tests.server.robots.made_up import MadeUp, served
+from tests.waiting import until
+
+ROS = "https://w3id.org/rosld#"
+PAUSE_SECONDS = 0.3
+
+
+class Sluggish(MadeUp):
+    """A robot whose service keeps the loop from running, as nothing should."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.offer("/sluggish", "std_srvs/srv/Trigger", self._pause)
+
+    def _pause(self, _: dict[str, Any]) -> dict[str, Any]:
+        until_then = time.monotonic() + PAUSE_SECONDS
+        while time.monotonic() < until_then:
+            pass
+        return {"success": True, "message": ""}
+
+
+def test_the_longest_pause_of_the_loop_is_told_at_status_with_the_code_that_ran(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with caplog.at_level(logging.WARNING, "rosld"), served(Sluggish()) as http:
+        assert http.post("services/sluggish", json={}).status_code == 200
+        told = http.get("status", headers={"Accept": "application/json"}).json()
+        assert PAUSE_SECONDS - 0.02 <= told["longestPause"] < 5
+        assert PAUSE_SECONDS - 0.02 <= told["recentPause"] < 5
+        assert told["longestPauseBusy"] > PAUSE_SECONDS / 2
+        assert told["longestPauseCode"].startswith("rosld.server.")
+        until(lambda: any("the event loop was paused for" in each for each in caplog.messages), "a line in the log")
+        assert any("_pause" in each for each in caplog.messages if "the event loop was paused" in each)
+
+
+def test_the_status_is_linked_from_the_entry_and_told_in_rdf_and_html() -> None:
+    with served(MadeUp()) as http:
+        url = str(http.base_url) + "status"
+        entry = parse(http.get("", headers={"Accept": "application/n-triples"}).content, RdfFormat.N_TRIPLES)
+        assert [each.object for each in entry if each.predicate == NamedNode(f"{ROS}serverStatus")] == [NamedNode(url)]
+        told = parse(http.get("status", headers={"Accept": "text/turtle"}).content, RdfFormat.TURTLE, base_iri=url)
+        said = {each.predicate.value: each.object for each in told}
+        assert isinstance(said[f"{ROS}longestPause"], Literal)
+        assert f"{ROS}longestPauseEnd" in said
+        assert "longest pause" in http.get("status", headers={"Accept": "text/html"}).text.lower()
+        assert "/status" in http.get("openapi.json").json()["paths"]
+
+
+def test_a_loop_that_runs_has_no_pause_and_a_watchdog_that_was_stopped_measures_none() -> None:
+    async def run() -> float:
+        watchdog = Watchdog()
+        watchdog.start()
+        await asyncio.sleep(0.05)
+        watchdog.stop()
+        before = watchdog.pauses.longest.seconds
+        time.sleep(before + 0.2)
+        await asyncio.sleep(0.05)
+        assert watchdog.pauses.longest.seconds == before
+        return before
+
+    assert asyncio.run(run()) >= 0.0

@@ -16,6 +16,8 @@ from typing import TypeAlias
 import orjson
 from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, Quad, RdfFormat, Triple, parse, serialize
 
+from rosld.ontology.charsets import UnknownCharset, decode_xml
+
 Term: TypeAlias = NamedNode | BlankNode | Literal | Triple
 Subject: TypeAlias = NamedNode | BlankNode | Triple
 Properties: TypeAlias = Mapping[NamedNode, list[Term]]
@@ -45,6 +47,10 @@ class BodyError(ValueError):
         self.words = words
         self.line = line
         self.column = column
+
+
+class UnreadCharset(BodyError):
+    """A body in a character encoding that is not read here."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +140,8 @@ def _form(media_type: str) -> RdfFormat:
 
 def _quads(data: bytes, form: RdfFormat, base: str) -> Iterator[Quad]:
     """The quads of a body that is fit to be parsed, as the parser finds them."""
+    if form is RdfFormat.RDF_XML:
+        data = _xml(data)
     data = data.removeprefix(b"\xef\xbb\xbf")
     _check_utf8(data)
     if form is RdfFormat.JSON_LD:
@@ -287,14 +295,20 @@ _XML_TOKENS = re.compile(
     rb"|(?P<tag><)",
     re.DOTALL,
 )
-_XML_ENCODING = re.compile(rb"""^<\?xml[^>]*\sencoding\s*=\s*["']([^"']*)["']""")
+
+
+def _xml(data: bytes) -> bytes:
+    """An XML document in UTF-8, whatever encoding it declares. Raises UnreadCharset and BodyError."""
+    try:
+        return decode_xml(data)
+    except UnknownCharset as error:
+        raise UnreadCharset(str(error)) from error
+    except UnicodeDecodeError as error:
+        raise error_at(data, error.start, f"byte 0x{data[error.start]:02X} is not {error.encoding}") from error
 
 
 def _check_xml(data: bytes) -> None:
-    """Raise BodyError for declarations (which define entities), other encodings, and too deep elements."""
-    encoding = _XML_ENCODING.match(data.lstrip())
-    if encoding is not None and encoding[1].lower() not in (b"utf-8", b"us-ascii"):
-        raise BodyError(f"RDF/XML is read in UTF-8 only, not in {encoding[1].decode()}")
+    """Raise BodyError for declarations (which define entities), and for elements nested too deep."""
     depth = 0
     for token in _XML_TOKENS.finditer(data):
         kind = token.lastgroup

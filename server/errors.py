@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, UnknownType, Unreachable
-from rosld.ontology.body import BodyError
+from rosld.ontology.body import BodyError, UnreadCharset
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.triples import moment
 from rosld.server.gate import Stopped, TopicHeld
@@ -39,7 +39,9 @@ def problem_of(error: RosError) -> Problem:
 
 
 def problem_of_body(error: BodyError | LoweringError) -> Problem:
-    """400 for a body that cannot be read, 422 for one that does not fit, with every violation."""
+    """400 for a body that cannot be read (415 for its charset), 422 for one that does not fit, with every violation."""
     if isinstance(error, LoweringError):
         return Problem(422, str(error), title="Does not fit", violations=error.violations)
+    if isinstance(error, UnreadCharset):
+        return Problem(415, str(error))
     return Problem(400, str(error), title="Malformed body")

@@ -1,7 +1,8 @@
 """Conditional requests (RFC 9110 13) on strong entity tags of the form `"<boot>-<state>.<variant>"`.
 
 `<boot>-<state>` says what the resource is like, `<variant>` in which representation it was read. If-None-Match
-compares all of it; If-Match the state only, so that somebody who read Turtle can guard a write in JSON.
+of a read compares all of it; If-Match, and If-None-Match of a write, the state only, so that somebody who read Turtle
+can guard a write in JSON.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from typing import Literal, TypeAlias
 
 from rosld.server.http.problem import Problem
 
-_OPAQUE = r"[\x21\x23-\x7e\x80-\xff]*"
+# Looser than RFC 9110 8.8.3: a tag with a space in it is none of ours, so it matches nothing (412).
+_OPAQUE = r'[^"\x00-\x08\x0a-\x1f\x7f]*'
 _TAG = re.compile(rf'(W/)?"({_OPAQUE})"')
 _LIST = re.compile(rf'[ \t,]*(?:W/)?"{_OPAQUE}"[ \t]*(?:,[ \t]*(?:(?:W/)?"{_OPAQUE}"[ \t]*)?)*')
 _PART = re.compile(r"[0-9A-Za-z_+\-]+(?:\.[0-9A-Za-z_+\-]+)*")
@@ -66,7 +68,7 @@ class Verdict(Enum):
 def parse(text: str, name: str = "If-Match") -> Tags:
     """The tags of an If-Match or If-None-Match field, or "*".
 
-    A malformed field is a 400 Problem: a guard that cannot be read must not let the write through.
+    What is no list of quoted strings is a 400 Problem: a guard that cannot be read must not let the write through.
     """
     stripped = text.strip(" \t")
     if stripped == "*":
@@ -79,13 +81,17 @@ def parse(text: str, name: str = "If-Match") -> Tags:
 def evaluate(method: str, current: ETag | None, *, if_match: str | None, if_none_match: str | None) -> Verdict:
     """Judges a request's preconditions in the order of RFC 9110 13.2.2; `current` is None where nothing is there.
 
-    If-Match uses the strong comparison (a weak tag never matches), If-None-Match the weak one.
+    If-Match uses the strong comparison (a weak tag never matches), If-None-Match the weak one. A write changes all
+    representations, so that the tag of any of them is the current one (RFC 9110 13.1.2).
     """
     if if_match is not None and not _any_state(parse(if_match, "If-Match"), current):
         return Verdict.PRECONDITION_FAILED
-    if if_none_match is not None and _any_tag(parse(if_none_match, "If-None-Match"), current):
-        return Verdict.NOT_MODIFIED if method in _SAFE_METHODS else Verdict.PRECONDITION_FAILED
-    return Verdict.PROCEED
+    if if_none_match is None:
+        return Verdict.PROCEED
+    tags = parse(if_none_match, "If-None-Match")
+    if method in _SAFE_METHODS:
+        return Verdict.NOT_MODIFIED if _any_tag(tags, current) else Verdict.PROCEED
+    return Verdict.PRECONDITION_FAILED if _any_state(tags, current, weakly=True) else Verdict.PROCEED
 
 
 def guard(method: str, current: ETag | None, *, if_match: str | None, if_none_match: str | None) -> bool:
@@ -109,10 +115,10 @@ def _told(current: ETag | None) -> dict[str, str]:
     return {} if current is None else {"ETag": str(current)}
 
 
-def _any_state(tags: Tags, current: ETag | None) -> bool:
+def _any_state(tags: Tags, current: ETag | None, *, weakly: bool = False) -> bool:
     if current is None or isinstance(tags, str):
         return current is not None
-    return any(not tag.weak and tag.state == current.state for tag in tags)
+    return any((weakly or not tag.weak) and tag.state == current.state for tag in tags)
 
 
 def _any_tag(tags: Tags, current: ETag | None) -> bool:

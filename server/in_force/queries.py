@@ -9,9 +9,11 @@ from typing import Generic, TypeVar
 
 from pyoxigraph import NamedNode, Triple
 
+from rosld.ontology.charsets import UTF_8, codec, decode
 from rosld.ontology.triples import about, text
 from rosld.ontology.urls import Space, decode_segment
 from rosld.ontology.vocab import dcterms, rdf, ros
+from rosld.server.http import media
 from rosld.server.http.problem import Problem
 from rosld.server.records import Blob, Changed, Model, Record, Records
 from rosld.server.sparql.lexer import Bounds
@@ -120,11 +122,12 @@ class Queries:
         if blob.size > 4 * self.bounds.size:
             raise ValueError(f"{name}: {blob.size} bytes are more than a query may have")
         data = self._records.file(blob).read_bytes()
+        charset = media.parse(blob.media_type).parameter("charset") or UTF_8
         try:
-            return data.decode("utf-8")
+            return data.decode("utf-8") if codec(charset) == UTF_8 else decode(data, codec(charset))
         except UnicodeDecodeError as error:
             line = data[: error.start].count(b"\n") + 1
-            raise ValueError(f"{name}:{line}: what stands there is not UTF-8 ({error.reason})") from error
+            raise ValueError(f"{name}:{line}: what stands there is not {charset.upper()} ({error.reason})") from error
 
 
 def query_triples(url: str, query: StoredQuery) -> list[Triple]:

@@ -10,12 +10,13 @@ from urllib.parse import parse_qsl
 from starlette.requests import Request
 from starlette.types import Receive, Scope
 
+from rosld.ontology.charsets import UTF_8
 from rosld.server.access.agent import Agent
 from rosld.server.access.door import OPEN
 from rosld.server.access.gate import Judged
 from rosld.server.access.judge import Judge
 from rosld.server.clients import Client
-from rosld.server.http import again, media, prefer
+from rosld.server.http import again, media, prefer, text
 from rosld.server.http.body import TIMEOUT, read_body, read_chunks
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.account import Account
@@ -88,14 +89,19 @@ class Exchange:
     def media_type(self) -> str:
         """The media type of a body that is to be read, without parameters.
 
-        Raises a 415 Problem where the body states none, or another charset than UTF-8.
+        Raises a 415 Problem where the body states none, or a charset that is not read here.
         """
         found = self._content_type
         if found is None:
             raise Problem(415, "The request has a body of unknown type: send Content-Type.")
-        if found.parameter("charset") not in (None, "utf-8", "utf8"):
-            raise Problem(415, f"Content-Type: {self.header('content-type')!r}: bodies are read as UTF-8 only.")
+        text.codec_of(found)
         return found.essence
+
+    @property
+    def codec(self) -> str:
+        """The Python codec of the charset that the body states, UTF-8 where it states none. Raises a 415 Problem."""
+        found = self._content_type
+        return UTF_8 if found is None else text.codec_of(found)
 
     @property
     def essence(self) -> str | None:
@@ -122,11 +128,23 @@ class Exchange:
         self.request = Request(scope, self.request.receive)
         self.__dict__.pop("query", None)
 
-    async def body(self) -> bytes:
-        """The whole body; raises Problems for one that is too large (413), compressed (415) or cut off (400)."""
+    async def octets(self) -> bytes:
+        """The whole body as it was sent; raises Problems for one too large (413), compressed (415) or cut off (400)."""
         if self._body is None:
             self._body = await read_body(self, limit=self._body_limit, timeout=self._body_seconds)
         return self._body
+
+    async def body(self) -> bytes:
+        """The whole body in UTF-8, whatever charset it states; raises Problems as `octets`.
+
+        Raises a 415 Problem for a charset that is not read here, and a 400 Problem for bytes that are none of it.
+        """
+        return self.as_utf8(await self.octets())
+
+    def as_utf8(self, data: bytes) -> bytes:
+        """What was read of the body in UTF-8. Raises a 415 and a 400 Problem as `body`."""
+        found = self._content_type
+        return data if found is None else text.as_utf8(data, found)
 
     @property
     def received(self) -> bytes | None:

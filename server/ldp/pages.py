@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from rosld.server.ldp.resource import Resource
     from rosld.server.robot import Robot
 
-FORM = "application/x-www-form-urlencoded"
 _PROBLEM_OFFERS = ("application/problem+json", "application/json", "text/turtle", "application/ld+json", "text/html")
 _MOST_FIELDS = 10_000
 
@@ -159,8 +158,8 @@ class Pages:
 
     async def _pairs(self, exchange: Exchange) -> list[tuple[str, str]]:
         try:
-            text = (await exchange.body()).decode("ascii")
-            return parse_qsl(text, keep_blank_values=True, errors="strict", max_num_fields=_MOST_FIELDS)
+            text, codec = (await exchange.octets()).decode("ascii"), exchange.codec
+            return parse_qsl(text, True, encoding=codec, errors="strict", max_num_fields=_MOST_FIELDS)
         except (UnicodeDecodeError, ValueError) as error:
             raise Problem(400, f"The form cannot be read: {error}.") from error
 

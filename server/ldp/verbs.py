@@ -26,9 +26,10 @@ from rosld.server.events.waiting import changed_since
 from rosld.server.http import link, negotiation
 from rosld.server.http.conditional import ETag, guard
 from rosld.server.http.problem import Problem
+from rosld.server.http.text import FORM
 from rosld.server.ldp.alone import Alone
 from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.pages import FORM, FormRefused, Pages
+from rosld.server.ldp.pages import FormRefused, Pages
 from rosld.server.ldp.prepared import Prepared
 from rosld.server.ldp.resource import JSON, LDP, RDF_BODIES, Answer, Created, Resource, Shown, allow
 from rosld.server.ldp.standing import ACCEPT_FIELDS, rendered, standing_headers
@@ -89,9 +90,10 @@ class Verbs:
         if method not in resource.methods():
             raise Problem(405, resource.why_not(method), headers={"Allow": allow(resource)})
         try:
+            _refuse_partial_put(exchange)
             _check_media_type(exchange, resource)
             if method != "DELETE" and not resource.streams(exchange):
-                await exchange.body()  # before the preconditions: nothing is to come between them and the write
+                await exchange.octets()  # before the preconditions: nothing is to come between them and the write
             answer = await self._written(exchange, resource)
         except (BodyError, LoweringError, Problem) as error:
             raise _constrained(resource, error) from error
@@ -430,6 +432,12 @@ def _serialized(state: State, media_type: str) -> bytes:
         return serialize(state.document, syntax)
     except CannotCarry as error:
         raise Problem(406, f"{media_type} cannot carry this resource: {error}") from error
+
+
+def _refuse_partial_put(exchange: Exchange) -> None:
+    """Raise a 400 Problem for a PUT of a part (RFC 9110 14.5), which would replace the whole."""
+    if exchange.method == "PUT" and exchange.header("content-range") is not None:
+        raise Problem(400, "PUT replaces the whole, and Content-Range sends a part of it: send all, or PATCH.")
 
 
 def _check_media_type(exchange: Exchange, resource: Resource) -> None:

@@ -95,7 +95,7 @@ class Notifications:
         """The channel that a request asks for. Raises Problems, and BodyError for what cannot be read."""
         check_profile(exchange.header("content-type"))
         media_type = exchange.media_type
-        data = await read_body(exchange.request, limit=MOST_BYTES)
+        data = exchange.as_utf8(await read_body(exchange.request, limit=MOST_BYTES))
         wish = read_subscription(data, media_type, service.url, service.type, time.time_ns())
         resource, state = await self._topic(wish.topic, exchange.judge)
         place = partial(self.place, service.type)

@@ -16,6 +16,7 @@ from rosld.server.html import Notice, Results, SparqlPage, StoredQuery
 from rosld.server.html.page import Tone
 from rosld.server.http import negotiation
 from rosld.server.http.problem import Problem
+from rosld.server.http.text import FORM
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.pages import Pages
 from rosld.server.ldp.prepared import Prepared
@@ -27,7 +28,7 @@ from rosld.server.sparql.endpoint import QueryAnswer, QueryService
 from rosld.server.sparql.functions import functions
 from rosld.server.sparql.hangup import HangUp
 from rosld.server.sparql.limits import described
-from rosld.server.sparql.protocol import DIRECT, FORM, UPDATE, QueryRequest, UpdateRequest, posted, query_request
+from rosld.server.sparql.protocol import DIRECT, UPDATE, QueryRequest, UpdateRequest, posted, query_request
 from rosld.server.sparql.results import GRAPHS, SOLUTIONS
 from rosld.server.sparql.update.base import Updates
 
@@ -211,7 +212,7 @@ class SparqlResource(Resource):
         return await self._answer(request, accept, exchange)
 
     async def post(self, exchange: Exchange) -> Answer:
-        body = await exchange.body()
+        body = await exchange.octets()
         query_string = exchange.request.scope["query_string"]
         asked = posted(query_string, exchange.header("content-type"), body)
         if isinstance(asked, QueryRequest):

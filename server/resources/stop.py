@@ -109,7 +109,7 @@ class StopResource(Resource):
 
     async def post(self, exchange: Exchange) -> Answer:
         require_right(exchange, self.robot)
-        reason = _reason(await exchange.body())
+        reason = _reason(await exchange.octets())  # a stop is not refused for its charset
         exchange.account.plans("stop the robot", self.url)
         await self.robot.stops.stop(exchange.agent, reason)
         return Shown(self, self.shown())

@@ -10,11 +10,13 @@ from urllib.parse import parse_qsl
 
 from pyoxigraph import NamedNode
 
+from rosld.ontology.charsets import UTF_8
 from rosld.server.http import media
+from rosld.server.http.media import MediaType
 from rosld.server.http.problem import Problem
+from rosld.server.http.text import FORM, as_utf8, codec_of
 from rosld.server.sparql.lexer import Kind, place, tokens
 
-FORM = "application/x-www-form-urlencoded"
 DIRECT = "application/sparql-query"
 UPDATE = "application/sparql-update"
 ACCEPT_POST = f"{DIRECT}, {UPDATE}, {FORM}"
@@ -79,18 +81,19 @@ def posted(query_string: bytes, content_type: str | None, body: bytes) -> QueryR
     in_url = _parameters(query_string, "query string")
     if any(name == "update" for name, _ in in_url):
         raise Problem(400, "An update stands in the body of a POST, never in the URL (SPARQL 1.1 Protocol 2.2).")
-    essence = _essence(content_type)
+    stated = _media_type(content_type)
+    essence = stated.essence
     if essence == FORM:
-        in_form = _parameters(body, "form")
+        in_form = _parameters(body, "form", codec_of(stated))
         if any(name == "update" for name, _ in in_form):
             return _update([*in_url, *in_form])
         if any(name == "query" for name, _ in in_url):
             raise Problem(400, "The query stands in the URL and the form: send it in one of them.")
         return _request([*in_url, *in_form])
     if essence == DIRECT:
-        return _request([*in_url, ("query", _decoded(body, "query"))])
+        return _request([*in_url, ("query", _decoded(body, "query", stated))])
     if essence == UPDATE:
-        return _update([*in_url, ("update", _decoded(body, "update"))])
+        return _update([*in_url, ("update", _decoded(body, "update", stated))])
     raise Problem(
         415,
         f"A query comes as {DIRECT}, an update as {UPDATE}, either as a form ({FORM}), not as {content_type}.",
@@ -108,7 +111,7 @@ _remembered = lru_cache(maxsize=256)(_from_url)
 _ACCEPTED = {"Accept-Post": ACCEPT_POST}
 
 
-def _essence(content_type: str | None) -> str:
+def _media_type(content_type: str | None) -> MediaType:
     if content_type is None:
         raise Problem(
             415,
@@ -119,25 +122,24 @@ def _essence(content_type: str | None) -> str:
         found = media.parse(content_type)
     except ValueError as error:
         raise Problem(415, f"{error}.", headers=_ACCEPTED) from error
-    charset = found.parameter("charset")
-    if charset not in (None, "utf-8", "utf8"):
-        sentence = f"Queries and updates are in UTF-8, not in {charset} (SPARQL 1.1 Protocol 2.1.3)."
+    if codec_of(found).startswith("utf-16"):
+        sentence = f"Queries and updates are in UTF-8, not in {found.parameter('charset')} (SPARQL 1.1 Protocol 2.1.3)."
         raise Problem(415, sentence, headers=_ACCEPTED)
-    return found.essence
+    return found
 
 
-def _decoded(body: bytes, what: str) -> str:
+def _decoded(body: bytes, what: str, media_type: MediaType) -> str:
     try:
-        return body.decode("utf-8")
+        return as_utf8(body, media_type).decode("utf-8")
     except UnicodeDecodeError as error:
         raise Problem(400, f"The {what} is not UTF-8: {error.reason} at byte {error.start}.") from error
 
 
-def _parameters(raw: bytes, where: str) -> list[tuple[str, str]]:
+def _parameters(raw: bytes, where: str, codec: str = UTF_8) -> list[tuple[str, str]]:
     try:
-        return parse_qsl(raw.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=_MOST_PARAMETERS)
+        return parse_qsl(raw.decode("ascii"), True, encoding=codec, errors="strict", max_num_fields=_MOST_PARAMETERS)
     except UnicodeError as error:
-        raise Problem(400, f"The {where} is not percent-encoded UTF-8: {error}.") from error
+        raise Problem(400, f"The {where} is not percent-encoded {codec.upper()}: {error}.") from error
     except ValueError as error:
         raise Problem(400, f"The {where} has more than {_MOST_PARAMETERS} parameters.") from error
 

@@ -9,9 +9,11 @@ from collections.abc import Mapping, Sequence
 from starlette.responses import Response
 
 from rosld.ontology.lower import parse_json
+from rosld.server.http import media
 from rosld.server.http.conditional import ETag, guard
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
+from rosld.server.http.text import as_utf8, codec_of
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.files import file_response
 from rosld.server.ldp.interaction import (
@@ -101,8 +103,9 @@ class KeptFile(Kept):
         if record.blob.size > self.robot.settings.body_limit:
             raise Problem(413, f"A file of {record.blob.size} bytes is too large to be patched; PUT it whole.")
         path = self.robot.records.file(record.blob)
-        before = parse_json(await asyncio.to_thread(path.read_bytes))
-        data = json.dumps(merge_patch(before, patch)).encode()  # integers of any size
+        media_type = media.parse(record.blob.media_type)
+        before = parse_json(as_utf8(await asyncio.to_thread(path.read_bytes), media_type))
+        data = json.dumps(merge_patch(before, patch)).encode(codec_of(media_type))  # integers of any size
         return await self.robot.records.receive(one_chunk(data), record.blob.media_type, most=len(data))
 
 

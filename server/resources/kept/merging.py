@@ -11,12 +11,12 @@ from rosld.ontology.body import parse_triples
 from rosld.server.http import media
 from rosld.server.http.multipart import MULTIPART, Part, parts
 from rosld.server.http.problem import Problem
+from rosld.server.http.text import as_utf8
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import RDF_BODIES
 from rosld.server.records.describe import written
 
 _Term = TypeVar("_Term")
-_UTF8 = (None, "utf-8", "utf8")
 _N_TRIPLES = "application/n-triples"
 
 
@@ -45,7 +45,7 @@ async def unite(exchange: Exchange, url: str) -> None:
     """
     stated = media.parse(exchange.header("content-type") or "")
     try:
-        found = parts(await exchange.body(), stated.parameter("boundary"))
+        found = parts(await exchange.octets(), stated.parameter("boundary"))
     except ValueError as error:
         raise Problem(400, f"{MULTIPART}: {error}.") from error
     triples = [triple for number, part in enumerate(found, 1) for triple in _read(part, number, url)]
@@ -54,10 +54,10 @@ async def unite(exchange: Exchange, url: str) -> None:
 
 def _read(part: Part, number: int, url: str) -> list[Triple]:
     stated = part.media_type
-    if stated is None or stated.essence not in RDF_BODIES or stated.parameter("charset") not in _UTF8:
+    if stated is None or stated.essence not in RDF_BODIES:
         raise Problem(
             415,
-            f"Part {number} is {stated or 'of unknown type'}; each part says by its Content-Type which RDF it is, "
-            f"in UTF-8: {', '.join(RDF_BODIES)}.",
+            f"Part {number} is {stated or 'of unknown type'}; each part says by its Content-Type which RDF it is: "
+            f"{', '.join(RDF_BODIES)}.",
         )
-    return apart(parse_triples(part.body, stated.essence, url))
+    return apart(parse_triples(as_utf8(part.body, stated), stated.essence, url))

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import httpx
 import pytest
-from pyoxigraph import NamedNode, Triple
+from pyoxigraph import Literal, NamedNode, Triple
 
-from rosld.ontology.vocab import ldp
+from rosld.ontology.vocab import ldp, xsd
 
 if TYPE_CHECKING:
     from tests.conformance.ldp.conftest import Place, Served
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 P = NamedNode("http://ex.org/p")
 TURTLE = "text/turtle"
 ONE, TWO = "<> <http://ex.org/p> 1 .", "<> <http://ex.org/p> 2 ."
+ADDED = "INSERT DATA { <> <http://ex.org/p> 2 }"
 BYTES = bytes(range(256)) * 8
 MANY = 2100
 
@@ -60,6 +61,53 @@ def test_http_if_none_match_makes_only_what_is_not_there(place: Place) -> None:
     assert place.send("PUT", "file", b"1", "image/png", If_None_Match="*").status_code == 201
     assert place.send("PUT", "file", b"2", "image/png", If_None_Match="*").status_code == 412
     assert place.get("file").content == b"1"
+
+
+@pytest.mark.parametrize("method", ["PUT", "PATCH", "DELETE"])
+@pytest.mark.parametrize("kind", ["RDFSource", "NonRDFSource", "BasicContainer"])
+def test_http_a_write_unless_it_is_the_current_state_is_412_on_it(
+    method: str, kind: str, place: Place, kinds: dict[str, str]
+) -> None:
+    url = kinds[kind]
+    seen = place.get(url)
+    body, media_type = {"PUT": (TWO, TURTLE), "PATCH": (ADDED, "application/sparql-update")}.get(method, (None, None))
+    if kind == "NonRDFSource" and method != "DELETE":
+        body, media_type = ("other words", "text/plain") if method == "PUT" else ("{}", "application/merge-patch+json")
+    for etag in (seen.headers["etag"], f'"x", W/{seen.headers["etag"]}'):
+        assert place.send(method, url, body or "", media_type, If_None_Match=etag).status_code == 412
+    after = place.get(url)
+    assert (after.headers["etag"], after.content) == (seen.headers["etag"], seen.content)
+
+
+def test_http_a_parameter_is_not_written_unless_it_is_the_current_state(served: Served) -> None:
+    seats = served.at("parameters/aircraft/seats")
+    etag = seats.get().headers["etag"]
+    answer = seats.send("PUT", "", "7", "application/json", If_None_Match=etag)
+    assert (answer.status_code, seats.get().headers["etag"]) == (412, etag)
+
+
+@pytest.mark.parametrize("tag", ["This is not the tag you look for", "a b", "{}", "\\"])
+@pytest.mark.parametrize("method", ["PUT", "DELETE"])
+def test_http_an_entity_tag_of_odd_characters_matches_nothing(tag: str, method: str, place: Place) -> None:
+    place.put("a", ONE)
+    assert place.send(method, "a", TWO, TURTLE, If_Match=f'"{tag}"').status_code == 412
+    assert place.send(method, "a", TWO, TURTLE, If_Match=tag).status_code == 400
+    assert place.objects("a", P) == {Literal("1", datatype=xsd.integer)}
+
+
+@pytest.mark.parametrize("name", ["a", "file.txt", "absent", "absent.bin"])
+def test_http_a_part_is_not_put_in_place_of_the_whole(name: str, place: Place, kinds: dict[str, str]) -> None:
+    place.put("a", ONE)
+    before = place.get(name)
+    media_type = TURTLE if name == "a" else "application/octet-stream"
+    answer = place.send("PUT", name, TWO, media_type, Content_Range="bytes 0-2/100")
+    assert answer.status_code == 400, answer.text
+    assert (place.get(name).status_code, place.get(name).content[:40]) == (before.status_code, before.content[:40])
+
+
+def test_http_the_robot_takes_no_part_for_the_whole_either(served: Served) -> None:
+    seats = served.at("parameters/aircraft/seats")
+    assert seats.send("PUT", "", "7", "application/json", Content_Range="bytes 0-0/2").status_code == 400
 
 
 def test_http_if_match_makes_nothing(place: Place) -> None:

@@ -1,0 +1,69 @@
+"""Character encodings by their registered names: those that bodies are read in (RFC 2978, RFC 2781)."""
+
+from __future__ import annotations
+
+import re
+
+UTF_8 = "utf-8"
+CHARSETS = ("UTF-8", "US-ASCII", "ISO-8859-1", "windows-1252", "UTF-16")
+"""What bodies may be in."""
+
+_UTF_16 = "utf-16"
+_CODECS = {
+    **dict.fromkeys(("utf-8", "utf8"), UTF_8),
+    **dict.fromkeys(("us-ascii", "ascii"), "ascii"),
+    **dict.fromkeys(("iso-8859-1", "iso8859-1", "iso_8859-1", "latin1", "latin-1"), "latin-1"),
+    **dict.fromkeys(("windows-1252", "cp1252"), "cp1252"),
+    **{name: name for name in (_UTF_16, "utf-16be", "utf-16le")},
+}
+_BYTE_ORDER_MARKS = ((b"\xef\xbb\xbf", UTF_8), (b"\xfe\xff", _UTF_16), (b"\xff\xfe", _UTF_16))
+_BEGINS_XML = ((b"\x00<\x00?", "utf-16be"), (b"<\x00?\x00", "utf-16le"))
+_ENCODING = r"""(<\?xml\s[^>]*?)\sencoding\s*=\s*(?:"([^">]*)"|'([^'>]*)')"""
+_DECLARED = re.compile(rb"\s*" + _ENCODING.encode())
+_DECLARATION = re.compile(_ENCODING)
+
+
+class UnknownCharset(ValueError):
+    """A character encoding that nothing here can read."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"the charset {name[:100]!r} is not known here; there are {', '.join(CHARSETS)}")
+
+
+def codec(charset: str) -> str:
+    """The Python codec of a charset. Raises UnknownCharset."""
+    found = _CODECS.get(charset.strip().lower())
+    if found is None:
+        raise UnknownCharset(charset)
+    return found
+
+
+def decode(data: bytes, codec: str) -> str:
+    """The text of `data` without a byte order mark; UTF-16 without one is big-endian (RFC 2781 4.3).
+
+    Raises UnicodeDecodeError.
+    """
+    if codec == _UTF_16 and data[:2] not in (b"\xfe\xff", b"\xff\xfe"):
+        codec = "utf-16be"
+    return data.decode(codec).removeprefix("\ufeff")
+
+
+def decode_xml(data: bytes) -> bytes:
+    """An XML document in UTF-8 and without an encoding declaration, read as its beginning says (XML 1.0 F, RFC 7303 3).
+
+    Raises UnknownCharset, UnicodeDecodeError, and ValueError where it is not in what it declares.
+    """
+    found = next((each for mark, each in (*_BYTE_ORDER_MARKS, *_BEGINS_XML) if data.startswith(mark)), None)
+    if found is None:
+        declared = _DECLARED.match(data)
+        if declared is None:
+            return data
+        found = codec((declared[2] or declared[3] or b"").decode("latin-1"))
+        if found.startswith(_UTF_16):
+            raise ValueError("the document declares UTF-16 and has one byte a character")
+    return undeclared(decode(data, found)).encode()
+
+
+def undeclared(text: str) -> str:
+    """An XML document that was decoded, without the encoding that it declares for its bytes."""
+    return _DECLARATION.sub(r"\1", text, count=1) if text.lstrip().startswith("<?xml") else text

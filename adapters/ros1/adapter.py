@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 import itertools
 import os
-import re
-import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -31,6 +29,7 @@ from rosld.adapters.model import (
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.ros1.client import Client
+from rosld.adapters.ros1.leftovers import own_name
 from rosld.adapters.ros1.publication import Publication
 from rosld.adapters.ros1.samples import Slot
 from rosld.adapters.ros1.subscription import Feed, TopicSubscription
@@ -62,9 +61,7 @@ def master_address(source: str, environment: Mapping[str, str] = os.environ) -> 
 
 def node_name() -> str:
     """Our name in ROS: `/rosld_HOST_PID`, with a number for further adapters in one process."""
-    host = re.sub(r"\W", "_", socket.gethostname(), flags=re.ASCII)
-    number = next(_instances)
-    return f"/rosld_{host}_{os.getpid()}" + (f"_{number}" if number else "")
+    return own_name(next(_instances))
 
 
 def adapter(source: str, options: AdapterOptions) -> Ros1Adapter:

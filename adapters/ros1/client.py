@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 
 from rosld.adapters.base import AdapterOptions, ParameterValue, Sink
 from rosld.adapters.model import Graph, Master, RosError
@@ -13,6 +13,7 @@ from rosld.adapters.ros1.actions import Actions
 from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
 from rosld.adapters.ros1.hosts import Hosts
 from rosld.adapters.ros1.learnt import EndpointFacts, Learnt
+from rosld.adapters.ros1.leftovers import Leftovers
 from rosld.adapters.ros1.master import Looked, MasterApi
 from rosld.adapters.ros1.parameters import Parameters
 from rosld.adapters.ros1.publications import Publications, addresses
@@ -27,6 +28,8 @@ _SELDOM = 30.0
 _SHARE = 20  # a look may take one part in so many of our time, and the master's
 _LOOK_UPS = 8
 _SOON = 0.1
+_FIRST_PATIENCE = 1.0
+"""Seconds that opening waits for the removal of what a dead rosld left; after that it goes on beside."""
 
 
 class Client:
@@ -53,6 +56,8 @@ class Client:
         self.actions = Actions(
             own_node, self._nodes, self.types, self.publications, lambda: self._system, publish_graph
         )
+        self._removing: asyncio.Task[None] | None = None
+        self._leftovers = Leftovers(self.master, self._hosts, own_node, lambda: self.publications.uri)
         self._readers: dict[str, TopicReader] = {}
         self._epochs: dict[str, int] = {}
         self._local: str | None = None
@@ -68,12 +73,14 @@ class Client:
     async def open(self) -> None:
         """Look for the first time. Raises Unreachable, TimedOut."""
         await self._look()
+        if self._removing is not None:
+            await asyncio.wait([self._removing], timeout=_FIRST_PATIENCE)
         await self.parameters.look()
         self.refresh()
         await self.services.asked(1.0)
         self.refresh()
         loop = asyncio.get_running_loop()
-        self._tasks = [loop.create_task(self._watch_system()), loop.create_task(self._watch_parameters())]
+        self._tasks += [loop.create_task(self._watch_system()), loop.create_task(self._watch_parameters())]
 
     async def close(self) -> None:
         """Unregister everything and stop; quick even if the master hangs."""
@@ -202,6 +209,8 @@ class Client:
         self.learnt.forget_all_but(nodes, endpoints, set(system.services))
         self._note_own(system)
         self._look_up_some(nodes)
+        if due := self._leftovers.due(system.publishers):
+            self._removing = self._begin(self._remove_leftovers(due))
 
     def _note_own(self, system: SystemState) -> None:
         for topic, publication in self.publications.by_topic.items():
@@ -219,8 +228,13 @@ class Client:
         chosen = [*new, *(node for node in oldest if now - self._checked[node] > _EVERY)]
         self._checked.update(dict.fromkeys(chosen, now))
         if chosen:
-            task = asyncio.get_running_loop().create_task(self._look_up(chosen))
-            self._tasks = [each for each in self._tasks if not each.done()] + [task]
+            self._begin(self._look_up(chosen))
+
+    def _begin(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
+        """Do this beside; it ends with the client."""
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks = [each for each in self._tasks if not each.done()] + [task]
+        return task
 
     async def _look_up(self, nodes: Iterable[str]) -> None:
         for node in nodes:
@@ -228,6 +242,12 @@ class Client:
                 await self._nodes.address(node)
             except RosError:
                 continue
+
+    async def _remove_leftovers(self, due: Mapping[str, tuple[str, ...]]) -> None:
+        """Remove what dead rosld's left at the master, so that the graph is without it."""
+        removed = await asyncio.gather(*(self._leftovers.remove(node, topics) for node, topics in due.items()))
+        if any(removed):
+            await self.look()
 
     def _lost(self, error: RosError) -> None:
         self._looked = None

@@ -80,9 +80,9 @@ class MasterApi:
         value = await self._told("registerPublisher", topic, type_name, uri, timeout=timeout)
         return [str(each) for each in value] if isinstance(value, list) else []
 
-    async def unregister_publisher(self, topic: str, uri: str, timeout: float) -> None:
-        """Take a registration back."""
-        await self._told("unregisterPublisher", topic, uri, timeout=timeout)
+    async def unregister_publisher(self, topic: str, uri: str, timeout: float, *, node: str | None = None) -> None:
+        """Take back a registration of ours, or that of another `node` at this URI. Nothing happens where it is gone."""
+        await self._told("unregisterPublisher", topic, uri, timeout=timeout, caller=node)
 
     async def get_parameter(self, name: str, timeout: float) -> ParameterValue:
         """A parameter's value, or a tree. Raises NotFound."""
@@ -96,8 +96,10 @@ class MasterApi:
         """Delete a parameter or a tree. Raises NotFound."""
         await self._told("deleteParam", name, timeout=timeout)
 
-    async def _told(self, method: str, *arguments: ParameterValue, timeout: float) -> ParameterValue:
-        answer = await self._client.call(method, self._caller, *arguments, timeout=timeout)
+    async def _told(
+        self, method: str, *arguments: ParameterValue, timeout: float, caller: str | None = None
+    ) -> ParameterValue:
+        answer = await self._client.call(method, caller or self._caller, *arguments, timeout=timeout)
         if answer.code != 1:
             raise _error(method, arguments[0], answer)
         return answer.value

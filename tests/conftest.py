@@ -10,6 +10,11 @@ from collections.abc import Generator
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any machine")
+"""How long an example takes, to make or to try, is no test: hypothesis' limits of time fail on a busy machine."""
 
 NOTHING_SKIPPED = os.environ.get("CI", "").lower() == "true"
 

@@ -24,7 +24,7 @@ class Served:
     def __init__(self, process: subprocess.Popen[str], url: str) -> None:
         self.process = process
         self.url = url
-        self.http = httpx.Client(base_url=url, timeout=15)
+        self.http = httpx.Client(base_url=url, timeout=60)
 
     def topic(self, name: str) -> str:
         """The URL of a topic."""
@@ -34,7 +34,7 @@ class Served:
         """End it as a service manager does; its exit code."""
         self.http.close()
         self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(10)
+        return self.process.wait(60)
 
 
 def start(*arguments: str, python: str = sys.executable, environment: Mapping[str, str] | None = None) -> Served:

@@ -47,7 +47,7 @@ def keeping(
         finally:
             await goals.stop()
 
-    asyncio.run(asyncio.wait_for(run(), 20))
+    asyncio.run(asyncio.wait_for(run(), 60))
 
 
 async def hear(goals: Goals, id: str, *events: GoalEvent, action: str = "/fly") -> Goal:

@@ -129,20 +129,20 @@ def test_a_hold_publishes_until_its_lease_lapses_and_then_stands_still(driven: D
 
 
 def test_who_renews_goes_on_and_never_faster_than_the_rate(driven: Driven, http: httpx.Client) -> None:
-    hold = begun(http, lease=1)
+    hold = begun(http, lease=1.5)
     began = driven.told[0][0]
     for _ in range(5):
-        time.sleep(0.3)
+        time.sleep(0.45)
         assert http.patch(hold).status_code == 204
     assert http.delete(hold).status_code == 204
     times = [at for at, _, message in driven.told if message != STILL]
-    assert times[-1] - began > 1.2
+    assert times[-1] - began > 1.8
     for number, at in enumerate(times):
         assert at >= began + (number - 1) / 50, "there are more than one a beat"
 
 
 def test_another_message_comes_without_a_gap_and_without_a_double(driven: Driven, http: httpx.Client) -> None:
-    hold = begun(http, lease=1)
+    hold = begun(http, lease=5)
     for x in (2.0, 3.0, 4.0):
         assert http.patch(hold, json=ahead(x)).status_code == 204
         driven.until(partial(driven.is_told, ahead(x)), "the other message")
@@ -491,4 +491,4 @@ def test_it_is_the_signal_that_ends_holds_not_the_end_of_all_requests(serve: Cal
         next(line for line in lines if line.startswith("data: "))
         aircraft.process.send_signal(signal.SIGTERM)
         list(lines)
-    assert aircraft.process.wait(10) == 0
+    assert aircraft.process.wait(60) == 0

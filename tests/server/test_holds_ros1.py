@@ -115,7 +115,7 @@ def test_a_server_that_is_killed_says_nothing_more_so_the_robot_itself_must_stop
     held(served.http, 5)
     hears(wheels, ahead(5))
     served.process.kill()
-    served.process.wait(10)
+    served.process.wait(60)
     with pytest.raises(AssertionError, match="no line"):
         listen_for_ever(wheels)
     last = [line for line in wheels.seen if line.startswith("heard")][-1]

@@ -173,7 +173,7 @@ def test_silent_topics_are_waited_for_together_and_once(
         waiting += 1
         if waiting == silent:
             together.set()
-        await asyncio.wait_for(together.wait(), 10)  # nobody waits for one after the other
+        await asyncio.wait_for(together.wait(), 60)  # nobody waits for one after the other
 
     monkeypatch.setattr(LiveTopics, "_wait", wait)
     http = serving(first_value_wait=0.25)

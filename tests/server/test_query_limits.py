@@ -161,7 +161,7 @@ def test_every_kind_of_query_is_over_when_its_time_is_and_frees_the_processor(ai
         pytest.fail("the machine is too small for this test")
     stopped(answer, "time")
     assert "0.4 s" in answer.json()["detail"]
-    assert time.monotonic() - begun < 5
+    assert time.monotonic() - begun < 20
     quiet(aircraft)
 
 

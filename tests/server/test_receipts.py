@@ -304,4 +304,4 @@ def running(folder: Path, port: int, ended_by: signal.Signals = signal.SIGTERM) 
         with httpx.Client(base_url=process.stdout.readline().strip()) as http:
             yield http
         process.send_signal(ended_by)
-        assert process.wait(10) == (0 if ended_by is signal.SIGTERM else -ended_by)
+        assert process.wait(60) == (0 if ended_by is signal.SIGTERM else -ended_by)

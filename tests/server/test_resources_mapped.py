@@ -334,7 +334,7 @@ def test_who_waits_is_told_when_links_come_and_go(arm: MadeUp, serving: Serving,
     mapped(http, SAFE)
     etag = http.get("/resources/arm/").headers["etag"]
     with ThreadPoolExecutor(1) as pool:
-        waiting = pool.submit(http.get, "/resources/arm/", params={"after": etag, "timeout": "15"})
+        waiting = pool.submit(http.get, "/resources/arm/", params={"after": etag, "timeout": "50"})
         began = time.monotonic()
         if change == "a write":
             mode(http, "automatic")
@@ -345,7 +345,7 @@ def test_who_waits_is_told_when_links_come_and_go(arm: MadeUp, serving: Serving,
         answer = waiting.result()
     assert answer.status_code == 200
     assert objects(answer, f"{EX}home") == set()
-    assert time.monotonic() - began < 4
+    assert time.monotonic() - began < 40
 
 
 # Fields

@@ -151,7 +151,7 @@ def test_what_is_under_way_is_cut_off(robot: Stoppable, http: httpx.Client) -> N
         other = [httpx.Client(base_url=http.base_url, timeout=20) for _ in range(2)]
         slow = pool.submit(other[0].put, "/topics/slow", json={"data": "late"})
         call = pool.submit(other[1].post, "/services/arm/aim", json={"azimuth": 1, "elevation": 1})
-        assert robot.waiting.wait(10)
+        assert robot.waiting.wait(60)
         robot.until(lambda: robot.calls["/arm/aim"] == 1)
         stopped(http)
         assert slow.result(10).status_code == 423

@@ -219,7 +219,7 @@ def test_a_watch_wakes_for_each_message_and_into_the_next_loop(recorder: ModuleT
                 enough.set()
 
         subscription.watch(wake)
-        await asyncio.wait_for(enough.wait(), 5)
+        await asyncio.wait_for(enough.wait(), 60)
         await playing.close()
 
     asyncio.run(scenario())

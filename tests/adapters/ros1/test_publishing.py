@@ -143,7 +143,7 @@ def test_what_rosld_publishes_is_a_sample_of_its_own_at_once(ros: RosSystem, ope
             assert [sample.sequence for sample in before.latest()] == [2, 3]
             assert after.latest()[0] is before.latest()[-1]
             assert after.latest() is after.latest()
-            await asyncio.wait_for(woken.wait(), 5)
+            await asyncio.wait_for(woken.wait(), 60)
             subscribers = dict(ros.master.getSystemState("/test")[2][1])
             assert "/own" not in subscribers
 
@@ -254,7 +254,7 @@ def test_a_subscriber_we_cannot_serve_is_told_why(ros: RosSystem, opened: Openin
             await session.adapter.publish("/strict", STRING, text("x"), deadline=session.deadline(0.05))
             reader, writer = await asyncio.open_connection("127.0.0.1", await _tcp_port(session, "/strict"))
             writer.write(hello)
-            assert b"error=" in await asyncio.wait_for(reader.read(), 5)
+            assert b"error=" in await asyncio.wait_for(reader.read(), 60)
             writer.close()
 
     asyncio.run(attempt())
@@ -269,7 +269,7 @@ def test_garbage_on_our_port_ends_that_connection_only(ros: RosSystem, opened: O
             reader, writer = await asyncio.open_connection("127.0.0.1", port)
             writer.write(garbage)
             try:
-                assert await asyncio.wait_for(reader.read(), 5) == b""
+                assert await asyncio.wait_for(reader.read(), 60) == b""
             except ConnectionError:
                 pass
             writer.close()

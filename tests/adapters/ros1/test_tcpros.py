@@ -88,7 +88,7 @@ async def _received(pieces: list[bytes], depth: int, count: int) -> tuple[dict[s
             await loop.sock_sendall(there, piece)
             await asyncio.sleep(0)
         if count:
-            await asyncio.wait_for(done.wait(), 10)
+            await asyncio.wait_for(done.wait(), 60)
         assert await loop.sock_recv(there, 100) == b"hello"
     finally:
         transport.close()
@@ -129,7 +129,7 @@ def test_a_frame_that_claims_four_gigabytes_ends_the_connection() -> None:
         )
         with there:
             await loop.sock_sendall(there, encode_header({"a": "b"}) + b"\xff\xff\xff\xff")
-            await asyncio.wait_for(receiver.closed, 5)
+            await asyncio.wait_for(receiver.closed, 60)
 
     asyncio.run(attempt())
 
@@ -147,6 +147,6 @@ def test_a_header_that_is_none_is_refused(header: bytes) -> None:
         with there:
             await loop.sock_sendall(there, header)
             with pytest.raises(BadFrame):
-                await asyncio.wait_for(receiver.ready, 5)
+                await asyncio.wait_for(receiver.ready, 60)
 
     asyncio.run(attempt())

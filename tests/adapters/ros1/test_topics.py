@@ -257,7 +257,7 @@ def test_a_subscription_made_before_its_publisher_gets_its_messages(ros: RosSyst
             woken = asyncio.Event()
             watch = subscription.watch(woken.set)
             node = await asyncio.to_thread(ros.node, "latched_node.py", "early_node", "/early", "bird")
-            await asyncio.wait_for(woken.wait(), 20)
+            await asyncio.wait_for(woken.wait(), 60)
             assert (await session.decoded(subscription.latest()[0])).data == "bird"
             watch.close()
             watch.close()

@@ -171,7 +171,7 @@ def test_our_server_survives_what_is_no_call(request_: bytes, expected: bytes) -
         async with _serving(lambda method, arguments: Answer(1, "", 0)) as (_, port):
             reader, writer = await asyncio.open_connection("127.0.0.1", port)
             writer.write(request_)
-            assert (await asyncio.wait_for(reader.read(12), 5)) == expected
+            assert (await asyncio.wait_for(reader.read(12), 60)) == expected
             writer.close()
             assert (await _client(port).call("still", timeout=5)).code == 1
 

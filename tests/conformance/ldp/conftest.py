@@ -137,7 +137,7 @@ def running(*arguments: str) -> Iterator[Served]:
         died = process.poll() is not None
         served.http.close()
         process.send_signal(signal.SIGTERM)
-        code = process.wait(10)
+        code = process.wait(60)
         assert not died, "the server died during the tests"
         assert code == 0
 
@@ -156,7 +156,7 @@ def start_and_kill() -> Iterator[Callable[..., Served]]:
     for process in started:
         died = process.poll() is not None
         process.kill()
-        process.wait(10)
+        process.wait(60)
         assert not died, "the server died during the tests"
 
 

@@ -132,7 +132,7 @@ def running(*arguments: str) -> Iterator[Endpoint]:
         yield Endpoint(url, http)
     died = process.poll() is not None
     process.send_signal(signal.SIGTERM)
-    code = process.wait(10)
+    code = process.wait(60)
     assert not died, "the server died during the tests"
     assert code == 0
 

@@ -72,7 +72,7 @@ def proxied(
         yield base, trusted
     finally:
         process.terminate()
-        process.wait(10)
+        process.wait(60)
 
 
 def listening(pid: int) -> list[str]:

@@ -53,7 +53,7 @@ def test_a_wait_ends_without_an_answer_when_the_right_is_withdrawn(changing: Gua
     while changing["reader"].get("/topics/").status_code == 200:
         time.sleep(0.1)
     changing["admin"].put("/data/new", content="", headers=TURTLE)
-    asking.join(20)
+    asking.join(60)
     assert answers[0].status_code == 401
 
 

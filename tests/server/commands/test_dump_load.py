@@ -207,7 +207,7 @@ def test_a_running_server_goes_on_with_what_is_loaded(tmp_path: Path) -> None:
 
             records.watch(wake)
             loading = asyncio.create_task(asyncio.to_thread(done, "load", tmp_path / "d.tar.gz", folder))
-            await asyncio.wait_for(noticed.wait(), 20)
+            await asyncio.wait_for(noticed.wait(), 60)
             assert records.file(old).read_bytes() == b"new"  # for whoever has just begun to read
             assert told(records) == before | {"data/later": ()}
             assert not records.was_there("data/a")

@@ -194,7 +194,7 @@ def test_a_run_that_is_ended_leaves_nothing_behind(tmp_path: Path, number: signa
             while len(list(output.iterdir())) < 2 and process.poll() is None:
                 time.sleep(0.005)  # until the draft is there
             process.send_signal(number)
-            code = process.wait(10)
+            code = process.wait(60)
         finally:
             process.kill()
     assert code == 128 + number

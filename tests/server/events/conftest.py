@@ -73,7 +73,7 @@ class Reader:
     async def leave(self) -> None:
         """Hang up."""
         self._left.set()
-        await asyncio.wait_for(self.task, 5)
+        await asyncio.wait_for(self.task, 60)
 
 
 @contextlib.asynccontextmanager

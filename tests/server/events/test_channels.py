@@ -74,7 +74,7 @@ class Told:
 
     async def until(self, count: int) -> list[dict[str, str]]:
         async with self._came:
-            await asyncio.wait_for(self._came.wait_for(lambda: len(self.chunks) >= count), 5)
+            await asyncio.wait_for(self._came.wait_for(lambda: len(self.chunks) >= count), 60)
         return [json.loads(chunk) for chunk in self.chunks]
 
 
@@ -197,7 +197,7 @@ def test_a_topic_that_is_gone_for_good_ends_its_channel() -> None:
         async with one.delivering(channel, told) as task:
             one.things.become(problem=Problem(410, "gone"))
             (last,) = await told.until(1)
-            await asyncio.wait_for(task, 5)
+            await asyncio.wait_for(task, 60)
         assert last["type"] == "Delete"
         assert not one.channels.has(channel)
 

@@ -49,7 +49,7 @@ def test_several_watches_are_one_and_what_cannot_tell_is_looked_at_again() -> No
         signal = Signal()
         both = together(signal.watch(woken.set), every(0.01, woken.set))
         for _ in range(3):
-            await asyncio.wait_for(woken.wait(), 5)
+            await asyncio.wait_for(woken.wait(), 60)
             woken.clear()
         both.close()
         both.close()

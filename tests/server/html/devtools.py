@@ -180,5 +180,5 @@ def browser(profile: Path) -> Iterator[Window]:
             yield Window(command_write, reply_read)
         finally:
             process.terminate()
-            process.wait(20)
+            process.wait(60)
             os.close(command_write)

@@ -135,10 +135,10 @@ def talking(app: Counting, work: Callable[[Talk], Awaitable[_V]], bounds: Bounds
         server = listening.Server(app, listens.set, bounds, again=Again(anybody))
         sock = listening.bind("127.0.0.1", 0)
         serving = asyncio.create_task(server.serve(sockets=[sock]))
-        await asyncio.wait_for(listens.wait(), 10)
+        await asyncio.wait_for(listens.wait(), 60)
         reader, writer = await asyncio.open_connection("127.0.0.1", sock.getsockname()[1])
         try:
-            return await asyncio.wait_for(work(Talk(reader, writer)), 20)
+            return await asyncio.wait_for(work(Talk(reader, writer)), 60)
         finally:
             writer.close()
             server.should_exit = True
@@ -296,7 +296,7 @@ def test_a_first_request_that_is_known_is_no_slow_one() -> None:
         server = listening.Server(app, listens.set, Bounds(head_seconds=0.1), again=Again(anybody))
         sock = listening.bind("127.0.0.1", 0)
         serving = asyncio.create_task(server.serve(sockets=[sock]))
-        await asyncio.wait_for(listens.wait(), 10)
+        await asyncio.wait_for(listens.wait(), 60)
         try:
             for _ in range(3):
                 reader, writer = await asyncio.open_connection("127.0.0.1", sock.getsockname()[1])

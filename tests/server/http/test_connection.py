@@ -40,8 +40,8 @@ def with_server(work: Callable[[int], Awaitable[_V]], bounds: Bounds | None = No
         sock = listening.bind("127.0.0.1", 0)
         serving = asyncio.create_task(server.serve(sockets=[sock]))
         try:
-            await asyncio.wait_for(listens.wait(), 10)
-            return await asyncio.wait_for(work(sock.getsockname()[1]), 20)
+            await asyncio.wait_for(listens.wait(), 60)
+            return await asyncio.wait_for(work(sock.getsockname()[1]), 60)
         finally:
             server.should_exit = True
             await serving

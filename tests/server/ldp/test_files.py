@@ -54,7 +54,7 @@ def with_server(served: ASGIApp, work: Callable[[int], Awaitable[_V]]) -> _V:
         sock = listening.bind("127.0.0.1", 0)
         serving = asyncio.create_task(server.serve(sockets=[sock]))
         try:
-            await asyncio.wait_for(listens.wait(), 10)
+            await asyncio.wait_for(listens.wait(), 60)
             return await asyncio.wait_for(work(sock.getsockname()[1]), 30)
         finally:
             server.should_exit = True

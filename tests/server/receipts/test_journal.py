@@ -218,7 +218,7 @@ async def until(holds: Callable[[], bool]) -> None:
         while not holds():  # noqa: ASYNC110 - what is waited for is in a file
             await asyncio.sleep(0.01)
 
-    await asyncio.wait_for(wait(), 10)
+    await asyncio.wait_for(wait(), 60)
 
 
 # The dataset

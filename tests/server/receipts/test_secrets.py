@@ -62,6 +62,6 @@ def test_what_robots_say_is_no_secret(text: str) -> None:
 )
 def test_no_text_takes_long(piece: str) -> None:
     text = piece * 100_000
-    begun = time.perf_counter()
+    begun = time.thread_time()
     holds_credentials(text)
-    assert time.perf_counter() - begun < 0.5
+    assert time.thread_time() - begun < 3, "it takes minutes where it looks twice at each"

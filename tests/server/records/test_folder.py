@@ -37,7 +37,7 @@ class Disk:
     def sync(self, file: int) -> None:
         self.syncs += 1
         self.asked.release()
-        assert self.let.wait(20)
+        assert self.let.wait(60)
         if self.failure is not None:
             raise self.failure
 

@@ -80,7 +80,7 @@ def test_a_child_is_killed_as_soon_as_nobody_wants_its_answer() -> None:
     before = children()
     with pytest.raises(TimeoutError):
         answered(lambda pipe: time.sleep(60), check=unwanted)
-    assert time.monotonic() - began < 5
+    assert time.monotonic() - began < 30
     assert children() == before
 
 
@@ -158,13 +158,13 @@ def test_a_child_on_a_leash_dies_at_once_and_whoever_waited_for_it_goes_on() -> 
 
     waiting = threading.Thread(target=wait)
     waiting.start()
-    assert begun.wait(10)
+    assert begun.wait(60)
     leash_pulled.set()
     began = time.monotonic()
     leash.pull()
-    waiting.join(10)
+    waiting.join(60)
     assert failures
-    assert time.monotonic() - began < 5
+    assert time.monotonic() - began < 30
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def headers_without_end(server: Failing, connection: socket.socket, body: bytes)
 
 
 def silent(server: Failing, connection: socket.socket, body: bytes) -> bool:
-    server.ended.wait(20)
+    server.ended.wait(60)
     return False
 
 
@@ -184,9 +184,9 @@ def test_a_request_under_way_can_be_ended(failing: Start) -> None:
 
     asking = threading.Thread(target=ask)
     asking.start()
-    assert arrived.wait(10)
+    assert arrived.wait(60)
     endpoint.interrupt()
-    asking.join(10)
+    asking.join(60)
     assert not asking.is_alive()
     assert len(found) == 1
 

@@ -54,7 +54,7 @@ def test_one_query_spans_two_robots_and_neither_drops_the_others_graphs(
     until(lambda: f"{two.url}data/note" in oxigraph.graphs())
 
     two.process.kill()  # an unclean end: what it told stays, for the time being
-    two.process.wait(10)
+    two.process.wait(60)
     assert topics().keys() == both
 
     two_url = two.url
@@ -98,10 +98,10 @@ def test_a_store_that_is_away_holds_no_request_up_and_is_caught_up_with(
     oxigraph.stop()
     until(lambda: mirror(served)["failure"] is not None)
     for number in range(20):
-        put = served.http.put(f"data/{number}", content=f"<> <http://h/p> {number} .", headers=TURTLE, timeout=2)
+        put = served.http.put(f"data/{number}", content=f"<> <http://h/p> {number} .", headers=TURTLE, timeout=20)
         assert put.status_code == 201
-        assert served.http.get("topics/aircraft/engine/speed", timeout=2).status_code == 200
-    asked = served.http.get("sparql", params={"query": "ASK { ?s <http://h/p> 19 }"}, timeout=2)
+        assert served.http.get("topics/aircraft/engine/speed", timeout=20).status_code == 200
+    asked = served.http.get("sparql", params={"query": "ASK { ?s <http://h/p> 19 }"}, timeout=20)
     assert asked.json()["boolean"] is True
     until(lambda: mirror(served)["lag"] > 0.2)
     described = served.http.get("mirror", headers={"Accept": "text/turtle"})

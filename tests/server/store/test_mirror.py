@@ -287,7 +287,7 @@ def refusing_updates(server: Failing, connection: socket.socket, body: bytes) ->
 
 
 def silent(server: Failing, connection: socket.socket, body: bytes) -> bool:
-    server.ended.wait(30)
+    server.ended.wait(60)
     return False
 
 
@@ -321,7 +321,7 @@ def test_an_endpoint_that_fails_all_the_time_is_tried_less_and_less_and_nothing_
             assert turns > 100
         begun = time.monotonic()
         await mirror.close()
-        assert time.monotonic() - begun < 3
+        assert time.monotonic() - begun < 30
         assert len([record for record in caplog.records if "behind" in record.getMessage()]) == 1
 
     asyncio.run(run())
@@ -335,7 +335,7 @@ def test_an_end_while_the_endpoint_is_silent_is_quick(failing: Start) -> None:
             await until(lambda: len(server.bodies) > 0)
         begun = time.monotonic()
         await mirror.close()
-        assert time.monotonic() - begun < 3
+        assert time.monotonic() - begun < 30
 
     asyncio.run(run())
 

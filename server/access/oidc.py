@@ -1,4 +1,4 @@
-"""OpenID Connect: access tokens of issuers, checked against the issuers' keys by PyJWT (`pip install rosld[oidc]`).
+"""OpenID Connect: access tokens of issuers, checked against the issuers' keys by PyJWT (the extra `oidc`).
 
 Checked are the signature (by an algorithm that the file names, never `none` and never a shared secret), the issuer, the
 audience, and the times. Keys are fetched from the issuer alone, in a thread, within limits of time and size, and kept.
@@ -179,4 +179,4 @@ def require_library() -> None:
     try:
         import jwt  # noqa: F401
     except ImportError:
-        raise ValueError("tokens of issuers are checked by PyJWT: pip install 'rosld[oidc]'") from None
+        raise ValueError("tokens of issuers are checked by PyJWT: pip install '.[oidc]' in a clone of rosld") from None

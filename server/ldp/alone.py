@@ -1,4 +1,4 @@
-"""Alone: what is conditional on a state is judged and carried out with no other conditional write in between."""
+"""Alone: what depends on a state is judged and carried out with no other such write in between."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rosld.server.http.problem import Problem
 
 
 class Alone:
-    """Lets one conditional write at a time at each URL (RFC 9110 13.1.1: no update is lost)."""
+    """Lets one write that depends on the state at a time at each URL (RFC 9110 13.1.1: no update is lost)."""
 
     def __init__(self, patience: float) -> None:
         self._patience = patience
@@ -24,7 +24,10 @@ class Alone:
         if lock is None:
             lock = self._locks[url] = asyncio.Lock()
         try:
-            await asyncio.wait_for(lock.acquire(), self._patience)
+            if lock.locked():
+                await asyncio.wait_for(lock.acquire(), self._patience)
+            else:
+                await lock.acquire()  # at once
         except (asyncio.TimeoutError, TimeoutError):
             sentence = f"An earlier write to {url} is not finished yet; nothing was done."
             raise Problem(503, sentence, headers={"Retry-After": "1"}) from None

@@ -117,6 +117,11 @@ class Exchange:
         except ValueError as error:
             raise Problem(415, f"Content-Type: {error}.") from error
 
+    @property
+    def is_conditional(self) -> bool:
+        """Whether it has If-Match or If-None-Match (RFC 9110 13.1)."""
+        return self.header("if-match") is not None or self.header("if-none-match") is not None
+
     def become(self, method: str, media_type: str, body: bytes) -> None:
         """Turn into the request that a form meant."""
         self.method = method

@@ -44,6 +44,8 @@ class Resource:
     links: tuple[Link, ...] = (RESOURCE, RDF_SOURCE)
     accepts: Mapping[str, Sequence[str]] = {}
     """The media types that PUT, POST and PATCH take, by method."""
+    in_turn: frozenset[str] = frozenset()
+    """The methods whose outcome depends on what is there: such writes of one URL are carried out in turn."""
     lasting = True
     """Whether the same path means the same kind of resource for ever."""
     takes_forms = True

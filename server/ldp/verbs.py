@@ -104,13 +104,14 @@ class Verbs:
         return await self._as_preferred(exchange, resource, answer)
 
     async def _written(self, exchange: Exchange, resource: Resource) -> Answer:
-        """What a write comes to; what is conditional is judged and carried out alone."""
+        """What a write comes to; what is conditional, or depends on what is there, is carried out alone."""
         write = _VERBS[exchange.method]
         exchange.account.begin()
-        if exchange.header("if-match") is None and exchange.header("if-none-match") is None:
+        if not exchange.is_conditional and exchange.method not in resource.in_turn:
             return await write(resource, exchange)
         async with self.alone.at(resource.url):
-            await self._check_preconditions(exchange, resource)
+            if exchange.is_conditional:
+                await self._check_preconditions(exchange, resource)
             return await write(resource, exchange)
 
     async def read(self, exchange: Exchange, resource: Resource) -> Response:

@@ -331,7 +331,7 @@ class Ledger:
         present = self._present(put.path)
         if present is None:
             self._make(put, applied, now)
-        else:
+        elif not put.unless_there:
             self._replace(put, present, applied, now)
 
     def _rewritten(self, put: Put, now: int) -> Record | None:
@@ -359,6 +359,9 @@ class Ledger:
         if container is None:
             words = f"its container {above} is not there" if above else "no resource can be made beside the roots"
             raise Conflict(path, words, Cause.CONTAINER)
+        other = path[:-1] if path.endswith("/") else path + "/"
+        if self._execute("SELECT 1 FROM record WHERE path = ?", (other,)).fetchone() is not None:
+            raise Conflict(path, f"there is {other} already, and a name means one thing", Cause.NAME)
         _take(put, None, applied)
         applied.records[path] = self._insert(put, container.id, now)
         self._list(above, container, applied, now, 1)

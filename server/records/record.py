@@ -89,7 +89,7 @@ class Put:
 
     A new one is listed in its container, which is the path up to its last segment and must be there. Its model never
     changes. `member` None leaves what a record that is there has; everything else is replaced: a non-RDF source that
-    keeps its bytes says so with the blob it has.
+    keeps its bytes says so with the blob it has. `unless_there` leaves a record that is there as it is, whatever it is.
     """
 
     path: str
@@ -99,6 +99,7 @@ class Put:
     membership: Membership | None = None
     member: str | None = None
     expected: int | None = None
+    unless_there: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +128,8 @@ class Cause(Enum):
     """It has another interaction model, which never changes."""
     CONTAINER = "container"
     """Its container is not there."""
+    NAME = "name"
+    """A container of its name is there, or where it is a container something else of that name."""
     NOT_EMPTY = "not empty"
     """It is a container that has members."""
     ROOT = "root"

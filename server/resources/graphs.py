@@ -196,6 +196,7 @@ async def _prepare(exchange: Exchange, resource: Resource) -> None:
             headers={f"Accept-{exchange.method.capitalize()}": ", ".join(RDF_BODIES)},
         )
     if isinstance(resource, AbsentResource):
+        resource.merges = exchange.method == "POST"
         exchange.method = "PUT"
 
 

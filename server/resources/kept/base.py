@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Awaitable, Callable, Hashable, Sequence
 from typing import ClassVar
 
@@ -24,7 +25,6 @@ from rosld.server.resources.kept.together import kept_together
 from rosld.server.robot import Robot
 
 ANYTHING = "*/*"
-_ATTEMPTS = 4
 
 
 class Kept(Resource):
@@ -77,32 +77,30 @@ class Kept(Resource):
         if self.robot.settings.demand_if_match:
             require_if_match(exchange.header("if-match"), "What is kept is changed by those who have read it.")
 
-    async def do(self, *writes: Write) -> Sequence[Record | None]:
-        """Do these writes if they are found good; a Problem where that is not possible as things are."""
-        try:
-            return await kept_together(self.robot, writes)
-        except Conflict as error:
-            raise told(self.robot, error) from error
-
     async def change(self, exchange: Exchange, make: Callable[[Record], Awaitable[Write]]) -> None:
         """Do what `make` makes of the record as it is.
 
-        Where somebody else changes it meanwhile it is made anew, or 412 if the request says what it changes.
+        Where somebody else changes it meanwhile it is made anew, or 412 if the request is conditional. A 503 Problem
+        where others change it all the time.
         """
-        guarded = exchange.header("if-match") is not None
-        for left in reversed(range(_ATTEMPTS)):
+        patience = self.robot.settings.call_deadline
+        until = time.monotonic() + patience
+        while True:
             try:
                 await kept_together(self.robot, [await make(self.there())])
                 return
             except Conflict as error:
-                if error.cause is not Cause.CHANGED or guarded or not left:
+                if error.cause is not Cause.CHANGED or exchange.is_conditional:
                     raise told(self.robot, error) from error
+                if time.monotonic() > until:
+                    words = f"{self.url} was changed by others all the time for {patience:g} s; nothing was done."
+                    raise Problem(503, words, headers={"Retry-After": "1"}) from error
 
     async def delete(self, exchange: Exchange) -> Answer:
         self.require_guard(exchange)
 
         async def removed(record: Record) -> Write:
-            return Remove(self.path, record.version)
+            return Remove(self.path, record.version if exchange.is_conditional else None)
 
         await self.change(exchange, removed)
         return Response(status_code=204)
@@ -110,7 +108,7 @@ class Kept(Resource):
 
 def told(robot: Robot, error: Conflict) -> Problem:
     """The Problem of a write that cannot be done as things are."""
-    status = {Cause.GONE: 410, Cause.CHANGED: 412}.get(error.cause, 409)
+    status = {Cause.GONE: 410, Cause.CHANGED: 412, Cause.MISSING: 404}.get(error.cause, 409)
     return Problem(status, f"{robot.space.base}{error.path}: {error.words}.")
 
 

@@ -131,10 +131,11 @@ def contained(triples: Iterable[Triple], url: str) -> set[Term]:
 
 
 async def received(robot: Robot, exchange: Exchange) -> Blob:
-    """The body as a blob, streamed to where it is kept."""
+    """The body as a blob, streamed to where it is kept, unless it was read already."""
     media_type = exact_media_type(exchange.header("content-type"))
-    limit = robot.settings.upload_limit
-    return await robot.records.receive(exchange.chunks(limit=limit), media_type, most=limit)
+    limit, whole = robot.settings.upload_limit, exchange.received
+    chunks = exchange.chunks(limit=limit) if whole is None else one_chunk(whole)
+    return await robot.records.receive(chunks, media_type, most=limit)
 
 
 async def one_chunk(data: bytes) -> AsyncIterator[bytes]:

@@ -22,10 +22,10 @@ from rosld.server.ldp.resource import (
 )
 from rosld.server.ldp.slug import free_name
 from rosld.server.ldp.state import State
-from rosld.server.records import Model
+from rosld.server.records import Blob, Cause, Conflict, Model
 from rosld.server.records.describe import META
-from rosld.server.resources.kept.base import Kept
-from rosld.server.resources.kept.bodies import asked_model
+from rosld.server.resources.kept.base import Kept, told
+from rosld.server.resources.kept.bodies import asked_model, received
 from rosld.server.resources.kept.files import KeptFile
 from rosld.server.resources.kept.making import made
 from rosld.server.resources.kept.showing import page_at, page_shown, shown
@@ -38,6 +38,7 @@ class ContainerResource(SourceResource):
 
     kind = "Container"
     writes = frozenset({"PUT", "PATCH", "POST", "DELETE"})
+    in_turn = frozenset({"PUT", "PATCH"})
     takes_forms = False
 
     def __init__(self, robot: Robot, path: str, parts: Parts = ALL, place: Place | None = None) -> None:
@@ -107,9 +108,15 @@ class ContainerResource(SourceResource):
             """Whether it is taken, or not for who asks to give: which of both is not told."""
             return not judge.may("PUT", self.url + encode_segment(name)) or self.is_taken(name)
 
-        name = encode_segment(free_name(exchange.header("slug"), is_taken))
-        path = f"{self.path}{name}/" if model.is_container else self.path + name
-        return await creation(self.robot, path, model, exchange)
+        blob = await received(self.robot, exchange) if model is Model.NON_RDF_SOURCE else None
+        while True:
+            name = encode_segment(free_name(exchange.header("slug"), is_taken))
+            path = f"{self.path}{name}/" if model.is_container else self.path + name
+            try:
+                return await creation(self.robot, path, model, exchange, blob)
+            except Conflict as error:
+                if error.path != path or error.cause not in _NAMED_MEANWHILE:
+                    raise told(self.robot, error) from error
 
 
 def resource_of(robot: Robot, path: str, model: Model) -> Kept:
@@ -119,9 +126,13 @@ def resource_of(robot: Robot, path: str, model: Model) -> Kept:
     return ContainerResource(robot, path) if model.is_container else SourceResource(robot, path)
 
 
-async def creation(robot: Robot, path: str, model: Model, exchange: Exchange) -> Created:
-    """A new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3)."""
-    record = await made(resource_of(robot, path, model), model, exchange)
+_NAMED_MEANWHILE = frozenset({Cause.THERE, Cause.NAME, Cause.GONE})
+"""Why a name that was free is not any more: another one is looked for."""
+
+
+async def creation(robot: Robot, path: str, model: Model, exchange: Exchange, blob: Blob | None) -> Created:
+    """A new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3). Raises Conflict as `made` does."""
+    record = await made(resource_of(robot, path, model), model, exchange, blob)
     resource = resource_of(robot, path, model)  # as it is now that it is there
     if model is Model.NON_RDF_SOURCE:
         return Created(resource.url, resource, None, (Link(resource.url + META, "describedby", anchor=resource.url),))

@@ -27,7 +27,7 @@ from rosld.server.ldp.resource import (
 )
 from rosld.server.ldp.standing import standing_headers
 from rosld.server.ldp.state import State
-from rosld.server.records import Blob, Model, Put, Record, Write
+from rosld.server.records import Blob, Cause, Conflict, Model, Put, Record, Write
 from rosld.server.records.describe import META
 from rosld.server.resources.kept.base import ANYTHING, Kept
 from rosld.server.resources.kept.bodies import one_chunk, received, require_model
@@ -52,8 +52,19 @@ class KeptFile(Kept):
     async def state(self) -> State:
         return shown(self.robot, self.there())
 
+    in_turn = frozenset({"PATCH"})
+
     async def special(self, exchange: Exchange) -> Response | None:
-        record = self.there()
+        while True:
+            record = self.there()
+            try:
+                return await self._sent(exchange, record)
+            except FileNotFoundError:
+                if self.robot.records.get(self.path) is record:  # nobody has replaced it meanwhile
+                    raise
+
+    async def _sent(self, exchange: Exchange, record: Record) -> Response:
+        """The answer with its bytes. Raises FileNotFoundError where they are no more."""
         assert record.blob is not None
         etag = ETag(f"{self.robot.records.identity}-{record.version}", "bin")
         if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
@@ -76,13 +87,15 @@ class KeptFile(Kept):
         self.require_guard(exchange)
         before = self.there()
         require_model(exchange, before.model, self.url)
-        blob = await received(self.robot, exchange)
-        guarded = exchange.header("if-match") is not None
+        return await self.replaced(exchange, before, await received(self.robot, exchange))
 
-        async def replaced(record: Record) -> Write:
-            return with_blob(before if guarded else record, blob)
+    async def replaced(self, exchange: Exchange, before: Record, blob: Blob) -> Answer:
+        """The answer to a PUT of these bytes; `before` is what the request was judged against."""
 
-        await self.change(exchange, replaced)
+        async def with_these(record: Record) -> Write:
+            return with_blob(before if exchange.is_conditional else record, blob)
+
+        await self.change(exchange, with_these)
         return Response(status_code=204)
 
     async def patch(self, exchange: Exchange) -> Answer:
@@ -102,9 +115,14 @@ class KeptFile(Kept):
             raise Problem(415, f"{MERGE_PATCH} changes {JSON}, and this is {record.blob.media_type}.")
         if record.blob.size > self.robot.settings.body_limit:
             raise Problem(413, f"A file of {record.blob.size} bytes is too large to be patched; PUT it whole.")
-        path = self.robot.records.file(record.blob)
         media_type = media.parse(record.blob.media_type)
-        before = parse_json(as_utf8(await asyncio.to_thread(path.read_bytes), media_type))
+        try:
+            path = self.robot.records.file(record.blob)
+            before = parse_json(as_utf8(await asyncio.to_thread(path.read_bytes), media_type))
+        except FileNotFoundError as error:
+            if self.robot.records.get(self.path) is record:
+                raise
+            raise Conflict(record.path, "its bytes were replaced meanwhile", Cause.CHANGED) from error
         data = json.dumps(merge_patch(before, patch)).encode(codec_of(media_type))  # integers of any size
         return await self.robot.records.receive(one_chunk(data), record.blob.media_type, most=len(data))
 

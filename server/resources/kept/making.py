@@ -13,24 +13,28 @@ from rosld.server.ldp.interaction import (
     member_of,
     membership_of,
 )
-from rosld.server.records import Model, Put, Record
+from rosld.server.records import Blob, Model, Put, Record
 from rosld.server.records.describe import may_be_managed, unmanaged, written
 from rosld.server.records.paths import container_of
 from rosld.server.resources.kept.base import Kept
-from rosld.server.resources.kept.bodies import as_statements, contained, received, statements
+from rosld.server.resources.kept.bodies import as_statements, contained, statements
+from rosld.server.resources.kept.together import kept_together
 from rosld.server.robot import Robot
 
 
-async def made(kept: Kept, model: Model, exchange: Exchange) -> Record:
-    """Make the resource that `kept` stands for, and the containers on the way to it that are missing."""
+async def made(kept: Kept, model: Model, exchange: Exchange, blob: Blob | None) -> Record:
+    """Make the resource that `kept` stands for, and the containers on the way to it that are missing.
+
+    `blob` is the body of a non-RDF source. Raises Conflict where something was made at its path meanwhile.
+    """
     robot, path = kept.robot, kept.path
-    require_free(robot, path)
     if model is Model.NON_RDF_SOURCE:
-        put = Put(path, model, blob=await received(robot, exchange), expected=0)
+        require_free(robot, path)
+        put = Put(path, model, blob=blob, expected=0)
         writes = [*_ways_to(robot, path), _as_member(robot, put, (), kept.url)]
     else:
         writes = making(robot, path, model, await statements(exchange, kept.url))
-    record = (await kept.do(*writes))[-1]
+    record = (await kept_together(robot, writes))[-1]
     assert record is not None
     return record
 
@@ -65,7 +69,7 @@ def _ways_to(robot: Robot, path: str) -> list[Put]:
     found: list[Put] = []
     above = container_of(path)
     while above and robot.records.get(above) is None:
-        found.insert(0, Put(above, Model.BASIC_CONTAINER, expected=0))
+        found.insert(0, Put(above, Model.BASIC_CONTAINER, unless_there=True))
         above = container_of(above)
     return found
 

@@ -11,17 +11,19 @@ from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.plan import Keep
 from rosld.server.ldp.resource import (
+    RDF_BODIES,
     Answer,
     Resource,
     moved,
 )
 from rosld.server.ldp.state import State
-from rosld.server.records import Model
+from rosld.server.records import Blob, Cause, Conflict, Model
 from rosld.server.records.describe import META
-from rosld.server.resources.kept.base import Kept, missing
-from rosld.server.resources.kept.bodies import asked_model
+from rosld.server.resources.kept.base import Kept, missing, told
+from rosld.server.resources.kept.bodies import asked_model, received, require_model
 from rosld.server.resources.kept.containers import creation, resource_of
-from rosld.server.resources.kept.making import making
+from rosld.server.resources.kept.files import KeptFile
+from rosld.server.resources.kept.making import making, require_free
 from rosld.server.resources.kept.showing import shown
 from rosld.server.resources.kept.sources import DescriptionResource
 from rosld.server.robot import Robot
@@ -33,6 +35,8 @@ class AbsentResource(Kept):
     kind = "Absent"
     writes = frozenset({"PUT"})
     links = ()
+    merges = False
+    """Whether what is sent is added to what others make here meanwhile, and does not replace it."""
 
     def __init__(self, robot: Robot, path: str) -> None:
         super().__init__(robot, path)
@@ -66,7 +70,29 @@ class AbsentResource(Kept):
     async def put(self, exchange: Exchange) -> Answer:
         if self.robot.records.was_there(self.path):
             raise missing(self.robot, self.path)
-        return await creation(self.robot, self.path, self._model(exchange), exchange)
+        model, blob = self._model(exchange), None
+        if model is Model.NON_RDF_SOURCE:
+            require_free(self.robot, self.path)
+            blob = await received(self.robot, exchange)
+        try:
+            return await creation(self.robot, self.path, model, exchange, blob)
+        except Conflict as error:
+            if error.path != self.path or error.cause is not Cause.THERE:
+                raise told(self.robot, error) from error
+        if exchange.is_conditional:
+            raise Problem(412, f"{self.url} was made by another request meanwhile; nothing was done.")
+        return await self._once_more(exchange, blob)
+
+    async def _once_more(self, exchange: Exchange, blob: Blob | None) -> Answer:
+        """The same write of what another request has made meanwhile: of those without a condition the last one wins."""
+        record = self.there()
+        there = resource_of(self.robot, self.path, record.model)
+        if isinstance(there, KeptFile):
+            require_model(exchange, record.model, self.url)
+            return await there.replaced(exchange, record, blob or await received(self.robot, exchange))
+        if blob is not None:
+            raise Problem(415, f"PUT takes {', '.join(RDF_BODIES)} here, not {blob.media_type}.")
+        return await (there.post(exchange) if self.merges else there.put(exchange))
 
 
 def missing_description(robot: Robot, path: str) -> Problem:

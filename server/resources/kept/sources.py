@@ -46,6 +46,7 @@ class SourceResource(Kept):
 
     kind = "RDF source"
     writes = frozenset({"PUT", "POST", "PATCH", "DELETE"})
+    in_turn = frozenset({"POST", "PATCH"})
     accepts: Mapping[str, Sequence[str]] = {
         "PUT": RDF_BODIES,
         "POST": (*RDF_BODIES, MULTIPART),
@@ -62,11 +63,10 @@ class SourceResource(Kept):
         self.require_guard(exchange)
         require_model(exchange, self.there().model, self.url)
         triples = await statements(exchange, self.document_url)
-        conditional = exchange.header("if-match") is not None or exchange.header("if-none-match") is not None
 
         async def replaced(record: Record) -> Write:
             put = self.with_triples(record, triples)
-            whole = record.model is Model.RDF_SOURCE and not conditional
+            whole = record.model is Model.RDF_SOURCE and not exchange.is_conditional
             return Put(put.path, put.model, put.triples) if whole else put  # the last one counts, whatever was there
 
         await self.change(exchange, replaced)
@@ -137,6 +137,7 @@ class DescriptionResource(SourceResource):
 
     kind = "Description"
     writes = frozenset({"PUT", "POST", "PATCH"})
+    in_turn = frozenset({"PUT", "POST", "PATCH"})
 
     def __init__(self, robot: Robot, path: str) -> None:
         super().__init__(robot, path.removesuffix(META))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable, Hashable, Sequence
+from collections.abc import AsyncIterator, Callable, Hashable, Sequence, Set
 from typing import NamedTuple
 
 from pyoxigraph import Triple
@@ -43,6 +43,8 @@ _LIVE = ("topics", "parameters", "resources")
 """The rooms whose graphs hold values that change by themselves."""
 _PATIENCE = 1.0
 """Seconds that an update lets others of the same graphs go first."""
+_CHANGED = frozenset({Cause.CHANGED, Cause.THERE, Cause.MISSING})
+"""Why what an update was drawn over is no longer so."""
 _INLINE = 16 * 1024
 """Characters of an update up to which it is read on the loop."""
 
@@ -119,15 +121,18 @@ class Updates:
 
     async def _drawn_and_done(self, operations: Sequence[Operation], judge: Judge, *, dry_run: bool) -> Response:
         more: frozenset[str] = frozenset()
+        turns: frozenset[str] = frozenset()
         for _ in range(ATTEMPTS):
-            drawn = await self._drawer.draw(operations, more)
-            unseen = self._unseen(drawn)
-            if unseen - more:
-                more |= unseen
+            async with self._held(turns):  # where others write these graphs all the time, it is drawn in its turn
                 drawn = await self._drawer.draw(operations, more)
-            done = await self._carried_out(drawn, judge, dry_run=dry_run)
+                unseen = self._unseen(drawn)
+                if unseen - more:
+                    more |= unseen
+                    drawn = await self._drawer.draw(operations, more)
+                done = await self._carried_out(drawn, judge, turns, dry_run=dry_run)
             if done is not None:
                 return done
+            turns |= {change.graph for change in drawn.changes}
         raise Problem(
             409,
             f"What this update reads or writes has changed {ATTEMPTS} times while it was planned; nothing was done.",
@@ -180,10 +185,12 @@ class Updates:
 
     # From a drawing to its end
 
-    async def _carried_out(self, drawn: Drawn, judge: Judge, *, dry_run: bool) -> Response | None:
-        """The answer; None where what the update was drawn over is no longer so."""
+    async def _carried_out(
+        self, drawn: Drawn, judge: Judge, turns: frozenset[str], *, dry_run: bool
+    ) -> Response | None:
+        """The answer; None where what the update was drawn over is no longer so. The graphs `turns` are held."""
         targets = await self._targets(drawn.changes, judge)
-        async with self._turns(targets, drawn):
+        async with self._turns(targets, turns):
             if not await self._holds(drawn, targets):
                 return None
             plans = await self._plans(targets)
@@ -211,11 +218,18 @@ class Updates:
         return found
 
     @contextlib.asynccontextmanager
-    async def _turns(self, targets: Sequence[Target], drawn: Drawn) -> AsyncIterator[None]:
-        """Within it nobody else carries out a write that is conditional on one of these graphs."""
+    async def _held(self, graphs: Set[str]) -> AsyncIterator[None]:
+        """Within it nobody else carries out a write that depends on what one of these graphs says."""
         async with contextlib.AsyncExitStack() as held:
-            for graph in sorted({target.resource.url for target in targets}):
+            for graph in sorted(graphs):
                 await held.enter_async_context(self._alone.at(graph))
+            yield
+
+    @contextlib.asynccontextmanager
+    async def _turns(self, targets: Sequence[Target], held_already: Set[str]) -> AsyncIterator[None]:
+        """Within it nobody else changes what the plans for these targets depend on."""
+        async with contextlib.AsyncExitStack() as held:
+            await held.enter_async_context(self._held({target.resource.url for target in targets} - held_already))
             members = [each.resource for each in targets if isinstance(each.resource, MemberResource | ComplexResource)]
             if members:
                 layout = await self._robot.offers.layout()
@@ -270,7 +284,7 @@ class Updates:
             try:
                 await kept_together(self._robot, tuple(writes.values()))
             except Conflict as error:
-                if error.cause is Cause.CHANGED:
+                if error.cause in _CHANGED:
                     return None
                 raise refused([(self._robot.space.base + error.path, told(self._robot, error))]) from error
         entries = [Entry(graph, plan.does, Fate.DONE) for graph, plan in kept]

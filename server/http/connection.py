@@ -10,14 +10,20 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import cast
 
+import httptools
 import uvicorn
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from rosld.server.http import problem
 from rosld.server.http.again import LONGEST_REQUEST, SCOPE, Again, Still
 from rosld.server.http.problem import Problem
+from rosld.server.http.request_head import RequestHead
 
 _JOINED = 64 * 1024
+_FRAMING_RATIO = 16
+"""Bytes of chunk sizes, chunk extensions and trailers that may come with each byte of a chunked body: a byte in a chunk
+
+of its own takes five more."""
 LINGER_SECONDS = 2.0
 """How long a client may go on sending after its answer: closing at once would reset it before it has read why."""
 
@@ -112,6 +118,9 @@ class Together:
 class Connection(HttpToolsProtocol):
     """Ends connections whose request line and headers are too large (431) or too slow (408); says 400 in RFC 9457.
 
+    An `Upgrade` to anything but a WebSocket is ignored (RFC 9110 7.8): the head is parsed a second time without it, by
+    a new parser, which goes on with the body. What the first parser says of that head is passed over.
+
     What comes as a whole, with nothing else before or after it, is answered as it was the last time if that stands.
     """
 
@@ -120,6 +129,11 @@ class Connection(HttpToolsProtocol):
     _again: Again | None = None
     _head_is_open = True
     _head_size = 0
+    _block_size = 0
+    """Bytes that came last: a head that began within them is not longer."""
+    _framing = 0
+    """Bytes that may yet come beside the body of this request."""
+    _is_handshake = False
     _impatience: asyncio.TimerHandle | None = None
     _unread: asyncio.TimerHandle | None = None
     _let_go: Callable[[], None] = staticmethod(_nothing)
@@ -157,22 +171,74 @@ class Connection(HttpToolsProtocol):
             if self._answered(data, known):
                 return
             self._whole = data
+        self._block_size = len(data)
         if self._head_is_open:
             self._head_size += len(data)
-        super().data_received(data)
-        if self._is_over or not self._head_is_open or not self._head_size or self.transport.is_closing():
+        else:
+            self._framing -= len(data)
+        self._unset_keepalive_if_required()
+        try:
+            self._parse(data)
+        except httptools.HttpParserError as error:
+            cause = error.__context__
+            self._end(cause if isinstance(cause, Problem) else _UNREADABLE)
+        self._check_progress()
+
+    def _parse(self, data: bytes) -> None:
+        """Parse bytes, and in them heads with an `Upgrade` that is ignored once more without it."""
+        rest: bytes | memoryview = data
+        while True:
+            try:
+                self.parser.feed_data(rest)
+                return
+            except httptools.HttpParserUpgrade as upgrade:
+                rest = memoryview(rest)[upgrade.args[0] :]
+            if self._is_handshake:
+                self._become_websocket(is_early=len(rest) > 0)
+                return
+            head = self._head().without_upgrade
+            self.parser = httptools.HttpRequestParser(self)
+            self.parser.set_dangerous_leniencies(lenient_data_after_close=True)  # as uvicorn's own
+            self.parser.feed_data(head)
+
+    def _head(self) -> RequestHead:
+        return RequestHead(self.parser.get_method(), self.url, self.parser.get_http_version(), self.headers)
+
+    def _become_websocket(self, *, is_early: bool) -> None:
+        if is_early:
+            self._end(Problem(400, "Bytes follow a WebSocket's handshake: wait for its answer (RFC 6455 4.1)."))
+        else:
+            self.handle_websocket_upgrade()
+
+    def _check_progress(self) -> None:
+        """End the connection of a head that is too large already, or of chunks that hold nothing; time other heads."""
+        if self._is_over or self._is_handshake or self.transport.is_closing():
             return
-        most = self._bounds.head_bytes
-        if self._head_size > most:
-            self._end(Problem(431, f"The request line and the headers are larger than {most} bytes."))
-        elif self._impatience is None:
+        if not self._head_is_open:
+            if self._framing < 0:
+                self._end(Problem(431, "The chunk extensions and trailers are far larger than the body."))
+            elif self._is_answered:  # nobody reads this body: it may not keep the connection open
+                self.timeout_keep_alive_task = self.loop.call_later(
+                    self.timeout_keep_alive, self.timeout_keep_alive_handler
+                )
+            return
+        if self._head_size > self._bounds.head_bytes:
+            self._end(self._too_large)
+        elif self._head_size and self._impatience is None:
             self._impatience = self.loop.call_later(self._bounds.head_seconds, self._too_slow)
+
+    @property
+    def _too_large(self) -> Problem:
+        return Problem(431, f"The request line and the headers are larger than {self._bounds.head_bytes} bytes.")
 
     @property
     def _is_idle(self) -> bool:
         """Whether nothing of a request has come that is not answered."""
-        is_answered = self.cycle is None or self.cycle.response_complete
-        return is_answered and self._head_is_open and not self._head_size
+        return self._is_answered and self._head_is_open and not self._head_size
+
+    @property
+    def _is_answered(self) -> bool:
+        return self.cycle is None or self.cycle.response_complete
 
     def _answered(self, request: bytes, known: Again) -> bool:
         """Answer a request as it was answered before, if that stands."""
@@ -209,23 +275,52 @@ class Connection(HttpToolsProtocol):
                 self._again.keep(request, answer, still)
         super().on_response_complete()
 
+    def on_header(self, name: bytes, value: bytes) -> None:
+        """A field of the head. Those of a trailer section are dropped: they are no fields of it (RFC 9110 6.5.1)."""
+        if self._head_is_open:
+            super().on_header(name, value)
+
     def on_headers_complete(self) -> None:
-        """The head of a request is there. Its scope has the transport, for who must know when the client is silent."""
-        self._head_is_open, self._head_size = False, 0
+        """The head of a request is there. Its scope has the transport, for who must know when the client is silent.
+
+        Raises Problems, which the parser passes on as its own error.
+        """
+        head = self._head()
+        most = self._bounds.head_bytes
+        if max(self._head_size, self._block_size) > most and head.size > most:
+            raise self._too_large
+        head.check()
+        if self.parser.should_upgrade():
+            self._is_handshake = self._is_answered and head.is_websocket_handshake
+            if not self._is_handshake:
+                return
+        if head.version == "1.0":
+            self.expect_100_continue = False  # RFC 9110 10.1.1
+        self._head_is_open, self._head_size, self._framing = False, 0, most
         self._be_patient()
         self.scope["rosld.transport"] = self.transport  # type: ignore[typeddict-unknown-key]
         if self._whole is not None:
             self.scope[SCOPE] = None  # type: ignore[literal-required]
         super().on_headers_complete()
 
+    def on_body(self, body: bytes) -> None:
+        """A piece of a body."""
+        self._framing += len(body) * (1 + _FRAMING_RATIO)
+        super().on_body(body)
+
     def on_message_complete(self) -> None:
         """A request is there; what follows is the head of the next."""
+        if self.parser.should_upgrade():
+            return  # the head is parsed again, or there is no next
         self._head_is_open, self._head_size = True, 0
         super().on_message_complete()
 
+    def _should_upgrade(self) -> bool:
+        return self._is_handshake
+
     def send_400_response(self, msg: str) -> None:
         """What came is no HTTP."""
-        self._end(Problem(400, "This is no HTTP request that can be read."))
+        self._end(_UNREADABLE)
 
     def _too_slow(self) -> None:
         self._impatience = None
@@ -275,6 +370,9 @@ class Connection(HttpToolsProtocol):
         self.transport.write(_response(ending))
         self.transport.write_eof()
         self._impatience = self.loop.call_later(LINGER_SECONDS, self.transport.close)
+
+
+_UNREADABLE = Problem(400, "This is no HTTP request that can be read.")
 
 
 def _response(ending: Problem) -> bytes:

@@ -1,0 +1,69 @@
+"""The head of an HTTP/1.1 request: what may be read on, and how (RFC 9112).
+
+An `Upgrade` that is not accepted is ignored (RFC 9110 7.8), which the parser (llhttp) cannot do: it stops at the end of
+the head, and what follows would be read as the next request although it may be the body of this one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from rosld.server.http.problem import Problem
+
+Headers = Sequence[tuple[bytes, bytes]]
+_VERSIONS = ("1.0", "1.1")
+LONGEST_TARGET = 0xFFFF
+"""Bytes of the longest request target that httptools can split into path and query."""
+
+
+class RequestHead(NamedTuple):
+    """Request line and header fields, the names in lower case."""
+
+    method: bytes
+    target: bytes
+    version: str
+    headers: Headers
+
+    @property
+    def size(self) -> int:
+        """Bytes of the head, white space around the values left out."""
+        line = len(self.method) + len(self.target) + len("  HTTP/1.1\r\n")
+        return line + sum(len(name) + len(value) + len(": \r\n") for name, value in self.headers) + len("\r\n")
+
+    @property
+    def is_websocket_handshake(self) -> bool:
+        """Whether it asks for a WebSocket and for nothing else, and has no body (RFC 6455 4.2.1)."""
+        names = {name for name, _ in self.headers}
+        return (
+            self.method == b"GET"
+            and self.version == "1.1"
+            and [value.strip(b" \t").lower() for value in self._values(b"upgrade")] == [b"websocket"]
+            and {b"sec-websocket-key", b"sec-websocket-version"} <= names
+            and names.isdisjoint((b"content-length", b"transfer-encoding"))
+        )
+
+    @property
+    def without_upgrade(self) -> bytes:
+        """The same head, to be sent as it was but for its `Upgrade` fields."""
+        lines = [b"%b %b HTTP/%b\r\n" % (self.method, self.target, self.version.encode("ascii"))]
+        lines += [b"%b: %b\r\n" % (name, value) for name, value in self.headers if name != b"upgrade"]
+        return b"".join((*lines, b"\r\n"))
+
+    def check(self) -> None:
+        """Raises the Problem of a request that cannot be read to its end, or not as what it is meant."""
+        if len(self.target) > LONGEST_TARGET:
+            raise Problem(431, f"The request line is longer than {LONGEST_TARGET} bytes.")
+        if self.version not in _VERSIONS:
+            raise Problem(505, f"HTTP/{self.version} is not spoken here: send HTTP/1.1.")
+        if self.method == b"CONNECT":
+            raise Problem(501, "This server is no proxy: it has no tunnel to CONNECT to.")
+        codings = self._values(b"transfer-encoding")
+        if codings and self.version == "1.0":
+            raise Problem(400, "A request in HTTP/1.0 cannot have a Transfer-Encoding (RFC 9112 6.1).")
+        if codings and [coding.strip(b" \t").lower() for coding in codings] != [b"chunked"]:
+            named = b", ".join(codings).decode("latin-1")[:200]
+            raise Problem(501, f"Only the transfer coding chunked is known here, not {named!r}.")
+
+    def _values(self, name: bytes) -> list[bytes]:
+        return [value for each, value in self.headers if each == name]

@@ -1,0 +1,210 @@
+"""Requests that ask for another protocol, on the real server: what is not taken up is ignored (RFC 9110 7.8)."""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import TypeAlias
+
+import pytest
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+
+from rosld.server.commands import listening, tls
+from rosld.server.http.connection import Bounds
+from tests.server.access.test_files import certificate
+
+Seen: TypeAlias = list[tuple[str, str, bytes]]
+"""Method, target and body of the requests that reached the application."""
+
+SETTINGS = b"HTTP2-Settings: AAEAAEAAAAIAAAABAAMAAABkAAQBAAAAAAUAAEAA\r\n"
+H2C = b"Connection: Upgrade, HTTP2-Settings\r\n" + SETTINGS + b"Upgrade: h2c\r\n"
+"""As the HttpClient of Java's JDK sends it with each plain request."""
+WEBSOCKET = (
+    b"Connection: Upgrade\r\nUpgrade: websocket\r\n"
+    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
+)
+DELETE = b"DELETE /data/x HTTP/1.1\r\nHost: a\r\n\r\n"
+CHUNKED = b"Transfer-Encoding: chunked\r\n\r\n%x\r\n%b\r\n0\r\n\r\n" % (len(DELETE), DELETE)
+LENGTH = b"Content-Length: %d\r\n\r\n%b" % (len(DELETE), DELETE)
+NEXT = b"GET /next?a=b HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n"
+LAST = ("GET", "/next?a=b", b"")
+
+
+class Application:
+    """Notes the requests that come, and answers each with its number."""
+
+    def __init__(self) -> None:
+        self.seen: Seen = []
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "websocket":
+            self.seen.append(("websocket", scope["path"], b""))
+            await receive()
+            await send({"type": "websocket.accept"})
+            while (await receive())["type"] != "websocket.disconnect":
+                pass
+            return
+        body = await Request(scope, receive).body()
+        query = scope["query_string"].decode()
+        self.seen.append((scope["method"], scope["raw_path"].decode() + (query and f"?{query}"), body))
+        await Response(f"answer {len(self.seen)}")(scope, receive, send)
+
+
+Talk: TypeAlias = Callable[..., Awaitable[tuple[Seen, bytes]]]
+
+
+def with_listener(work: Callable[[Talk], Awaitable[None]], tls_files: tuple[Path, Path] | None = None) -> None:
+    """Do `work` with a function that sends pieces on a new connection: what was seen of them, and what was answered."""
+    app = Application()
+
+    async def main() -> None:
+        listens = asyncio.Event()
+        server = listening.Server(app, listens.set, Bounds())
+        context = None
+        if tls_files is not None:
+            tls.apply(server.config, *tls_files)
+            context = ssl.create_default_context(cafile=str(tls_files[0]))
+        sock = listening.bind("127.0.0.1", 0)
+        serving = asyncio.create_task(server.serve(sockets=[sock]))
+
+        async def talk(*pieces: bytes) -> tuple[Seen, bytes]:
+            app.seen = []
+            reader, writer = await asyncio.open_connection(
+                "127.0.0.1", sock.getsockname()[1], ssl=context, server_hostname=context and "localhost"
+            )
+            for piece in pieces:
+                writer.write(piece)
+                for _ in range(4):  # turns of the loop that both share, in which the server reads the piece
+                    await asyncio.sleep(0)
+            answers = await asyncio.wait_for(reader.read(), 10)
+            writer.close()
+            return app.seen, answers
+
+        try:
+            await asyncio.wait_for(listens.wait(), 10)
+            await asyncio.wait_for(work(talk), 60)
+        finally:
+            server.should_exit = True
+            await serving
+
+    asyncio.run(main())
+
+
+PUT = ("PUT", "/data/a", DELETE)
+MESSAGES: dict[str, tuple[bytes, Seen]] = {
+    "a body of known length": (b"PUT /data/a HTTP/1.1\r\nHost: a\r\n" + H2C + LENGTH, [PUT]),
+    "a body in chunks": (b"PUT /data/a HTTP/1.1\r\nHost: a\r\n" + H2C + CHUNKED, [PUT]),
+    "chunks and trailers": (
+        b"PUT /data/a HTTP/1.1\r\nHost: a\r\n" + H2C + CHUNKED[:-2] + b"Connection: upgrade\r\nUpgrade: h2c\r\n\r\n",
+        [PUT],
+    ),
+    "no body": (b"GET / HTTP/1.1\r\nHost: a\r\n" + H2C + b"\r\n", [("GET", "/", b"")]),
+    "fields twice": (
+        b"PUT /data/a HTTP/1.1\r\nHost: a\r\nConnection: upgrade\r\nConnection: a\r\nUpgrade: b\r\n" + H2C + LENGTH,
+        [PUT],
+    ),
+    "a WebSocket with a body": (b"GET /data/a HTTP/1.1\r\nHost: a\r\n" + WEBSOCKET + LENGTH, [("GET", *PUT[1:])]),
+    "a WebSocket with chunks": (b"GET /data/a HTTP/1.1\r\nHost: a\r\n" + WEBSOCKET + CHUNKED, [("GET", *PUT[1:])]),
+    "a WebSocket by PUT": (b"PUT /data/a HTTP/1.1\r\nHost: a\r\n" + WEBSOCKET + LENGTH, [PUT]),
+    "a WebSocket without a key": (
+        b"GET / HTTP/1.1\r\nHost: a\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\r\n",
+        [("GET", "/", b"")],
+    ),
+    "a list with a WebSocket": (
+        b"GET /data/a HTTP/1.1\r\nHost: a\r\n" + WEBSOCKET.replace(b"websocket", b"h2c, websocket") + LENGTH,
+        [("GET", *PUT[1:])],
+    ),
+    "a list in two fields": (
+        b"GET /data/a HTTP/1.1\r\nHost: a\r\nUpgrade: h2c\r\n" + WEBSOCKET + CHUNKED,
+        [("GET", *PUT[1:])],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_an_upgrade_is_ignored_wherever_the_bytes_are_cut(name: str) -> None:
+    message, expected = MESSAGES[name]
+
+    async def work(talk: Talk) -> None:
+        whole = message + message + NEXT
+        for cut in range(len(message) + 2):
+            seen, answers = await talk(whole[:cut], whole[cut:])
+            assert seen == [*expected, *expected, LAST], (cut, answers)
+            assert answers.count(b"HTTP/1.1 200 OK") == len(seen)
+        seen, answers = await talk(*(whole[at : at + 1] for at in range(len(whole))))
+        assert seen == [*expected, *expected, LAST]
+
+    with_listener(work)
+
+
+@pytest.mark.parametrize("name", ["a body of known length", "a body in chunks", "a WebSocket with chunks"])
+def test_an_upgrade_over_tls_is_ignored(name: str, tmp_path: Path) -> None:
+    message, expected = MESSAGES[name]
+
+    async def work(talk: Talk) -> None:
+        for cut in (0, 1, message.index(b"\r\n\r\n") + 4, len(message) - 20, len(message)):
+            seen, answers = await talk(message[:cut], message[cut:] + NEXT)
+            assert seen == [*expected, LAST], (cut, answers)
+
+    with_listener(work, certificate(tmp_path))
+
+
+def test_a_client_that_upgrades_is_told_to_continue() -> None:
+    head = b"PUT /data/a HTTP/1.1\r\nHost: a\r\nExpect: 100-continue\r\n" + H2C
+
+    async def work(talk: Talk) -> None:
+        seen, answers = await talk(head + b"Content-Length: 3\r\n\r\n", b"abc" + NEXT)
+        assert seen == [("PUT", "/data/a", b"abc"), LAST]
+        assert answers.startswith(b"HTTP/1.1 100 Continue\r\n\r\nHTTP/1.1 200 OK")
+
+    with_listener(work)
+
+
+def test_a_request_in_http_1_0_that_upgrades_is_read_and_ends_the_connection() -> None:
+    head = b"PUT /data/a HTTP/1.0\r\nHost: a\r\nExpect: 100-continue\r\n" + H2C
+
+    async def work(talk: Talk) -> None:
+        seen, answers = await talk(head + LENGTH, NEXT)
+        assert seen == [PUT]
+        assert answers.startswith(b"HTTP/1.1 200 OK")
+        assert b"connection: close" in answers
+
+    with_listener(work)
+
+
+def test_bytes_behind_a_websocket_s_handshake_are_no_request() -> None:
+    handshake = b"GET /channel HTTP/1.1\r\nHost: a\r\n" + WEBSOCKET + b"\r\n"
+
+    async def work(talk: Talk) -> None:
+        for cut in range(len(handshake) + 1):
+            whole = handshake + DELETE
+            seen, answers = await talk(whole[:cut], whole[cut:])
+            assert {method for method, _, _ in seen} <= {"websocket"}, cut
+            assert answers.startswith((b"HTTP/1.1 400", b"HTTP/1.1 101")), cut
+
+    with_listener(work)
+
+
+def test_a_websocket_is_not_opened_while_an_answer_is_under_way() -> None:
+    first = b"GET /first HTTP/1.1\r\nHost: a\r\n\r\n"
+    handshake = b"GET /channel HTTP/1.1\r\nHost: a\r\n" + WEBSOCKET + b"\r\n"
+
+    async def work(talk: Talk) -> None:
+        seen, answers = await talk(first + handshake + NEXT)
+        assert seen == [("GET", "/first", b""), ("GET", "/channel", b""), LAST]
+        assert answers.count(b"HTTP/1.1 200 OK") == 3
+
+    with_listener(work)
+
+
+def test_connect_is_refused_and_what_follows_is_no_request() -> None:
+    async def work(talk: Talk) -> None:
+        for target in (b"a:80", b"/"):
+            seen, answers = await talk(b"CONNECT %b HTTP/1.1\r\nHost: a\r\n\r\n" % target, DELETE)
+            assert (seen, answers[:12]) == ([], b"HTTP/1.1 501")
+
+    with_listener(work)

@@ -138,6 +138,8 @@ class Connection(HttpToolsProtocol):
     _unread: asyncio.TimerHandle | None = None
     _let_go: Callable[[], None] = staticmethod(_nothing)
     _is_over = False
+    _ending: Problem | None = None
+    """What is to be told when the requests under way are answered."""
 
     @property
     def _bounds(self) -> Bounds:
@@ -273,7 +275,10 @@ class Connection(HttpToolsProtocol):
             is_plain = cycle.keep_alive and not self.expect_100_continue  # which is answered 100 before
             if still is not None and is_alone and is_plain and not cycle.more_body and answer:
                 self._again.keep(request, answer, still)
+        is_last = not self.pipeline
         super().on_response_complete()
+        if is_last and self._ending is not None and not self.transport.is_closing():
+            self._say(self._ending)
 
     def on_header(self, name: bytes, value: bytes) -> None:
         """A field of the head. Those of a trailer section are dropped: they are no fields of it (RFC 9110 6.5.1)."""
@@ -359,14 +364,23 @@ class Connection(HttpToolsProtocol):
             self._impatience = None
 
     def _end(self, ending: Problem) -> None:
-        """Tell why, unless an answer to an earlier request is under way, and close when the client has heard it."""
+        """Tell why, after the answers to earlier requests, and close when the client has heard it.
+
+        A request whose body is at fault is not answered: its connection is closed.
+        """
         if self._is_over or self.transport.is_closing():
             return
         self._is_over = True
         self._be_patient()
-        if self.cycle is not None and not self.cycle.response_complete:
+        if self._is_answered:
+            self._say(ending)
+        elif self._head_is_open:
+            self._ending = ending
+        else:
             self.transport.close()
-            return
+
+    def _say(self, ending: Problem) -> None:
+        self._unset_keepalive_if_required()
         self.transport.write(_response(ending))
         self.transport.write_eof()
         self._impatience = self.loop.call_later(LINGER_SECONDS, self.transport.close)

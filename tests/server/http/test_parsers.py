@@ -15,10 +15,13 @@ from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
 from rosld.server.http.connection import Bounded, Connection
+from rosld.server.http.origin import check_host, site
+from rosld.server.http.problem import Problem, render
 
 Seen: TypeAlias = list[tuple[bytes, bytes, bytes]]
 """Method, target and body of each whole request."""
 MOST_TURNS = 200
+SITE = site("http://a/", "a", 80)
 
 
 class Wire(asyncio.Transport):
@@ -51,11 +54,20 @@ class Wire(asyncio.Transport):
 async def read_by_rosld(pieces: list[bytes]) -> tuple[Seen, bool]:
     """The requests that reach the application from these pieces of a connection, and whether something was refused."""
     seen: Seen = []
+    refusals: list[Problem] = []
 
     async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        request = Request(scope, receive)
         try:
-            body = await Request(scope, receive).body()
+            body = await request.body()
         except ClientDisconnect:
+            return
+        try:
+            check_host(SITE, request.headers.getlist("host"))
+        except Problem as problem:
+            refusals.append(problem)
+        if refusals:  # h11 does not read on behind a head without a Host, which rosld's application does
+            await render(refusals[0]).response()(scope, receive, send)
             return
         query = scope["query_string"]
         seen.append((scope["method"].encode(), scope["raw_path"] + (b"?" + query if query else b""), body))
@@ -170,7 +182,7 @@ def streams(draw: st.DrawFn) -> list[bytes]:
     return [data[start:end] for start, end in zip([0, *cuts], [*cuts, len(data)], strict=True) if start < end]
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=400, deadline=None)
 @given(streams())
 def test_the_application_sees_the_requests_that_h11_reads(pieces: list[bytes]) -> None:
     expected = read_by_h11(b"".join(pieces))

@@ -78,6 +78,7 @@ class RdfBody:
 
 
 _NOTHING: Properties = {}
+_DEFAULT_GRAPHS_OF_JENA = tuple(NamedNode(f"urn:x-arq:{name}") for name in ("DefaultGraph", "DefaultGraphNode"))
 
 
 def parse_body(data: bytes, media_type: str, base: str, *, alone: bool = False) -> RdfBody:
@@ -120,11 +121,16 @@ def read_ntriples(data: bytes, media_type: str, base: str) -> bytes:
 
 
 def _of_graph(quads: Iterable[Quad], base: str) -> Iterator[Triple]:
-    own = (DefaultGraph(), NamedNode(base))
+    own = _own_graphs(base)
     for quad in quads:
         if quad.graph_name not in own:
             raise _strange(quad.graph_name)
         yield quad.triple
+
+
+def _own_graphs(base: str) -> tuple[DefaultGraph | NamedNode, ...]:
+    """The names of the one graph of a resource: none, its own, and those by which Jena's writers say none."""
+    return (DefaultGraph(), NamedNode(base), *_DEFAULT_GRAPHS_OF_JENA)
 
 
 def _strange(graph: object) -> BodyError:
@@ -166,7 +172,7 @@ def body_of(triples: Iterable[Triple]) -> RdfBody:
 
 def indexed(quads: Iterable[Quad], base: str, *, alone: bool = False) -> RdfBody:
     """The triples of the default graph and of the graph named `base`, by subject and predicate."""
-    graphs = (DefaultGraph(), NamedNode(base))
+    graphs = _own_graphs(base)
     subjects: dict[Subject, dict[NamedNode, list[Term]]] = {}
     size = 0
     for subject, predicate, object, graph in quads:

@@ -10,16 +10,24 @@ from rosld.ontology.rdfxml import rdfxml
 from rosld.ontology.syntax import CannotCarry, Syntax
 from rosld.ontology.turtle import trig, turtle
 
-__all__ = ["CannotCarry", "Syntax", "serialize"]
+__all__ = ["CannotCarry", "Syntax", "serialize", "serialize_named"]
 
 
 def serialize(document: Document, syntax: Syntax | str) -> bytes:
     """The document in a syntax (or the syntax of a media type), UTF-8. All syntaxes say the same.
 
-    N-Quads and TriG put the triples into the graph named by the document's URL. Raises CannotCarry where the syntax
-    cannot hold what the document says, ValueError for a media type that is no RDF syntax.
+    A document is one graph (LDP 4.3.1), so N-Quads and TriG have its triples in the default graph. Raises CannotCarry
+    where the syntax cannot hold what the document says, ValueError for a media type that is no RDF syntax.
     """
     return _WRITERS[syntax if isinstance(syntax, Syntax) else Syntax.of(syntax)](document)
+
+
+def serialize_named(document: Document, syntax: Syntax) -> bytes:
+    """The document as a part of a dataset: N-Quads and TriG put its triples into the graph named by its URL.
+
+    In other syntaxes it is as `serialize` has it; raises as that does.
+    """
+    return _NAMED_WRITERS.get(syntax, _WRITERS[syntax])(document)
 
 
 def _lines(document: Document, end: str) -> bytes:
@@ -34,6 +42,10 @@ _WRITERS: Mapping[Syntax, Callable[[Document], bytes]] = {
     Syntax.N_TRIPLES: lambda document: _lines(document, " .\n"),
     Syntax.RDF_XML: lambda document: rdfxml(document.all_triples(), document.url).encode(),
     Syntax.N3: lambda document: turtle(document).encode(),
+    Syntax.N_QUADS: lambda document: _lines(document, " .\n"),
+    Syntax.TRIG: lambda document: turtle(document).encode(),
+}
+_NAMED_WRITERS: Mapping[Syntax, Callable[[Document], bytes]] = {
     Syntax.N_QUADS: lambda document: _lines(document, f" <{document.url}> .\n"),
     Syntax.TRIG: lambda document: trig(document).encode(),
 }

@@ -46,7 +46,7 @@ class Syntax(Enum):
 
     @property
     def datasets(self) -> bool:
-        """Whether the syntax names the graph of its triples."""
+        """Whether the syntax can name the graph of its triples."""
         return self in (Syntax.N_QUADS, Syntax.TRIG)
 
     @classmethod

@@ -10,7 +10,7 @@ from rosld.adapters.base import RecordedMessage
 from rosld.adapters.model import TypeRef
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
-from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.serialize import Syntax, serialize_named
 from rosld.server.commands.lifting import Lifting, Told
 
 _HEADER = re.compile(rb"(?:@(?:base|prefix) [^\n]*\n)+")
@@ -50,7 +50,7 @@ class Paragraphs:
 
     def document(self, document: Document) -> bytes:
         """The document, without what the file has already declared."""
-        text = serialize(document, self._syntax)
+        text = serialize_named(document, self._syntax)
         header = _HEADER.match(text)
         return text if header is None else self._new(header[0]) + text[header.end() :]
 
@@ -109,7 +109,7 @@ class Lines:
 
     def document(self, document: Document) -> bytes:
         """The document's lines."""
-        return serialize(document, self._syntax)
+        return serialize_named(document, self._syntax)
 
     def message(self, told: Told) -> bytes:
         """The lines of one recorded message: its description by the stream's template, its values by its lifter."""

@@ -29,7 +29,7 @@ from rosld.adapters.model import MessageSchema
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import lifter
-from rosld.ontology.serialize import CannotCarry, Syntax, serialize
+from rosld.ontology.serialize import CannotCarry, Syntax, serialize, serialize_named
 from rosld.ontology.vocab import ldp, rdf, rdfs, ros, xsd
 
 logging.getLogger("rdflib.term").setLevel(logging.CRITICAL)  # ill-typed literals are what is tested here
@@ -151,10 +151,9 @@ def canonical(triples: Iterable[Triple]) -> set[str]:
 
 
 def read(data: bytes, syntax: Syntax) -> list[Triple]:
-    """What pyoxigraph reads; in a dataset syntax, what is in the document's graph."""
+    """What pyoxigraph reads, all of it in the default graph."""
     quads = list(parse(data, format=FORMATS[syntax]))
-    graph = NamedNode(URL) if syntax.datasets else DefaultGraph()
-    assert all(quad.graph_name == graph for quad in quads)
+    assert all(quad.graph_name == DefaultGraph() for quad in quads)
     return [quad.triple for quad in quads]
 
 
@@ -163,8 +162,7 @@ def rdflib_read(data: bytes, syntax: Syntax) -> list[Triple]:
     normalize, rdflib.NORMALIZE_LITERALS = rdflib.NORMALIZE_LITERALS, False
     try:
         dataset = rdflib.Dataset()
-        target = dataset if syntax.datasets else dataset.default_graph
-        target.parse(data, format=RDFLIB_FORMATS[syntax])
+        dataset.default_graph.parse(data, format=RDFLIB_FORMATS[syntax])
     finally:
         rdflib.NORMALIZE_LITERALS = normalize
     return [Triple(_node(s), NamedNode(str(p)), _term(o)) for s, p, o, _ in dataset.quads()]
@@ -328,6 +326,13 @@ def test_triple_terms_go_where_rdf_1_2_is_known_and_are_refused_elsewhere() -> N
     for syntax in (Syntax.JSON_LD, Syntax.RDF_XML):
         with pytest.raises(CannotCarry, match="triple term"):
             serialize(doc, syntax)
+
+
+@pytest.mark.parametrize("syntax", [Syntax.N_QUADS, Syntax.TRIG])
+def test_as_a_part_of_a_dataset_a_document_is_the_graph_of_its_name(syntax: Syntax) -> None:
+    doc = document((TOPIC, ros.name, Literal("x")))
+    quads = list(parse(serialize_named(doc, syntax), format=FORMATS[syntax]))
+    assert quads == [Quad(*triple, NamedNode(URL)) for triple in doc.triples]
 
 
 def test_an_empty_document_is_one_in_every_syntax() -> None:

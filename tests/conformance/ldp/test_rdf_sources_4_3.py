@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import httpx
 import pytest
-from pyoxigraph import Literal, NamedNode, Triple
+from pyoxigraph import DefaultGraph, Literal, NamedNode, RdfFormat, Triple, parse
 
 from rosld.ontology.vocab import dcterms, ldp, rdf, xsd
 
@@ -20,6 +20,25 @@ P = NamedNode("http://ex.org/p")
 
 def test_4_3_1_1_an_rdf_source_is_a_resource(container: Place, models: Callable[[httpx.Response], set[str]]) -> None:
     assert {"Resource", "RDFSource"} <= models(container.get())
+
+
+@pytest.mark.parametrize("media_type", ["application/n-quads", "application/trig"])
+def test_4_3_1_1_a_representation_is_one_graph_the_default_one(media_type: str, container: Place) -> None:
+    answer = container.get(Accept=media_type)
+    quads = list(parse(answer.content, RdfFormat.from_media_type(media_type), base_iri=container.url))
+    assert quads
+    assert {quad.graph_name for quad in quads} == {DefaultGraph()}
+    assert {quad.subject for quad in quads} & {NamedNode(container.url)}
+
+
+@pytest.mark.parametrize("media_type", ["application/n-quads", "application/trig"])
+def test_4_3_1_1_a_body_may_be_of_the_default_graph_or_of_its_own_name(media_type: str, place: Place) -> None:
+    for number, name in enumerate(("", "urn:x-arq:DefaultGraphNode", place.at("a"))):
+        triple = f'<{place.at("a")}> <http://ex.org/p> "{number}"'
+        graph = name and f"<{name}>"
+        body = f"{triple} {graph} ." if media_type == "application/n-quads" else f"{graph} {{ {triple} }}"
+        assert place.send("PUT", "a", body, media_type).status_code in (201, 204)
+        assert place.objects("a", P) == {Literal(str(number))}
 
 
 def test_4_3_1_2_representations_say_a_type(place: Place) -> None:

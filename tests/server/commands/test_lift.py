@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from rosld.adapters.base import AdapterOptions
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.serialize import Syntax, serialize_named
 from rosld.ontology.urls import Space
 from rosld.server.cli import main
 from rosld.server.commands.lifting import Lifting
@@ -142,7 +142,7 @@ def test_what_cannot_be_read_is_told_of_in_the_file_and_on_stderr(bag: Path, tmp
 def test_the_lines_of_a_message_are_those_of_its_document(lifting: Lifting) -> None:
     lines = writer(Syntax.N_QUADS, lifting)
     for told in lifting.messages():
-        assert lines.message(told) == serialize(lifting.document(told), Syntax.N_QUADS)
+        assert lines.message(told) == serialize_named(lifting.document(told), Syntax.N_QUADS)
 
 
 def test_a_template_that_does_not_hold_is_not_used(lifting: Lifting) -> None:

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.server.http.problem import Problem
+from rosld.server.http.text import FORM
 from rosld.server.sparql.protocol import (
     DIRECT,
-    FORM,
     UPDATE,
     QueryRequest,
     UpdateRequest,

@@ -2,9 +2,9 @@
 
     python bench/pauses.py [--triples 1000000]
 
-One client puts the triples, reads them in every syntax and patches them; another presses `POST /stop` all the while. The
-longest pause is what the server's own watchdog measured (`/status`), the time of the stop is that of the whole request.
-Aims: 20 ms for the loop, 50 ms for the stop.
+One client puts the triples, reads them in every syntax and patches them; another presses `POST /stop` all the while.
+The longest pause is what the server's own watchdog measured (`/status`), the time of the stop is that of the whole
+request. Aims: 20 ms for the loop, 50 ms for the stop.
 """
 
 from __future__ import annotations

@@ -48,6 +48,10 @@ class BodyError(ValueError):
         self.line = line
         self.column = column
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Worker processes raise such errors, too."""
+        return BodyError, (self.words, self.line, self.column)
+
 
 class UnreadCharset(BodyError):
     """A body in a character encoding that is not read here."""

@@ -32,6 +32,7 @@ from rosld.server.http.problem import Problem, render
 from rosld.server.hypermedia.mappings import relations
 from rosld.server.ldp.alone import Alone
 from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.large import LargeDocuments
 from rosld.server.ldp.pages import Pages
 from rosld.server.ldp.prepared import Prepared
 from rosld.server.ldp.resource import Resource
@@ -70,7 +71,8 @@ _TELLING_NOTHING = frozenset({401, 404, 410})
 def create_app(adapter: Adapter, settings: Settings) -> Application:
     """The ASGI app that serves this adapter; its lifespan opens and closes the adapter, raising what `open` raises."""
     robot = Robot(adapter, settings)
-    pages = Pages(robot)
+    large = LargeDocuments(robot.workers)
+    pages = Pages(robot, large)
     store = MemoryStore()
     kept = RecordGraphs(robot.records, robot.space.base, robot.queries.said, ELSEWHERE)
     source = Dataset(robot)
@@ -101,7 +103,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     if door is not None:
         door.changed.watch(feeds.stir)
     router.add(acl_room(door))
-    verbs = Verbs(robot.boot, pages, feeds, alone)
+    verbs = Verbs(robot.boot, pages, feeds, alone, large)
     return Application(robot, router, verbs, pages, names, notifications, service, watchdog, mirror, door)
 
 
@@ -199,6 +201,7 @@ class Application:
         await asyncio.wait(background)
         if self._mirror is not None:
             await self._mirror.close()
+        await self._verbs.large.close()
         await self.robot.stop()
         await send({"type": "lifespan.shutdown.complete"})
 

@@ -32,6 +32,7 @@ from rosld.server.ldp.state import State
 from rosld.server.limiter import PublishLimiter
 from rosld.server.live.schemas import Schemas
 from rosld.server.live.topics import LiveSettings, LiveTopics
+from rosld.server.offload import Workers
 from rosld.server.receipts.journal import Journal
 from rosld.server.records import Changed
 from rosld.server.records.sqlite import open_records
@@ -71,6 +72,7 @@ class Robot:
         self.limiter = PublishLimiter(settings.max_publish_rate)
         self.forms = FormKey()
         self.states = States()
+        self.workers = Workers()
         self.changes = Signal()
         self.parameter_changes = Signal()
         self.limits_in_force = LimitsInForce(tuple(given_limits(settings, adapter, self.space)), self.space)
@@ -177,6 +179,7 @@ class Robot:
     async def stop(self) -> None:
         """Give everything back to the robot; idempotent."""
         self.holds.close("rosld ended")
+        await self.workers.close()
         await self.holds.closed()
         await self.stops.ended()
         await self.receipts.close()

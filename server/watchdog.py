@@ -153,6 +153,6 @@ def _innermost(frame: FrameType | None) -> str | None:
         if module.partition(".")[0] == _PACKAGE:
             if module.startswith(f"{_PACKAGE}.server.commands"):
                 return None
-            return f"{module}.{frame.f_code.co_qualname if sys.version_info >= (3, 11) else frame.f_code.co_name}"
+            return f"{module}.{getattr(frame.f_code, 'co_qualname', frame.f_code.co_name)}"  # from Python 3.11 on
         frame = frame.f_back
     return None

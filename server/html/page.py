@@ -36,12 +36,24 @@ class Tone(Enum):
 
 
 @dataclass(frozen=True, slots=True)
+class NoticeLink:
+    """A link of a notice: where it leads, relative to the page, and its words."""
+
+    href: str
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
 class Notice:
-    """Something the reader should know before all else, in a sentence; `violations` name fields that did not fit."""
+    """Something the reader should know before all else, in a sentence; `violations` name fields that did not fit.
+
+    `link` leads to more of it.
+    """
 
     text: str
     tone: Tone = Tone.INFO
     violations: tuple[Violation, ...] = ()
+    link: NoticeLink | None = None
 
 
 @dataclass(frozen=True, slots=True)

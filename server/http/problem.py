@@ -60,6 +60,11 @@ class Problem(Exception):
         self.extra = dict(extra)
         self.violations = tuple(violations)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Worker processes raise problems, too."""
+        told = (self.status, self.detail, self.title, self.type, self.headers, self.extra, self.violations)
+        return _problem, told
+
 
 @dataclass(frozen=True, slots=True)
 class Rendered:
@@ -73,6 +78,18 @@ class Rendered:
         """The Starlette response; `head` leaves the body out and its length in."""
         headers = {**self.headers, "content-length": str(len(self.body))}
         return Response(b"" if head else self.body, self.status, headers)
+
+
+def _problem(
+    status: int,
+    detail: str,
+    title: str,
+    type: str,
+    headers: Mapping[str, str],
+    extra: Mapping[str, object],
+    violations: Sequence[Violation],
+) -> Problem:
+    return Problem(status, detail, title=title, type=type, headers=headers, extra=extra, violations=violations)
 
 
 def phrase(status: int) -> str:

@@ -94,6 +94,11 @@ async def file_response(
     return _FileStream(status, encoded, await asyncio.to_thread(FileIO, path), pieces)
 
 
+def file_stream(headers: list[tuple[bytes, bytes]], file: FileIO, size: int) -> Response:
+    """200 with all of a file that is open, which is closed when it was sent."""
+    return _FileStream(200, headers, file, [ranges.Span(0, size)])
+
+
 class _FileStream(Response):
     """A response that reads its file as fast as its reader takes it, and closes it when that one is done or gone."""
 

@@ -16,12 +16,24 @@ from rosld.ontology.urls import Space
 from rosld.server import html
 from rosld.server.access.judge import EVERYTHING, Judge
 from rosld.server.errors import problem_of_body
-from rosld.server.html import ChoiceForm, Csrf, DeleteForm, Form, Notice, ParameterForm, ProblemPage, Site, ValueForm
+from rosld.server.html import (
+    ChoiceForm,
+    Csrf,
+    DeleteForm,
+    Form,
+    Notice,
+    NoticeLink,
+    ParameterForm,
+    ProblemPage,
+    Site,
+    ValueForm,
+)
 from rosld.server.html.page import Tone
 from rosld.server.html.site import SECTIONS
 from rosld.server.http import negotiation
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.large import LargeDocuments, shortened
 from rosld.server.ldp.state import State
 
 if TYPE_CHECKING:
@@ -37,8 +49,9 @@ class Pages:
 
     headers: Mapping[str, str] = {name.lower(): value for name, value in html.HEADERS.items()}
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, large: LargeDocuments) -> None:
         self._robot = robot
+        self._large = large
 
     @property
     def space(self) -> Space:
@@ -85,7 +98,18 @@ class Pages:
         self, resource: Resource, state: State, notices: Sequence[Notice] = (), judge: Judge = EVERYTHING
     ) -> bytes:
         """The page of a resource as it is, for one who may do this much."""
-        return resource.page(self.site_for(judge), state, await resource.forms(), self._csrf(resource, judge), notices)
+        return await self._page(resource, state, await resource.forms(), notices, judge)
+
+    async def _page(
+        self, resource: Resource, state: State, forms: Sequence[Form], notices: Sequence[Notice], judge: Judge
+    ) -> bytes:
+        """A page with these forms; of what is large it shows the beginning, and says so."""
+        if state.is_large:
+            excerpt = await self._large.excerpt(state)
+            state = shortened(state, excerpt)
+            words = f"This page shows the first {len(excerpt.document.triples):,} of {excerpt.total:,} triples."
+            notices = (*notices, Notice(words, link=NoticeLink("?format=ttl", "All of them, as Turtle")))
+        return resource.page(self.site_for(judge), state, forms, self._csrf(resource, judge), notices)
 
     def problem(self, exchange: Exchange, problem: Problem, url: str) -> Response | None:
         """A problem with the resource at `url` as a page, for those who prefer one; None for all others."""
@@ -133,7 +157,7 @@ class Pages:
             state = state if judge.whole else resource.veiled(state, judge)
         except Problem:
             raise problem from None
-        body = resource.page(self.site_for(judge), state, again, self._csrf(resource, judge), [notice])
+        body = await self._page(resource, state, again, [notice], judge)
         headers = {**problem.headers, **self.headers, "Cache-Control": "no-store"}
         return Response(body, problem.status, headers, "text/html; charset=utf-8")
 

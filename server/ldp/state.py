@@ -15,6 +15,8 @@ from rosld.ontology.serialize import Syntax, serialize
 if TYPE_CHECKING:
     from rosld.server.hypermedia.views import View
 
+LARGE = 256 * 1024
+"""Bytes of N-Triples from which a document is large: some 2,500 triples, which take 10 ms to be rendered."""
 _SECRET = secrets.token_bytes(32)
 
 
@@ -36,6 +38,8 @@ class State:
     `view` is what its page is drawn from, where that is more than its RDF. `scope` names what `tag` is unique in, where
     that outlives this run of the server. `part` ends the variant of its ETags where it is only a part of the resource,
     so that the part guards a write as the whole does. `headers` go with every representation.
+    `weight` is about how many bytes of N-Triples it says, where that may be many: from `LARGE` on its representations
+    are made in worker processes, to which `describe` goes as a pickle.
     A state is kept as long as nothing changes, and its renderings with it.
     """
 
@@ -48,9 +52,15 @@ class State:
     scope: str | None = None
     part: str = ""
     headers: Mapping[str, str] = field(default_factory=dict)
+    weight: int = 0
     renderings: dict[str, Rendering] = field(default_factory=dict)
     veils: dict[str, State] = field(default_factory=dict)
     """What agents see of it who may not know of everything, by their rights."""
+
+    @property
+    def is_large(self) -> bool:
+        """Whether its document is not for the loop: what is asked of it is made in a worker process."""
+        return self.weight >= LARGE
 
     @cached_property
     def document(self) -> Document:

@@ -29,6 +29,8 @@ from rosld.server.http.problem import Problem
 from rosld.server.http.text import FORM
 from rosld.server.ldp.alone import Alone
 from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.files import file_stream
+from rosld.server.ldp.large import LargeDocuments
 from rosld.server.ldp.pages import FormRefused, Pages
 from rosld.server.ldp.prepared import Prepared
 from rosld.server.ldp.resource import JSON, LDP, RDF_BODIES, Answer, Created, Resource, Shown, allow
@@ -55,6 +57,7 @@ class Verbs:
     pages: Pages
     feeds: Feeds
     alone: Alone
+    large: LargeDocuments
 
     async def answer(self, exchange: Exchange, resource: Resource) -> Response:
         """The response to a request on a resource; raises Problems. Either says what it is (LDP 4.2.1.4)."""
@@ -132,6 +135,8 @@ class Verbs:
             unchanged = asked.is_state(exchange.query["after"], self._name(state))
             standing = None
         media_type = chosen(exchange)
+        if state.is_large and media_type != HTML:
+            return await self._read_large(exchange, resource, state, media_type, unchanged=unchanged)
         rendering = await self.represented(resource, state, media_type, exchange.judge)
         headers, age = rendering.headers, 0
         if state.received_ns is not None:
@@ -145,6 +150,28 @@ class Verbs:
             return Prepared(304, b"", [pair for pair in headers if pair[0] not in _CONTENT], still)
         return Prepared(200, rendering.body, headers, still)
 
+    async def _read_large(
+        self, exchange: Exchange, resource: Resource, state: State, media_type: str, *, unchanged: bool
+    ) -> Response:
+        """GET and HEAD of what is large: from a file that a worker process makes; HEAD makes none.
+
+        Without a representation nothing tells its length, and HEAD may leave that out (RFC 9110 9.3.2).
+        """
+        judge = exchange.judge
+        variant = _variant(media_type, judge)
+        syntax = _JSON_IS_JSONLD.get(media_type, media_type)
+        etag = str(ETag(self._name(state), variant + state.part))
+        headers = _headers(resource, state, media_type, etag)
+        if unchanged or _not_modified(exchange, Rendering(b"", [], etag)):
+            return Prepared(304, b"", _encoded({name: headers[name] for name in headers if name != "content-type"}))
+        if exchange.method == "HEAD":
+            return Prepared(200, b"", _encoded(headers))
+        try:
+            file, size = await self.large.file((resource.url, etag, syntax), seen(resource, state, judge), syntax)
+        except CannotCarry as error:
+            raise _cannot_carry(media_type, error) from error
+        return file_stream(_encoded({**headers, "content-length": str(size)}), file, size)
+
     async def rendering(self, exchange: Exchange, resource: Resource, state: State) -> Rendering:
         """The representation that the request prefers, kept with the state or made now. Raises a 406 Problem."""
         return await self.represented(resource, state, chosen(exchange), exchange.judge)
@@ -156,12 +183,9 @@ class Verbs:
 
         Bytes are shared by agents of the same rights; a page, which has forms, is one agent's.
         """
-        variant = VARIANTS[media_type]
+        variant = _variant(media_type, judge)
         if not judge.whole:
             state = seen(resource, state, judge)
-            variant = f"{variant}-{judge.key}"
-        if media_type == HTML:
-            variant += judge.mark
         if media_type == HTML and self.pages.edition is not None:
             return await self._render(resource, state, media_type, variant, judge)
         found = state.renderings.get(variant)
@@ -174,21 +198,15 @@ class Verbs:
     async def _render(self, resource: Resource, state: State, media_type: str, variant: str, judge: Judge) -> Rendering:
         if media_type == HTML:
             body = await self.pages.page(resource, state, judge=judge)
+        elif state.is_large:
+            raise Problem(406, "This is too large to be sent here: GET it, or follow it by its notifications.")
         elif media_type == JSON and state.plain is not None:
             body = state.plain()
         else:
             body = _serialized(state, _JSON_IS_JSONLD.get(media_type, media_type))
         name = f"{self.boot}-{digest(body)}" if media_type == HTML else self._name(state)  # a page shows more
         etag = str(ETag(name, variant + state.part))
-        headers = {
-            "content-type": f"{media_type}; charset=utf-8" if media_type.startswith("text/") else media_type,
-            "content-length": str(len(body)),
-            "etag": etag,
-            "vary": "Accept",
-            "cache-control": f"max-age={state.max_age}" if state.max_age else "no-cache",
-            **standing_headers(resource),
-            **state.headers,
-        }
+        headers = {**_headers(resource, state, media_type, etag), "content-length": str(len(body))}
         if media_type == HTML:
             headers |= self.pages.headers
         return Rendering(body, _encoded(headers), etag)
@@ -322,6 +340,24 @@ class Verbs:
             return None
 
 
+def _variant(media_type: str, judge: Judge) -> str:
+    """The variant part of the ETags of representations in a media type, for agents of these rights."""
+    variant = VARIANTS[media_type] if judge.whole else f"{VARIANTS[media_type]}-{judge.key}"
+    return variant + judge.mark if media_type == HTML else variant
+
+
+def _headers(resource: Resource, state: State, media_type: str, etag: str) -> dict[str, str]:
+    """The headers of a representation, but for its length."""
+    return {
+        "content-type": f"{media_type}; charset=utf-8" if media_type.startswith("text/") else media_type,
+        "etag": etag,
+        "vary": "Accept",
+        "cache-control": f"max-age={state.max_age}" if state.max_age else "no-cache",
+        **standing_headers(resource),
+        **state.headers,
+    }
+
+
 def _is_form(exchange: Exchange, resource: Resource) -> bool:
     """Whether it is a form of one of our pages."""
     return (
@@ -432,7 +468,11 @@ def _serialized(state: State, media_type: str) -> bytes:
     try:
         return serialize(state.document, syntax)
     except CannotCarry as error:
-        raise Problem(406, f"{media_type} cannot carry this resource: {error}") from error
+        raise _cannot_carry(media_type, error) from error
+
+
+def _cannot_carry(media_type: str, error: CannotCarry) -> Problem:
+    return Problem(406, f"{media_type} cannot carry this resource: {error}")
 
 
 def _refuse_partial_put(exchange: Exchange) -> None:

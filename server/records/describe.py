@@ -11,6 +11,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import Statement, about, each, integer, moment, text
 from rosld.ontology.vocab import dcterms, ldp, rdf, ros
 from rosld.server.ldp.interaction import rdf_types
+from rosld.server.records.packing import unpack
 from rosld.server.records.record import Model, Record
 
 MANAGED = frozenset({ldp.contains, dcterms.created, dcterms.modified, ros.length, dcterms.format})
@@ -43,7 +44,7 @@ def record_document(record: Record, url: str, members: Sequence[str], membership
 
 def said(record: Record) -> tuple[Triple, ...]:
     """What clients say of a resource, spelt as they did."""
-    quads = parse(record.triples, RdfFormat.N_TRIPLES) if record.triples else ()
+    quads = parse(unpack(record.triples), RdfFormat.N_TRIPLES) if record.triples else ()
     return tuple(dict.fromkeys(quad.triple for quad in quads))
 
 

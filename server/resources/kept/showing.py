@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from pyoxigraph import Triple
 
-from rosld.ontology.document import Document
 from rosld.server.http.link import render
 from rosld.server.ldp.interaction import (
-    declared,
-    membership_triples,
     model_links,
 )
 from rosld.server.ldp.paging import MOST, Page, Place, last_place, left_on_last, page_of
 from rosld.server.ldp.parts import ALL, Parts
 from rosld.server.ldp.state import State
 from rosld.server.records import Member, Record
-from rosld.server.records.describe import record_document
+from rosld.server.records.packing import size_of
+from rosld.server.resources.kept.document import kept_document, members_stand_for
 from rosld.server.robot import Robot
 
 
@@ -33,7 +32,7 @@ def all_members(robot: Robot, record: Record) -> list[Member]:
 
 def stand_ins(robot: Robot, members: Iterable[Member]) -> list[str]:
     """What stands for members in the membership triples of their container (LDP 5.4.1.5, 5.5.1.2)."""
-    return [each.member or robot.space.base + each.path for each in members]
+    return members_stand_for(robot.space.base, members)
 
 
 def shown(robot: Robot, record: Record, parts: Parts = ALL) -> State:
@@ -94,26 +93,15 @@ def _state(
     page: str = "",
     said: Sequence[Triple] = (),
 ) -> State:
-    url = robot.space.base + record.path
     if parts.applied:
         headers = {**headers, "preference-applied": str(parts.preference_applied)}
     if record.model.is_container:
         headers = {**headers, "vary": "Accept, Prefer"}
     return State(
-        lambda: _document(robot, record, parts, url, members, said),
+        partial(kept_document, robot.space.base, record, parts, members, said),
         token=_tag(record),
         scope=robot.records.identity,
         part=f"{page}{parts.variant}",
         headers=headers,
+        weight=size_of(record.triples) if parts.minimal else 0,
     )
-
-
-def _document(
-    robot: Robot, record: Record, parts: Parts, url: str, members: Sequence[Member], more: Sequence[Triple]
-) -> Document:
-    membership = declared(record.membership, url) if record.membership is not None and parts.minimal else []
-    if record.membership is not None and parts.membership:
-        membership += membership_triples(record.membership, stand_ins(robot, members))
-    contained = [robot.space.base + each.path for each in members] if parts.containment else []
-    kept = record if parts.minimal else replace(record, triples=b"")
-    return record_document(kept, url, contained, [*membership, *more])

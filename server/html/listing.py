@@ -46,7 +46,8 @@ def contents(document: Document, site: Site, listing: Listing | None) -> Content
     columns, cells = (listing.columns, listing.cells) if listing and listing.columns else _columns(document, urls)
     if site.veiled:
         cells = {url: tuple(_seen(cell, site) for cell in row) for url, row in cells.items() if site.may("GET", url)}
-    total = listing.total if listing and listing.total is not None and not site.veiled else len(urls)
+    counted = len(cells.keys() | {url for url in urls if not url.endswith("/")} if listing and listing.cells else urls)
+    total = listing.total if listing and listing.total is not None and not site.veiled else counted
     urls += [url for url in cells if url not in set(urls) and listing is not None and url in listing.cells]
     anchors = {url: _anchor(site, url, document.url) for url in urls}
     containers = {url for url in urls if url.endswith("/") and url.removesuffix("/") not in anchors}

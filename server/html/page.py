@@ -102,7 +102,7 @@ class Listing:
     """What a container's table shows beside names: the headings, and each member's cells by its URL.
 
     What is told of here without being a direct member (a name in a namespace below) gets a row of its own.
-    `total` is the number of members where this is one page of several.
+    `total` is the number of members, or of the names told of, where the table may not have them all.
     """
 
     columns: tuple[str, ...] = ()

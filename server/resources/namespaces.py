@@ -243,40 +243,43 @@ class NamespaceContainer(Resource):
         whole = self._hidden or names.is_hidden(names.join(self.namespace))
         graph, space = self.robot.graph if whole else listed(self.robot), self.robot.space
         members = self._found()
-        total = None if self._place is None or members is None else count(members)
         if self.room == "topics":
-            topics = {name: graph.topics[name] for name in self._below(graph.topics, members)}
+            told, total = self._below(graph.topics, members)
+            topics = {name: graph.topics[name] for name in told}
             return Listing(
                 ("type", "publishers", "subscribers"),
                 {space.topic(name): _topic_cells(topic, space) for name, topic in topics.items()},
                 total,
             )
         if self.room == "services":
-            services = {name: graph.services[name] for name in self._below(graph.services, members)}
+            told, total = self._below(graph.services, members)
+            services = {name: graph.services[name] for name in told}
             return Listing(
                 ("type", "provider"),
                 {space.service(name): _service_cells(service, space) for name, service in services.items()},
                 total,
             )
         if self.room == "actions":
-            actions = {name: graph.actions[name] for name in self._below(graph.actions, members)}
+            told, total = self._below(graph.actions, members)
+            actions = {name: graph.actions[name] for name in told}
             return Listing(
                 ("type", "server"),
                 {space.action(name): _action_cells(action, space) for name, action in actions.items()},
                 total,
             )
-        return None if total is None else Listing(total=total)
+        return None if self._place is None or members is None else Listing(total=count(members))
 
-    def _below(self, known: Mapping[str, object], members: Members | None) -> list[str]:
-        """The names in this namespace that its page lists, in order: at most `MOST_ROWS`."""
+    def _below(self, known: Mapping[str, object], members: Members | None) -> tuple[list[str], int]:
+        """The names in this namespace that its page lists, in order: at most `MOST_ROWS`; and how many there are."""
         prefix = "".join(f"/{part}" for part in self.namespace) + "/"
         below = sorted(name for name in known if name.startswith(prefix))
+        total = len(below)
         if self._place is not None and members is not None:
             told = self._page(self._place, members)[1]
             leaves, inner = set(told.leaves), set(told.namespaces)
             rests = ((name, name[len(prefix) :].partition("/")) for name in below)
             below = [name for name, (part, slash, _) in rests if part in (inner if slash else leaves)]
-        return below[:MOST_ROWS]
+        return below[:MOST_ROWS], total
 
     def _missing(self) -> Problem:
         """308 where the name is a leaf, else 404."""

@@ -13,6 +13,27 @@ import pytest
 
 WIDTH = 360
 MEASURE = """<!doctype html><meta charset="utf-8"><title>measuring</title><body>%s<script>
+// What in the header is less than four pixels from something else in it, or reaches beyond the page.
+function crowding(page, name) {
+  page.querySelector(".brand bdi").textContent = name;
+  const live = page.querySelector(".liveness");
+  if (live) {
+    live.hidden = false;
+    live.querySelector("[role=status]").textContent = "Not live";
+    live.querySelector("button").textContent = "Pause";
+  }
+  const words = [...page.querySelectorAll(".brand bdi, .bar nav li, .bar .stop button, .bar .liveness > *")];
+  const boxes = words.filter((each) => each.checkVisibility() && each.textContent).map((each) => {
+    const range = page.ownerDocument.createRange();
+    range.selectNodeContents(each);
+    const told = range.getBoundingClientRect(), box = each.matches("button") ? each.getBoundingClientRect() : told;
+    return {text: each.textContent, left: box.left, right: box.right, top: box.top, bottom: box.bottom};
+  });
+  const near = (one, other) => one.left < other.right + 4 && other.left < one.right + 4 &&
+    one.top < other.bottom && other.top < one.bottom;
+  return boxes.filter((one) => one.right > page.clientWidth || boxes.some((other) => other !== one && near(one, other)))
+    .map((one) => `${name}: ${one.text}`);
+}
 addEventListener("load", () => {
   const found = {};
   for (const frame of document.querySelectorAll("iframe")) {
@@ -20,7 +41,8 @@ addEventListener("load", () => {
     const styled = getComputedStyle(page.querySelector("main")).maxWidth !== "none";
     const small = [...page.querySelectorAll("button, input:not([type=hidden]), select")].filter(
       (each) => each.checkVisibility() && each.getBoundingClientRect().height < 18).length;
-    found[frame.title] = {width: page.scrollWidth, styled, small};
+    const crowded = ["aircraft", "a-robot-with-a-long-name.example:11311"].flatMap((name) => crowding(page, name));
+    found[frame.title] = {width: page.scrollWidth, styled, small, crowded};
   }
   document.body.textContent = JSON.stringify(found);
 });
@@ -49,6 +71,10 @@ def test_no_page_is_wider_than_a_phone(measured: Measured, pages: Mapping[str, b
 
 def test_the_stylesheet_passes_the_policy(measured: Measured) -> None:
     assert all(each["styled"] for each in measured.values())
+
+
+def test_nothing_in_the_header_touches_anything_else_or_reaches_beyond_the_page(measured: Measured) -> None:
+    assert {name: each["crowded"] for name, each in measured.items() if each["crowded"]} == {}
 
 
 def test_nothing_to_press_is_too_small_for_a_finger(measured: Measured) -> None:

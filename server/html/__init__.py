@@ -2,7 +2,7 @@
 
 Nothing here knows a robot or a store: a `Page` (or one of its kin) goes in, bytes come out. Whatever came from a robot
 is text to these pages, never markup, and `HEADERS` tells the browser to run nothing but `live.js`, which keeps a page
-up to date while it is looked at. Without it every page is as whole.
+up to date while it is looked at, and `filter.js`, which finds things on long ones. Without them every page is as whole.
 """
 
 from rosld.server.html.affordances import action_form, forms_of, property_form
@@ -36,6 +36,7 @@ from rosld.server.html.page import (
 from rosld.server.html.reading import parse_choice, parse_form, parse_parameter, parse_value, split_hidden
 from rosld.server.html.render import (
     CONTENT_SECURITY_POLICY,
+    FILTER_SCRIPT,
     HEADERS,
     ICON,
     SCRIPT,
@@ -51,6 +52,7 @@ from rosld.server.html.site import Site
 __all__ = [
     "ALTERNATES",
     "CONTENT_SECURITY_POLICY",
+    "FILTER_SCRIPT",
     "HEADERS",
     "ICON",
     "SCRIPT",

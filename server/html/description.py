@@ -31,11 +31,12 @@ _QUIET_TYPES = frozenset({ldp.Resource, ldp.RDFSource, ldp.Container})
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A subject of the document and what is said of it. `id` is its fragment on the page."""
+    """A subject of the document and what is said of it. `id` is its fragment on the page, `kind` its type in words."""
 
     title: str
     body: Rows
     id: str = ""
+    kind: str = ""
 
 
 @dataclass(slots=True)
@@ -110,7 +111,13 @@ def _others(walk: _Walk, hidden: set[Subject]) -> Iterator[Section]:
             continue
         walk.drawn.add(subject)
         body = Rows(_rows(walk, walk.outline.subjects[subject], 0))
-        yield Section(_title(walk, subject), body, fragment(subject, walk.url))
+        yield Section(_title(walk, subject), body, fragment(subject, walk.url), _kind(walk.outline.subjects[subject]))
+
+
+def _kind(said: Statements) -> str:
+    """What a subject is, in words: the first of its types that tells something."""
+    types = _ordered(rdf.type, said.get(rdf.type, []))
+    return label(types[0].value) if types and isinstance(types[0], NamedNode) else ""
 
 
 def _title(walk: _Walk, subject: Subject) -> str:

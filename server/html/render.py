@@ -17,6 +17,7 @@ from rosld.server.html.breadcrumb import breadcrumb
 from rosld.server.html.carried import carried
 from rosld.server.html.description import describe, first_text
 from rosld.server.html.endpoints import endpoints
+from rosld.server.html.folding import folded_groups
 from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD, Form, ValueForm
 from rosld.server.html.labels import sentence
 from rosld.server.html.listing import contents
@@ -56,7 +57,9 @@ ICON = (_HERE / "icon.svg").read_bytes()
 """Served at `icon.svg` below the base."""
 SCRIPT = (_HERE / "live.js").read_bytes()
 """Served at `live.js` below the base: opens the event stream of a page that is live, and shows what comes."""
-_VERSION = hashlib.blake2b(STYLESHEET + ICON + SCRIPT, digest_size=4).hexdigest()
+FILTER_SCRIPT = (_HERE / "filter.js").read_bytes()
+"""Served at `filter.js` below the base: finds things on a page that folds very many."""
+_VERSION = hashlib.blake2b(STYLESHEET + ICON + SCRIPT + FILTER_SCRIPT, digest_size=4).hexdigest()
 
 _NOTICED = (
     (ros.unreachable, "Unreachable"),
@@ -106,6 +109,10 @@ class _Frame:
     @property
     def script(self) -> str:
         return f"{self.site.root}live.js?v={_VERSION}"
+
+    @property
+    def filter_script(self) -> str:
+        return f"{self.site.root}filter.js?v={_VERSION}"
 
     @property
     def icon(self) -> str:
@@ -192,18 +199,22 @@ def _body(page: Page, posted: tuple[Posted, ...]) -> dict[str, object]:
             "asides": (),
             "contents": None,
             "sections": (),
+            "groups": (),
             "endpoints": None,
             "folded": describe(document, site),
         }
     messages = carried(document, site)
     own = {each.predicate for each in document.triples if each.subject == NamedNode(document.url)}
     left = own.intersection(_DRAWN[1:])
+    sections = describe(document, site, without=_DRAWN)
+    groups = folded_groups(sections[1:])
     return {
         "offer": None,
         "messages": [each for each in messages if not each.aside],
         "asides": [each for each in messages if each.aside],
         "contents": contents(document, site, page.listing),
-        "sections": describe(document, site, without=_DRAWN),
+        "sections": sections[:1] if groups else sections,
+        "groups": groups,
         "endpoints": endpoints(document, site),
         "folded": describe(document, site, without=own - left) if left else (),
     }

@@ -668,6 +668,7 @@ class Places:
         yield replace(self._file("/openapi.json", "This description", OPENAPI), query=self._of_listings[1:])
         yield self._file("/style.css", "The style of pages", ("text/css",))
         yield self._file("/live.js", "The script that keeps pages up to date", ("text/javascript",))
+        yield self._file("/filter.js", "The script that finds things on long pages", ("text/javascript",))
         yield self._file("/icon.svg", "The icon of pages", ("image/svg+xml",))
         yield self._file("/favicon.ico", "The icon of pages, where browsers look for it", ("image/svg+xml",))
 

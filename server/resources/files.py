@@ -1,4 +1,4 @@
-"""The files that pages are drawn with: their style, their icon, and the script that keeps them up to date."""
+"""The files that pages are drawn with: their style, their icon, and their scripts."""
 
 from __future__ import annotations
 
@@ -53,6 +53,11 @@ def script(robot: Robot) -> FileResource:
     return FileResource(robot, "live.js", html.SCRIPT, "text/javascript; charset=utf-8")
 
 
+def filter_script(robot: Robot) -> FileResource:
+    """`/filter.js`."""
+    return FileResource(robot, "filter.js", html.FILTER_SCRIPT, "text/javascript; charset=utf-8")
+
+
 def icon(robot: Robot, name: str = "icon.svg") -> FileResource:
     """`/icon.svg`."""
     return FileResource(robot, name, html.ICON, "image/svg+xml")
@@ -66,6 +71,7 @@ def favicon(robot: Robot) -> FileResource:
 FILES: dict[str, Callable[[Robot], FileResource]] = {
     "style.css": style,
     "live.js": script,
+    "filter.js": filter_script,
     "icon.svg": icon,
     "favicon.ico": favicon,
 }

@@ -35,7 +35,7 @@ def test_every_url_is_a_page_for_a_browser(http: httpx.Client, path: str) -> Non
     assert page.status_code == 200, page.text[:300]
     assert page.headers["content-type"] == "text/html; charset=utf-8"
     assert "default-src 'none'" in page.headers["content-security-policy"]
-    assert page.text.count("<script") == page.text.count('<script src="/live.js?')
+    assert page.text.count("<script") == sum(page.text.count(f'<script src="/{own}.js?') for own in ("live", "filter"))
     assert "<nav" in page.text
 
 

@@ -98,11 +98,12 @@ def holdable(topic: str) -> list[Triple]:
 
 @dataclass(frozen=True, slots=True)
 class StepView:
-    """A step of a stop: what it does in words, its state, and why it failed."""
+    """A step of a stop: what it does in words, its state, why it failed, and the URLs of what it is about."""
 
     does: str
     state: NamedNode
     words: str | None = None
+    touches: tuple[str, ...] = ()
 
 
 def stop_document(
@@ -132,7 +133,13 @@ def stop_document(
         *each(ros.stopStep, nodes),
     )
     for node, step in zip(nodes, steps, strict=True):
-        triples += about(node, (rdfs.label, text(step.does)), (ros.state, step.state), (ros.words, text(step.words)))
+        triples += about(
+            node,
+            (rdfs.label, text(step.does)),
+            (ros.state, step.state),
+            (ros.words, text(step.words)),
+            *each(ros.touches, map(NamedNode, step.touches)),
+        )
     if usable:
         triples += affordance(subject, "stop", td.hasActionAffordance, td.ActionAffordance)
         triples += form(subject, "stop", "post", "POST", td.invokeAction, (hctl.forContentType, _BODIES[0]))

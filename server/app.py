@@ -16,9 +16,11 @@ from rosld.adapters.base import Adapter
 from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
+from rosld.ontology.urls import Location
 from rosld.server.access import gate
 from rosld.server.access.agent import ANYBODY
 from rosld.server.access.door import Door
+from rosld.server.access.judge import Judge
 from rosld.server.clients import REFUSAL_SECONDS, Allowance, Clients, TooMuch
 from rosld.server.dataset import ELSEWHERE, Dataset
 from rosld.server.errors import problem_of, problem_of_body
@@ -64,7 +66,9 @@ from rosld.server.turns import Turns
 from rosld.server.watchdog import Watchdog
 
 _log = logging.getLogger("rosld")
-_TELLING_NOTHING = frozenset({401, 404, 410})
+_ABSENT = frozenset({404, 410})
+_REFUSED = frozenset({403, *_ABSENT})
+_TELLING_NOTHING = frozenset({401, *_ABSENT})
 """Statuses of answers that say nothing of what may be done: it might tell whether anything is there."""
 
 
@@ -216,13 +220,14 @@ class Application:
             if isinstance(error, TooMuch):
                 await asyncio.sleep(REFUSAL_SECONDS)
             response = self._failure(exchange, error)
+        self._audit_refusal(exchange, response.status_code)
         if exchange.account.is_write:
             response.raw_headers = [*response.raw_headers, self._recorder.note(exchange, scope, response)]
         if self._door is not None:
-            place = gate.place_of(exchange.request.scope, self.robot.space)
-            if response.status_code in _TELLING_NOTHING:
-                place = None
+            place = self._place(exchange)
             judge, public = exchange.judge, self._door.anybody.judge
+            if response.status_code in _TELLING_NOTHING and not _may_know(judge, place, response.status_code):
+                place = None
             response.raw_headers = gate.marked(
                 response.raw_headers, judge, public, place, exchange.answering, self._acl
             )
@@ -291,6 +296,20 @@ class Application:
         _share(response, sharing(self._site, "OPTIONS", origin, preflight=True))
         return response
 
+    def _place(self, exchange: Exchange) -> Location | None:
+        return gate.place_of(exchange.request.scope, self.robot.space)
+
+    def _audit_refusal(self, exchange: Exchange, status: int) -> None:
+        """See to it that a write of a known agent leaves a receipt where it was refused for want of rights, or of
+
+        anything there; of nobody in particular, what is not there leaves none.
+        """
+        if exchange.agent == ANYBODY:
+            if status in _ABSENT:
+                exchange.account.only_reads()
+        elif status in _REFUSED and gate.is_write(exchange.method, self._place(exchange)):
+            exchange.account.begin()
+
     def _failure(self, exchange: Exchange, error: Exception) -> Response:
         """The response that tells of an error. What nobody foresaw is logged in full and told in one sentence."""
         if isinstance(error, RosError):
@@ -302,11 +321,16 @@ class Application:
         if not isinstance(error, Problem):
             _log.exception("%s %s failed", exchange.method, exchange.request.scope["path"], exc_info=error)
             error = Problem(500, "The server failed on this request; its log says more.")
-        error = gate.told(exchange.judge, error)
+        error = gate.told(exchange.judge, error, self._place(exchange))
         exchange.account.refused(error.detail)
         path = quote(exchange.request.scope["raw_path"].lstrip(b"/"), safe="/%:@!$&'()*+,;=~")
         url = self.robot.space.base + path
         return self._pages.problem(exchange, error, url) or render(error, exchange.accept, url=url).response()
+
+
+def _may_know(judge: Judge, place: Location | None, status: int) -> bool:
+    """Whether an agent may know that there is nothing at a place."""
+    return status in _ABSENT and place is not None and judge.knows_any(place)
 
 
 def _share(response: Response, headers: Mapping[str, str]) -> None:

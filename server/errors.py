@@ -26,16 +26,19 @@ def problem_of(error: RosError) -> Problem:
     """The Problem that tells of a ROS error: its sentence, the robot's words, whether it may have been done."""
     status = next((status for kind, status in _STATUS if isinstance(error, kind)), 502)
     extra: dict[str, object] = {"sent": error.sent.value}
+    about: tuple[str, ...] = ()
     if error.words is not None:
         extra["words"] = error.words
     match error:
         case Stopped(standstill=standstill):
             since = moment(standstill.since_ns)
             extra |= {"stoppedBy": standstill.by, "since": since.value if since else None, "reason": standstill.reason}
+            about = () if standstill.url is None else (standstill.url,)
         case TopicHeld(holder=holder):
             extra |= {"holder": holder.name, "hold": holder.hold}
+            about = (holder.hold,)
     headers = {"Retry-After": str(RETRY_AFTER_SECONDS)} if status == 503 and error.sent is Sent.NO else {}
-    return Problem(status, error.sentence, title=type(error).__name__, headers=headers, extra=extra)
+    return Problem(status, error.sentence, title=type(error).__name__, headers=headers, extra=extra, about=about)
 
 
 def problem_of_body(error: BodyError | LoweringError) -> Problem:

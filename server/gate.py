@@ -15,11 +15,15 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class Standstill:
-    """That the robot is stopped: who stopped it, when (wall-clock nanoseconds), and why if they said so."""
+    """That the robot is stopped: who stopped it, when (wall-clock nanoseconds), and why if they said so.
+
+    `url` is where that may be read.
+    """
 
     by: str
     since_ns: int
     reason: str | None = None
+    url: str | None = None
 
     @property
     def words(self) -> str:

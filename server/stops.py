@@ -36,9 +36,10 @@ class Fate(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One thing that stops the robot: what it does in words, what became of it, and why where it failed."""
+    """One thing that stops the robot: what it does in words, the URLs of what it is about, what became of it, why."""
 
     does: str
+    touches: tuple[str, ...] = ()
     fate: Fate = Fate.PLANNED
     words: str | None = None
 
@@ -73,7 +74,7 @@ class Stops:
         """What the stop did, or would do now."""
         if self.standstill is not None:
             return tuple(self._steps.values())
-        return tuple(Step(_words(each)) for each in self._mapped())
+        return tuple(Step(_words(each), self._touched(each, iri)) for each, iri in self._mapped())
 
     async def stop(self, by: Agent, reason: str | None) -> None:
         """Stop the robot, or do so again: who stopped it first is who stopped it.
@@ -82,15 +83,18 @@ class Stops:
         are done, at the latest after `call_deadline`.
         """
         robot = self._robot
-        standstill = self.standstill or Standstill(by.name, time.time_ns(), reason)
+        standstill = self.standstill or Standstill(by.name, time.time_ns(), reason, robot.space.stop)
         robot.gate.shut(standstill)
         deadline = robot.deadline(robot.settings.call_deadline)
-        for each in self._mapped():
-            self._begin(_words(each), self._carried_out(each, deadline))
+        space = robot.space
+        for each, iri in self._mapped():
+            self._begin(_words(each), self._carried_out(each, deadline), *self._touched(each, iri))
         for hold, ended in robot.holds.end_all(standstill.words):
-            self._begin(_end_of(hold), ended)
+            self._begin(_end_of(hold), ended, space.hold(hold.id), space.topic(hold.topic))
         for goal in self._goals():
-            self._begin(f"cancel the goal {goal.id} of {goal.action}", robot.goals.cancel(goal, deadline=deadline))
+            canceled = robot.goals.cancel(goal, deadline=deadline)
+            words = f"cancel the goal {goal.id} of {goal.action}"
+            self._begin(words, canceled, space.goal(goal.id), space.action(goal.action))
         _log.warning("%s.", standstill.words.rstrip("."))
         self._revise()
         robot.changes.give()
@@ -107,15 +111,24 @@ class Stops:
         self._revise()
         self._robot.changes.give()
 
-    def _mapped(self) -> Iterator[MappedStop]:
+    def _mapped(self) -> Iterator[tuple[MappedStop, str]]:
+        """The steps that mappings ask for, each with the IRI of the complex resource that does."""
         for resource in self._robot.mappings.arrangement.resources.values():
-            yield from resource.stops
+            yield from ((each, resource.iri) for each in resource.stops)
+
+    def _touched(self, mapped: MappedStop, iri: str) -> tuple[str, ...]:
+        """The URLs of what a step of a mapping is about: what it calls or publishes on, and the mapping."""
+        space = self._robot.space
+        if mapped.service is not None:
+            return space.service(mapped.service), iri
+        assert mapped.topic is not None
+        return space.topic(mapped.topic), iri
 
     def _goals(self) -> list[Goal]:
         return [goal for goal in self._robot.goals.all() if goal.own and goal.is_cancelable]
 
-    def _begin(self, does: str, work: Awaitable[None]) -> None:
-        self._steps[does] = Step(does, Fate.RUNNING)
+    def _begin(self, does: str, work: Awaitable[None], *touches: str) -> None:
+        self._steps[does] = Step(does, touches, Fate.RUNNING)
         task = asyncio.ensure_future(self._followed(does, work))
         self._running.add(task)
         task.add_done_callback(self._over)

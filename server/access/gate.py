@@ -12,7 +12,7 @@ from rosld.ontology.urls import Location, Space, locate
 from rosld.server.access.agent import ANYBODY
 from rosld.server.access.globs import path_of
 from rosld.server.access.judge import Judge
-from rosld.server.access.refusals import forbidden, nothing, unknown
+from rosld.server.access.refusals import forbidden, gone, nothing, unknown, unsaid
 from rosld.server.access.rules import Mode, mode_of
 from rosld.server.http import link
 from rosld.server.http.link import Link
@@ -25,6 +25,8 @@ _located = lru_cache(maxsize=8192)(locate)
 _READING = frozenset({"GET", "HEAD"})
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _ACCEPTS = {b"accept-put": "PUT", b"accept-post": "POST", b"accept-patch": "PATCH"}
+_OFFERING = frozenset({"allow", *(name.decode() for name in _ACCEPTS)})
+"""The fields of a 404 or 410 that say what may be made there."""
 _WORDS = {"PUT": "write this", "POST": "post to this", "PATCH": "change this", "DELETE": "delete this"}
 
 
@@ -97,25 +99,46 @@ def allowed(judge: Judge, place: Location, resource: Judged) -> frozenset[str]:
     return (found & _SAFE) | writes
 
 
+def is_write(method: str, place: Location | None) -> bool:
+    """Whether a request would write what is kept, or command the robot, if it were let pass."""
+    return method in _WORDS and place is not None and mode_of(method, path_of(place)) is not Mode.READ
+
+
 def require_below(judge: Judge, method: str, place: Location) -> None:
     """Refuse what changes everything below a place, where that is not allowed. Raises 401, 403."""
     if not judge.may_below(method, place):
         raise forbidden(judge.agent, f"{_WORDS[method]}: not everything below it is yours to change")
 
 
-def told(judge: Judge, problem: Problem) -> Problem:
-    """A problem as an agent may be told of it: what is not there, and what leads where it may not go, say nothing."""
+def told(judge: Judge, problem: Problem, place: Location | None) -> Problem:
+    """A problem with what is at a place as an agent may be told of it.
+
+    That nothing is there any more (410) is told where the agent may know of whatever might be there. What leads where
+    it may not go, and reasons that speak of what it may not read, are left out.
+    """
     if judge.whole:
         return problem
     if problem.status in (404, 410):
-        return nothing()
+        return _absence(judge, problem, place)
     if problem.status == 405 and not judge.reads_all:  # the reason may name who may not be known
         words = "What is here does not answer that method, whoever asks; Allow says what you may do."
         return Problem(405, words, headers=problem.headers)
+    if not all(map(judge.may_read, problem.about)):
+        return unsaid(problem)
     target = problem.headers.get("Location")
     if target is not None and problem.status < 400 and not judge.may_read(target):
         return nothing()
     return problem
+
+
+def _absence(judge: Judge, problem: Problem, place: Location | None) -> Problem:
+    if place is None or not judge.knows_any(place):
+        return nothing()
+    if judge.reads_all:
+        return problem
+    found = gone() if problem.status == 410 else nothing()
+    found.headers |= {name: value for name, value in problem.headers.items() if name.lower() in _OFFERING}
+    return found
 
 
 def marked(

@@ -79,6 +79,10 @@ class Judge:
         """The same, as far as the path says: what is there is not looked at."""
         return self.whole or self.rights.knows(path_of(location), None)
 
+    def knows_any(self, location: Location) -> bool:
+        """Whether the agent may know if anything is there, whatever it would be."""
+        return self.whole or self.rights.knows_any(path_of(location))
+
     def may_below(self, method: str, location: Location) -> bool:
         """Whether a request may be made of a location and of everything below, whatever lies there."""
         path = path_of(location)

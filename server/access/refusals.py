@@ -13,6 +13,8 @@ _BASIC = f'Basic {_REALM}, charset="UTF-8"'
 CHALLENGE = f"Bearer {_REALM}, {_BASIC}"
 """What may be sent in Authorization (RFC 6750 3, RFC 7617 2.1): the password of Basic is a token."""
 UNKNOWN = "There is nothing here that you may know of."
+GONE = "What was here is gone: it was deleted, or it has ended."
+UNSAID = "The reason speaks of what you may not read."
 
 
 def unproven(why: str) -> Problem:
@@ -37,6 +39,16 @@ def anonymous() -> Problem:
 def nothing() -> Problem:
     """404 without a word about what is there."""
     return Problem(404, UNKNOWN)
+
+
+def gone() -> Problem:
+    """410 without a word about what was there."""
+    return Problem(410, GONE)
+
+
+def unsaid(problem: Problem) -> Problem:
+    """The same refusal without its reason, which speaks of what the agent may not know of."""
+    return Problem(problem.status, UNSAID, title=problem.title, type=problem.type, headers=problem.headers)
 
 
 def forbidden(agent: Agent, what: str) -> Problem:

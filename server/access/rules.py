@@ -93,6 +93,10 @@ class Rule:
             and any(glob.matches(path) for glob in self.globs)
         )
 
+    def reaches(self, mode: Mode, path: Path) -> bool:
+        """Whether it may be about this path, of whatever type."""
+        return mode in self.modes and any(glob.matches(path) for glob in self.globs)
+
     def covers_below(self, mode: Mode, path: Path) -> bool:
         """Whether it is about this path and all that may lie below, of whatever type."""
         return mode in self.modes and not self.types and any(glob.covers_below(path) for glob in self.globs)
@@ -140,6 +144,15 @@ class Rights:
         """Whether this may be done at something that may lie below a path, and not everything there is denied."""
         allowed = any(rule.reaches_below(mode, path) for rule in self.rules if not rule.deny)
         return allowed and not any(rule.covers_below(mode, path) for rule in self.rules if rule.deny)
+
+    def knows_any(self, path: Path) -> bool:
+        """Whether something may be done there whatever its types are, so that types hide nothing there."""
+        return any(self._may_any(mode, path) for mode in Mode)
+
+    def _may_any(self, mode: Mode, path: Path) -> bool:
+        if not any(rule.holds(mode, path, UNTYPED) for rule in self.rules if not rule.deny and not rule.types):
+            return False
+        return not any(rule.reaches(mode, path) for rule in self.rules if rule.deny)
 
     def knows(self, path: Path, types: Types | None = UNTYPED) -> bool:
         """Whether anything at all may be done there: only then may the agent learn whether anything is there."""

@@ -14,7 +14,7 @@ from urllib.parse import unquote
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.document import Document, LiftedMessage
-from rosld.ontology.vocab import hctl, htv, rdf, td
+from rosld.ontology.vocab import hctl, htv, mapping, rdf, ros, td
 from rosld.server.access.judge import Judge
 
 _Term: TypeAlias = "NamedNode | BlankNode | Literal | Triple"
@@ -42,7 +42,12 @@ class _Veil:
     def triples(self) -> list[Triple]:
         """The description as it may be read."""
         before = self._document.triples
-        after = [triple for triple in before if not any(map(self._is_hidden, (triple.subject, triple.object)))]
+        parts = self._hidden_parts()
+        after = [
+            each
+            for each in before
+            if not (self._is_hidden(each.subject) or self._is_hidden(each.object) or each.subject in parts)
+        ]
         after = self._without_forms(after)
         if len(after) == len(before):
             return after
@@ -71,6 +76,14 @@ class _Veil:
             if place is not None and place.segments and not self._judge.may_read(url):
                 yield "/" + "/".join(place.segments)
 
+    def _hidden_parts(self) -> frozenset[_Term]:
+        """The parts of this document that are about something hidden, such as the steps of a stop."""
+        return frozenset(
+            each.subject
+            for each in self._document.triples
+            if each.predicate == ros.touches and _is_part(each.subject, self._own) and self._is_hidden(each.object)
+        )
+
     def _is_hidden(self, term: _Term) -> bool:
         if not isinstance(term, NamedNode):
             return False
@@ -85,18 +98,49 @@ class _Veil:
         return bool(self._names) and "/" in fragment and unquote(fragment).endswith(tuple(self._names))
 
     def _without_forms(self, triples: list[Triple]) -> list[Triple]:
-        """Without forms that may not be used, and without affordances that had forms and have none left."""
-        methods = {each.subject: each.object.value for each in triples if each.predicate == htv.methodName and
+        """Without forms that may not be used, affordances that have none left, and the values of what these are about.
+
+        Forms are judged as the whole document has them: that a target is hidden is what makes a form unusable.
+        """
+        usable = self._usable_forms()
+        dropped: set[_Term] = set()
+        values: set[_Term] = set()
+        for affordance, (forms, predicate) in self._affordances().items():
+            left = forms & usable.keys()
+            dropped |= forms - left
+            if not left and (forms or predicate is not None):
+                dropped.add(affordance)
+            if predicate is not None and "GET" not in map(usable.get, left):
+                values.add(predicate)
+        return [
+            each
+            for each in triples
+            if each.subject not in dropped
+            and each.object not in dropped
+            and not (each.predicate in values and each.subject == NamedNode(self._document.url))
+        ]
+
+    def _usable_forms(self) -> dict[_Term, str]:
+        """The method of each form that the agent may use, by its node."""
+        said = self._document.triples
+        methods = {each.subject: each.object.value for each in said if each.predicate == htv.methodName and
                    isinstance(each.object, Literal)}  # fmt: skip
-        targets = {each.subject: each.object.value for each in triples if each.predicate == hctl.hasTarget and
-                   isinstance(each.object, NamedNode)}  # fmt: skip
-        gone = {form for form, url in targets.items() if not self._judge.may(methods.get(form, "GET"), url)}
-        had = {each.subject for each in triples if each.predicate == td.hasForm}
-        has = {each.subject for each in triples if each.predicate == td.hasForm and each.object not in gone}
-        targetless = {each.object for each in self._document.triples if each.predicate == td.hasForm} - targets.keys()
-        before = {each.subject for each in self._document.triples if each.predicate == td.hasForm}
-        dropped = gone | (had - has) | (before - has) | {form for form in targetless if isinstance(form, NamedNode)}
-        return [each for each in triples if each.subject not in dropped and each.object not in dropped]
+        targets = {each.subject: each.object.value.partition("{")[0] for each in said
+                   if each.predicate == hctl.hasTarget and isinstance(each.object, NamedNode | Literal)}  # fmt: skip
+        return {
+            form: method for form, url in targets.items() if self._judge.may(method := methods.get(form, "GET"), url)
+        }
+
+    def _affordances(self) -> dict[_Term, tuple[set[_Term], _Term | None]]:
+        """The forms of each affordance, and by which predicate this document tells its value, if it does."""
+        told = {each.predicate for each in self._document.triples if each.subject == NamedNode(self._document.url)}
+        found: dict[_Term, tuple[set[_Term], _Term | None]] = {}
+        for each in self._document.triples:
+            if each.predicate == td.hasForm:
+                found.setdefault(each.subject, (set(), None))[0].add(each.object)
+            elif each.predicate == mapping.predicate and each.object in told:
+                found[each.subject] = (found.get(each.subject, (set(), None))[0], each.object)
+        return found
 
 
 def _relinked(before: Iterable[Triple], after: list[Triple]) -> list[Triple]:

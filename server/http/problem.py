@@ -38,6 +38,7 @@ class Problem(Exception):
 
     `detail` names the value and the next step; `title` is the status's phrase where none is given; `headers` go into
     the response; `extra` holds further members (RFC 9457 3.2); `violations` say field by field what does not fit.
+    `about` are URLs of what the reason speaks of: one who may not read them all is not told it.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class Problem(Exception):
         headers: Mapping[str, str] = {},
         extra: Mapping[str, object] = {},
         violations: Sequence[Violation] = (),
+        about: Sequence[str] = (),
     ) -> None:
         super().__init__(f"{status} {detail}")
         self.status = status
@@ -59,6 +61,7 @@ class Problem(Exception):
         self.headers = dict(headers)
         self.extra = dict(extra)
         self.violations = tuple(violations)
+        self.about = tuple(about)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Worker processes raise problems, too."""

@@ -229,7 +229,7 @@ class Verbs:
         if exchange.method == "HEAD":
             return Prepared(200, b"", [*HEADERS, *headers])
         variant = f"{VARIANTS[media_type]}-{exchange.judge.key}{exchange.judge.mark if media_type == HTML else ''}"
-        told = partial(gate.told, exchange.judge)
+        told = partial(gate.told, exchange.judge, place=self._place(exchange))
         telling = Telling(variant, render, self._name, exchange.visit.still, told)
         if media_type == HTML:
             telling = replace(telling, edition=lambda: self.pages.edition)

@@ -54,6 +54,8 @@ class Place:
     alike: str | None = None
     pages: bool = False
     """Whether it is a container that may come in pages: GET then takes `page` and the preferences of LDP."""
+    members: Mapping[str, str] = field(default_factory=dict)
+    """The URLs of what the members of its JSON are the values of, by their names: who may not read one is not told."""
     notes: Mapping[str, str] = field(default_factory=dict)
     """A sentence for a method, where its summary does not say enough."""
 

@@ -414,6 +414,8 @@ class Places:
         graph, space = self.graph, self.robot.space
         trees: dict[tuple[str, ...], Members | None] = {(): None, **namespaces(graph, "parameters")}
         for namespace in trees:
+            if "" in namespace:
+                continue
             path = self._path(space.container("parameters", namespace))
             tree = self._place(path, "parameters", "A tree of parameters")
             yield replace(
@@ -427,6 +429,8 @@ class Places:
                 query=self._of_listings,
             )
         for name in graph.parameters:
+            if "" in names.segments(name):
+                continue
             place = self._place(self._path(space.parameter(name)), "parameters", "A parameter")
             yield replace(self._parameter(place), alike="parameter")
         new = self._place("/parameters/{name}", "parameters", "A parameter that may be made", at="/parameters/new")
@@ -467,6 +471,7 @@ class Places:
             },
             done={"PATCH": (200, 204)},
             query=(_THING_FORMAT,),
+            members={one.name: each.url for one, each in shown.items()},
         )
         properties = {one.at: value for one, value in values.items() if one.at is not None}
         actions = {one.name: one.schema for one in plan.actions}

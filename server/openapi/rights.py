@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Set
+from dataclasses import replace
 from typing import TypeAlias
 
 import orjson
+
+from rosld.server.openapi.json_schema import Schema
+from rosld.server.openapi.place import Place
 
 _Json: TypeAlias = "dict[str, object]"
 May: TypeAlias = Callable[[str, str], bool]
@@ -19,25 +23,48 @@ _SCHEMES: _Json = {
 _DEMANDED: list[_Json] = [{"bearer": []}, {"basic": []}]
 
 
-def for_agent(data: bytes, may: May, public: May, *, whole: bool) -> bytes:
-    """The description for an agent, who `may` use methods at paths; what the `public` may do as well takes no token."""
+def places_for(places: Iterable[Place], may: May, may_read: Callable[[str], bool]) -> Iterator[Place]:
+    """The places that an agent may use, with those methods and those members of their JSON that it may know of."""
+    for place in places:
+        methods = frozenset(method for method in place.methods if may(method, place.path))
+        if methods - {"OPTIONS"}:
+            found = replace(place, methods=methods)
+            yield _without_members(found, may_read) if place.members else found
+
+
+def _without_members(place: Place, may_read: Callable[[str], bool]) -> Place:
+    """The place without the members of its JSON that are values of what may not be read."""
+    hidden = {name for name, url in place.members.items() if not may_read(url)}
+    if not hidden:
+        return place
+    sends = {method: _left(schema, hidden) for method, schema in place.sends.items()}
+    return replace(place, plain=None if place.plain is None else _left(place.plain, hidden), sends=sends)
+
+
+def _left(schema: Schema, hidden: Set[str]) -> Schema:
+    """The schema of an object without these members."""
+    members = schema.get("properties")
+    if not isinstance(members, dict):
+        return schema
+    return {**schema, "properties": {name: each for name, each in members.items() if name not in hidden}}
+
+
+def with_security(data: bytes, public: May, *, whole: bool) -> bytes:
+    """The description of what an agent may use, with how it says who it is: what the `public` may do takes no token."""
     said = orjson.loads(data)
     shared: _Json = said["components"].get("pathItems", {})
     made: _Json = {}
     paths: _Json = {}
     for path, item in said["paths"].items():
         name = item.get("$ref", "").removeprefix(_ITEMS)
-        every = _object(shared[name] if name else item)
-        left = _item(every, path, may)
-        if left is None:
-            continue
+        left = dict(_object(shared[name] if name else item))
         free = [method for method in _METHODS if method in left and public(method.upper(), path)]
         for method in free:
             left[method] = {**_object(left[method]), "security": [{}, *_DEMANDED]}
         if not name:
             paths[path] = left
             continue
-        kind = ".".join((name, *(method for method in _METHODS if method in left), *(f"free-{each}" for each in free)))
+        kind = ".".join((name, *(f"free-{each}" for each in free)))
         made[kind] = left
         paths[path] = {"$ref": _ITEMS + kind}
     said["paths"] = paths
@@ -46,27 +73,12 @@ def for_agent(data: bytes, may: May, public: May, *, whole: bool) -> bytes:
     said["security"] = _DEMANDED
     if not whole:
         said["components"] = _referred_to(said)
-        used = {tag for item in (*paths.values(), *made.values()) for tag in _tags(_object(item))}
-        said["tags"] = [tag for tag in said["tags"] if tag["name"] in used]
     return orjson.dumps(said)
 
 
 def _object(found: object) -> _Json:
     assert isinstance(found, dict)
     return found
-
-
-def _item(item: _Json, path: str, may: May) -> _Json | None:
-    """A Path Item with those operations that may be used, None where only OPTIONS is left."""
-    left = {name: said for name, said in item.items() if name not in _METHODS or may(name.upper(), path)}
-    return left if any(name in left for name in _METHODS if name != "options") else None
-
-
-def _tags(item: _Json) -> Iterator[object]:
-    for name in _METHODS:
-        operation = item.get(name)
-        if isinstance(operation, dict):
-            yield from operation.get("tags", ())
 
 
 def _referred_to(said: _Json) -> _Json:

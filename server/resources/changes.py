@@ -130,7 +130,7 @@ async def planned_changes(
     that does not fit or breaks a limit (LoweringError). Nothing moves.
     """
     for change in changes:
-        refuse(change.member.guards, sight, f"{change.member.name} must not be written now")
+        refuse(robot, change.member.guards, sight, f"{change.member.name} must not be written now")
     writes = []
     broken: list[Violation] = []
     for names, own, content in _by_property(changes, sight.readings):

@@ -131,7 +131,7 @@ class Notifications:
             raise Problem(422, f"The topic {url} has no state that could change.") from error
         except (Problem, RosError) as error:
             problem = error if isinstance(error, Problem) else problem_of(error)
-            problem = gate.told(judge, problem)
+            problem = gate.told(judge, problem, place)
             if problem.status >= 500:
                 raise problem from error
             raise Problem(422, f"There is nothing to tell of the topic {url}: {problem.detail}") from error

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from rosld.ontology.violations import Violation, in_words
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import Property
+from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.layout import ActionPlan, Layout, PropertyPlan
 from rosld.server.hypermedia.mapping import Condition
 from rosld.server.hypermedia.offers import Sight
@@ -21,17 +22,18 @@ async def seen_anew(robot: Robot, layout: Layout, reads: Sequence[Property]) -> 
 def require_writable(robot: Robot, plan: PropertyPlan, sight: Sight) -> None:
     """Raise a 404 Problem where a property is not there now, a 409 with the report where it must not be written."""
     robot.offers.require(plan.exists_when, sight.verdicts, plan.of.name)
-    refuse(plan.guards, sight, f"{plan.of.name} must not be written now")
+    refuse(robot, plan.guards, sight, f"{plan.of.name} must not be written now")
 
 
 def require_offered(robot: Robot, plan: ActionPlan, sight: Sight) -> None:
     """Raise a 404 Problem where what an action belongs to is not there, a 409 with the report if it is not offered."""
     robot.offers.require(plan.exists_when, sight.verdicts, plan.home)
-    refuse(plan.conditions, sight, f"{plan.name} is not on offer now")
+    refuse(robot, plan.conditions, sight, f"{plan.name} is not on offer now")
 
 
-def refuse(conditions: Iterable[Condition], sight: Sight, sentence: str) -> None:
+def refuse(robot: Robot, conditions: Sequence[Condition], sight: Sight, sentence: str) -> None:
     """Raise a 409 Problem with the report of the conditions that do not hold."""
     broken: tuple[Violation, ...] = sight.verdicts.report(conditions)
     if broken:
-        raise Problem(409, f"{sentence}: {in_words(broken)}.", title="Not on offer now", violations=broken)
+        about = [url_of(condition.about, robot.space) for condition in conditions]
+        raise Problem(409, f"{sentence}: {in_words(broken)}.", title="Not on offer now", violations=broken, about=about)

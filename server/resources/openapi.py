@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterable, Mapping
+from dataclasses import dataclass
 from functools import partial
 
 from starlette.responses import Response
@@ -22,8 +23,10 @@ from rosld.server.ldp.resource import LDP, RESOURCE, Resource
 from rosld.server.ldp.standing import standing_headers
 from rosld.server.ldp.state import digest
 from rosld.server.openapi.description import description
+from rosld.server.openapi.json_schema import Schema
+from rosld.server.openapi.place import Place
 from rosld.server.openapi.places import OPENAPI, Places, Resolve, learn
-from rosld.server.openapi.rights import for_agent
+from rosld.server.openapi.rights import places_for, with_security
 from rosld.server.robot import Robot, Same
 
 _ABOUT = (
@@ -38,6 +41,16 @@ _MOST = 8
 """Sets of rights for which descriptions are kept."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Described:
+    """A description, what it is made from, and of which version that is."""
+
+    version: Hashable
+    data: bytes
+    places: tuple[Place, ...]
+    schemas: Mapping[str, Schema]
+
+
 class OpenApiResource(Resource):
     """The description, made once for each state of the graph, the types at hand and the mappings in force."""
 
@@ -48,8 +61,8 @@ class OpenApiResource(Resource):
         super().__init__(f"{robot.space.base}openapi.json")
         self.robot = robot
         self._resolve = resolve
-        self._kept: dict[bool, tuple[Hashable, bytes]] = {}
-        self._of_agents: dict[tuple[bool, str, str], tuple[bytes, bytes]] = {}
+        self._kept: dict[bool, _Described] = {}
+        self._of_agents: dict[tuple[bool, str, str], tuple[_Described, bytes]] = {}
         self._making = asyncio.Lock()
 
     async def special(self, exchange: Exchange) -> Response | None:
@@ -57,23 +70,30 @@ class OpenApiResource(Resource):
         if media_type is None:
             raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(OPENAPI)}.")
         hidden = exchange.flag("hidden") and self.robot.adapter.capabilities.hidden_names
-        data = await self._described(hidden)
+        kept = await self._described(hidden)
+        data = kept.data
         if exchange.visit is not OPEN:
-            data = await self._for_agent(data, hidden, exchange.judge, exchange.visit.public)
+            data = await self._for_agent(kept, hidden, exchange.judge, exchange.visit.public)
         etag = ETag(f"{self.robot.boot}-{digest(data)}", media_type.partition("/")[2].replace(".", "-"))
         return held(exchange, data, media_type, etag, standing_headers(self).items())
 
-    async def _for_agent(self, data: bytes, hidden: bool, judge: Judge, public: Judge) -> bytes:
+    async def _for_agent(self, kept: _Described, hidden: bool, judge: Judge, public: Judge) -> bytes:
         """The description as it is for an agent, kept for as long as it is the same."""
         key = (hidden, judge.key, public.key)
         known = self._of_agents.get(key)
-        if known is None or known[0] is not data:
+        if known is None or known[0] is not kept:
             if len(self._of_agents) >= _MOST:
                 self._of_agents.clear()
-            mine, anybodys = (partial(self._may, each) for each in (judge, public))
-            made = await asyncio.to_thread(for_agent, data, mine, anybodys, whole=judge.whole)
-            known = self._of_agents[key] = (data, made)
+            made = await asyncio.to_thread(self._made_for, kept, judge, public)
+            known = self._of_agents[key] = (kept, made)
         return known[1]
+
+    def _made_for(self, kept: _Described, judge: Judge, public: Judge) -> bytes:
+        """What is described to an agent is described anew, so that not even a number tells of anything else."""
+        data = kept.data
+        if not judge.whole:
+            data = self._written(places_for(kept.places, partial(self._may, judge), judge.may_read), kept.schemas)
+        return with_security(data, partial(self._may, public), whole=judge.whole)
 
     def _may(self, judge: Judge, method: str, path: str) -> bool:
         """Whether a method may be used at a path below the base, or at some that a template stands for."""
@@ -86,28 +106,31 @@ class OpenApiResource(Resource):
         except Problem:
             return False
 
-    async def _described(self, hidden: bool) -> bytes:
+    async def _described(self, hidden: bool) -> _Described:
         kept = self._kept.get(hidden)
-        if kept is not None and kept[0] == self._version():
-            return kept[1]
+        if kept is not None and kept.version == self._version():
+            return kept
         async with self._making:
             kept = self._kept.get(hidden)
-            if kept is None or kept[0] != self._version():
+            if kept is None or kept.version != self._version():
                 kept = self._kept[hidden] = await self._made(hidden)
-            return kept[1]
+            return kept
 
     def _version(self) -> Hashable:
         robot = self.robot
         return (Same(robot.graph), robot.schemas.count, Same(robot.mappings.arrangement), robot.queries.version)
 
-    async def _made(self, hidden: bool) -> tuple[Hashable, bytes]:
+    async def _made(self, hidden: bool) -> _Described:
         """A version and its description: found on the loop, written on a thread, for a large one takes its time."""
         robot = self.robot
         await learn(robot)
         layout = await robot.offers.layout()
         version = self._version()
         found = Places(robot, layout, self._resolve, hidden=hidden)
-        places = list(found.all())
-        title = f"rosld: {robot.name}"
-        data = await asyncio.to_thread(description, title, robot.space.base, __version__, _ABOUT, places, found.schemas)
-        return version, data
+        places = tuple(found.all())
+        data = await asyncio.to_thread(self._written, places, found.schemas)
+        return _Described(version, data, places, found.schemas)
+
+    def _written(self, places: Iterable[Place], schemas: Mapping[str, Schema]) -> bytes:
+        title, base = f"rosld: {self.robot.name}", self.robot.space.base
+        return description(title, base, __version__, _ABOUT, places, schemas)

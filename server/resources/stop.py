@@ -13,11 +13,13 @@ from rosld.ontology.describe_holds import StepView, stop_document
 from rosld.ontology.document import Document
 from rosld.ontology.triples import moment
 from rosld.ontology.vocab import ros
+from rosld.server.access.judge import EVERYTHING, Judge
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import JSON, READ, Answer, Resource, Shown
 from rosld.server.ldp.state import State
+from rosld.server.ldp.veiling import veiled_state
 from rosld.server.robot import Robot
 
 _LONGEST = 500
@@ -76,7 +78,7 @@ class StopResource(Resource):
         standstill = stops.standstill
         return stop_document(
             self.robot.space,
-            [StepView(step.does, ros.terms()[step.fate.value], step.words) for step in stops.steps],
+            [StepView(step.does, ros.terms()[step.fate.value], step.words, step.touches) for step in stops.steps],
             by=None if standstill is None else standstill.by,
             since_ns=None if standstill is None else standstill.since_ns,
             reason=None if standstill is None else standstill.reason,
@@ -84,10 +86,18 @@ class StopResource(Resource):
         )
 
     def _plain(self) -> bytes:
+        return self._plain_for(EVERYTHING)
+
+    def _plain_for(self, judge: Judge) -> bytes:
+        """The stop as JSON, with the steps that the agent may know of."""
         stops = self.robot.stops
         standstill = stops.standstill
         since = None if standstill is None else moment(standstill.since_ns)
-        steps = [{"does": step.does, "state": step.fate.value, "words": step.words} for step in stops.steps]
+        steps = [
+            {"does": step.does, "state": step.fate.value, "words": step.words}
+            for step in stops.steps
+            if all(map(judge.may_read, step.touches))
+        ]
         return orjson.dumps(
             {
                 "stopped": standstill is not None,
@@ -97,6 +107,9 @@ class StopResource(Resource):
                 "steps": steps,
             }
         )
+
+    def veiled(self, state: State, judge: Judge) -> State:
+        return veiled_state(state, judge, plain=lambda: self._plain_for(judge))
 
     async def forms(self) -> Sequence[Form]:
         if may_stop(self.robot) is not None:

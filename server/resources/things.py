@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from starlette.responses import Response
 
 from rosld.server.access.door import OPEN
+from rosld.server.access.judge import EVERYTHING, Judge
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag
 from rosld.server.hypermedia.conditions import url_of
@@ -60,8 +61,11 @@ def complex_thing(robot: Robot, plan: ComplexPlan) -> bytes:
     )
 
 
-def robot_thing(robot: Robot, layout: Layout) -> bytes:
-    """The Thing Description of the whole robot: the affordances of all its complex resources, named by their paths."""
+def robot_thing(robot: Robot, layout: Layout, judge: Judge = EVERYTHING) -> bytes:
+    """The Thing Description of the whole robot: the affordances of all its complex resources, named by their paths.
+
+    Of a complex resource that the agent may not read, its properties are there as their own URLs have them.
+    """
     properties: list[PropertyAffordance] = []
     actions: list[ActionAffordance] = []
     links: list[ThingLink] = []
@@ -69,7 +73,10 @@ def robot_thing(robot: Robot, layout: Layout) -> bytes:
         plan = layout.complex(path)
         assert plan is not None
         own, acts = _affordances(robot, plan)
-        properties += (replace(one, name=path[1:] + one.name) for one in own)
+        if judge.may_read(url_of(path, robot.space)):
+            properties += (replace(one, name=path[1:] + one.name) for one in own)
+        else:
+            properties += _by_themselves(robot, layout, plan)
         actions += (replace(one, name=path[1:] + one.name) for one in acts)
         if own or acts:
             links.append(ThingLink("item", url_of(path, robot.space)))
@@ -92,6 +99,14 @@ def _affordances(robot: Robot, plan: ComplexPlan) -> tuple[Sequence[PropertyAffo
     return properties, tuple(map(offers.action_affordance, plan.actions))
 
 
+def _by_themselves(robot: Robot, layout: Layout, plan: ComplexPlan) -> Iterator[PropertyAffordance]:
+    """The members of a complex resource as their own URLs have them, whatever it calls them."""
+    for name in (member.at for member in plan.members if member.at is not None):
+        own = layout.property(name)
+        if own is not None:
+            yield replace(robot.offers.member_affordance(own.member, write=True), name=name[1:])
+
+
 class RobotThing(Resource):
     """`/.well-known/wot`: where WoT clients look for the Thing Description of a host (WoT Discovery 6.3)."""
 
@@ -104,4 +119,4 @@ class RobotThing(Resource):
 
     async def special(self, exchange: Exchange) -> Response | None:
         layout = await self.robot.offers.layout()
-        return thing_response(exchange, self.robot, robot_thing(self.robot, layout))
+        return thing_response(exchange, self.robot, robot_thing(self.robot, layout, exchange.judge))

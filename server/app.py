@@ -71,6 +71,9 @@ _REFUSED = frozenset({403, *_ABSENT})
 _TELLING_NOTHING = frozenset({401, *_ABSENT})
 """Statuses of answers that say nothing of what may be done: it might tell whether anything is there."""
 
+_OF_SERVER = {"allow": "DELETE, GET, HEAD, OPTIONS, PATCH, POST, PUT"}
+"""The answer to `OPTIONS *`: methods that some resource here has (RFC 9110 9.3.7)."""
+
 
 def create_app(adapter: Adapter, settings: Settings) -> Application:
     """The ASGI app that serves this adapter; its lifespan opens and closes the adapter, raising what `open` raises."""
@@ -261,6 +264,10 @@ class Application:
                 place = gate.place_of(exchange.request.scope, self.robot.space)
                 gate.require_path(exchange.judge, exchange.method, place)
         self._admit(exchange)
+        if exchange.request.scope["raw_path"] == b"*":
+            if exchange.method != "OPTIONS":
+                raise Problem(400, "Only OPTIONS is for the whole server (*): name a resource.")
+            return Response(status_code=204, headers=_OF_SERVER)
         resource = self._router.resolve(exchange.request.scope)
         if is_preflight:
             return self._preflight(resource, origin)

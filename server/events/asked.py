@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 
-from rosld.server.http import negotiation
+from rosld.server.http import field, negotiation
 from rosld.server.http.problem import Problem
 
 EVENT_STREAM = "text/event-stream"
 DEFAULT_RATE, LEAST_RATE, MOST_RATE = 10.0, 0.001, 100.0
 DEFAULT_TIMEOUT, MOST_TIMEOUT = 25.0, 60.0
-_NUMBER = re.compile(r"[0-9]{1,20}(\.[0-9]{1,20})?")
 
 
 def stream_is_preferred(accept: str | None, offers: tuple[str, ...]) -> bool:
@@ -55,4 +53,4 @@ def _number(query: Mapping[str, str], name: str, default: float) -> float | None
     given = query.get(name)
     if given is None:
         return default
-    return float(given) if _NUMBER.fullmatch(given) else None
+    return field.number(given)

@@ -13,7 +13,13 @@ TOKEN = r"[!#$%&'*+\-.^_`|~0-9A-Za-z]+"
 QUOTED = r'"(?:[^"\\]|\\.)*"'
 _IS_TOKEN = re.compile(TOKEN)
 _UNSAFE = re.compile(r"[\x00-\x08\x0a-\x1f\x7f]")
+_NUMBER = re.compile(r"([0-9]{1,20}(\.[0-9]{0,20})?|\.[0-9]{1,20})([eE][+-]?[0-9]{1,3})?")
 _PAIR = re.compile(r"\\(.)", re.DOTALL)
+
+
+def number(text: str) -> float | None:
+    """The decimal number that a query parameter gives, None for everything else, such as `1_0`, `inf` and `+1`."""
+    return float(text) if _NUMBER.fullmatch(text) else None
 
 
 def is_token(text: str) -> bool:

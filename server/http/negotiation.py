@@ -14,6 +14,8 @@ from rosld.server.http import field, media
 from rosld.server.http.media import MediaType
 
 _WEIGHT = re.compile(r"0(\.[0-9]{0,3})?|1(\.0{0,3})?")
+_RDF_XML = "application/rdf+xml"
+_XML = frozenset({"application/xml", "text/xml"})
 _LONGEST_CACHED = 1024
 _WISHES = frozenset({"profile", "version"})
 """Parameters that state a wish and exclude nothing: JSON-LD's profile (its registration says so) and RDF's version."""
@@ -44,7 +46,8 @@ def choose(accept: str | None, offers: tuple[str, ...]) -> str | None:
     """The offer a client prefers, None where none is acceptable (406).
 
     `offers` are media types, the server's favourite first: it wins ties, and whatever is asked for when the field is
-    missing or empty. Members that are malformed are passed over; a field with no valid member accepts nothing.
+    missing or empty. Members that are malformed are passed over; a field with no valid member is as good as missing.
+    Who accepts nothing that is offered but XML gets RDF/XML, which is XML (RFC 3870).
     """
     if accept is None or len(accept) > _LONGEST_CACHED:
         return _choose(accept, offers)
@@ -55,11 +58,15 @@ def _choose(accept: str | None, offers: tuple[str, ...]) -> str | None:
     if accept is None or not accept.strip(" \t,"):
         return offers[0] if offers else None
     ranges = tuple(parse(accept))
+    if not ranges:
+        return offers[0] if offers else None
     best, best_weight = None, 0.0
     for offer in offers:
         weight = quality(media.parse(offer), ranges)
         if weight > best_weight:
             best, best_weight = offer, weight
+    if best is None and _RDF_XML in offers and any(one.weight and one.media.essence in _XML for one in ranges):
+        return _RDF_XML
     return best
 
 

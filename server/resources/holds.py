@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import socket
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -26,6 +25,7 @@ from rosld.server.access.refusals import nothing
 from rosld.server.errors import problem_of
 from rosld.server.holds import Command, Hold, HoldEnded, command, new
 from rosld.server.html import DeleteForm, Form
+from rosld.server.http import field
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.patch import merge_patch
@@ -235,11 +235,8 @@ def _number(exchange: Exchange, name: str, most: float, words: str) -> float | N
     if name not in exchange.query:
         return None
     given = exchange.query[name]
-    try:
-        value = float(given)
-    except ValueError:
-        value = math.nan
-    if not 0 < value <= most or value * 1e6 < 1:
+    value = field.number(given)
+    if value is None or not 0 < value <= most or value * 1e6 < 1:
         raise Problem(400, f"?{name}={given[:100]}: it must be {words}.")
     return value
 

@@ -170,6 +170,60 @@ def test_an_unknown_method_is_405(http: httpx.Client, method: str) -> None:
     assert http.request(method, "/").status_code in (400, 405, 501)
 
 
+def raw(http: httpx.Client, head: bytes) -> bytes:
+    """What is answered to bytes that a client's library would not send."""
+    with socket.create_connection((http.base_url.host, http.base_url.port or 80), timeout=10) as sock:
+        host = f"Host: {http.base_url.netloc.decode()}\r\n".encode()
+        sock.sendall(head.replace(b"\r\n", b"\r\n" + host, 1))
+        found = b""
+        while piece := sock.recv(65536):
+            found += piece
+        return found
+
+
+def test_the_options_of_the_server_are_told(http: httpx.Client) -> None:
+    answer = raw(http, b"OPTIONS * HTTP/1.1\r\nConnection: close\r\n\r\n").lower()
+    assert answer.startswith(b"http/1.1 204")
+    assert b"\r\nallow: delete, get, head, options, patch, post, put\r\n" in answer
+
+
+def test_an_asterisk_is_no_url_of_anything(http: httpx.Client) -> None:
+    assert raw(http, b"GET * HTTP/1.1\r\nConnection: close\r\n\r\n").startswith(b"HTTP/1.1 400")
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        b"GET /topics/" + b"a" * 70_000 + b" HTTP/1.1\r\n\r\n",
+        b"GET / HTTP/1.1\r\nX: " + b"a" * 100_000 + b"\r\n\r\n",
+        b"GET / HTTP/1.1\r\n" + b"X: a\r\n" * 17_000 + b"\r\n",
+        b"GET / HTTP/1.1\r\nConnection: upgrade\r\nUpgrade: h2c\r\nX: " + b"a" * 100_000 + b"\r\n\r\n",
+    ],
+)
+def test_a_head_that_is_too_large_is_431_also_where_it_comes_at_once(http: httpx.Client, head: bytes) -> None:
+    assert raw(http, head).startswith(b"HTTP/1.1 431")
+
+
+@pytest.mark.parametrize("accept", ["application/xml", "text/xml"])
+def test_who_accepts_xml_gets_rdf_xml(http: httpx.Client, accept: str) -> None:
+    for path in ("/", "/nothing"):
+        assert http.get(path, headers={"Accept": accept}).headers["content-type"] == "application/rdf+xml"
+
+
+@pytest.mark.parametrize("accept", ["turtle", "text/html;q=2", ";;;", "\xff"])
+def test_a_malformed_accept_is_ignored(http: httpx.Client, accept: str) -> None:
+    answer = http.get("/", headers={"Accept": accept.encode("latin-1")})
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "text/turtle; charset=utf-8")
+
+
+@pytest.mark.parametrize("query", ["rate=1_0", "rate=inf", "rate=%C2%B2", "rate=1&lease=1_0"])
+def test_a_number_that_http_does_not_know_holds_nothing(http: httpx.Client, query: str) -> None:
+    answer = http.post(f"{DISPLAY}?{query}", json={"data": "evil"})
+    refused(answer)
+    assert answer.status_code == 400
+    assert http.get("/sparql", params={"query": "ASK {}", "timeout": "1_0"}).status_code == 400
+
+
 def test_a_body_larger_than_the_limit_is_413_and_nothing_is_read_of_it(http: httpx.Client) -> None:
     answer = http.put(DISPLAY, content=json.dumps({"data": "x" * (11 << 20)}), headers={"Content-Type": JSON})
     assert answer.status_code == 413

@@ -104,6 +104,68 @@ def test_a_url_without_end_is_431() -> None:
     assert answer(b"GET /", *[b"x" * 10_000] * 30)[0] == 431
 
 
+def test_a_head_of_the_largest_size_is_read() -> None:
+    head = b"GET / HTTP/1.1\r\nHost: a\r\nConnection: close\r\n"
+    padding = b"X: " + b"x" * (64 * 1024 - len(head) - len(b"X: \r\n\r\n"))
+    assert answer(head + padding + b"\r\n\r\n")[0] == 200
+    assert answer(head + padding + b"x\r\n\r\n")[0] == 431
+
+
+@pytest.mark.parametrize("coding", [b"gzip, chunked", b"chunked, chunked", b"chunked\r\nTransfer-Encoding: chunked"])
+def test_a_transfer_coding_that_is_not_undone_is_501(coding: bytes) -> None:
+    head = b"PUT / HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: " + coding
+    assert answer(head + b"\r\n\r\n3\r\nabc\r\n0\r\n\r\n")[0] in (400, 501)
+
+
+def test_another_version_than_http_1_is_505() -> None:
+    assert answer(b"GET / HTTP/2.0\r\nHost: a\r\n\r\n")[0] == 505
+
+
+CHUNK = b"PUT / HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n1\r\na\r\n"
+
+
+@pytest.mark.parametrize("more", [b"0\r\nX: ", b"1;a="])
+def test_trailers_and_chunk_extensions_without_end_are_cut_off(more: bytes) -> None:
+    async def talk(port: int) -> int:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(CHUNK + more)
+        sent = 0
+        with contextlib.suppress(ConnectionError):
+            while not reader.at_eof() and sent < 50:
+                writer.write(b"x" * 10_000)
+                await writer.drain()
+                await asyncio.sleep(0)
+                sent += 1
+                if writer.transport.is_closing():
+                    break
+        writer.close()
+        return sent
+
+    assert with_server(talk) < 50
+
+
+def test_a_trailer_is_no_header() -> None:
+    async def headers(scope: Scope, receive: Receive, send: Send) -> None:
+        request = Request(scope, receive)
+        await request.body()
+        await Response(repr(dict(request.headers)))(scope, receive, send)
+
+    async def talk(port: int) -> bytes:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(CHUNK + b"0\r\nAuthorization: Bearer x\r\n\r\n" + CLOSE)
+        return await reader.read()
+
+    assert b"authorization" not in with_server(talk, app=headers)
+
+
+CLOSE = b"GET / HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n"
+
+
+def test_requests_before_one_that_is_no_http_are_answered_first() -> None:
+    status, _, rest = answer(b"PUT / HTTP/1.1\r\nHost: a\r\nContent-Length: 1\r\n\r\n1EHLO\r\n\r\n")
+    assert (status, rest[:13]) == (200, b"1HTTP/1.1 400")
+
+
 SOON = Bounds(head_seconds=0.05)
 
 

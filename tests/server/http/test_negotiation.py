@@ -36,6 +36,13 @@ OFFERS = ("text/turtle", "application/ld+json", "application/json", "text/html")
         ("text/turtle;q=1;ext=foo, application/json;q=0.9", "text/turtle"),
         ("application/json ; q=0.5 , text/html ; q=0.6", "text/html"),
         ("garbage, application/json", "application/json"),
+        ("garbage", "text/turtle"),
+        ("text/html;q=2", "text/turtle"),
+        ("text/html;q=0.1234", "text/turtle"),
+        ("text/html;q=NaN", "text/turtle"),
+        ("text/html;q=-1", "text/turtle"),
+        ("*/html", "text/turtle"),
+        ('text/html;a="unfinished', "text/turtle"),
     ],
 )
 def test_the_most_wanted_offer_is_chosen(accept: str | None, chosen: str) -> None:
@@ -50,17 +57,22 @@ def test_the_most_wanted_offer_is_chosen(accept: str | None, chosen: str) -> Non
         "*/*;q=0",
         "text/turtle;charset=iso-8859-1",
         "text/turtle;level=1",
-        "*/turtle",
-        "garbage",
-        "text/turtle;q=2",
-        "text/turtle;q=0.1234",
-        "text/turtle;q=NaN",
-        "text/turtle;q=-1",
-        'text/turtle;a="unfinished',
+        "image/png, garbage",
+        "application/xml",
     ],
 )
 def test_what_accepts_nothing_that_is_offered_gets_nothing(accept: str) -> None:
     assert choose(accept, OFFERS) is None
+
+
+@pytest.mark.parametrize("accept", ["application/xml", "text/xml;charset=utf-8", "image/png, application/xml;q=0.1"])
+def test_who_wants_xml_alone_gets_rdf_xml(accept: str) -> None:
+    assert choose(accept, (*OFFERS, "application/rdf+xml")) == "application/rdf+xml"
+
+
+@pytest.mark.parametrize("accept", ["text/html,application/xml;q=0.9,*/*;q=0.8", "application/xml, text/html;q=0.1"])
+def test_who_takes_something_else_than_xml_gets_that(accept: str) -> None:
+    assert choose(accept, (*OFFERS, "application/rdf+xml")) == "text/html"
 
 
 def test_nothing_offered_is_nothing_chosen() -> None:

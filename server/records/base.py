@@ -30,7 +30,7 @@ class Records(Protocol):
         ...
 
     def was_there(self, path: str) -> bool:
-        """Whether a record of this path was removed."""
+        """Whether a record of this path was ever removed; one may be there again."""
         ...
 
     def members(self, path: str, *, after: int = 0, most: int = 1000) -> Sequence[Member]:
@@ -42,9 +42,10 @@ class Records(Protocol):
         ...
 
     def changed(self, after: int, *, most: int = 10_000) -> Sequence[Changed]:
-        """What has changed after a version, each path once, with its latest version, in the order of versions.
+        """What has changed after a version, each path with its latest version, in the order of versions.
 
-        No two changes have one version: after as many as `most`, ask again after the last.
+        A path comes once, but twice where it was removed and made again. No two changes have one version: after as
+        many as `most`, ask again after the last.
         """
         ...
 

@@ -350,8 +350,8 @@ class Ledger:
 
     def _make(self, put: Put, applied: Applied, now: int) -> None:
         path = put.path
-        if self._execute("SELECT 1 FROM gone WHERE path = ?", (path,)).fetchone() is not None:
-            raise Conflict(path, "it was deleted, and its URL is never used again", Cause.GONE)
+        if (put.unused or put.expected) and self.was_there(path):
+            raise Conflict(path, "it was deleted", Cause.GONE)
         if put.expected:
             raise Conflict(path, f"it is not there, and so not in version {put.expected}", Cause.MISSING)
         above = container_of(path)
@@ -363,6 +363,7 @@ class Ledger:
         if self._execute("SELECT 1 FROM record WHERE path = ?", (other,)).fetchone() is not None:
             raise Conflict(path, f"there is {other} already, and a name means one thing", Cause.NAME)
         _take(put, None, applied)
+        applied.gone.pop(path, None)
         applied.records[path] = self._insert(put, container.id, now)
         self._list(above, container, applied, now, 1)
 
@@ -429,7 +430,7 @@ class Ledger:
         self._execute("DELETE FROM record WHERE id = ?", (present.id,))
         if present.members is not None:
             self._execute("DELETE FROM list WHERE container = ?", (present.id,))
-        self._execute("INSERT INTO gone VALUES (?, ?)", (path, version))
+        self._execute("INSERT OR REPLACE INTO gone VALUES (?, ?)", (path, version))
         applied.records.pop(path, None)
         applied.lists.pop(path, None)
         applied.gone[path] = version

@@ -90,6 +90,8 @@ class Put:
     A new one is listed in its container, which is the path up to its last segment and must be there. Its model never
     changes. `member` None leaves what a record that is there has; everything else is replaced: a non-RDF source that
     keeps its bytes says so with the blob it has. `unless_there` leaves a record that is there as it is, whatever it is.
+    `unused` makes it only where no record of its path was ever removed: a server that finds names never gives one
+    twice (LDP 5.2.3.11).
     """
 
     path: str
@@ -100,11 +102,12 @@ class Put:
     member: str | None = None
     expected: int | None = None
     unless_there: bool = False
+    unused: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Remove:
-    """Remove a record for good: its path is never used again. A container must be empty."""
+    """Remove a record; that it was there is remembered until it is made again. A container must be empty."""
 
     path: str
     expected: int | None = None
@@ -121,7 +124,7 @@ class Cause(Enum):
     MISSING = "missing"
     """It is not there, and was expected to be."""
     GONE = "gone"
-    """It was removed, and its path is never used again."""
+    """It was removed."""
     CHANGED = "changed"
     """It has another version than expected."""
     MODEL = "model"

@@ -78,7 +78,8 @@ def test_a_limit_is_in_force_from_the_put_to_the_delete(plane: httpx.Client) -> 
     assert fly(plane, 700) == 204
     assert fly(plane, 2000) == 422  # the aircraft's own
     assert plane.get("/shapes/slow").status_code == 410
-    assert put(plane, "slow", SLOW).status_code == 410
+    assert put(plane, "slow", SLOW).status_code == 201
+    assert fly(plane, 700) == 422
 
 
 def test_limits_of_several_documents_hold_together(plane: httpx.Client) -> None:

@@ -424,13 +424,15 @@ def test_names_are_encoded_as_in_all_urls(shared: httpx.Client) -> None:
 # Preconditions
 
 
-def test_a_deleted_query_is_gone_for_good(stored: httpx.Client) -> None:
+def test_a_deleted_query_is_gone_until_it_is_put_again(stored: httpx.Client) -> None:
     assert stored.delete("/queries/mine").status_code == 204
     for method in ("GET", "DELETE"):
         assert stored.request(method, "/queries/mine").status_code == 410
-    assert put(stored, "mine", ONE).status_code == 410
     assert stored.get("/queries/mine.meta").status_code == 410
     assert "mine" not in contained(stored)
+    assert put(stored, "mine", ONE).status_code == 201
+    assert "mine" in contained(stored)
+    assert stored.get("/queries/mine", headers=TEXT).text == ONE
     assert stored.delete("/queries/").status_code == 405
 
 

@@ -113,9 +113,9 @@ def told(robot: Robot, error: Conflict) -> Problem:
 
 
 def missing(robot: Robot, path: str) -> Problem:
-    """410 where something was removed (LDP leaves no room for another thing there), 308 to a container, else 404."""
+    """410 where something was removed and not made again, 308 to a container, else 404."""
     if robot.records.was_there(path):
-        return Problem(410, f"/{path} was deleted; its URL is not used again.")
+        return Problem(410, f"/{path} was deleted; PUT makes it again.")
     other = path[:-1] if path.endswith("/") else path + "/"
     if robot.records.get(other) is not None:
         return moved(robot.space.base + other)

@@ -113,7 +113,7 @@ class ContainerResource(SourceResource):
             name = encode_segment(free_name(exchange.header("slug"), is_taken))
             path = f"{self.path}{name}/" if model.is_container else self.path + name
             try:
-                return await creation(self.robot, path, model, exchange, blob)
+                return await creation(self.robot, path, model, exchange, blob, unused=True)
             except Conflict as error:
                 if error.path != path or error.cause not in _NAMED_MEANWHILE:
                     raise told(self.robot, error) from error
@@ -130,9 +130,11 @@ _NAMED_MEANWHILE = frozenset({Cause.THERE, Cause.NAME, Cause.GONE})
 """Why a name that was free is not any more: another one is looked for."""
 
 
-async def creation(robot: Robot, path: str, model: Model, exchange: Exchange, blob: Blob | None) -> Created:
+async def creation(
+    robot: Robot, path: str, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
+) -> Created:
     """A new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3). Raises Conflict as `made` does."""
-    record = await made(resource_of(robot, path, model), model, exchange, blob)
+    record = await made(resource_of(robot, path, model), model, exchange, blob, unused=unused)
     resource = resource_of(robot, path, model)  # as it is now that it is there
     if model is Model.NON_RDF_SOURCE:
         return Created(resource.url, resource, None, (Link(resource.url + META, "describedby", anchor=resource.url),))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from pyoxigraph import Triple
 
@@ -22,10 +23,11 @@ from rosld.server.resources.kept.together import kept_together
 from rosld.server.robot import Robot
 
 
-async def made(kept: Kept, model: Model, exchange: Exchange, blob: Blob | None) -> Record:
+async def made(kept: Kept, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False) -> Record:
     """Make the resource that `kept` stands for, and the containers on the way to it that are missing.
 
-    `blob` is the body of a non-RDF source. Raises Conflict where something was made at its path meanwhile.
+    `blob` is the body of a non-RDF source. Raises Conflict where something was made at its path meanwhile, or with
+    `unused` was ever there.
     """
     robot, path = kept.robot, kept.path
     if model is Model.NON_RDF_SOURCE:
@@ -34,7 +36,7 @@ async def made(kept: Kept, model: Model, exchange: Exchange, blob: Blob | None) 
         writes = [*_ways_to(robot, path), _as_member(robot, put, (), kept.url)]
     else:
         writes = making(robot, path, model, await statements(exchange, kept.url))
-    record = (await kept_together(robot, writes))[-1]
+    record = (await kept_together(robot, [*writes[:-1], replace(writes[-1], unused=unused)]))[-1]
     assert record is not None
     return record
 
@@ -61,7 +63,7 @@ def _as_member(robot: Robot, put: Put, triples: Sequence[Triple], url: str) -> P
     if container is None or container.membership is None:
         return put
     member = member_of(container.membership, body_of(triples), url)
-    return Put(put.path, put.model, put.triples, put.blob, put.membership, member, put.expected)
+    return replace(put, member=member)
 
 
 def _ways_to(robot: Robot, path: str) -> list[Put]:

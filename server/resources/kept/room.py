@@ -62,14 +62,12 @@ class AbsentResource(Kept):
     async def planned(self, triples: Sequence[Triple] | None) -> Keep:
         if "PUT" not in self.methods():
             raise Problem(403, self.why_not("PUT"))
-        if triples is None or self.robot.records.was_there(self.path):
+        if triples is None:
             raise missing(self.robot, self.path)
         model = Model.BASIC_CONTAINER if self.path.endswith("/") else Model.RDF_SOURCE
         return Keep(f"make {self.title}", tuple(making(self.robot, self.path, model, triples)))
 
     async def put(self, exchange: Exchange) -> Answer:
-        if self.robot.records.was_there(self.path):
-            raise missing(self.robot, self.path)
         model, blob = self._model(exchange), None
         if model is Model.NON_RDF_SOURCE:
             require_free(self.robot, self.path)

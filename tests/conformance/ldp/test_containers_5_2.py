@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import httpx
 from pyoxigraph import Literal, NamedNode
 
-from rosld.ontology.vocab import ldp, rdf
+from rosld.ontology.vocab import ldp, rdf, xsd
 
 if TYPE_CHECKING:
     from rosld.server.http.link import Link
@@ -209,6 +209,9 @@ def test_5_2_3_11_a_posts_name_is_never_one_that_was_deleted(place: Place) -> No
     assert place.send("DELETE", first).status_code == 204
     assert place.post(Slug="kitchen") != first
     assert place.get(first).status_code == 410
+    place.put(first, "<> <http://ex.org/p> 2 .")
+    assert place.send("DELETE", first).status_code == 204
+    assert place.post(Slug="kitchen") != first
 
 
 def test_5_2_3_12_a_new_file_is_linked_to_its_description(
@@ -254,11 +257,26 @@ def test_5_2_4_1_put_without_containment_leaves_it_as_it_is(place: Place) -> Non
     assert place.objects("", P) == {Literal("mine")}
 
 
-def test_5_2_4_2_put_cannot_bring_back_what_was_deleted(place: Place) -> None:
-    place.put("a", "<> <http://ex.org/p> 1 .")
-    assert place.send("DELETE", "a").status_code == 204
-    assert place.send("PUT", "a", "<> <http://ex.org/p> 2 .", TURTLE).status_code == 410
-    assert place.get("a").status_code == 410
+def test_5_2_4_2_put_makes_again_what_was_deleted(place: Place, kinds: dict[str, str]) -> None:
+    for kind, url in kinds.items():
+        before = place.get(url).headers["etag"]
+        assert place.send("DELETE", url).status_code == 204
+        assert url not in place.contained()
+        assert place.send("PUT", url, "<> <http://ex.org/p> 2 .", TURTLE, If_Match=before).status_code == 412
+        assert place.get(url).status_code == 410
+        answer = place.send("PUT", url, "<> <http://ex.org/p> 2 .", TURTLE, If_None_Match="*")
+        assert (answer.status_code, answer.headers["location"]) == (201, url), kind
+        assert place.objects(url, P) == {Literal("2", datatype=xsd.integer)}
+        assert place.get(url).headers["etag"] != before
+        assert url in place.contained()
+
+
+def test_5_2_4_2_put_makes_again_the_containers_on_the_way(place: Place) -> None:
+    place.put("a/b/c", "<> <http://ex.org/p> 1 .")
+    for name in ("a/b/c", "a/b/", "a/"):
+        assert place.send("DELETE", name).status_code == 204
+    place.put("a/b/c", "<> <http://ex.org/p> 2 .")
+    assert place.contained("a/b/") == {place.at("a/b/c")}
 
 
 def test_5_2_5_1_deleting_a_member_removes_its_containment_triple(place: Place, kinds: dict[str, str]) -> None:

@@ -119,6 +119,23 @@ def running(scenario: Callable[[Index], Any]) -> Callable[[], None]:
 
 
 @running
+async def test_what_is_removed_and_made_again_between_two_queries_is_as_it_is_now(index: Index) -> None:
+    async def chunks() -> Any:
+        yield b"x"
+
+    blob = await index.records.receive(chunks(), "text/plain", most=10)
+    await index.records.write(Put("data/a", Model.NON_RDF_SOURCE, blob=blob), source("data/b", 1))
+    assert await index.differences() == []
+    await index.records.write(Remove("data/a"))
+    await index.records.write(Remove("data/b"))
+    await index.records.write(source("data/a", 2), Put("data/b/", Model.BASIC_CONTAINER))
+    assert await index.differences() == []
+    await index.records.write(source("data/b/c", 3), Remove("data/a"))
+    await index.records.write(source("data/a", 4))
+    assert await index.differences() == []
+
+
+@running
 async def test_a_query_sees_what_was_written_just_before_it(index: Index) -> None:
     for turn in range(3):
         await index.records.write(source("data/a", turn))

@@ -150,10 +150,13 @@ def test_containment_cannot_be_forged(plane: httpx.Client) -> None:
     assert "/data/box/" in forged.json()["detail"]
 
 
-def test_a_deleted_url_is_not_used_again(plane: httpx.Client) -> None:
-    plane.put("/data/gone", content=b"<> <urn:v> 1 .", headers=TURTLE)
-    plane.delete("/data/gone")
-    assert update(plane, "INSERT DATA { GRAPH </data/gone> { <urn:a> <urn:b> 1 } }").status_code == 410
+@pytest.mark.parametrize("path", ["/data/gone", "/data/gone/deeper/"])
+def test_a_graph_that_was_dropped_is_made_again_by_who_names_it(plane: httpx.Client, path: str) -> None:
+    for value in range(3):
+        update(plane, f"INSERT DATA {{ GRAPH <{path}> {{ <urn:a> <urn:b> {value} }} }}").raise_for_status()
+        assert says(plane, path, f"<urn:a> <urn:b> {value}")
+        update(plane, f"DROP GRAPH <{path}>").raise_for_status()
+        assert plane.get(path).status_code == 410
 
 
 # What moves the robot

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -64,12 +63,12 @@ def test_goals_end_in_every_way_and_say_so(http: httpx.Client) -> None:
 def test_the_goals_of_others_are_resources_and_can_be_canceled(ros: RosSystem, http: httpx.Client) -> None:
     assert goals_of(http, "/simple") == []
     other = ros.node("action_client.py", "/simple", "600")
-    began = time.monotonic()
-    found: list[dict[str, Any]] = []
-    while not (found and found[0]["feedback"] and found[0]["status"] == "executing"):
-        assert time.monotonic() - began < 20, found
+
+    def executing() -> list[dict[str, Any]]:
         found = goals_of(http, "/simple")
-    [goal] = found
+        return found if found and found[0]["feedback"] and found[0]["status"] == "executing" else []
+
+    [goal] = waiting.until(executing, "the goal of another")
     assert goal["words"]
     assert "%" not in goal["url"]
     assert http.delete(goal["url"]).status_code == 202
@@ -86,3 +85,14 @@ def test_feedback_with_arrays_goes_on_to_the_last_and_so_does_the_result(ros: Ro
     assert len({len(each["feedback"]["sequence"]) for each in told if each["feedback"]}) > 1
     last = http.get(goal.headers["location"], headers=JSON).json()
     assert last["result"] == last["feedback"] == {"sequence": [0, 1, 1, 2, 3, 5, 8]}
+
+
+def test_a_stop_leaves_the_goals_of_others_alone(ros: RosSystem, http: httpx.Client) -> None:
+    ros.node("action_client.py", "/simple", "600")
+    waiting.until(
+        lambda: [each["status"] for each in goals_of(http, "/simple")] == ["executing"], "the goal of another"
+    )
+    told = http.post("/stop", json={}, headers=JSON)
+    assert told.status_code == 200, told.text
+    assert told.json()["steps"] == []
+    assert [each["status"] for each in goals_of(http, "/simple")] == ["executing"]

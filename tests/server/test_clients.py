@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from rosld.server import clients as limits
 from rosld.server.access.agent import ANYBODY, Agent
 from rosld.server.clients import Allowance, Clients, name_of
 from rosld.server.http.problem import Problem
@@ -116,3 +117,17 @@ def test_no_number_of_clients_fills_the_memory() -> None:
         clock.now += 0.01
     assert len(of._known) <= 10_001
     assert len(of._names) <= 10_001
+
+
+def test_a_client_with_an_open_connection_is_not_forgotten_however_many_others_come(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(limits, "_MOST_KNOWN", 4)
+    clock = Clock()
+    of = clients(clock, connections=1)
+    of.connect(FAR)
+    for number in range(10):
+        passing(of, address=f"198.51.100.{number}")
+        clock.now += 100
+    with pytest.raises(Problem, match="1 connections come from your address"):
+        of.connect(FAR)

@@ -485,3 +485,25 @@ def test_a_patch_that_changes_nothing_moves_nothing(arm: MadeUp, serving: Servin
     assert http.patch(url, json={}, headers=MERGE).status_code == 204
     assert http.patch(url, content=f"INSERT DATA {{ <{url}> <{EX}x> 1 }}", headers=UPDATE).status_code == 204
     assert not [name for name in arm.calls if "/set_" in name]
+
+
+# Several conditions
+
+
+def test_what_has_two_conditions_is_on_offer_only_while_both_hold(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    light = (
+        """<#light> a sh:NodeShape ; map:about "/arm/grip" ; sh:property [ sh:path rdf:value ; sh:maxInclusive 5 ] ."""
+    )
+    mapped(http, SAFE.replace("map:availableWhen <#manual>", "map:availableWhen <#manual> , <#light>") + light)
+    for word, grip, allowed in (
+        ("manual", 1, True),
+        ("manual", 9, False),
+        ("automatic", 1, False),
+        ("manual", 2, True),
+    ):
+        mode(http, "manual")
+        assert http.put("/resources/arm/grip", json=grip).status_code == 204
+        mode(http, word)
+        assert bool(objects(http.get("/resources/arm/"), f"{EX}home")) is allowed, (word, grip)
+        assert http.post("/resources/arm/home").status_code == (200 if allowed else 409), (word, grip)

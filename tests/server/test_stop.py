@@ -133,6 +133,15 @@ def test_a_stop_does_what_mappings_say_and_tells_what_became_of_it(robot: Stoppa
     assert robot.sent["/drive"][-1]["linear"] == {"x": 0.0, "y": 0.0, "z": 0.0}
 
 
+def test_a_service_that_says_that_it_did_not_succeed_has_failed(robot: Stoppable, http: httpx.Client) -> None:
+    robot.offer("/arm/fold", "std_srvs/srv/Trigger", lambda _: {"success": False, "message": "the arm is jammed"})
+    stops = '<#arm> a map:ComplexResource ; map:path "/arm/" ; map:stop [ map:call "/arm/fold" ] .'
+    mapping = f"@prefix map: <https://w3id.org/rosld/mapping#> . {stops}"
+    assert http.put("/mappings/arm", content=mapping, headers=TURTLE).status_code == 204
+    [step] = stopped(http)["steps"]
+    assert step == {"does": "call /arm/fold", "state": "Failed", "words": "the arm is jammed"}
+
+
 def test_a_stop_ends_holds_with_their_last_message_and_nothing_follows(robot: Stoppable, http: httpx.Client) -> None:
     body = {"linear": {"x": 1, "y": 0, "z": 0}, "angular": {"x": 0, "y": 0, "z": 0}}
     hold = http.post("/topics/drive", params={"rate": 50, "lease": 5}, json=body).headers["location"]

@@ -94,6 +94,7 @@ def test_no_excerpt_is_told_where_none_is_wanted() -> None:
         asked(b'{"password": "hunter2"}', plan=("set the parameter /a to hunter2",), words="hunter2 is no number"),
         asked(b'"hunter2"', url=f"{BASE}parameters/wifi/password", plan=("set it to hunter2",), words="not hunter2"),
         asked(b"hunter2 " + b" " * 1000 + b'"the password"', words="hunter2 is no number"),
+        asked(b'{"password": "hunter2"}' + b" " * 5000),  # too long to be held: it came with a digest
     ],
 )
 def test_of_a_body_that_looks_like_credentials_nothing_is_told(request_: Asked) -> None:

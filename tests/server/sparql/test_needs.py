@@ -379,3 +379,8 @@ def test_a_query_over_what_it_needs_answers_as_over_everything(query: str) -> No
         return  # BIND of a variable that is bound already, and the like
     wanted = needs(query)
     assert results(dataset(wanted), text) == expected, wanted
+
+
+def test_the_graphs_that_a_request_names_beside_its_query_are_documents_that_it_needs() -> None:
+    found = needs("SELECT * { ?s ?p ?o }").within([BASE + "calls/one"])
+    assert BASE + "calls/one" in found.documents

@@ -116,6 +116,7 @@ _KINDS = {**Kind.__members__, "STRING1": Kind.STRING}
 _ESCAPE = re.compile(r"\\u([0-9A-Fa-f]{4})|\\U([0-9A-Fa-f]{8})")
 _UPDATES = frozenset({"INSERT", "DELETE", "LOAD", "CLEAR", "DROP", "CREATE", "ADD", "MOVE", "COPY", "WITH"})
 _OPEN, _CLOSE = frozenset("([{"), frozenset(")]}")
+_NO_STEPS = frozenset({".", ",", ";", "^^"})
 
 
 def tokens(text: str) -> Iterator[Token]:
@@ -245,9 +246,9 @@ def _check_escapes(token: Token, text: str) -> None:
 
 
 def _check_shape(found: tuple[Token, ...], text: str, bounds: Bounds, what: str) -> None:
-    """Hold the bounds on depth and steps. The brackets of a VALUES block are no steps: it may be long."""
+    """Check the bounds on depth and steps. Data may be long: what stands in a block after VALUES or DATA is no step."""
     depth = steps = 0
-    values: int | None = None
+    data: int | None = None
     for token in found:
         if token.kind is Kind.MARK and token.text in _OPEN:
             depth += 1
@@ -257,12 +258,12 @@ def _check_shape(found: tuple[Token, ...], text: str, bounds: Bounds, what: str)
                 )
         elif token.kind is Kind.MARK and token.text in _CLOSE:
             depth -= 1
-            if values == depth and token.text == "}":
-                values = None
-        if values is None and token.kind in (Kind.MARK, Kind.WORD) and token.text not in ".,;":
+            if data == depth and token.text == "}":
+                data = None
+        if data is None and token.kind in (Kind.MARK, Kind.WORD) and token.text not in _NO_STEPS:
             steps += 1
-        if values is None and token.kind is Kind.WORD and token.text.upper().endswith("VALUES"):
-            values = depth
+        if data is None and token.kind is Kind.WORD and token.text.upper().endswith(("VALUES", "DATA")):
+            data = depth
     if steps > bounds.steps:
         raise Problem(
             400, f"The {what} has {steps} keywords, operators and brackets; at most {bounds.steps} are taken."

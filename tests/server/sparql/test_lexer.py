@@ -189,6 +189,19 @@ def test_inline_data_may_be_long() -> None:
     refusal(f"SELECT * {{ VALUES (?a ?b) {{ (1 2) }} FILTER({'!' * 3000}?a) }}")
 
 
+@pytest.mark.parametrize(
+    "triples", ["<urn:s> a <urn:C> .", "[] <urn:p> (1 -1 true) .", 'GRAPH <urn:g> { <s> <p> ""^^<t> }']
+)
+def test_data_of_an_update_may_be_long(triples: str) -> None:
+    for operation in ("INSERT DATA", "DELETE DATA"):
+        check(f"{operation} {{ {triples * 1200} }}", what="update")
+        refusal(f"{operation} {{ {triples * 1200} }} ; DELETE WHERE {{ ?a {'!' * 3000}<p> ?b }}")
+
+
+def test_datatypes_are_no_steps() -> None:
+    check(f"""INSERT {{ <s> <p> {", ".join(['"1"^^<t>'] * 2000)} }} WHERE {{}}""", what="update")
+
+
 def test_size_is_bounded() -> None:
     assert refusal("SELECT * { }" + " " * 100, Bounds(size=50)).status == 413
 

@@ -33,14 +33,18 @@ class RequestHead(NamedTuple):
 
     @property
     def is_websocket_handshake(self) -> bool:
-        """Whether it asks for a WebSocket and for nothing else, and has no body (RFC 6455 4.2.1)."""
+        """Whether it asks for a WebSocket and for nothing else, and has no body (RFC 6455 4.2.1).
+
+        Java's client states that its body has no bytes.
+        """
         names = {name for name, _ in self.headers}
         return (
             self.method == b"GET"
             and self.version == "1.1"
             and [value.strip(b" \t").lower() for value in self._values(b"upgrade")] == [b"websocket"]
             and {b"sec-websocket-key", b"sec-websocket-version"} <= names
-            and names.isdisjoint((b"content-length", b"transfer-encoding"))
+            and b"transfer-encoding" not in names
+            and set(self._values(b"content-length")) <= {b"0"}
         )
 
     @property

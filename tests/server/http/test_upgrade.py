@@ -176,8 +176,9 @@ def test_a_request_in_http_1_0_that_upgrades_is_read_and_ends_the_connection() -
     with_listener(work)
 
 
-def test_bytes_behind_a_websocket_s_handshake_are_no_request() -> None:
-    handshake = b"GET /channel HTTP/1.1\r\nHost: a\r\n" + WEBSOCKET + b"\r\n"
+@pytest.mark.parametrize("length", [b"", b"Content-Length: 0\r\n"], ids=["no length", "length 0"])
+def test_bytes_behind_a_websocket_s_handshake_are_no_request(length: bytes) -> None:
+    handshake = b"GET /channel HTTP/1.1\r\nHost: a\r\n" + WEBSOCKET + length + b"\r\n"
 
     async def work(talk: Talk) -> None:
         for cut in range(len(handshake) + 1):
@@ -185,6 +186,7 @@ def test_bytes_behind_a_websocket_s_handshake_are_no_request() -> None:
             seen, answers = await talk(whole[:cut], whole[cut:])
             assert {method for method, _, _ in seen} <= {"websocket"}, cut
             assert answers.startswith((b"HTTP/1.1 400", b"HTTP/1.1 101")), cut
+        assert answers.startswith(b"HTTP/1.1 101"), "the handshake, by itself, is taken"
 
     with_listener(work)
 

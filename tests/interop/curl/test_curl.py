@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -10,17 +9,17 @@ from typing import Any
 
 import pytest
 
+from tests.interop.missing import require
+
 TURTLE = ("-H", "Content-Type: text/turtle")
 PATIENCE = 30.0
-READS = ("test_what_is_known_already_is_not_sent_again",)
 CODE = ("-o", "/dev/null", "-w", "%{http_code}")
 
 
 @pytest.fixture(scope="module")
 def curl() -> Callable[..., str]:
     """What a command of curl prints."""
-    if shutil.which("curl") is None:
-        pytest.skip("there is no curl: apt-get install curl")
+    require("curl")
 
     def run(*arguments: str, given: str | None = None) -> str:
         command = ["curl", "-sS", "-g", *arguments]
@@ -34,9 +33,6 @@ def curl() -> Callable[..., str]:
 @pytest.fixture(params=[(), ("--http2",)], ids=["http1.1", "http2"])
 def version(request: pytest.FixtureRequest) -> tuple[str, ...]:
     """The options that choose the version of HTTP."""
-    if request.param and request.node.originalname not in READS:
-        lost = "the body of a request with `Upgrade` is lost yet"
-        request.applymarker(pytest.mark.xfail(strict=True, reason=lost))
     chosen: tuple[str, ...] = request.param
     return chosen
 

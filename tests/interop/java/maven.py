@@ -1,0 +1,45 @@
+"""Java for tests: the libraries of pom.xml, fetched once into `target/lib`, and the sources of `src`, compiled once.
+
+Where the libraries come from is Maven's own configuration. Of Maven's build only `dependency:copy-dependencies` is run.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+from tests.interop.missing import missing, require
+from tests.interop.stamps import made_once
+
+HERE = Path(__file__).parent
+POM, SOURCES = HERE / "pom.xml", sorted((HERE / "src").glob("*.java"))
+LIBRARIES, CLASSES = HERE / "target" / "lib", HERE / "target" / "classes"
+CLASS_PATH = f"{LIBRARIES}/*"
+COPY = "org.apache.maven.plugins:maven-dependency-plugin:3.8.1:copy-dependencies"
+PATIENCE = 300.0
+
+
+def java(*arguments: str) -> Sequence[str]:
+    """The command that runs one of the compiled classes, which are made first where they lack."""
+    require("java", "javac", "mvn")
+    with made_once(LIBRARIES, [POM]) as are_here:
+        if not are_here:
+            _fetch()
+    with made_once(CLASSES, [POM, *SOURCES]) as are_here:
+        if not are_here:
+            _compile()
+    return ["java", "-XX:+UseSerialGC", "-cp", f"{CLASS_PATH}:{CLASSES}", *arguments]
+
+
+def _fetch() -> None:
+    command = ("mvn", "--batch-mode", "--quiet", COPY, "-DincludeTypes=jar", f"-DoutputDirectory={LIBRARIES}")
+    done = subprocess.run(command, cwd=HERE, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    if done.returncode != 0:
+        missing(f"the libraries of {POM} could not be fetched: {done.stdout[-1500:]}{done.stderr[-500:]}")
+
+
+def _compile() -> None:
+    command = ("javac", "-encoding", "UTF-8", "-cp", CLASS_PATH, "-d", str(CLASSES), *map(str, SOURCES))
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 0, done.stderr

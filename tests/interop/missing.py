@@ -1,0 +1,28 @@
+"""What a client needs and is not here: its tests are skipped by name, and fail where CI=true."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+
+DEBIAN = Path(__file__).parent / "debian.txt"
+
+
+def missing(reason: str) -> NoReturn:
+    """Skip, saying what is missing; fail instead under CI."""
+    if os.environ.get("CI", "").lower() == "true":
+        pytest.fail(reason)
+    pytest.skip(reason)
+
+
+def require(*commands: str) -> None:
+    """Skip where a command that Debian has is not installed."""
+    for command in commands:
+        if shutil.which(command) is None:
+            missing(
+                f"there is no {command}: apt-get install --no-install-recommends {' '.join(DEBIAN.read_text().split())}"
+            )

@@ -256,11 +256,15 @@ class Adapter(Protocol):
         ...
 
 
+MESSAGE_LIMIT = 256 * 1024 * 1024
+
+
 @dataclass(frozen=True, slots=True)
 class AdapterOptions:
     """The options of `rosld serve` that concern adapters; each adapter takes what applies to it.
 
-    `qos` are profiles for topics by glob: the first that fits holds, where it says something.
+    `qos` are profiles for topics by glob: the first that fits holds, where it says something. `message_limit` are the
+    most bytes that a message or a response may have which a robot's node announces and rosld then reads.
     """
 
     types: tuple[Path, ...] = ()
@@ -269,6 +273,7 @@ class AdapterOptions:
     qos: tuple[tuple[str, Qos], ...] = ()
     rate: float = 1.0
     once: bool = False
+    message_limit: int = MESSAGE_LIMIT
 
 
 Factory: TypeAlias = Callable[[str, AdapterOptions], Adapter]

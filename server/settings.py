@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
-from rosld.adapters.base import AdapterOptions
+from rosld.adapters.base import MESSAGE_LIMIT, AdapterOptions
 from rosld.adapters.model import Qos
 from rosld.server.http.origin import is_loopback, is_wildcard, normal_origin
 
@@ -238,6 +238,12 @@ class Settings:
     upload_limit: int = setting(
         1024 * 1024 * 1024, "The largest file that is kept under /data/.", unit="bytes", least=1024
     )
+    message_limit: int = setting(
+        MESSAGE_LIMIT,
+        "The longest message or response that is read from a node of ROS 1; a longer one ends the connection.",
+        unit="bytes",
+        least=1024 * 1024,
+    )
     inline_limit: int = setting(
         64 * 1024,
         "The largest array or string told inline; a larger one is elided, with a link to its bytes.",
@@ -327,6 +333,7 @@ class Settings:
             qos=self.qos,
             rate=self.rate,
             once=self.once,
+            message_limit=self.message_limit,
         )
 
 

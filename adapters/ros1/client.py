@@ -48,11 +48,11 @@ class Client:
         self.learnt = Learnt(self.refresh_soon)
         self.types = Types(library, self.refresh_soon)
         self.parameters = Parameters(self.master, self._parameters_changed)
-        self.services = Services(own_node, self.master, self._hosts, self.types, self.learnt)
+        self.services = Services(own_node, self.master, self._hosts, self.types, self.learnt, options.message_limit)
         self.publications = Publications(
             self.master, own_node, self.types, lambda: addresses(options.ros_ip, self._local), self.look_soon
         )
-        self._nodes = Nodes(own_node, self._hosts, self.learnt, self.master.lookup_node)
+        self._nodes = Nodes(own_node, self._hosts, self.learnt, self.master.lookup_node, options.message_limit)
         self.actions = Actions(
             own_node, self._nodes, self.types, self.publications, lambda: self._system, publish_graph
         )
@@ -152,6 +152,8 @@ class Client:
         while True:
             started = time.monotonic()
             await self.look()
+            for reader in self._readers.values():
+                reader.fit_buffers()
             took = time.monotonic() - started
             live = self._looked is not None  # one that does not answer costs it nothing: its return is seen at once
             pause = min(max(_EVERY, _SHARE * took), _SELDOM) - took if live else _EVERY

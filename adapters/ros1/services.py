@@ -18,9 +18,15 @@ _ASK_AGAIN = 30.0
 
 
 class Services:
-    """The services of a ROS system. All methods run on the reading thread."""
+    """The services of a ROS system. All methods run on the reading thread.
 
-    def __init__(self, caller: str, master: MasterApi, hosts: Hosts, types: Types, learnt: Learnt) -> None:
+    A response of more than `message_limit` bytes is not read.
+    """
+
+    def __init__(
+        self, caller: str, master: MasterApi, hosts: Hosts, types: Types, learnt: Learnt, message_limit: int
+    ) -> None:
+        self._message_limit = message_limit
         self._caller = caller
         self._master = master
         self._hosts = hosts
@@ -67,7 +73,8 @@ class Services:
             words = "its node went away" + (" before the request was sent" if sent is Sent.NO else "")
             raise Unreachable(f"{service} cannot be called: {words}", sent=sent) from error
         except BadFrame as error:
-            raise Refused(f"{service} does not speak TCPROS: {error}", sent=progress[0]) from error
+            limit = f" (--setting message_limit is {self._message_limit})" if progress[0] is Sent.YES else ""
+            raise Refused(f"{service} gives no answer that can be read: {error}{limit}", sent=progress[0]) from error
 
     async def _call(self, service: str, type: TypeRef, request: bytes, progress: list[Sent]) -> bytes:
         reader, writer = await self._connect(service)
@@ -81,7 +88,7 @@ class Services:
             progress[0] = Sent.YES
             writer.write(frame(request))
             succeeded = await reader.readexactly(1)
-            answer = await read_frame(reader)
+            answer = await read_frame(reader, MOST_HEADER if succeeded == b"\0" else self._message_limit)
         finally:
             writer.close()
         if succeeded == b"\0":

@@ -21,10 +21,21 @@ _LONG_ENOUGH = 5.0  # a connection that lived this long does not count as a fail
 
 
 class Nodes:
-    """The addresses of nodes, as the master last told them, and their Slave APIs."""
+    """The addresses of nodes, as the master last told them, and their Slave APIs.
 
-    def __init__(self, caller: str, hosts: Hosts, learnt: Learnt, look_up: Callable[[str], Awaitable[str]]) -> None:
+    `message_limit` are the most bytes of a message that is read from one.
+    """
+
+    def __init__(
+        self,
+        caller: str,
+        hosts: Hosts,
+        learnt: Learnt,
+        look_up: Callable[[str], Awaitable[str]],
+        message_limit: int,
+    ) -> None:
         self.caller = caller
+        self.message_limit = message_limit
         self.hosts = hosts
         self.learnt = learnt
         self._look_up = look_up
@@ -69,6 +80,11 @@ class Source:
         if self._receiver is not None:
             self._receiver.depth = depth
 
+    def fit_buffer(self) -> None:
+        """Have the kernel's buffer fit what comes in."""
+        if self._receiver is not None:
+            self._receiver.fit_buffer()
+
     async def run(self) -> None:
         """Read for ever; ends only when cancelled."""
         wait = _FIRST_WAIT
@@ -98,7 +114,7 @@ class Source:
         finally:
             receiver.close()
             self._receiver = None
-        return None
+        return receiver.trouble
 
     async def _connect(self, uri: str) -> FrameReceiver:
         host, port = await self._nodes.request_topic(uri, self._feed.topic)
@@ -106,7 +122,10 @@ class Source:
         if self.slot.uri not in (None, uri):
             self.slot.restart(self._next_epoch())
         self.slot.uri = uri
-        receiver = await self._nodes.hosts.connect(host, port, lambda: FrameReceiver(self._hello(), self._accept))
+        limit = self._nodes.message_limit
+        receiver = await self._nodes.hosts.connect(
+            host, port, lambda: FrameReceiver(self._hello(), self._accept, limit)
+        )
         receiver.depth = self._feed.depth
         self._receiver = receiver
         try:
@@ -182,6 +201,11 @@ class TopicReader:
         """Heed that the feed wants another depth."""
         for source, _ in self._sources.values():
             source.deepen(self.feed.depth)
+
+    def fit_buffers(self) -> None:
+        """Have the kernel's buffers fit what comes in; called about once a second."""
+        for source, _ in self._sources.values():
+            source.fit_buffer()
 
     def close(self) -> None:
         """Stop reading."""

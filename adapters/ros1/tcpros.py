@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import asyncio
 import struct
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import TypeAlias, cast
 
+from rosld.adapters.ros1.receive_buffer import ReceiveBuffer
+
 LENGTH = struct.Struct("<I")
 MOST_HEADER = 1024 * 1024
-MOST_FRAME = 512 * 1024 * 1024
 FIRST_BUFFER = 64 * 1024
 MOST_BUFFER = 1024 * 1024
+FIRST_PIECE = 4 * 1024 * 1024
+"""How much memory a peer gets for a length that it has only announced, in bytes; more as it fills it."""
 
 Header: TypeAlias = Mapping[str, str]
 Frame: TypeAlias = "bytes | bytearray"
@@ -57,12 +61,51 @@ def frame(data: bytes) -> bytes:
     return LENGTH.pack(len(data)) + data
 
 
-async def read_frame(reader: asyncio.StreamReader, most: int = MOST_FRAME) -> bytes:
-    """The next frame of a stream. Raises BadFrame where it is longer than `most`."""
+async def read_frame(reader: asyncio.StreamReader, most: int) -> bytes:
+    """The next frame of a stream; memory grows with what arrives. Raises BadFrame where it is longer than `most`."""
     (length,) = LENGTH.unpack(await reader.readexactly(4))
     if length > most:
-        raise BadFrame(f"a frame of {length} bytes, more than {most}")
+        raise BadFrame(f"it announces {length} bytes, more than {most}")
     return await reader.readexactly(length)
+
+
+class LargeFrame:
+    """A frame that is received into memory of its own, which grows with what arrives, not with what is announced.
+
+    `trusted` bytes are given at once: a peer that has sent so many before may announce as many again.
+    """
+
+    def __init__(self, length: int, trusted: int) -> None:
+        self._missing = length
+        self._pieces: list[bytearray] = []
+        self._filled = 0
+        self._next_piece(max(FIRST_PIECE, trusted))
+
+    def room(self) -> memoryview:
+        """Where the next bytes belong."""
+        return memoryview(self._pieces[-1])[self._filled :]
+
+    def put(self, data: memoryview) -> None:
+        """Take bytes that were received elsewhere; no more than there is room for."""
+        self.room()[: len(data)] = data
+        self.received(len(data))
+
+    def received(self, count: int) -> None:
+        """Heed that so many bytes were written into `room`."""
+        self._filled += count
+        self._missing -= count
+        if self._missing and self._filled == len(self._pieces[-1]):
+            self._next_piece(sum(map(len, self._pieces)))
+
+    def whole(self) -> bytes | bytearray | None:
+        """The frame once all of it has come."""
+        if self._missing:
+            return None
+        return self._pieces[0] if len(self._pieces) == 1 else b"".join(self._pieces)
+
+    def _next_piece(self, size: int) -> None:
+        self._pieces.append(bytearray(min(size, self._missing)))
+        self._filled = 0
 
 
 def skip_frames(buffer: bytearray, end: int) -> tuple[int, int, int]:
@@ -98,25 +141,32 @@ class FrameReceiver(asyncio.BufferedProtocol):
     """Receives frames in bulk and delivers the newest of each batch.
 
     The kernel writes into one buffer; whole frames in it are counted, and only the newest `depth` are copied
-    out, however many came. A frame larger than the buffer is received into memory of its own, uncopied.
-    `accept` is given the peer's header and returns where frames go; whatever it raises ends the connection.
+    out, however many came. A frame larger than the buffer is received into memory of its own; one longer than `most`
+    bytes ends the connection, and `trouble` then says why. `accept` is given the peer's header and returns where frames
+    go; whatever it raises ends the connection.
     """
 
-    def __init__(self, hello: bytes, accept: Accept) -> None:
+    def __init__(self, hello: bytes, accept: Accept, most: int) -> None:
         self.depth = 1
+        self.received = 0
+        self.trouble: str | None = None
         self.ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.closed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._hello = hello
         self._accept = accept
         self._deliver: Deliver | None = None
         self._transport: asyncio.Transport | None = None
+        self._kernel: ReceiveBuffer | None = None
         self._new_buffer(FIRST_BUFFER)
         self._end = 0
-        self._large: bytearray | None = None
-        self._filled = 0
+        self._large: LargeFrame | None = None
+        self._most = most
+        self._proven = 0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.Transport, transport)
+        sock = self._transport.get_extra_info("socket")
+        self._kernel = None if sock is None else ReceiveBuffer(sock, time.monotonic())
         self._transport.write(self._hello)
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -132,14 +182,20 @@ class FrameReceiver(asyncio.BufferedProtocol):
         if self._transport is not None:
             self._transport.abort()
 
+    def fit_buffer(self) -> None:
+        """Have the kernel's buffer fit what comes in; called about once a second."""
+        if self._kernel is not None and not self.closed.done():
+            self._kernel.fit(self.received, time.monotonic())
+
     def get_buffer(self, sizehint: int) -> memoryview:
         """Where the kernel may write: the rest of the buffer, or of the large frame being received."""
         if self._large is not None:
-            return memoryview(self._large)[self._filled :]
+            return self._large.room()
         return self._view[self._end :]
 
     def buffer_updated(self, nbytes: int) -> None:
         """Take what was written."""
+        self.received += nbytes
         if self._large is not None:
             self._fill_large(nbytes)
             return
@@ -173,7 +229,8 @@ class FrameReceiver(asyncio.BufferedProtocol):
             if length > MOST_HEADER:
                 raise BadFrame(f"a header of {length} bytes")
             if end < 4 + length:
-                self._make_room(4 + length)
+                if end == len(self._buffer):
+                    self._make_room(2 * end)
                 return end
             deliver = self._accept(decode_header(self._buffer[4 : 4 + length]))
         except Exception as error:
@@ -188,6 +245,7 @@ class FrameReceiver(asyncio.BufferedProtocol):
         return rest
 
     def _refuse(self, error: Exception) -> None:
+        self.trouble = str(error)
         if not self.ready.done():
             self.ready.set_exception(error)
         self._end = 0
@@ -198,13 +256,15 @@ class FrameReceiver(asyncio.BufferedProtocol):
         rest = end - position
         if rest >= 4:
             (length,) = LENGTH.unpack_from(self._buffer, position)
-            if length > MOST_FRAME:
-                self._refuse(BadFrame(f"a frame of {length} bytes, more than {MOST_FRAME}"))
+            if length > self._most:
+                words = (
+                    f"it announces a message of {length} bytes, more than the {self._most} of --setting message_limit"
+                )
+                self._refuse(BadFrame(words))
                 return
             if length + 4 > len(self._buffer):
-                self._large = bytearray(length)
-                self._large[: rest - 4] = self._view[position + 4 : end]
-                self._filled = rest - 4
+                self._large = LargeFrame(length, self._proven)
+                self._large.put(self._view[position + 4 : end])
                 self._end = 0
                 return
         if position and rest:
@@ -214,9 +274,12 @@ class FrameReceiver(asyncio.BufferedProtocol):
             self._make_room(2 * end)
 
     def _fill_large(self, nbytes: int) -> None:
-        self._filled += nbytes
-        if self._large is not None and self._filled == len(self._large):
-            whole, self._large = self._large, None
+        assert self._large is not None
+        self._large.received(nbytes)
+        whole = self._large.whole()
+        if whole is not None:
+            self._large = None
+            self._proven = max(self._proven, len(whole))
             assert self._deliver is not None
             self._deliver((whole,), 1)
 

@@ -5,14 +5,22 @@ from __future__ import annotations
 import asyncio
 import socket
 import struct
+import time
+import tracemalloc
+from collections.abc import Callable, Sequence
+from contextlib import AsyncExitStack
+from unittest import mock
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rosld.adapters.ros1 import tcpros
 from rosld.adapters.ros1.tcpros import (
     FIRST_BUFFER,
+    FIRST_PIECE,
     BadFrame,
+    Frame,
     FrameReceiver,
     decode_header,
     encode_header,
@@ -21,6 +29,7 @@ from rosld.adapters.ros1.tcpros import (
     skip_frames,
 )
 
+MOST = 64 * 1024 * 1024
 names = st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="="), min_size=1, max_size=20)
 values = st.text(st.characters(blacklist_categories=["Cs"]), max_size=40)
 
@@ -81,7 +90,7 @@ async def _received(pieces: list[bytes], depth: int, count: int) -> tuple[dict[s
     here.setblocking(False)
     there.setblocking(False)
     loop = asyncio.get_running_loop()
-    transport, receiver = await loop.create_connection(lambda: FrameReceiver(b"hello", accept), sock=here)  # type: ignore[arg-type]
+    transport, receiver = await loop.create_connection(lambda: FrameReceiver(b"hello", accept, MOST), sock=here)  # type: ignore[arg-type]
     receiver.depth = depth
     try:
         for piece in pieces:
@@ -97,14 +106,17 @@ async def _received(pieces: list[bytes], depth: int, count: int) -> tuple[dict[s
 
 
 @given(
-    st.lists(st.integers(0, 300) | st.just(FIRST_BUFFER + 1000), min_size=1, max_size=6), st.integers(1, 50), st.data()
+    st.lists(st.integers(0, 300) | st.sampled_from([FIRST_BUFFER + 1000, 3 * FIRST_BUFFER]), min_size=1, max_size=6),
+    st.integers(1, 50),
+    st.data(),
 )
 def test_frames_arrive_whole_however_the_stream_is_cut(sizes: list[int], parts: int, data: st.DataObject) -> None:
     frames = [bytes([number % 256]) * size for number, size in enumerate(sizes)]
     wire = encode_header({"type": "std_msgs/String"}) + b"".join(frame(each) for each in frames)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(wire)), max_size=parts)))
     pieces = [wire[a:b] for a, b in zip([0, *cuts], [*cuts, len(wire)], strict=True)]
-    header, delivered, total = asyncio.run(_received(pieces, 10, len(frames)))
+    with mock.patch.object(tcpros, "FIRST_PIECE", FIRST_BUFFER):  # large frames come in more than one piece
+        header, delivered, total = asyncio.run(_received(pieces, 10, len(frames)))
     assert header == {"type": "std_msgs/String"}
     assert total == len(frames)
     assert delivered == frames
@@ -125,7 +137,7 @@ def test_a_frame_that_claims_four_gigabytes_ends_the_connection() -> None:
         there.setblocking(False)
         loop = asyncio.get_running_loop()
         _, receiver = await loop.create_connection(
-            lambda: FrameReceiver(b"", lambda _: lambda frames, count: None), sock=here
+            lambda: FrameReceiver(b"", lambda _: lambda frames, count: None, MOST), sock=here
         )
         with there:
             await loop.sock_sendall(there, encode_header({"a": "b"}) + b"\xff\xff\xff\xff")
@@ -142,11 +154,122 @@ def test_a_header_that_is_none_is_refused(header: bytes) -> None:
         there.setblocking(False)
         loop = asyncio.get_running_loop()
         _, receiver = await loop.create_connection(
-            lambda: FrameReceiver(b"", lambda _: lambda frames, count: None), sock=here
+            lambda: FrameReceiver(b"", lambda _: lambda frames, count: None, MOST), sock=here
         )
         with there:
             await loop.sock_sendall(there, header)
             with pytest.raises(BadFrame):
                 await asyncio.wait_for(receiver.ready, 60)
+
+    asyncio.run(attempt())
+
+
+async def until(true: Callable[[], bool]) -> None:
+    """Wait for what a receiver tells nobody."""
+    end = time.monotonic() + 20
+    while not true():
+        assert time.monotonic() < end
+        await asyncio.sleep(0.001)
+
+
+class Peer:
+    """A publisher's end of a connection whose other end is a receiver."""
+
+    def __init__(self, most: int = MOST) -> None:
+        self.delivered: list[bytes] = []
+        self._most = most
+
+    async def __aenter__(self) -> Peer:
+        here, self._there = socket.socketpair()
+        here.setblocking(False)
+        self._there.setblocking(False)
+        receiving = asyncio.get_running_loop().create_connection(
+            lambda: FrameReceiver(b"", lambda _: self._deliver, self._most), sock=here
+        )
+        self._transport, self.receiver = await receiving
+        await self.sends(encode_header({"a": "b"}))
+        await asyncio.wait_for(self.receiver.ready, 5)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._transport.abort()
+        self._there.close()
+
+    async def sends(self, data: bytes) -> None:
+        await asyncio.wait_for(asyncio.get_running_loop().sock_sendall(self._there, data), 20)
+
+    def _deliver(self, frames: Sequence[Frame], _: int) -> None:
+        self.delivered += map(bytes, frames)
+
+
+def test_what_a_peer_only_announces_costs_next_to_nothing_however_many_do() -> None:
+    async def attempt() -> int:
+        most = 512 * 1024 * 1024
+        tracemalloc.start()
+        async with AsyncExitStack() as open_ones:
+            for _ in range(8):
+                peer = await open_ones.enter_async_context(Peer(most))
+                await peer.sends(struct.pack("<I", most - 1) + b"x" * 100_000)
+                await until(lambda at=peer: at.receiver.received >= 100_000)
+            used = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return used
+
+    assert asyncio.run(attempt()) < 8 * 6 * 1024 * 1024
+
+
+def test_a_header_that_is_announced_costs_what_arrives() -> None:
+    async def attempt() -> None:
+        async with Peer() as other:
+            here, there = socket.socketpair()
+            here.setblocking(False)
+            transport, receiver = await asyncio.get_running_loop().create_connection(
+                lambda: FrameReceiver(b"", lambda _: other._deliver, MOST), sock=here
+            )
+            with there:
+                there.setblocking(False)
+                await asyncio.get_running_loop().sock_sendall(there, struct.pack("<I", 1024 * 1024) + b"y")
+                await until(lambda: receiver.received >= 5)
+                assert len(receiver.get_buffer(-1)) <= FIRST_BUFFER
+            transport.abort()
+
+    asyncio.run(attempt())
+
+
+def test_a_message_longer_than_the_limit_ends_the_connection_and_says_the_setting() -> None:
+    async def attempt() -> None:
+        most = 1024 * 1024
+        async with Peer(most) as peer:
+            await peer.sends(frame(b"a" * most))
+            await peer.sends(struct.pack("<I", most + 1))
+            await asyncio.wait_for(peer.receiver.closed, 5)
+            assert peer.delivered == [b"a" * most]
+            assert f"{most + 1} bytes" in (peer.receiver.trouble or "")
+            assert "--setting message_limit" in (peer.receiver.trouble or "")
+
+    asyncio.run(attempt())
+
+
+def test_large_messages_one_after_the_other_are_received_whole() -> None:
+    async def attempt() -> None:
+        sizes = [3 * FIRST_PIECE + 1, 5, FIRST_PIECE, 3 * FIRST_PIECE + 1, 4 * FIRST_PIECE + 3]
+        async with Peer() as peer:
+            for number, size in enumerate(sizes):
+                await peer.sends(frame(bytes([number]) * size))
+            await until(lambda: len(peer.delivered) == len(sizes))
+            assert [(len(each), each[:1], each[-1:]) for each in peer.delivered] == [
+                (size, bytes([number]), bytes([number])) for number, size in enumerate(sizes)
+            ]
+
+    asyncio.run(asyncio.wait_for(attempt(), 30))
+
+
+def test_a_response_longer_than_the_limit_is_refused_before_it_is_read() -> None:
+    async def attempt() -> None:
+        reader = asyncio.StreamReader()
+        reader.feed_data(frame(b"a" * 10) + struct.pack("<I", 11))
+        assert await tcpros.read_frame(reader, 10) == b"a" * 10
+        with pytest.raises(BadFrame, match="11 bytes"):
+            await asyncio.wait_for(tcpros.read_frame(reader, 10), 5)
 
     asyncio.run(attempt())

@@ -1,4 +1,6 @@
-"""Publishes 200 messages a second without a queue, and says each half second the longest time that one took.
+"""Publishes messages without a queue, and says each half second the longest time that one took.
+
+    steady_node.py TOPIC [BYTES [RATE]]
 
 A publisher with queue_size=None writes to its subscribers itself: one that does not read makes it wait.
 """
@@ -13,8 +15,9 @@ from std_msgs.msg import String
 warnings.simplefilter("ignore")
 rospy.init_node("steady")
 publisher = rospy.Publisher(sys.argv[1], String, queue_size=None)
-text = String("x" * 100_000)
-rate = rospy.Rate(200)
+size, hertz = (*map(float, sys.argv[2:4]), *(100_000.0, 200.0)[len(sys.argv[2:4]) :])
+text = String("x" * int(size))
+rate = rospy.Rate(hertz)
 print("ready", flush=True)
 longest, told = 0.0, time.monotonic()
 while not rospy.is_shutdown():

@@ -31,6 +31,7 @@ from rosld.server.http import link
 from rosld.server.http.again import SCOPE, Again
 from rosld.server.http.origin import Site, check_host, check_origin, sharing, site
 from rosld.server.http.problem import Problem, render
+from rosld.server.http.tokens import PREFIX, has_token, without_tokens
 from rosld.server.hypermedia.mappings import relations
 from rosld.server.ldp.alone import Alone
 from rosld.server.ldp.exchange import Exchange
@@ -66,6 +67,7 @@ from rosld.server.turns import Turns
 from rosld.server.watchdog import Watchdog
 
 _log = logging.getLogger("rosld")
+_TOKEN_MARK = PREFIX.encode("ascii")
 _ABSENT = frozenset({404, 410})
 _REFUSED = frozenset({403, *_ABSENT})
 _TELLING_NOTHING = frozenset({401, *_ABSENT})
@@ -263,6 +265,7 @@ class Application:
             if not exchange.judge.whole:
                 place = gate.place_of(exchange.request.scope, self.robot.space)
                 gate.require_path(exchange.judge, exchange.method, place)
+        self._require_no_token(exchange)
         self._admit(exchange)
         if exchange.request.scope["raw_path"] == b"*":
             if exchange.method != "OPTIONS":
@@ -272,6 +275,21 @@ class Application:
         if is_preflight:
             return self._preflight(resource, origin)
         return await self._verbs.answer(exchange, resource)
+
+    def _require_no_token(self, exchange: Exchange) -> None:
+        """Raises a 400 Problem where the URL has a token of rosld in it: URLs are logged, linked and remembered.
+
+        What has such a name already can be deleted.
+        """
+        scope = exchange.request.scope
+        asked: bytes = scope["raw_path"] + b"?" + scope["query_string"]
+        if exchange.method == "DELETE" or not (_TOKEN_MARK in asked or b"%" in asked):
+            return
+        if has_token(asked.decode("latin-1")):
+            if gate.is_write(exchange.method, self._place(exchange)):
+                exchange.account.begin()
+            sentence = "The URL has a token in it: send it as 'Authorization: Bearer TOKEN', and have it replaced."
+            raise Problem(400, sentence)
 
     def _admit(self, exchange: Exchange) -> None:
         """Raises a 429 Problem for a client at its limit. Stopping the robot is never too much."""
@@ -331,7 +349,7 @@ class Application:
         error = gate.told(exchange.judge, error, self._place(exchange))
         exchange.account.refused(error.detail)
         path = quote(exchange.request.scope["raw_path"].lstrip(b"/"), safe="/%:@!$&'()*+,;=~")
-        url = self.robot.space.base + path
+        url = without_tokens(self.robot.space.base + path)
         return self._pages.problem(exchange, error, url) or render(error, exchange.accept, url=url).response()
 
 

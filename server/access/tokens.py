@@ -16,7 +16,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-_PREFIX = "rosld_"
+from rosld.server.http.tokens import PREFIX
+
 DIGEST = re.compile(r"sha256:[0-9a-f]{64}")
 _TOKEN68 = re.compile(r"[A-Za-z0-9\-._~+/]+=*")
 _MOST = 16 * 1024
@@ -24,7 +25,7 @@ _MOST = 16 * 1024
 
 def made() -> str:
     """A new token."""
-    return _PREFIX + secrets.token_urlsafe(32)
+    return PREFIX + secrets.token_urlsafe(32)
 
 
 def digest(token: str) -> str:

@@ -15,6 +15,7 @@ from starlette.types import ASGIApp
 
 from rosld.server.http.again import Again
 from rosld.server.http.connection import Bounded, Bounds, Connection
+from rosld.server.http.tokens import without_tokens
 from rosld.server.sparql.evaluation import Aborted
 
 _log = logging.getLogger("rosld")
@@ -107,9 +108,18 @@ def run(main: Coroutine[Any, Any, None]) -> None:
     uvloop.run(main)
 
 
+class _WithoutTokens(logging.Formatter):
+    """Formats records, tracebacks included, without tokens of rosld."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return without_tokens(super().format(record))
+
+
 def quiet_logs() -> None:
     """All logs to stderr; of uvicorn only what went wrong here, not what strangers send."""
-    logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_WithoutTokens("%(levelname)s %(name)s: %(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
     uvicorns = logging.getLogger("uvicorn.error")
     uvicorns.setLevel(logging.ERROR)
     uvicorns.addFilter(_unless_cancelled)

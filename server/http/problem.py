@@ -22,6 +22,7 @@ from rosld.ontology.triples import about, integer, text
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf, rdfs
 from rosld.server.http import field, negotiation
+from rosld.server.http.tokens import without_tokens, without_tokens_in
 from rosld.shapes.report import validation_report
 
 JSON = "application/problem+json"
@@ -53,15 +54,24 @@ class Problem(Exception):
         violations: Sequence[Violation] = (),
         about: Sequence[str] = (),
     ) -> None:
-        super().__init__(f"{status} {detail}")
+        super().__init__(f"{status} {without_tokens(detail)}")
         self.status = status
         self.detail = detail
         self.title = title or phrase(status)
         self.type = type
         self.headers = dict(headers)
-        self.extra = dict(extra)
-        self.violations = tuple(violations)
+        self.extra = {name: without_tokens_in(value) for name, value in extra.items()}
+        self.violations = tuple(map(_without_tokens, violations))
         self.about = tuple(about)
+
+    @property
+    def detail(self) -> str:
+        """Why, and what to do next: never with a token of rosld in it."""
+        return self._detail
+
+    @detail.setter
+    def detail(self, words: str) -> None:
+        self._detail = without_tokens(words)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Worker processes raise problems, too."""
@@ -168,6 +178,13 @@ def document(problem: Problem, url: str = _NOWHERE) -> Document:
         (rdfs.seeAlso, NamedNode(f"{url}#report") if report else None),
     )
     return Document(url, (*triples, *(report.triples if report else ())))
+
+
+def _without_tokens(violation: Violation) -> Violation:
+    value = None if violation.value is None else without_tokens(violation.value)
+    path, message = without_tokens(violation.path), without_tokens(violation.message)
+    same = (path, message, value) == (violation.path, violation.message, violation.value)
+    return violation if same else replace(violation, path=path, message=message, value=value)
 
 
 def _cleaned(violation: Violation) -> Violation:

@@ -9,10 +9,12 @@ from __future__ import annotations
 import base64
 import codecs
 import hashlib
+import re
 from typing import NamedTuple
 
 from rosld.ontology.describe_activities import Receipt
 from rosld.server.access.agent import Agent
+from rosld.server.http.tokens import PREFIX, without_tokens
 from rosld.server.receipts.secrets import SCANNED, holds_credentials
 
 _MOST_STEPS = 100
@@ -20,6 +22,8 @@ _LONGEST = 500
 """Characters of a step, of the words of a refusal, of a media type."""
 _LONGEST_URL = 2000
 _WITHHELD = "(withheld)"
+_CUT_TOKEN = re.compile(rf"{PREFIX}[\w-]*\Z")
+"""What may be the beginning of a token at the end of what is looked through."""
 
 
 class Asked(NamedTuple):
@@ -64,16 +68,16 @@ def receipt_of(asked: Asked, number: int, id: str, excerpt_bytes: int) -> Receip
         asked.ended_ns,
         asked.method,
         _url(asked.url, _WITHHELD.strip("()") if hides_query else query),
-        None if asked.media_type is None else asked.media_type[:_LONGEST],
+        None if asked.media_type is None else without_tokens(asked.media_type)[:_LONGEST],
         asked.length,
         None if withheld or digest is None else f"sha-256=:{base64.b64encode(digest).decode()}:",
         None if withheld or text is None or not excerpt_bytes else _begin(text, excerpt_bytes),
         withheld or hides_query,
         tuple(dict.fromkeys(_said(step, withheld) for step in asked.plan[:_MOST_STEPS])),
-        asked.touched[:_MOST_STEPS],
+        tuple(map(without_tokens, asked.touched[:_MOST_STEPS])),
         asked.matched,
         asked.status,
-        asked.made,
+        None if asked.made is None else without_tokens(asked.made),
         None if asked.words is None else _said(asked.words, withheld),
     )
 
@@ -84,6 +88,8 @@ def _text(body: bytes) -> str | None:
         text = codecs.getincrementaldecoder("utf-8")().decode(body[:SCANNED])
     except UnicodeDecodeError:
         return None
+    if len(body) > SCANNED:
+        text = _CUT_TOKEN.sub("", text)
     return None if "\0" in text else text
 
 
@@ -102,4 +108,4 @@ def _said(words: str, withheld: bool) -> str:
 
 def _url(url: str, query: str) -> str:
     whole = f"{url}?{query}" if query else url
-    return whole[:_LONGEST_URL]
+    return without_tokens(whole)[:_LONGEST_URL]

@@ -21,6 +21,7 @@ _WELL_KNOWN = ("ghp_", "gho_", "ghs_", "github_pat_", "glpat-", "xox", "sk-", "s
 _SHAPES: tuple[tuple[str, re.Pattern[str]], ...] = (
     ("key", _KEYS),
     ("basic ", re.compile(r"\bbasic {1,9}[a-z0-9+/=_-]{8}")),  # HTTP authentication
+    ("rosld_", re.compile(r"rosld_[\w-]{43}")),  # a token of rosld's own
     ("eyj", re.compile(r"eyj[\w-]{8,200}\.")),  # a JSON Web Token
     ("@", re.compile(r"://[^\s/@:]{0,100}:[^\s/@]{1,200}@")),  # a password in a URL
     *((each, re.compile(rf"\b{each}[\w-]{{10}}")) for each in _WELL_KNOWN),

@@ -36,6 +36,7 @@ from rosld.server.html.view import visible
 from rosld.server.http import negotiation
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
+from rosld.server.http.tokens import without_tokens
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.paging import MOST, Page, Place, page_among, page_query, read_named_place, send_to_first
 from rosld.server.ldp.patch import merge_patch, updated
@@ -445,7 +446,9 @@ class ParameterTree(_Parameters):
         return await member.put(exchange)
 
     async def _free_name(self, slug: str | None) -> str:
-        kept = "".join(char if char.isalnum() or char == "_" else "_" for char in (slug or "")[:_MOST_SLUG])
+        kept = "".join(
+            char if char.isalnum() or char == "_" else "_" for char in without_tokens(slug or "")[:_MOST_SLUG]
+        )
         name = names.join((*self.namespace, kept or f"parameter_{secrets.token_hex(3)}"))
         deadline = self.robot.deadline(self.robot.settings.call_deadline)
         taken = await self.robot.adapter.get_parameters([name], deadline=deadline)

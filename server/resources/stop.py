@@ -16,6 +16,7 @@ from rosld.ontology.vocab import ros
 from rosld.server.access.judge import EVERYTHING, Judge
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http.problem import Problem
+from rosld.server.http.tokens import without_tokens
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import JSON, READ, Answer, Resource, Shown
 from rosld.server.ldp.state import State
@@ -144,7 +145,7 @@ def _reason(body: bytes) -> str | None:
         return None
     match parse_json(body):
         case {"reason": str(reason), **others} if not others and len(reason) <= _LONGEST:
-            return " ".join(reason.split()) or None
+            return without_tokens(" ".join(reason.split())) or None
         case {**others} if not others:
             return None
     raise Problem(422, f'The body is empty, or {{"reason": "..."}} with at most {_LONGEST} characters.')

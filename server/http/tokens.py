@@ -1,0 +1,44 @@
+"""The shape of rosld's own access tokens, and texts without them. Pure.
+
+What rosld says itself (problem details, receipts, logs, names it gives) has no token in it, whatever a client sent.
+"""
+
+from __future__ import annotations
+
+import re
+from urllib.parse import quote, unquote
+
+PREFIX = "rosld_"
+_RANDOM = 43
+"""Characters after the prefix: 256 random bits, base64url (RFC 4648 5) without padding."""
+_TOKEN = re.compile(rf"{PREFIX}(?=[\w-]*[A-Z])(?=[\w-]*[a-z])[A-Za-z0-9_-]{{{_RANDOM}}}")
+"""Both cases occur in every token but one in 10^9, and hardly in a name of ROS that is as long."""
+WITHHELD = "rosld-token-withheld"
+"""What stands in place of a token; fit for URLs."""
+
+
+def has_token(text: str) -> bool:
+    """Whether a text holds a token of rosld, percent-encoded or not."""
+    if PREFIX in text and _TOKEN.search(text):
+        return True
+    return "%" in text and _TOKEN.search(unquote(text)) is not None
+
+
+def without_tokens(text: str) -> str:
+    """The text with `WITHHELD` in place of every token, percent-encoded ones too."""
+    if PREFIX in text:
+        text = _TOKEN.sub(WITHHELD, text)
+    if "%" in text and _TOKEN.search(unquote(text)):
+        return quote(_TOKEN.sub(WITHHELD, unquote(text)), safe="/%:@!$&'()*+,;=~?#")
+    return text
+
+
+def without_tokens_in(value: object) -> object:
+    """The same of every string in a JSON value; other values are as they are."""
+    if isinstance(value, str):
+        return without_tokens(value)
+    if isinstance(value, dict):
+        return {name: without_tokens_in(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_tokens_in(each) for each in value]
+    return value

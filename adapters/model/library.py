@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -46,6 +47,7 @@ class TypeLibrary:
         self._ros_version = ros_version
         self._folders = tuple(folders)
         self._learnt: dict[str, dict[str, Schema]] = {}
+        self._nested: dict[str, dict[str, Mapping[str, str]]] = {}
         self._files: Mapping[tuple[str, str], Path] | None = None
         self._lock = threading.RLock()
         self._learn_as: Mapping[str, Callable[[str, str, str | None], Schema]] = {
@@ -110,9 +112,10 @@ class TypeLibrary:
         reason = "its definition is neither shipped with rosld nor in the folders given; name one with --types DIR"
         written = written_as(ref.name) if self._ros_version == 2 else ref.name.partition("/")[2].partition("/")[0]
         learn = self._learn_as.get(written, self.learn_message)
-        for text in self._candidates(ref.name):
+        hash = ref.hash or self._nested_hash(ref.name)
+        for text in chain(self._candidates(ref.name), self._nested_texts(ref.name)):
             try:
-                return learn(ref.name, text, ref.hash)
+                return learn(ref.name, text, hash)
             except ValueError as error:
                 reason = f"{error}; name a folder with the robot's own definition with --types DIR"
         wanted = f" with hash {ref.hash}" if ref.hash else ""
@@ -140,6 +143,17 @@ class TypeLibrary:
             yield derived[1]
         if self._ros_version == 2 and (part := self._part_or_none(name)) is not None:
             yield part.definition
+
+    def _nested_texts(self, name: str) -> Iterator[str]:
+        """Texts of a message that was nested in what was learnt, those learnt last first, with what it nests itself."""
+        for text, texts in reversed(self._nested.get(name, {}).items()):
+            closed = self._closure(name, texts)
+            yield "\n".join([text, *_appended({each: closed[each] for each in closed if each != name})]) + "\n"
+
+    def _nested_hash(self, name: str) -> str | None:
+        """The hash of a message as it was nested in what was learnt last; None where it was in nothing."""
+        text = next(self._nested_texts(name), None)
+        return None if text is None else self._message(name, sections(name, text), text, None).ref.hash
 
     def _part(self, name: str) -> MessageSchema | None:
         """A message as the service or action has it that it is a part of; None for all others. Raises UnknownType."""
@@ -183,7 +197,7 @@ class TypeLibrary:
                 continue
             found = texts.get(current)
             if found is None or current in _BUILTIN:
-                found = next(self._candidates(current), None)
+                found = next(chain(self._candidates(current), self._nested_texts(current)), None)
             if found is None:
                 raise ValueError(f"{name} needs {current}, whose definition is not known")
             own = sections(current, found)
@@ -201,6 +215,9 @@ class TypeLibrary:
             ref = TypeRef(name, _proved(name, found or message_hash(name, types), hash))
         except (KeyError, IndexError, RecursionError) as error:
             raise ValueError(f"the definition of {name} cannot be read: {error}") from error
+        for each in closed:
+            if each != name:
+                self._nested.setdefault(each, {})[closed[each]] = closed
         return MessageSchema(ref, types, _full_text(name, closed, definition), RosbagsCodec(name, store, types))
 
     def _service(self, name: str, definition: str, hash: str | None) -> ServiceSchema:

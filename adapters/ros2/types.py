@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Protocol, cast
 
 from rosld.adapters.model import RosError, Schema, TypeRef, UnknownType
-from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.derived import written_as
+from rosld.adapters.model.description import IndividualTypeMessage, definition_of
+from rosld.adapters.model.library import SEPARATOR, TypeLibrary
 from rosld.adapters.ros2.calls import Calls
 from rosld.adapters.ros2.middleware import class_problem, made
 
 _DESCRIPTION = "type_description_interfaces/srv/GetTypeDescription"
 _KINDS = ("msg", "srv", "action")
 _MOST_ASKED = 3
-_SEPARATOR = "=" * 80
 
 
 def definition_folders(
@@ -36,6 +38,29 @@ def definition_folders(
     return [folder for folder in found if folder.is_dir()]
 
 
+class SourceMessage(Protocol):
+    """type_description_interfaces/msg/TypeSource."""
+
+    type_name: str
+    encoding: str
+    raw_file_contents: str
+
+
+class WholeMessage(Protocol):
+    """type_description_interfaces/msg/TypeDescription."""
+
+    type_description: IndividualTypeMessage
+    referenced_type_descriptions: Sequence[IndividualTypeMessage]
+
+
+class DescriptionMessage(Protocol):
+    """The response of type_description_interfaces/srv/GetTypeDescription."""
+
+    successful: bool
+    type_description: WholeMessage
+    type_sources: Sequence[SourceMessage]
+
+
 class Types:
     """The type library as the thread that talks to ROS uses it."""
 
@@ -44,6 +69,11 @@ class Types:
         self._calls = calls
         self._problems: dict[str, str | None] = {}
         self._hashes: dict[str, str | None] = {}
+        self._learn_as: Mapping[str, Callable[[str, str, str | None], Schema]] = {
+            "msg": library.learn_message,
+            "srv": library.learn_service,
+            "action": library.learn_action,
+        }
 
     def problem(self, name: str) -> str | None:
         """Why messages of a type cannot be read or sent here, None where they can."""
@@ -92,22 +122,34 @@ class Types:
         service = f"{node}/get_type_description"
         try:
             request = made(_DESCRIPTION, fields, "Request")
-            answer = cast(Any, await self._calls.call(service, _DESCRIPTION, request, until))
+            answer = cast(DescriptionMessage, await self._calls.call(service, _DESCRIPTION, request, until))
             if not answer.successful:
                 return None
-            sources = {each.type_name: (each.encoding, each.raw_file_contents) for each in answer.type_sources}
-            return await asyncio.get_running_loop().run_in_executor(None, self._learn, ref, sources)
+            return await asyncio.get_running_loop().run_in_executor(None, self._learn, ref, answer)
         except (RosError, ValueError):
             return None
 
-    def _learn(self, ref: TypeRef, sources: Mapping[str, tuple[str, str]]) -> Schema:
-        """The schema from the texts of a type and of all it nests. Raises ValueError."""
-        encoding, text = sources.get(ref.name, ("", ""))
-        if encoding not in ("msg", "srv"):
-            raise ValueError(f"the definition of {ref.name} is told in {encoding!r}")
-        parts = [text.rstrip("\n")]
-        for name, (kind, nested) in sources.items():
-            if name != ref.name and kind == "msg":
-                parts.append(f"{_SEPARATOR}\nMSG: {name.replace('/msg/', '/')}\n{nested.rstrip()}")
-        learn = self.library.learn_message if encoding == "msg" else self.library.learn_service
-        return learn(ref.name, "\n".join(parts) + "\n", ref.hash)
+    def _learn(self, ref: TypeRef, answer: DescriptionMessage) -> Schema:
+        """The schema in the answer of a node: from the sources, which have constants and comments, else as described.
+
+        Raises ValueError where neither can be read, or has the hash.
+        """
+        sources = {each.type_name: (each.encoding, each.raw_file_contents) for each in answer.type_sources}
+        kind = written_as(ref.name)
+        encoding, text = sources.pop(ref.name, ("", ""))
+        learn = self._learn_as[kind]
+        if encoding == kind:
+            with contextlib.suppress(ValueError):
+                return learn(ref.name, _with_nested(text, sources), ref.hash)
+        described = answer.type_description
+        text = definition_of(ref.name, [described.type_description, *described.referenced_type_descriptions])
+        return learn(ref.name, text, ref.hash)
+
+
+def _with_nested(text: str, sources: Mapping[str, tuple[str, str]]) -> str:
+    """A definition with those of the messages that it may nest appended."""
+    parts = [text.rstrip("\n")]
+    for name, (kind, nested) in sources.items():
+        if kind == "msg":
+            parts.append(f"{SEPARATOR}\nMSG: {name.replace('/msg/', '/')}\n{nested.rstrip()}")
+    return "\n".join(parts) + "\n"

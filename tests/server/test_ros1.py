@@ -316,3 +316,14 @@ def test_an_unreachable_master_is_said_in_one_line(source: str) -> None:
     assert done.stdout == ""
     assert len(done.stderr.strip().splitlines()) == 1, done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_type_that_is_nested_in_a_nodes_own_type_has_its_page_and_its_shape(ros: Any, robot: Any) -> None:
+    node = ros.node("gripper_node.py")
+    ready(robot, "/topics/grip")
+    until(lambda: robot.http.get("/topics/grip", headers=JSON).json(), "a message")
+    for name in ("Grip", "Tip"):
+        for room in ("types", "shapes"):
+            assert robot.http.get(f"/{room}/gripper_own/msg/{name}").status_code == 200, (room, name)
+    assert "in newtons" in robot.http.get("/types/gripper_own/msg/Tip", headers={"Accept": "text/turtle"}).text
+    node.stop()

@@ -57,10 +57,11 @@ def test_a_topic_whose_package_is_not_installed_here_is_listed_with_the_reason(
     asyncio.run(scenario())
 
 
-def test_a_type_that_lies_nowhere_here_is_asked_of_the_node_that_uses_it(
-    lone_ros: Any, opened: Any, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("way", ["foreign", "idl"])
+def test_a_type_that_lies_nowhere_here_is_asked_of_the_node_that_uses_it_however_it_is_written(
+    lone_ros: Any, opened: Any, monkeypatch: pytest.MonkeyPatch, way: str
 ) -> None:
-    lone_ros.node("odd.py", "foreign", "foreign")
+    lone_ros.node("odd.py", way, way)
     monkeypatch.setattr(sys.modules["rosld.adapters.ros2.adapter"], "definition_folders", lambda given: [])
     monkeypatch.setattr(library, "_stored_texts", lambda version: {})
 
@@ -72,5 +73,7 @@ def test_a_type_that_lies_nowhere_here_is_asked_of_the_node_that_uses_it(
             assert "pose" in {field.name for field in schema.type.fields}
             (sample,) = await session.first(await session.adapter.subscribe("/marker"))
             assert (await session.decoded(sample)).ns == ""
+            nested = await session.adapter.schema(TypeRef("geometry_msgs/msg/Pose"), deadline=session.deadline())
+            assert {field.name for field in nested.type.fields} == {"position", "orientation"}
 
     asyncio.run(scenario())

@@ -1,19 +1,24 @@
 """A node that is odd in one way: `odd.py WAY NAME`. Prints "ready", and "heard TEXT" where it listens.
 
 silent answers no service at all; shouter is best effort on /loud, where strict wants to hear reliably; twin talks on
-/shared; foreign speaks types of visualization_msgs; late said three things on the latched /history.
+/shared; foreign speaks types of visualization_msgs, and so does idl, which describes them as if they were written in
+IDL; late said three things on the latched /history.
 """
 
 from __future__ import annotations
 
+import json
 import signal
 import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 
@@ -53,6 +58,34 @@ def foreign(node: Node) -> None:
     node.create_service(GetInteractiveMarkers, "/get_markers", lambda _, response: response)
 
 
+def idl(node: Node) -> None:
+    """As `foreign`, but its types are told as those that were written in IDL."""
+    foreign(node)
+    from type_description_interfaces import msg as told_as
+    from type_description_interfaces.srv import GetTypeDescription
+
+    known = json.loads((Path(sys.prefix) / "share/visualization_msgs/msg/Marker.json").read_text())[
+        "type_description_msg"
+    ]
+
+    def individual(described: Any) -> Any:
+        fields = [
+            told_as.Field(name=each["name"], type=told_as.FieldType(**each["type"])) for each in described["fields"]
+        ]
+        return told_as.IndividualTypeDescription(type_name=described["type_name"], fields=fields)
+
+    def tell(_: Any, told: Any) -> Any:
+        told.successful = True
+        told.type_description.type_description = individual(known["type_description"])
+        told.type_description.referenced_type_descriptions = list(
+            map(individual, known["referenced_type_descriptions"])
+        )
+        told.type_sources = [told_as.TypeSource(type_name="visualization_msgs/msg/Marker", encoding="idl")]
+        return told
+
+    node.create_service(GetTypeDescription, "~/get_type_description", tell)
+
+
 def late(node: Node) -> None:
     publisher = node.create_publisher(
         String, "/history", QoSProfile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -62,7 +95,7 @@ def late(node: Node) -> None:
 
 
 WAYS: dict[str, Callable[[Node], None]] = {
-    each.__name__: each for each in (silent, shouter, strict, twin, foreign, late)
+    each.__name__: each for each in (silent, shouter, strict, twin, foreign, idl, late)
 }
 
 
@@ -70,7 +103,8 @@ def main(way: str, name: str) -> None:
     context = Context()
     context.init(args=[])
     signal.signal(signal.SIGINT, lambda *_: ENDING.set())
-    node = Node(name, context=context)
+    own = [Parameter("start_type_description_service", value=False)] if way == "idl" else []
+    node = Node(name, context=context, parameter_overrides=own)
     executor = SingleThreadedExecutor(context=context)
     WAYS[way](node)
     if way != "silent":

@@ -1,0 +1,116 @@
+"""Type descriptions of ROS 2 (REP 2016) as the text of a definition: for types that are not written as .msg. Pure.
+
+A description holds names and types of fields, all that is on the wire and in the hash; constants, defaults and comments
+are not in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Protocol
+
+from rosld.adapters.model.derived import written_as
+from rosld.adapters.model.library import SEPARATOR
+
+_NESTED, _BLOCK = 1, 48
+_BOUNDED_STRING, _BOUNDED_WSTRING = 21, 22
+_PRIMITIVES = {
+    2: "int8",
+    3: "uint8",
+    4: "int16",
+    5: "uint16",
+    6: "int32",
+    7: "uint32",
+    8: "int64",
+    9: "uint64",
+    10: "float32",
+    11: "float64",
+    15: "bool",
+    16: "byte",
+    17: "string",
+    18: "wstring",
+}
+_SUFFIXES = ("", "[{}]", "[<={}]", "[]")
+"""Of a single value, an array, a bounded and an unbounded sequence: their ids are 48 apart."""
+_DUMMY = "structure_needs_at_least_one_member"
+_PARTS: Mapping[str, tuple[str, ...]] = {
+    "msg": ("",),
+    "srv": ("_Request", "_Response"),
+    "action": ("_Goal", "_Result", "_Feedback"),
+}
+
+
+class FieldTypeMessage(Protocol):
+    """type_description_interfaces/msg/FieldType."""
+
+    type_id: int
+    capacity: int
+    string_capacity: int
+    nested_type_name: str
+
+
+class FieldMessage(Protocol):
+    """type_description_interfaces/msg/Field."""
+
+    name: str
+    type: FieldTypeMessage
+
+
+class IndividualTypeMessage(Protocol):
+    """type_description_interfaces/msg/IndividualTypeDescription."""
+
+    type_name: str
+    fields: Sequence[FieldMessage]
+
+
+def definition_of(name: str, described: Iterable[IndividualTypeMessage]) -> str:
+    """The text that defines a message, service or action, with the messages that it nests appended.
+
+    `described` are the type and all that it refers to. Raises ValueError naming what lacks, or has no name in .msg.
+    """
+    fields = {each.type_name: each.fields for each in described}
+    parts = [f"{name}{end}" for end in _PARTS[written_as(name)]]
+    lacking = [part for part in parts if part not in fields]
+    if lacking:
+        raise ValueError(f"the description of {name} lacks {lacking[0]}")
+    whole = "\n---\n".join(_text(fields[part]) for part in parts)
+    nested = [each for each in _reached(parts, fields) if each not in parts]
+    return "\n".join([whole, *(f"{SEPARATOR}\nMSG: {_short(each)}\n{_text(fields[each])}" for each in nested)]) + "\n"
+
+
+def _reached(parts: Sequence[str], fields: Mapping[str, Sequence[FieldMessage]]) -> list[str]:
+    """The types that these are made of, themselves included. Raises ValueError where one is not described."""
+    reached: dict[str, None] = {}
+    wanted = list(parts)
+    while wanted:
+        name = wanted.pop()
+        if name in reached:
+            continue
+        if name not in fields:
+            raise ValueError(f"the description of {parts[0]} lacks {name}")
+        reached[name] = None
+        wanted += [field.type.nested_type_name for field in fields[name] if field.type.type_id % _BLOCK == _NESTED]
+    return list(reached)
+
+
+def _text(fields: Sequence[FieldMessage]) -> str:
+    return "\n".join(f"{_type(field.type)} {field.name}" for field in fields if field.name != _DUMMY)
+
+
+def _type(found: FieldTypeMessage) -> str:
+    block, kind = divmod(found.type_id, _BLOCK)
+    if block >= len(_SUFFIXES):
+        raise ValueError(f"there is no type of a field with the id {found.type_id}")
+    if kind == _NESTED:
+        element = _short(found.nested_type_name)
+    elif kind in (_BOUNDED_STRING, _BOUNDED_WSTRING):
+        element = f"{'string' if kind == _BOUNDED_STRING else 'wstring'}<={found.string_capacity}"
+    elif kind in _PRIMITIVES:
+        element = _PRIMITIVES[kind]
+    else:
+        raise ValueError(f"a field of the type {found.type_id} has no name in a .msg")
+    return element + _SUFFIXES[block].format(found.capacity)
+
+
+def _short(name: str) -> str:
+    return name.replace("/msg/", "/")

@@ -1,0 +1,144 @@
+"""Types that were learnt from the robot: what they nest is known as well, and ROS 2's descriptions are read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from rosld.adapters.model import ActionSchema, Array, MessageSchema, Primitive, ServiceSchema, TypeRef, UnknownType
+from rosld.adapters.model.description import definition_of
+from rosld.adapters.model.library import SEPARATOR, TypeLibrary
+from rosld.adapters.model.rihs import _DUMMY, _described  # the same structure, by which hashes are made
+
+GRIP = f"""Tip left
+Tip right
+{SEPARATOR}
+MSG: gripper_own/Tip
+# where it touches
+std_msgs/Header header
+float64 force
+{SEPARATOR}
+MSG: std_msgs/Header
+string frame_id
+"""
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_type_that_is_nested_in_one_that_was_learnt_is_known_itself(version: int) -> None:
+    library = TypeLibrary(ros_version=version)  # type: ignore[arg-type]
+    with pytest.raises(UnknownType):
+        library.find(TypeRef("gripper_own/msg/Tip"))
+    grip = library.learn_message("gripper_own/msg/Grip", GRIP)
+    tip = library.find(TypeRef("gripper_own/msg/Tip"))
+    assert isinstance(tip, MessageSchema)
+    assert tip.types == {name: grip.types[name] for name in ("gripper_own/msg/Tip", "std_msgs/msg/Header")}
+    assert "# where it touches" in tip.definition
+    assert library.find(tip.ref) is tip
+
+
+def test_a_nested_type_is_the_robots_own_and_not_the_one_that_ships_under_its_name() -> None:
+    library = TypeLibrary(ros_version=1)
+    shipped = TypeLibrary(ros_version=1).find(TypeRef("std_msgs/msg/Header"))
+    library.learn_message("gripper_own/msg/Grip", GRIP)
+    found = library.find(TypeRef("std_msgs/msg/Header"))
+    assert isinstance(found, MessageSchema)
+    assert [each.name for each in found.type.fields] == ["frame_id"]
+    assert library.find(shipped.ref).ref == shipped.ref
+
+
+def test_a_nested_type_that_ships_keeps_its_constants_and_comments() -> None:
+    library = TypeLibrary(ros_version=2)
+    known = TypeLibrary(ros_version=2).find(TypeRef("diagnostic_msgs/msg/DiagnosticStatus"))
+    assert isinstance(known, MessageSchema)
+    status = [*described(known), Described("made_up/msg/Doubt", [Field("status", FieldType(1, 0, 0, known.ref.name))])]
+    library.learn_message("made_up/msg/Doubt", definition_of("made_up/msg/Doubt", status))
+    found = library.find(TypeRef("diagnostic_msgs/msg/DiagnosticStatus"))
+    assert isinstance(found, MessageSchema)
+    assert found.ref == known.ref
+    assert found.type.constants == known.type.constants != ()
+
+
+# Descriptions
+
+
+@dataclass
+class FieldType:
+    type_id: int
+    capacity: int = 0
+    string_capacity: int = 0
+    nested_type_name: str = ""
+
+
+@dataclass
+class Field:
+    name: str
+    type: FieldType
+
+
+@dataclass
+class Described:
+    type_name: str
+    fields: list[Field] = field(default_factory=list)
+
+
+def described(schema: MessageSchema) -> Iterator[Described]:
+    """A schema as a node would describe it."""
+    for kind in schema.types.values():
+        told = _described(kind)
+        fields = [Field(each["name"], FieldType(**each["type"])) for each in told["fields"]]  # type: ignore[attr-defined]
+        yield Described(kind.name, fields)
+
+
+TYPES = [
+    "geometry_msgs/msg/PoseStamped",
+    "sensor_msgs/msg/PointCloud2",
+    "std_msgs/msg/Empty",
+    "std_srvs/srv/SetBool",
+    "nav_msgs/srv/GetPlan",
+    "rosld_aircraft/action/Fly",
+]
+
+
+@pytest.mark.parametrize("name", TYPES)
+def test_a_description_without_sources_gives_the_type_with_its_hash(name: str) -> None:
+    known = TypeLibrary(ros_version=2).find(TypeRef(name))
+    parts = {
+        ServiceSchema: lambda: [known.request, known.response],  # type: ignore[union-attr]
+        ActionSchema: lambda: [known.goal, known.result, known.feedback],  # type: ignore[union-attr]
+    }.get(type(known), lambda: [known])()
+    told = [each for part in parts for each in described(part)]
+    library = TypeLibrary(ros_version=2)
+    learn: Any = {"msg": library.learn_message, "srv": library.learn_service, "action": library.learn_action}
+    found = learn[name.split("/")[1]](name, definition_of(name, told), known.ref.hash)
+    assert found.ref == known.ref
+
+
+def test_every_kind_of_field_is_read_from_a_description() -> None:
+    text = "string<=3 a\nstring[] b\nuint8[4] c\nint64[<=5] d\nstring<=6[<=7] e\nbool f\nbyte g\nfloat32[2] h"
+    known = TypeLibrary(ros_version=2).learn_message("made_up/msg/All", text)
+    found = TypeLibrary(ros_version=2).learn_message(
+        "made_up/msg/All", definition_of("made_up/msg/All", described(known)), known.ref.hash
+    )
+    assert found.type == known.type
+    assert found.type.fields[4].type == Array(Primitive("string", 6), bound=7)
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        [],
+        [Described("made_up/msg/All", [Field("a", FieldType(1, nested_type_name="made_up/msg/Lacking"))])],
+        [Described("made_up/msg/All", [Field("a", FieldType(12))])],
+        [Described("made_up/msg/All", [Field("a", FieldType(255))])],
+    ],
+)
+def test_a_description_that_cannot_be_a_definition_is_refused(told: list[Described]) -> None:
+    with pytest.raises(ValueError, match=r"description of|type of a field|no name in a"):
+        definition_of("made_up/msg/All", told)
+
+
+def test_an_empty_type_is_described_with_a_member_that_is_not_shown() -> None:
+    assert definition_of("std_msgs/msg/Empty", [Described("std_msgs/msg/Empty", [Field(_DUMMY.name, FieldType(3))])])

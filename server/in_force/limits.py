@@ -11,6 +11,7 @@ from pyoxigraph import RdfFormat, Triple, parse
 from rosld.adapters.base import Adapter
 from rosld.ontology.urls import Space
 from rosld.server.records import Records
+from rosld.server.records.packing import unpack
 from rosld.server.settings import Settings
 from rosld.shapes.limits import Limits, read_limits
 
@@ -68,7 +69,7 @@ class LimitsInForce:
                 if record is None or record.model.is_container:
                     continue
                 try:
-                    self.replace(url, self.check(url, record.triples))
+                    self.replace(url, self.check(url, unpack(record.triples)))
                 except ValueError as error:
                     _log.error("The limits %s are kept and not in force: %s", url, error)
 

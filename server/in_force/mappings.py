@@ -14,6 +14,7 @@ from rosld.server.hypermedia.documents import MappingDocument, load_mapping, map
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.records import Model, Put, Records
 from rosld.server.records.describe import written
+from rosld.server.records.packing import unpack
 from rosld.server.settings import Settings
 
 ROOM = "mappings/"
@@ -58,6 +59,6 @@ async def keep_mappings(
         if record is None or url in begun or (url in mappings.documents and url in named):
             continue
         try:
-            mappings.replace(mapping_kept(record.triples, url))
+            mappings.replace(mapping_kept(unpack(record.triples), url))
         except ValueError as error:
             _log.error("The mapping %s is kept and not in force: %s", url, error)

@@ -26,11 +26,15 @@ def merge_patch(target: object, patch: object) -> object:
     return merged
 
 
-def updated(data: bytes, before: Iterable[Triple], base: str) -> RdfBody:
+class Grown(Exception):
+    """More triples came of a patch than there may be."""
+
+
+def updated(data: bytes, before: Iterable[Triple], base: str, most: int | None = None) -> RdfBody:
     """The triples of one resource after a SPARQL Update, whose default graph is that resource's own.
 
     Raises Problems: 400 for what cannot be parsed, 422 for what reaches beyond the one graph (GRAPH, WITH, USING, LOAD,
-    SERVICE, whole-graph operations).
+    SERVICE, whole-graph operations). Raises Grown where more than `most` triples come of it.
     """
     try:
         text = data.decode("utf-8")
@@ -46,6 +50,8 @@ def updated(data: bytes, before: Iterable[Triple], base: str) -> RdfBody:
         raise Problem(400, f"The update cannot be parsed: {error}.") from error
     except (OSError, RuntimeError, ValueError) as error:
         raise Problem(422, f"The update cannot be carried out: {error}.") from error
+    if most is not None and len(store) > most:
+        raise Grown
     return indexed(_as_spelt(store, said), base)
 
 

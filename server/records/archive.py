@@ -28,6 +28,7 @@ from typing import IO, NamedTuple, cast
 
 import pyoxigraph
 
+from rosld.server.records import packing
 from rosld.server.records.blobs import ID, Blobs
 from rosld.server.records.ledger import Busy, Entry, Ledger, failure
 from rosld.server.records.paths import check, container_of
@@ -200,7 +201,8 @@ class _Moved:
                 membership.content and self._iri(membership.content),
             )
         begins = b"<" + self._new.encode()
-        triples = self._token.sub(lambda found: begins if found[0][:1] == b"<" else found[0], record.triples)
+        said = packing.unpack(record.triples)
+        triples = packing.pack(self._token.sub(lambda found: begins if found[0][:1] == b"<" else found[0], said))
         member = record.member and self._iri(record.member)
         return replace(record, triples=triples, member=member, membership=membership)
 
@@ -233,7 +235,7 @@ def _entry_json(entry: Entry) -> dict[str, object]:
         "model": record.model.value,
         "created": record.created_ns,
         "modified": record.modified_ns,
-        "triples": record.triples.decode("utf-8", "surrogateescape"),
+        "triples": packing.unpack(record.triples).decode("utf-8", "surrogateescape"),
     }
     if record.member is not None:
         told["member"] = record.member
@@ -257,7 +259,7 @@ def _entry(line: bytes) -> Entry:
         0,
         created,
         modified,
-        told["triples"].encode("utf-8", "surrogateescape"),
+        packing.pack(told["triples"].encode("utf-8", "surrogateescape")),
         None if blob is None else _blob(blob),
         None if membership is None else _membership(membership),
         None if told.get("member") is None else _matched(_IRI, told["member"], "an IRI"),
@@ -288,7 +290,7 @@ def _check(record: Record, sizes: dict[str, int]) -> None:
     if not container_of(record.path) and record.model is not Model.BASIC_CONTAINER:
         raise ValueError(f"{record.path} is in no container")
     try:
-        for _ in pyoxigraph.parse(record.triples, pyoxigraph.RdfFormat.N_TRIPLES, lenient=True):
+        for _ in pyoxigraph.parse(packing.unpack(record.triples), pyoxigraph.RdfFormat.N_TRIPLES, lenient=True):
             pass
     except SyntaxError as error:
         raise ValueError(f"the triples of {record.path} are no N-Triples: {error}") from error

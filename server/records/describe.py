@@ -57,10 +57,11 @@ def _of_file(record: Record) -> Iterable[Statement]:
 def unmanaged(triples: Iterable[Triple], url: str) -> list[Triple]:
     """The triples that are not the server's to say: neither the kind, the times nor the members of what is at `url`."""
     subject = NamedNode(url)
-    return [each for each in triples if each.subject != subject or not _is_managed(each.predicate, each.object)]
+    return [each for each in triples if each.subject != subject or not is_managed(each.predicate, each.object)]
 
 
-def _is_managed(predicate: NamedNode, value: object) -> bool:
+def is_managed(predicate: NamedNode, value: object) -> bool:
+    """Whether what is said of a resource by a predicate is the server's to say."""
     if predicate == rdf.type:
         return isinstance(value, NamedNode) and value.value.startswith(ldp.iri)
     return predicate in _OURS

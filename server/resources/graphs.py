@@ -188,7 +188,7 @@ async def _prepare(exchange: Exchange, resource: Resource) -> None:
         )
     makes = isinstance(resource, AbsentResource | ContainerResource)
     if exchange.method == "POST" and exchange.essence == MULTIPART and isinstance(resource, AbsentResource):
-        await unite(exchange, resource.url)
+        await unite(resource.robot, exchange, resource.url)
     if makes and exchange.essence is not None and exchange.essence not in RDF_BODIES:
         raise Problem(
             415,

@@ -34,6 +34,7 @@ from rosld.server.ldp.standing import standing_headers
 from rosld.server.ldp.state import State, digest
 from rosld.server.records import Put, Record
 from rosld.server.records.describe import record_document
+from rosld.server.resources.kept.bodies import require_small
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.files import KeptFile
 from rosld.server.resources.kept.room import AbsentResource, kept_room
@@ -203,9 +204,10 @@ class QueryDescription(DescriptionResource):
     async def state(self) -> State:
         return _described(self.robot, self.there())
 
-    def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
+    async def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
+        require_small(triples)
         own = set(self.robot.queries.said(record))
-        return super().with_triples(record, [one for one in triples if one not in own])
+        return await super().with_triples(record, [one for one in triples if one not in own])
 
 
 class AbsentQuery(AbsentResource):
@@ -245,10 +247,13 @@ class QueryContainer(ContainerResource):
             ),
         )
 
-    def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
+    async def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
+        require_small(triples)
         own = set(self._with_shipped(Document(self.url, ())).triples)
         about_members = {one for one in triples if one.predicate == rdfs.comment and one.subject != NamedNode(self.url)}
-        return super().with_triples(record, [one for one in triples if one not in own and one not in about_members])
+        return await super().with_triples(
+            record, [one for one in triples if one not in own and one not in about_members]
+        )
 
     def listing(self) -> Listing:
         listed = self._shipped() | {url: query.purpose for url, query in self._kept()}

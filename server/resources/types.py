@@ -23,6 +23,7 @@ from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Res
 from rosld.server.ldp.state import State, digest
 from rosld.server.records import Put, Record
 from rosld.server.records.describe import record_document
+from rosld.server.resources.kept.bodies import require_small
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.room import kept_room
 from rosld.server.resources.kept.showing import all_members
@@ -229,9 +230,10 @@ class LimitsContainer(ContainerResource):
             lambda: replace(kept, describe=describe, token=f"{kept.tag}-{digest(repr(more).encode())}", renderings={}),
         )
 
-    def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
+    async def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
+        require_small(triples)
         own = set(_generated(self.robot).triples)
-        return super().with_triples(record, [one for one in triples if one not in own])
+        return await super().with_triples(record, [one for one in triples if one not in own])
 
 
 def _is_of(triple: Triple, *, containment: bool, minimal: bool) -> bool:

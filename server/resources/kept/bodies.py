@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Iterable, Iterator, Sequence
-from functools import cached_property
-from typing import overload
+import asyncio
+from collections.abc import AsyncIterator, Iterable, Sequence
+from functools import partial
 
-from pyoxigraph import NamedNode, RdfFormat, Triple, parse
+from pyoxigraph import NamedNode, Triple
 
-from rosld.ontology.body import RdfBody, Term, read_ntriples
+from rosld.ontology.body import read_ntriples
 from rosld.ontology.vocab import ldp
 from rosld.server.http.link import Link
 from rosld.server.http.link import parse as parse_links
@@ -22,8 +22,20 @@ from rosld.server.ldp.interaction import (
     rdf_types,
 )
 from rosld.server.records import Blob, Membership, Model, Record
-from rosld.server.records.describe import MEMBERSHIP, unmanaged, written
+from rosld.server.records.describe import MEMBERSHIP, written
 from rosld.server.resources.kept.showing import all_members, stand_ins
+from rosld.server.resources.kept.stated import (
+    CONTAINED,
+    MOST_PATCHED,
+    NOTHING,
+    Statements,
+    contained,
+    is_light,
+    looked_through,
+    own,
+    read,
+    stated,
+)
 from rosld.server.robot import Robot
 
 
@@ -45,60 +57,35 @@ def _links(exchange: Exchange) -> Sequence[Link]:
     return () if stated is None else parse_links(stated)
 
 
-class Statements(Sequence[Triple]):
-    """The triples of a body as N-Triples; parsed when somebody looks at one, as for most bodies nobody does."""
-
-    def __init__(self, ntriples: bytes) -> None:
-        self.ntriples = ntriples
-
-    @cached_property
-    def _triples(self) -> list[Triple]:
-        return [quad.triple for quad in parse(self.ntriples, RdfFormat.N_TRIPLES)]
-
-    @overload
-    def __getitem__(self, index: int) -> Triple: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Triple]: ...
-    def __getitem__(self, index: int | slice) -> Triple | Sequence[Triple]:
-        return self._triples[index]
-
-    def __len__(self) -> int:
-        return len(self._triples)
-
-    def __iter__(self) -> Iterator[Triple]:
-        return iter(self._triples)
-
-
-async def statements(exchange: Exchange, url: str) -> Statements:
-    """The triples of a body, resolved against `url`. No body at all, of no type, states nothing.
+async def statements(robot: Robot, exchange: Exchange, url: str, subject: str) -> Statements:
+    """The triples of a body about `subject`, resolved against `url`. No body at all, of no type, states nothing.
 
     Raises BodyError, and a 422 Problem for triples about triples, which are not kept.
     """
     data = await exchange.body()
     if not data and exchange.header("content-type") is None:
-        return Statements(b"")
-    return _kept(Statements(read_ntriples(data, exchange.media_type, url)))
+        return NOTHING
+    if is_light(data):
+        return stated(read_ntriples(data, exchange.media_type, url))
+    return await robot.workers.run(partial(read, data, exchange.media_type, url, subject))
 
 
-def as_statements(triples: Sequence[Triple]) -> Statements:
-    """Triples as a body states them. Raises a 422 Problem for triples about triples, which are not kept."""
-    return triples if isinstance(triples, Statements) else _kept(Statements(written(triples)))
+async def as_statements(triples: Sequence[Triple], subject: str) -> Statements:
+    """Triples as a body about `subject` states them.
+
+    Raises a 422 Problem for triples about triples, which are not kept.
+    """
+    if isinstance(triples, Statements):
+        return triples
+    if len(triples) <= MOST_PATCHED:
+        return stated(written(triples))
+    return await asyncio.to_thread(lambda: looked_through(written(triples), subject))
 
 
-def _kept(stated: Statements) -> Statements:
-    if b"<<" in stated.ntriples and any(Triple in (type(each.subject), type(each.object)) for each in stated):
-        raise Problem(422, "Triples about triples are not kept here.")
-    return stated
-
-
-def triples_of(body: RdfBody) -> list[Triple]:
-    """The triples of a body."""
-    return [
-        Triple(subject, predicate, each)
-        for subject, properties in body.subjects.items()
-        for predicate, objects in properties.items()
-        for each in objects
-    ]
+def require_small(triples: Sequence[Triple]) -> None:
+    """Raise a 413 Problem for more than a document of a few thousand triples."""
+    if isinstance(triples, Statements) and triples.is_large:
+        raise Problem(413, "This says more than can be kept here: a few thousand triples at the most.")
 
 
 def require_membership(membership: Membership, triples: Sequence[Triple], url: str, model: Model) -> None:
@@ -112,22 +99,7 @@ def require_contained(robot: Robot, record: Record, triples: Iterable[Triple]) -
     """Raise a 409 Problem where a body would change what a container contains (LDP 5.2.4.1)."""
     stated = contained(triples, robot.space.base + record.path)
     if stated and stated != {NamedNode(robot.space.base + each.path) for each in all_members(robot, record)}:
-        raise Problem(409, f"{_CONTAINED}, not by its triples.")
-
-
-def require_same_members(before: Iterable[Triple], after: Iterable[Triple], url: str) -> None:
-    """Raise a 409 Problem where a patch would change what a container contains (LDP 5.2.4.1)."""
-    if contained(before, url) != contained(after, url):
-        raise Problem(409, f"{_CONTAINED}, not by a patch.")
-
-
-_CONTAINED = "What a container contains (ldp:contains) is changed by POST and DELETE"
-
-
-def contained(triples: Iterable[Triple], url: str) -> set[Term]:
-    """What triples say that the container at `url` contains."""
-    subject = NamedNode(url)
-    return {each.object for each in triples if each.predicate == ldp.contains and each.subject == subject}
+        raise Problem(409, f"{CONTAINED}, not by its triples.")
 
 
 async def received(robot: Robot, exchange: Exchange) -> Blob:
@@ -142,10 +114,10 @@ async def one_chunk(data: bytes) -> AsyncIterator[bytes]:
     yield data
 
 
-def own_triples(robot: Robot, record: Record, triples: Sequence[Triple]) -> list[Triple]:
-    """What is the client's to say of a body: all but what the server says of the record itself."""
-    own = unmanaged(triples, robot.space.base + record.path)
-    if record.membership is None:
-        return own
-    servers = set(membership_triples(record.membership, stand_ins(robot, all_members(robot, record))))
-    return [each for each in own if each not in servers]
+async def own_statements(robot: Robot, record: Record, triples: Statements) -> bytes:
+    """What is the client's to say of a body, as it is kept: all but what the server says of the record itself."""
+    subject, servers = robot.space.base + record.path, frozenset[Triple]()
+    if record.membership is not None:
+        servers = frozenset(membership_triples(record.membership, stand_ins(robot, all_members(robot, record))))
+    work = partial(own, triples, subject, servers)
+    return await robot.workers.run(work) if triples.is_large else work()

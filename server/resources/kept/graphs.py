@@ -19,6 +19,7 @@ from rosld.ontology.vocab import dcterms, ldp
 from rosld.server.ldp.interaction import declared
 from rosld.server.records import Changed, Member, Membership, Model, Record, Records
 from rosld.server.records.describe import META, record_document
+from rosld.server.records.packing import size_of, unpack
 from rosld.server.records.paths import container_of
 from rosld.server.sparql.kept import Changes
 from rosld.server.store import Edit
@@ -157,7 +158,7 @@ class _Search:
         self._graphs[url + META if record.model is Model.NON_RDF_SOURCE else url] = partial(
             _text, record, url, self._said
         )
-        self._size += len(record.triples) + _OVERHEAD
+        self._size += size_of(record.triples) + _OVERHEAD
 
     def _drop(self, path: str) -> None:
         self._due.pop(path, None)
@@ -226,7 +227,7 @@ def _text(record: Record, url: str, said: Said) -> str:
     """What it says, its members aside. What clients say stands as it is kept, which spares reading it."""
     membership = declared(record.membership, url) if record.membership is not None else ()
     managed = record_document(replace(record, triples=b""), url, (), (*membership, *said(record)))
-    return serialize(managed, Syntax.N_TRIPLES).decode() + record.triples.decode()
+    return serialize(managed, Syntax.N_TRIPLES).decode() + unpack(record.triples).decode()
 
 
 def _modified(record: Record, url: str) -> str:

@@ -16,8 +16,12 @@ from rosld.server.in_force.mappings import mapping_kept
 from rosld.server.in_force.queries import ROOM as QUERIES
 from rosld.server.ldp.resource import RDF_BODIES
 from rosld.server.records import Model, Put, Remove, Write
+from rosld.server.records.packing import size_of, unpack
 from rosld.server.robot import Robot
 from rosld.server.sparql.protocol import DIRECT
+
+MOST_BYTES = 4 * 1024 * 1024
+"""Bytes of N-Triples that a mapping, or limits, may say: some 40,000 triples."""
 
 
 class Judge(Protocol):
@@ -60,7 +64,7 @@ class MappingJudge:
             raise Problem(
                 409, f"A mapping is an RDF source directly under {room}: files and containers have no place there."
             )
-        document = await asyncio.to_thread(mapping_kept, write.triples, url)  # a large one takes its time
+        document = await asyncio.to_thread(mapping_kept, _unpacked(write), url)  # a large one takes its time
         robot.mappings.check(document)
         return self._told(lambda: robot.mappings.replace(document))
 
@@ -126,7 +130,7 @@ class LimitsJudge:
             room = self._robot.space.base + SHAPES
             raise Problem(409, f"Limits are an RDF source directly under {room}: nothing else has a place there.")
         try:
-            graph = await asyncio.to_thread(limits.check, url, write.triples)  # a large one takes its time
+            graph = await asyncio.to_thread(limits.check, url, _unpacked(write))  # a large one takes its time
         except ValueError as error:
             words = f"These limits cannot be put in force: {error}. Relative IRIs are relative to {url}."
             raise Problem(422, words) from error
@@ -139,6 +143,14 @@ class LimitsJudge:
             self._robot.changes.give()
 
         return sequel
+
+
+def _unpacked(put: Put) -> bytes:
+    """The N-Triples that a document says. Raises a 413 Problem for more than is read beside the loop in good time."""
+    if size_of(put.triples) > MOST_BYTES:
+        words = f"A document that is put in force has at most {MOST_BYTES} bytes of N-Triples"
+        raise Problem(413, f"{words}, and this one {size_of(put.triples)}: split it into several.")
+    return unpack(put.triples)
 
 
 _JUDGES: Mapping[str, Callable[[Robot], Judge]] = {MAPPINGS: MappingJudge, QUERIES: QueryJudge, SHAPES: LimitsJudge}

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 from pyoxigraph import Triple
 
-from rosld.ontology.body import body_of
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.interaction import (
-    member_of,
-    membership_of,
-)
+from rosld.server.ldp.interaction import membership_of
 from rosld.server.records import Blob, Model, Put, Record
-from rosld.server.records.describe import may_be_managed, unmanaged, written
 from rosld.server.records.paths import container_of
 from rosld.server.resources.kept.base import Kept
-from rosld.server.resources.kept.bodies import as_statements, contained, statements
+from rosld.server.resources.kept.bodies import as_statements, statements
+from rosld.server.resources.kept.stated import NOTHING, Statements, contained, own, stand_in
 from rosld.server.resources.kept.together import kept_together
 from rosld.server.robot import Robot
 
@@ -33,36 +30,39 @@ async def made(kept: Kept, model: Model, exchange: Exchange, blob: Blob | None, 
     if model is Model.NON_RDF_SOURCE:
         require_free(robot, path)
         put = Put(path, model, blob=blob, expected=0)
-        writes = [*_ways_to(robot, path), _as_member(robot, put, (), kept.url)]
+        writes = [*_ways_to(robot, path), await _as_member(robot, put, NOTHING, kept.url)]
     else:
-        writes = making(robot, path, model, await statements(exchange, kept.url))
+        writes = await making(robot, path, model, await statements(robot, exchange, kept.url, kept.url))
     record = (await kept_together(robot, [*writes[:-1], replace(writes[-1], unused=unused)]))[-1]
     assert record is not None
     return record
 
 
-def making(robot: Robot, path: str, model: Model, triples: Sequence[Triple]) -> list[Put]:
+async def making(robot: Robot, path: str, model: Model, triples: Sequence[Triple]) -> list[Put]:
     """The writes that make an RDF source or a container that says these triples, the last being its own.
 
     Raises 409 Problems for a name that is taken, and for containment that is stated; 422 for triples about triples.
     """
     require_free(robot, path)
-    url, stated = robot.space.base + path, as_statements(triples)
-    own = stated.ntriples
-    if may_be_managed(own):
-        if contained(stated, url):
+    url = robot.space.base + path
+    stated = await as_statements(triples, url)
+    managed, kept = stated.managed, stated.kept
+    if managed:
+        if contained(managed, url):
             raise Problem(409, "A new container contains nothing: leave ldp:contains away, and POST its members to it.")
-        own = written(unmanaged(stated, url))
-    put = Put(path, model, own, membership=membership_of(stated, url, model), expected=0)
-    return [*_ways_to(robot, path), _as_member(robot, put, stated, url)]
+        work = partial(own, stated, url, frozenset[Triple]())
+        kept = await robot.workers.run(work) if stated.is_large else work()
+    put = Put(path, model, kept, membership=membership_of(managed, url, model), expected=0)
+    return [*_ways_to(robot, path), await _as_member(robot, put, stated, url)]
 
 
-def _as_member(robot: Robot, put: Put, triples: Sequence[Triple], url: str) -> Put:
+async def _as_member(robot: Robot, put: Put, stated: Statements, url: str) -> Put:
     """With what stands for it in the membership triples of its container (LDP 5.5.1.2)."""
     container = robot.records.get(container_of(put.path))
     if container is None or container.membership is None:
         return put
-    member = member_of(container.membership, body_of(triples), url)
+    work = partial(stand_in, container.membership, stated, url)
+    member = await robot.workers.run(work) if stated.is_large else work()
     return replace(put, member=member)
 
 

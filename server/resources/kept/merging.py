@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TypeVar
+from functools import partial
 
-from pyoxigraph import BlankNode, Triple
+from pyoxigraph import Triple
 
 from rosld.ontology.body import parse_triples
 from rosld.server.http import media
@@ -15,41 +14,44 @@ from rosld.server.http.text import as_utf8
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import RDF_BODIES
 from rosld.server.records.describe import written
+from rosld.server.records.packing import size_of, unpack
+from rosld.server.resources.kept.stated import Statements, apart, is_light, looked_through
+from rosld.server.robot import Robot
 
-_Term = TypeVar("_Term")
 _N_TRIPLES = "application/n-triples"
+_MOST_UNITED = 4 * 1024 * 1024
+"""Bytes of N-Triples that several parts may make a new graph of."""
 
 
-def apart(triples: Iterable[Triple]) -> list[Triple]:
-    """These triples with new blank nodes: graphs that are merged share none (RDF 1.1 Semantics 4.1)."""
-    new: dict[BlankNode, BlankNode] = {}
-    return [
-        Triple(_anew(each.subject, new), each.predicate, _anew(each.object, new)) if _has_blank(each) else each
-        for each in triples
-    ]
-
-
-def _has_blank(triple: Triple) -> bool:
-    return isinstance(triple.subject, BlankNode) or isinstance(triple.object, BlankNode)
-
-
-def _anew(term: _Term, new: dict[BlankNode, BlankNode]) -> _Term | BlankNode:
-    return new.setdefault(term, BlankNode()) if isinstance(term, BlankNode) else term
-
-
-async def unite(exchange: Exchange, url: str) -> None:
-    """Turn a request whose body is multipart/form-data into one of N-Triples that says what all its parts say.
+async def united(robot: Robot, exchange: Exchange, url: str, subject: str) -> Statements:
+    """The statements about `subject` of a request whose body is multipart/form-data: what all its parts say.
 
     The parts are resolved against `url`. Raises BodyError and Problems: 400 for what cannot be cut into parts, 415 for
     parts that are no RDF.
     """
-    stated = media.parse(exchange.header("content-type") or "")
+    data, stated = await exchange.octets(), media.parse(exchange.header("content-type") or "")
+    work = partial(_united, data, stated.parameter("boundary"), url, subject)
+    return work() if is_light(data) else await robot.workers.run(work)
+
+
+async def unite(robot: Robot, exchange: Exchange, url: str) -> None:
+    """Turn a request whose body is multipart/form-data into one of N-Triples that says what all its parts say.
+
+    Raises what `united` raises, and a 413 Problem where that is too large.
+    """
+    found = await united(robot, exchange, url, url)
+    if size_of(found.kept) > _MOST_UNITED:
+        raise Problem(413, f"The parts say more than {_MOST_UNITED} bytes of N-Triples: PUT one body instead.")
+    exchange.become(exchange.method, _N_TRIPLES, unpack(found.kept))
+
+
+def _united(data: bytes, boundary: str | None, url: str, subject: str) -> Statements:
     try:
-        found = parts(await exchange.octets(), stated.parameter("boundary"))
+        found = parts(data, boundary)
     except ValueError as error:
         raise Problem(400, f"{MULTIPART}: {error}.") from error
     triples = [triple for number, part in enumerate(found, 1) for triple in _read(part, number, url)]
-    exchange.become(exchange.method, _N_TRIPLES, written(triples))
+    return looked_through(written(triples), subject)
 
 
 def _read(part: Part, number: int, url: str) -> list[Triple]:

@@ -65,7 +65,7 @@ class AbsentResource(Kept):
         if triples is None:
             raise missing(self.robot, self.path)
         model = Model.BASIC_CONTAINER if self.path.endswith("/") else Model.RDF_SOURCE
-        return Keep(f"make {self.title}", tuple(making(self.robot, self.path, model, triples)))
+        return Keep(f"make {self.title}", tuple(await making(self.robot, self.path, model, triples)))
 
     async def put(self, exchange: Exchange) -> Answer:
         model, blob = self._model(exchange), None

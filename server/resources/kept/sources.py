@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
 
 from pyoxigraph import Triple
 
@@ -11,8 +13,7 @@ from rosld.server.html import DeleteForm, Form
 from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.n3patch import applied, read_patch
-from rosld.server.ldp.patch import updated
+from rosld.server.ldp.patch import Grown
 from rosld.server.ldp.plan import Keep
 from rosld.server.ldp.prepared import done
 from rosld.server.ldp.resource import (
@@ -22,23 +23,29 @@ from rosld.server.ldp.resource import (
 )
 from rosld.server.ldp.state import State
 from rosld.server.records import Model, Put, Record, Remove, Write
-from rosld.server.records.describe import META, may_be_managed, written
+from rosld.server.records.describe import META
 from rosld.server.resources.kept.base import Kept
 from rosld.server.resources.kept.bodies import (
     as_statements,
-    own_triples,
+    own_statements,
     require_contained,
     require_membership,
     require_model,
-    require_same_members,
     statements,
-    triples_of,
 )
-from rosld.server.resources.kept.merging import apart, unite
+from rosld.server.resources.kept.merging import united
 from rosld.server.resources.kept.showing import shown
+from rosld.server.resources.kept.stated import (
+    MOST_PATCHED,
+    N3_PATCH,
+    merged,
+    patch_of,
+    patched,
+    require_same_members,
+)
 from rosld.server.robot import Robot
 
-N3_PATCH = "text/n3"
+__all__ = ["N3_PATCH", "DescriptionResource", "SourceResource"]
 
 
 class SourceResource(Kept):
@@ -62,10 +69,10 @@ class SourceResource(Kept):
     async def put(self, exchange: Exchange) -> Answer:
         self.require_guard(exchange)
         require_model(exchange, self.there().model, self.url)
-        triples = await statements(exchange, self.document_url)
+        triples = await statements(self.robot, exchange, self.document_url, self._subject)
 
         async def replaced(record: Record) -> Write:
-            put = self.with_triples(record, triples)
+            put = await self.with_triples(record, triples)
             whole = record.model is Model.RDF_SOURCE and not exchange.is_conditional
             return Put(put.path, put.model, put.triples) if whole else put  # the last one counts, whatever was there
 
@@ -75,37 +82,40 @@ class SourceResource(Kept):
     async def post(self, exchange: Exchange) -> Answer:
         """The body is merged into what is here (SPARQL 1.1 Graph Store Protocol 5.5)."""
         self.require_guard(exchange)
-        if exchange.essence == MULTIPART:
-            await unite(exchange, self.document_url)
-        added = apart(await statements(exchange, self.document_url))
+        read = united if exchange.essence == MULTIPART else statements
+        added = await read(self.robot, exchange, self.document_url, self._subject)
 
-        async def merged(record: Record) -> Write:
-            before = shown(self.robot, record).document.triples
-            return self.with_triples(record, list(dict.fromkeys((*before, *added))))
+        async def with_added(record: Record) -> Write:
+            before = shown(self.robot, record)
+            work = partial(merged, before.describe, added, self._subject)
+            is_large = added.is_large or before.is_large
+            return await self.with_triples(record, await self.robot.workers.run(work) if is_large else work())
 
-        await self.change(exchange, merged)
+        await self.change(exchange, with_added)
         return done()
 
     async def patch(self, exchange: Exchange) -> Answer:
         self.require_guard(exchange)
-        patched = await self._patch(exchange)
+        data, media_type, url = await exchange.body(), exchange.media_type, self.document_url
+        patch = await asyncio.to_thread(patch_of, data, media_type, url, MOST_PATCHED)
 
         async def changed(record: Record) -> Write:
-            before = shown(self.robot, record).document.triples
-            after = await asyncio.to_thread(patched, before)  # a hostile one takes its time
-            require_same_members(before, after, self.url)
-            return self.with_triples(record, after)
+            before = shown(self.robot, record)
+            if not before.is_large:
+                with suppress(Grown):
+                    return await self.with_triples(record, await self._patched(patch, before.document.triples))
+            work = partial(patched, before.describe, data, media_type, url, self._subject)
+            return await self.with_triples(record, await self.robot.workers.run(work))
 
         await self.change(exchange, changed)
         return done()
 
-    async def _patch(self, exchange: Exchange) -> Callable[[Sequence[Triple]], Sequence[Triple]]:
-        """What a patch makes of triples. Raises Problems for what is no patch."""
-        data, url = await exchange.body(), self.document_url
-        if exchange.media_type == N3_PATCH:
-            patch = await asyncio.to_thread(read_patch, data, url)
-            return lambda before: applied(patch, before)
-        return lambda before: triples_of(updated(data, before, url))
+    async def _patched(
+        self, patch: Callable[[Sequence[Triple]], Sequence[Triple]], before: Sequence[Triple]
+    ) -> Sequence[Triple]:
+        after = await asyncio.to_thread(patch, before)  # a hostile one takes its time
+        require_same_members(before, after, self.url)
+        return after
 
     async def planned(self, triples: Sequence[Triple] | None) -> Keep:
         method = "DELETE" if triples is None else "PUT"
@@ -113,23 +123,28 @@ class SourceResource(Kept):
             raise Problem(403, self.why_not(method))
         if triples is None:
             return Keep(f"delete {self.title}", (Remove(self.path, self.there().version),))
-        return Keep(f"store {self.title}", (self.with_triples(self.there(), triples),))
+        return Keep(f"store {self.title}", (await self.with_triples(self.there(), triples),))
 
     @property
     def document_url(self) -> str:
         """What relative IRIs are resolved against."""
         return self.url
 
-    def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
+    @property
+    def _subject(self) -> str:
+        """What the server says something of."""
+        return self.robot.space.base + self.path
+
+    async def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
         """The record with these triples; those that are the server's to say must be as they are, or away."""
-        stated = as_statements(triples)
-        own = stated.ntriples
-        if record.membership is not None or may_be_managed(own):
-            require_contained(self.robot, record, stated)
+        stated = await as_statements(triples, self._subject)
+        kept, managed = stated.kept, stated.managed
+        if record.membership is not None or managed:
+            require_contained(self.robot, record, managed)
             if record.membership is not None:
-                require_membership(record.membership, stated, self.robot.space.base + record.path, record.model)
-            own = written(own_triples(self.robot, record, stated))
-        return Put(record.path, record.model, own, record.blob, record.membership, expected=record.version)
+                require_membership(record.membership, managed, self._subject, record.model)
+            kept = await own_statements(self.robot, record, stated)
+        return Put(record.path, record.model, kept, record.blob, record.membership, expected=record.version)
 
 
 class DescriptionResource(SourceResource):

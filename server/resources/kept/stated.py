@@ -1,0 +1,193 @@
+"""What bodies state, and what merges and patches make of it, in the form in which it is kept. Pure.
+
+Worker processes call the functions at the end, so this imports little.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cached_property
+from typing import TypeVar, overload
+
+from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse
+
+from rosld.ontology.body import RdfBody, Term, body_of, read_ntriples
+from rosld.ontology.document import Document
+from rosld.ontology.vocab import ldp
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.interaction import member_of
+from rosld.server.ldp.n3patch import applied, read_patch
+from rosld.server.ldp.patch import updated
+from rosld.server.records import Membership
+from rosld.server.records.describe import is_managed, may_be_managed, unmanaged, written
+from rosld.server.records.packing import is_packed, pack, unpack
+
+N3_PATCH = "text/n3"
+LIGHT_BYTES = 32 * 1024
+"""Bytes of a body that the loop reads itself: at most some 15,000 triples, which take 15 ms."""
+_TINY_BYTES = 4 * 1024
+_LONG = re.compile(rb"""<[^>\s]{512}|"[^"]{512}|'[^']{512}|[^\s,;"'<>\[\](){}]{512}""")
+"""What may be said once in a body and be a part of every triple of it: a long IRI or prefix."""
+MOST_PATCHED = 5_000
+"""Triples that may come of a patch on the loop's side; what comes to more is done in a worker process."""
+
+_Term = TypeVar("_Term")
+
+
+class Statements(Sequence[Triple]):
+    """The triples of a body as they are kept; parsed when somebody looks at one, as for most bodies nobody does.
+
+    `managed` are those about the resource that the server manages, where they were looked for already.
+    """
+
+    def __init__(self, kept: bytes, managed: Sequence[Triple] | None = None) -> None:
+        self.kept = kept
+        self._managed = managed
+
+    @property
+    def is_large(self) -> bool:
+        """Whether they are too many to be looked at by the loop."""
+        return is_packed(self.kept)
+
+    @property
+    def managed(self) -> Sequence[Triple]:
+        """Those about the resource that the server manages, maybe others beside; none where there are no such."""
+        if self._managed is not None:
+            return self._managed
+        return self if may_be_managed(unpack(self.kept)) else ()
+
+    def look(self, managed: Sequence[Triple]) -> None:
+        """These are the ones that the server manages."""
+        self._managed = managed
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Without what was parsed."""
+        return Statements, (self.kept, self._managed)
+
+    @cached_property
+    def _triples(self) -> list[Triple]:
+        return [quad.triple for quad in parse(unpack(self.kept), RdfFormat.N_TRIPLES)]
+
+    @overload
+    def __getitem__(self, index: int) -> Triple: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Triple]: ...
+    def __getitem__(self, index: int | slice) -> Triple | Sequence[Triple]:
+        return self._triples[index]
+
+    def __len__(self) -> int:
+        return len(self._triples)
+
+    def __iter__(self) -> Iterator[Triple]:
+        return iter(self._triples)
+
+
+NOTHING = Statements(b"")
+
+
+def is_light(data: bytes) -> bool:
+    """Whether a body is read in an instant, and comes to little more than it is itself."""
+    if len(data) <= _TINY_BYTES:
+        return True
+    return len(data) <= LIGHT_BYTES and _LONG.search(data) is None
+
+
+def stated(ntriples: bytes) -> Statements:
+    """The statements of N-Triples. Raises a 422 Problem for triples about triples, which are not kept."""
+    found = Statements(pack(ntriples))
+    if b"<<" in ntriples and any(Triple in (type(each.subject), type(each.object)) for each in found):
+        raise Problem(422, "Triples about triples are not kept here.")
+    return found
+
+
+def contained(triples: Iterable[Triple], url: str) -> set[Term]:
+    """What triples say that the container at `url` contains."""
+    subject = NamedNode(url)
+    return {each.object for each in triples if each.predicate == ldp.contains and each.subject == subject}
+
+
+def require_same_members(before: Iterable[Triple], after: Iterable[Triple], url: str) -> None:
+    """Raise a 409 Problem where a patch would change what a container contains (LDP 5.2.4.1)."""
+    if contained(before, url) != contained(after, url):
+        raise Problem(409, f"{CONTAINED}, not by a patch.")
+
+
+CONTAINED = "What a container contains (ldp:contains) is changed by POST and DELETE"
+
+
+def triples_of(body: RdfBody) -> list[Triple]:
+    """The triples of a body."""
+    return [
+        Triple(subject, predicate, each)
+        for subject, properties in body.subjects.items()
+        for predicate, objects in properties.items()
+        for each in objects
+    ]
+
+
+def apart(triples: Iterable[Triple]) -> list[Triple]:
+    """These triples with new blank nodes: graphs that are merged share none (RDF 1.1 Semantics 4.1)."""
+    new: dict[BlankNode, BlankNode] = {}
+    return [
+        Triple(_anew(each.subject, new), each.predicate, _anew(each.object, new)) if _has_blank(each) else each
+        for each in triples
+    ]
+
+
+def _has_blank(triple: Triple) -> bool:
+    return isinstance(triple.subject, BlankNode) or isinstance(triple.object, BlankNode)
+
+
+def _anew(term: _Term, new: dict[BlankNode, BlankNode]) -> _Term | BlankNode:
+    return new.setdefault(term, BlankNode()) if isinstance(term, BlankNode) else term
+
+
+def patch_of(
+    data: bytes, media_type: str, url: str, most: int | None = None
+) -> Callable[[Sequence[Triple]], list[Triple]]:
+    """What a patch makes of triples. Raises Problems for what is no patch; what is returned, `Grown` beyond `most`."""
+    if media_type == N3_PATCH:
+        patch = read_patch(data, url)
+        return lambda before: list(applied(patch, before))
+    return lambda before: triples_of(updated(data, before, url, most))
+
+
+# In a worker
+
+
+def looked_through(ntriples: bytes, subject: str) -> Statements:
+    """The statements of N-Triples, with those about the resource `subject` that the server manages."""
+    found, node = stated(ntriples), NamedNode(subject)
+    may_be = found if may_be_managed(ntriples) else ()
+    found.look(tuple(each for each in may_be if each.subject == node and is_managed(each.predicate, each.object)))
+    return found
+
+
+def read(data: bytes, media_type: str, url: str, subject: str) -> Statements:
+    """The statements of a body about `subject`, resolved against `url`. Raises BodyError and Problems."""
+    return looked_through(read_ntriples(data, media_type, url), subject)
+
+
+def merged(describe: Callable[[], Document], added: Statements, subject: str) -> Statements:
+    """The statements of a document and those that are added to it."""
+    triples = dict.fromkeys((*describe().triples, *apart(added)))
+    return looked_through(written(triples), subject)
+
+
+def patched(describe: Callable[[], Document], data: bytes, media_type: str, url: str, subject: str) -> Statements:
+    """The statements of a document after a patch. Raises Problems."""
+    before = describe().triples
+    after = patch_of(data, media_type, url)(before)
+    require_same_members(before, after, url)
+    return looked_through(written(after), subject)
+
+
+def own(kept: Statements, subject: str, servers: frozenset[Triple]) -> bytes:
+    """As it is kept, what is the client's to say: neither what the server manages nor what `servers` has."""
+    return pack(written([each for each in unmanaged(kept, subject) if each not in servers]))
+
+
+def stand_in(membership: Membership, kept: Statements, url: str) -> str:
+    """What stands for a new member at `url` in membership triples. Raises 409 Problems as `member_of`."""
+    return member_of(membership, body_of(kept), url)

@@ -6,7 +6,16 @@ import re
 
 import httpx
 import pytest
+from pyoxigraph import Literal, NamedNode, Triple
 
+from rosld.ontology.document import Document
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import hctl, htv, td
+from rosld.server.access.agent import ANYBODY
+from rosld.server.access.globs import Glob
+from rosld.server.access.judge import Judge
+from rosld.server.access.rules import Mode, Rights, Rule
+from rosld.server.access.veil import veiled
 from tests.server.access.conftest import TURTLE, Guarded
 
 FORMATS = ("ttl", "jsonld", "nt", "rdf", "n3", "nq", "trig", "json", "html")
@@ -159,3 +168,22 @@ def test_the_graph_store_judges_the_graph_that_is_named(guarded: Guarded) -> Non
 def test_a_name_that_is_not_for_one_to_give_counts_as_taken(guarded: Guarded) -> None:
     made = guarded["reader"].post("/data/", content="", headers={**TURTLE, "Slug": "secret"}).headers["location"]
     assert made.rpartition("/")[2] != "secret"
+
+
+def test_of_an_affordance_only_the_forms_are_left_that_may_be_used() -> None:
+    base = "http://robot.example/"
+    rule = Rule(frozenset({ANYBODY.name}), frozenset({Mode.READ}), (Glob("/topics/**"),))
+    url = f"{base}topics/a"
+    about, read, write = (NamedNode(f"{url}#{name}") for name in ("affordance", "read", "write"))
+    forms = [
+        triple
+        for form, method in ((read, "GET"), (write, "PUT"))
+        for triple in (
+            Triple(about, td.hasForm, form),
+            Triple(form, hctl.hasTarget, NamedNode(url)),
+            Triple(form, htv.methodName, Literal(method)),
+        )
+    ]
+    told = veiled(Document(url, tuple(forms)), Judge(ANYBODY, Rights((rule,)), Space(base))).triples
+    assert {triple.object for triple in told if triple.predicate == td.hasForm} == {read}
+    assert write not in {triple.subject for triple in told}

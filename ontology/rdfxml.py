@@ -12,8 +12,14 @@ from rosld.ontology.outline import Subject, Term, outline
 from rosld.ontology.syntax import CannotCarry
 from rosld.ontology.vocab import PREFIXES, rdf, xsd
 
-# The local part of an element's name. XML would allow more letters, but its fourth and fifth editions differ on which.
-_SPLIT = re.compile(r"(.*?)([A-Za-z_][A-Za-z0-9_.-]*)", re.DOTALL)
+# The local part of an element's name: of ASCII where the IRI ends so, for XML's fourth and fifth editions differ on
+# other letters; else what the fifth allows (NameStartChar, NameChar; Namespaces in XML 1.0: no colon).
+_START = (
+    "A-Z_a-z\xc0-\xd6\xd8-\xf6\xf8-\u02ff\u0370-\u037d\u037f-\u1fff\u200c\u200d\u2070-\u218f\u2c00-\u2fef"
+    "\u3001-\ud7ff\uf900-\ufdcf\ufdf0-\ufffd\U00010000-\U000effff"
+)
+_SPLIT_ASCII = re.compile(r"(.*?)([A-Za-z_][A-Za-z0-9_.-]*)", re.DOTALL)
+_SPLIT = re.compile(f"(.*?)([{_START}][{_START}.0-9\xb7\u0300-\u036f\u203f\u2040-]*)", re.DOTALL)
 _NO_CHARACTER = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _NAMESPACES = {iri: prefix for prefix, iri in PREFIXES.items()}
 _RESERVED_NAMESPACES = frozenset({"http://www.w3.org/XML/1998/namespace", "http://www.w3.org/2000/xmlns/"})
@@ -68,7 +74,7 @@ class _Writer:
 
     def _name(self, iri: str) -> str:
         """The name of the element of a predicate. Raises CannotCarry where the IRI does not end in such a name."""
-        split = _SPLIT.fullmatch(iri)
+        split = _SPLIT_ASCII.fullmatch(iri) or _SPLIT.fullmatch(iri)
         if split is None or split[1] in _RESERVED_NAMESPACES or iri in _NO_PROPERTIES:
             raise CannotCarry(f"RDF/XML cannot write the property <{iri}> as the name of an element; ask for Turtle")
         namespace, local = split[1], split[2]

@@ -16,7 +16,9 @@ def standing_headers(resource: Resource) -> dict[str, str]:
     links = resource.links
     if resource.constrained_by is not None:
         links = (*links, Link(resource.constrained_by, f"{LDP}constrainedBy"))
-    headers = {"allow": ", ".join(sorted(methods)), "link": rendered(links)}
+    headers = {"allow": ", ".join(sorted(methods))}
+    if links:
+        headers["link"] = rendered(links)
     for method, accepted in resource.accepts.items():
         if method in methods:
             headers[ACCEPT_FIELDS[method].lower()] = ", ".join(accepted)

@@ -70,7 +70,7 @@ class Verbs:
             response = await self._answered(exchange, resource)
         except (BodyError, LoweringError, RosError, Problem) as error:
             raise _linked(resource, _problem(error)) from error
-        if response.status_code == 204 and not any(name == b"link" for name, _ in response.raw_headers):
+        if response.status_code == 204 and resource.links and b"link" not in dict(response.raw_headers):
             response.raw_headers = [*response.raw_headers, (b"link", rendered(resource.links).encode("latin-1"))]
         return response
 
@@ -292,7 +292,9 @@ class Verbs:
             rendering = await self._outcome(exchange, created.resource, created.state, answer=is_member)
         if rendering is None:
             links = (*(resource if is_member else created.resource).links, *links)
-            headers += [(b"link", link.render(links).encode("latin-1")), (b"content-length", b"0")]
+            if links:
+                headers.append((b"link", link.render(links).encode("latin-1")))
+            headers.append((b"content-length", b"0"))
             if exchange.prefer.minimal:
                 headers.append((b"preference-applied", b"return=minimal"))
             return Prepared(201, b"", headers)

@@ -15,6 +15,7 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.ontology.document import Document
+from rosld.ontology.serialize import Syntax
 from rosld.ontology.triples import RDF_SOURCE, about, each, text
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import dcterms, ldp, rdfs
@@ -47,7 +48,7 @@ from rosld.server.sparql.endpoint import QueryService
 from rosld.server.sparql.protocol import DIRECT, QueryRequest, timeout_asked
 from rosld.server.sparql.stored import OTHERS, StoredQuery, bind
 
-_DESCRIPTIONS = ("text/turtle", "application/ld+json", "application/n-triples", "application/rdf+xml", "text/n3")
+_DESCRIPTIONS = frozenset(syntax.media_type for syntax in Syntax)
 _ANYTHING = {"iri": "/", "string": "", "integer": "0", "double": "0"}
 _GRAPH_FORMS = ("CONSTRUCT", "DESCRIBE")
 _TITLE = "Queries"

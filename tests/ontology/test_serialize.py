@@ -401,3 +401,12 @@ def test_a_message_that_nothing_links_to_is_still_there() -> None:
 def test_what_xml_cannot_hold_of_a_message_is_refused() -> None:
     with pytest.raises(CannotCarry, match=r"U\+0000"):
         serialize(CARRYING[0], Syntax.RDF_XML)
+
+
+@pytest.mark.parametrize("name", ["größe", "Größe-é", "名前", "données_2", "ζ", "café1", "x·y"])
+def test_rdf_xml_has_properties_of_any_letters_that_every_reader_reads_back(name: str) -> None:
+    triple = Triple(TOPIC, NamedNode(f"http://h/vokabular#{name}"), Literal("x"))
+    data = serialize(Document(URL, (triple,)), Syntax.RDF_XML)
+    assert read(data, Syntax.RDF_XML) == [triple]
+    graph = rdflib.Graph().parse(data=data, format="xml")
+    assert set(graph.predicates()) == {rdflib.URIRef(triple.predicate.value)}

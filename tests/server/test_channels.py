@@ -116,7 +116,7 @@ def test_jsonld_is_compact_for_clients_without_rdf(aircraft: Any) -> None:
     answer = aircraft.http.get("/.well-known/solid", headers={"Accept": "application/ld+json"})
     assert answer.headers["content-type"] == "application/ld+json"
     said = answer.json()
-    assert said["@context"] == [CONTEXT]
+    assert isinstance(said["@context"], dict), "nothing of another host has to be fetched to read it"
     assert said["id"] == f"{aircraft.url}.well-known/solid"
     assert [one["channelType"] for one in said["subscription"]] == [NOTIFY + WEBSOCKET, NOTIFY + STREAMING]
     again = {"If-None-Match": answer.headers["etag"], "Accept": "application/ld+json"}

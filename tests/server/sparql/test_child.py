@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -194,3 +196,14 @@ def test_what_nobody_foresaw_in_a_child_is_a_crash_too() -> None:
     with pytest.raises(Problem) as failure:
         answered(surprise)
     assert failure.value.status == 500
+
+
+@pytest.mark.parametrize(("module", "warns"), [("rosld.server.sparql.child", False), ("rosld.server.sparql", True)])
+def test_of_all_forks_only_that_of_a_query_is_silent(module: str, warns: bool) -> None:
+    words = "This process (pid=1) is multi-threaded, use of fork() may lead to deadlocks in the child."
+    code = (
+        "import warnings, rosld.server.sparql.child\n"
+        f"warnings.warn_explicit({words!r}, DeprecationWarning, 'a.py', 1, module={module!r})"
+    )
+    done = subprocess.run([sys.executable, "-W", "default", "-c", code], capture_output=True, text=True, check=True)
+    assert ("multi-threaded" in done.stderr) is warns, done.stderr

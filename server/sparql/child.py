@@ -46,8 +46,8 @@ _NO_MEMORY = 86
 """How a child exits that was refused memory."""
 
 # Python 3.12 and later warn of every fork in a process with threads, for the child may find locks held for ever. The
-# child here runs the query and nothing else, and its time is limited. Only this fork is silent: any other one warns. The
-# filter goes when queries run in a process of their own.
+# child here runs the query and nothing else, and its time is limited. Only this fork is silent, any other one warns.
+# The filter goes when queries run in a process of their own.
 warnings.filterwarnings(
     "ignore", r".*multi-threaded, use of fork", DeprecationWarning, module=rf"{re.escape(__name__)}\Z"
 )

@@ -75,8 +75,8 @@ class Settings:
     )
     allow_publish: tuple[str, ...] = setting(
         (),
-        "Topics that may be published to although other nodes publish them. /tf and the like only by their exact name. "
-        "Repeatable.",
+        "Topics that may be published to although other nodes publish them, or none subscribes to them. /tf and the "
+        "like only by their exact name. Repeatable.",
         option=True,
         metavar="GLOB",
     )

@@ -72,7 +72,7 @@ from rosld.server.hypermedia.views import (
 from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
 
 BASE = "http://127.0.0.1:8080/"
-SITE = Site(BASE, "aircraft", system="The paper's aircraft", stop_token="1795225901.stop")
+SITE = Site(BASE, "aircraft", system="The paper's aircraft")
 NOW = 1_795_225_901_123_456_789
 LIBRARY = TypeLibrary(ros_version=1)
 HOSTILE = '<script>alert("x")</script>\'\u202e&amp;\x00'

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from html import unescape
 from types import ModuleType
 from typing import TypeAlias
 
 import pytest
+
+from rosld.server.html import render_page
 
 WIDTH = 360
 MEASURE = """<!doctype html><meta charset="utf-8"><title>measuring</title><body>%s<script>
@@ -53,10 +56,21 @@ Measured: TypeAlias = Mapping[str, Mapping[str, object]]
 
 
 @pytest.fixture(scope="module")
-def measured(browser: None, gallery: ModuleType, pages: Mapping[str, bytes]) -> Measured:
+def shown(gallery: ModuleType, pages: Mapping[str, bytes]) -> Mapping[str, bytes]:
+    """The sample pages, and two with the button that stops the robot."""
+    stoppable = {"stoppable": gallery.aircraft_stopped(), "stoppable_topic": gallery.display()}
+    drawn = {
+        name: render_page(replace(page, site=replace(page.site, stop_token="1795225901.stop")))
+        for name, page in stoppable.items()
+    }
+    return {**pages, **drawn}
+
+
+@pytest.fixture(scope="module")
+def measured(browser: None, gallery: ModuleType, shown: Mapping[str, bytes]) -> Measured:
     """How wide each page gets in a frame of 360 pixels, and whether its stylesheet passed its policy."""
-    frames = "".join(f'<iframe title="{name}" src="/{name}" width="{WIDTH}" height="700"></iframe>' for name in pages)
-    with gallery.served(pages, {"measure": (MEASURE % frames).encode()}) as url:
+    frames = "".join(f'<iframe title="{name}" src="/{name}" width="{WIDTH}" height="700"></iframe>' for name in shown)
+    with gallery.served(shown, {"measure": (MEASURE % frames).encode()}) as url:
         printed = gallery.chromium("--dump-dom", "--virtual-time-budget=20000", f"{url}measure")
     found = re.search(r"<body>(\{.*\})</body>", printed, re.DOTALL)
     assert found, printed[-2000:]
@@ -64,9 +78,9 @@ def measured(browser: None, gallery: ModuleType, pages: Mapping[str, bytes]) -> 
     return numbers
 
 
-def test_no_page_is_wider_than_a_phone(measured: Measured, pages: Mapping[str, bytes]) -> None:
-    assert measured.keys() == pages.keys()
-    assert {name: each["width"] for name, each in measured.items()} == dict.fromkeys(pages, WIDTH)
+def test_no_page_is_wider_than_a_phone(measured: Measured, shown: Mapping[str, bytes]) -> None:
+    assert measured.keys() == shown.keys()
+    assert {name: each["width"] for name, each in measured.items()} == dict.fromkeys(shown, WIDTH)
 
 
 def test_the_stylesheet_passes_the_policy(measured: Measured) -> None:

@@ -22,7 +22,7 @@ collect_ignore_glob = [] if "ROSLD_ROS2_PYTHON" in os.environ else ["test_live_*
 class Ros2Session(Session):
     """An open adapter of ROS 2, whose discovery takes its time."""
 
-    def deadline(self, seconds: float = 10.0) -> float:
+    def deadline(self, seconds: float = 30.0) -> float:
         return super().deadline(seconds)
 
     async def text(self, data: str) -> tuple[TypeRef, bytes]:
@@ -32,7 +32,7 @@ class Ros2Session(Session):
         made = schema.codec.build(schema.ref.name, {"data": data})
         return schema.ref, schema.codec.encode(made, Encoding.CDR)
 
-    async def trigger(self, service: str, seconds: float = 10.0) -> str:
+    async def trigger(self, service: str, seconds: float = 30.0) -> str:
         """Call a std_srvs/Trigger; its message."""
         schema = await self.adapter.schema(TypeRef("std_srvs/srv/Trigger"), deadline=self.deadline())
         assert isinstance(schema, ServiceSchema)
@@ -74,7 +74,7 @@ def opened() -> Opening:
     async def opening(system: Ros2System, **options: Any) -> AsyncIterator[Ros2Session]:
         told = Told()
         made = adapter(system.source, AdapterOptions(**options))
-        await made.open(told, deadline=asyncio.get_running_loop().time() + 10)
+        await made.open(told, deadline=asyncio.get_running_loop().time() + 60)
         try:
             yield Ros2Session(made, told)
         finally:

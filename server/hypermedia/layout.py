@@ -361,6 +361,12 @@ class Layout:
         properties = resource.properties if resource is not None else ()
         return next((one for one in properties if one.member == name and one.field is None), None)
 
+    def elsewhere(self, name: str) -> str | None:
+        """The property that a mapping calls so in the complex resource it lies in, taking it from elsewhere."""
+        home = self.arrangement.resources.get(home_of(name))
+        called = () if home is None else (one for one in home.properties if home.path + one.name == name)
+        return next((one.member for one in called if one.member != name and one.member in self.properties), None)
+
     def shown_of(self, name: str) -> Iterator[tuple[str, str | None]]:
         """The names under which a property answers, each with the field that is shown there (None: all of it)."""
         yield name, None

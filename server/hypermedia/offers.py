@@ -237,6 +237,13 @@ class Offers:
 
     # What can be done
 
+    async def hold(self, layout: Layout, reads: Sequence[Property], *conditions: Sequence[Condition]) -> Sequence[bool]:
+        """Whether all of each group of conditions hold now. Raises RosError where that cannot be read."""
+        if not any(conditions):
+            return [True] * len(conditions)
+        verdicts = self.sight(layout, self.known(reads) or await self.look(reads)).verdicts
+        return [verdicts.hold(each) for each in conditions]
+
     def member_affordance(self, plan: MemberPlan, write: bool) -> PropertyAffordance:
         """A property as it can be used; `write`: its conditions hold. What has no URL of its own affords nothing."""
         own, mapped, robot = plan.of, plan.mapped, self._robot

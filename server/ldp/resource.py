@@ -79,6 +79,10 @@ class Resource:
         """The verbs it answers now; what `Allow` says."""
         return READ
 
+    async def methods_now(self) -> frozenset[str]:
+        """The verbs it answers in its present state, which may have to be read: what OPTIONS says."""
+        return self.methods()
+
     def why_not(self, method: str) -> str:
         """Why a verb is not allowed, in a sentence for a 405."""
         return f"{self.kind} resources do not answer {method}."

@@ -10,9 +10,12 @@ from rosld.server.ldp.resource import LDP, Resource
 ACCEPT_FIELDS = {"PUT": "Accept-Put", "POST": "Accept-Post", "PATCH": "Accept-Patch"}
 
 
-def standing_headers(resource: Resource) -> dict[str, str]:
-    """The headers every answer about a resource has: Allow, Link, and Accept-* for the writes it takes."""
-    methods = resource.methods()
+def standing_headers(resource: Resource, methods: frozenset[str] | None = None) -> dict[str, str]:
+    """The headers every answer about a resource has: Allow, Link, and Accept-* for the writes it takes.
+
+    `methods` are those it answers, where more is known of them than the resource says without being read.
+    """
+    methods = resource.methods() if methods is None else methods
     links = resource.links
     if resource.constrained_by is not None:
         links = (*links, Link(resource.constrained_by, f"{LDP}constrainedBy"))

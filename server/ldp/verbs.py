@@ -87,7 +87,7 @@ class Verbs:
         if method in ("GET", "HEAD"):
             return await self.read(exchange, resource)
         if method == "OPTIONS":
-            return Response(status_code=204, headers=options(resource))
+            return Response(status_code=204, headers=options(resource, await resource.methods_now()))
         if _is_form(exchange, resource):
             return await self._form(exchange, resource)
         if method not in resource.methods():
@@ -498,6 +498,6 @@ def _check_media_type(exchange: Exchange, resource: Resource) -> None:
         )
 
 
-def options(resource: Resource) -> dict[str, str]:
-    """The headers of an answer to OPTIONS."""
-    return {**standing_headers(resource), "vary": "Accept"}
+def options(resource: Resource, methods: frozenset[str] | None = None) -> dict[str, str]:
+    """The headers of an answer to OPTIONS; `methods` as in `standing_headers`."""
+    return {**standing_headers(resource, methods), "vary": "Accept"}

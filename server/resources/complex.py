@@ -45,6 +45,9 @@ from rosld.server.resources.guarding import seen_anew
 from rosld.server.resources.things import complex_thing, thing_response, wants_thing
 from rosld.server.robot import Robot
 
+ABSENT = frozenset({"OPTIONS"})
+"""What is answered of what does not exist now."""
+
 
 class ComplexResource(Resource):
     """A complex resource: a namespace, or what a mapping says of a path."""
@@ -83,6 +86,12 @@ class ComplexResource(Resource):
         if plan is None or robot.settings.read_only:
             return READ
         return READ | {"PATCH"} if any(robot.offers.is_writable(one.of) for one in plan.members) else READ
+
+    async def methods_now(self) -> frozenset[str]:
+        """Nothing where it does not exist now: then it is 404, read or written."""
+        layout, plan = await self._plan()
+        (exists,) = await self.robot.offers.hold(layout, plan.reads, plan.exists_when)
+        return self.methods() if exists else ABSENT
 
     def why_not(self, method: str) -> str:
         if self.robot.settings.read_only:

@@ -45,7 +45,7 @@ from rosld.server.ldp.resource import (
 )
 from rosld.server.ldp.state import State
 from rosld.server.resources.changes import all_of, with_field
-from rosld.server.resources.complex import ComplexResource
+from rosld.server.resources.complex import ABSENT, ComplexResource
 from rosld.server.resources.guarding import require_offered, require_writable, seen_anew
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.requests import called, declined_by, failure, request_in
@@ -91,6 +91,18 @@ class MemberResource(Resource):
         if action is not None and robot.offers.is_callable(action):
             methods |= {"POST"}
         return methods
+
+    async def methods_now(self) -> frozenset[str]:
+        """Nothing where it does not exist now; POST alone of an action that is not on offer, for it says why not."""
+        layout, methods = await self.robot.offers.layout(), self.methods()
+        plan, action = layout.property(self.name), layout.action(self.name)
+        reads = (*(() if plan is None else plan.reads), *(() if action is None else action.reads))
+        exists_when = next((each.exists_when for each in (plan, action) if each is not None), ())
+        conditions = () if plan is not None or action is None else action.conditions
+        exists, offered = await self.robot.offers.hold(layout, reads, exists_when, conditions)
+        if not exists:
+            return ABSENT
+        return methods if offered else methods - {"GET", "HEAD"}
 
     def why_not(self, method: str) -> str:
         layout = self._layout
@@ -145,10 +157,13 @@ class MemberResource(Resource):
         return State(lambda: action_document(view, robot.space, robot.lifting), view=view)
 
     def _missing(self, layout: Layout) -> Problem:
-        """308 where the name is a complex resource, else 404."""
+        """308 to the complex resource of that name, or to the property that a mapping calls so here; else 404."""
         path = f"{self.name}/"
         if path in layout.paths:
             return moved(url_of(path, self.robot.space))
+        elsewhere = layout.elsewhere(self.name)
+        if elsewhere is not None:
+            return moved(url_of(elsewhere, self.robot.space))
         instead = layout.instead(self.name)
         if instead is not None:
             return Problem(404, f"The service {self.name} is offered as {url_of(instead, self.robot.space)}")

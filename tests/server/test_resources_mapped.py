@@ -507,3 +507,41 @@ def test_what_has_two_conditions_is_on_offer_only_while_both_hold(arm: MadeUp, s
         mode(http, word)
         assert bool(objects(http.get("/resources/arm/"), f"{EX}home")) is allowed, (word, grip)
         assert http.post("/resources/arm/home").status_code == (200 if allowed else 409), (word, grip)
+
+
+# Nothing leads nowhere
+
+
+def test_a_property_that_a_mapping_takes_from_elsewhere_leads_there_under_its_name_too(
+    arm: MadeUp, serving: Serving
+) -> None:
+    http = serving()
+    mapped(http, GRIPPER)
+    here, there = (f"{http.base_url}resources/{path}" for path in ("gripper/force", "arm/grip"))
+    for method in ("GET", "HEAD", "OPTIONS", "PUT", "PATCH"):
+        answer = http.request(method, here, json=2)
+        assert (answer.status_code, answer.headers["location"]) == (308, there), method
+    assert http.put(here, json=7, follow_redirects=True).status_code == 204
+    assert http.get(here, headers=JSON, follow_redirects=True).json() == 7
+    assert http.get(f"{here}s").status_code == 404
+
+
+def test_options_has_no_get_where_get_is_404(arm: MadeUp, serving: Serving) -> None:
+    http = serving()
+    mapped(http, SAFE)
+
+    def allowed(path: str) -> set[str]:
+        answer = http.options(f"/resources/arm/{path}")
+        assert answer.status_code == 204
+        return set(answer.headers["allow"].split(", "))
+
+    assert allowed("home") == {"GET", "HEAD", "OPTIONS", "POST"}
+    assert allowed("hand/width") == {"GET", "HEAD", "OPTIONS", "PATCH", "PUT"}
+    mode(http, "automatic")
+    assert http.get("/resources/arm/home").status_code == 404
+    assert allowed("home") == {"OPTIONS", "POST"}
+    assert "not on offer" in detail(http.post("/resources/arm/home"), 409)
+    for path in ("hand/", "hand/width", "hand/finger/length", "hand/wave"):
+        assert http.get(f"/resources/arm/{path}").status_code == 404
+        assert allowed(path) == {"OPTIONS"}, path
+    assert "GET" in allowed("grip")  # it can be read, though not written now

@@ -48,6 +48,9 @@ def test_allow_the_description_and_the_answers_to_every_verb_agree(guarded: Guar
         if asked.status_code in (401, 404):
             allowed = set()
             assert asked.status_code == (401 if agent == "anybody" else 404), path
+        if path.startswith("/resources/") and guarded["admin"].get(path).status_code == 404:  # not on offer now
+            assert allowed <= mine.get(path, set()) - {"GET", "HEAD"}
+            continue
         if allowed - {"OPTIONS"} != mine.get(path, set()) - {"OPTIONS"}:
             wrong.append((path, allowed, mine.get(path)))
         for method in VERBS:
@@ -123,8 +126,9 @@ def test_thing_descriptions_name_what_the_agent_may_do_and_how_it_says_who_it_is
     assert thing["security"] == ["token_sc"]
     forms = [form for kind in ("properties", "actions") for one in thing[kind].values() for form in one["forms"]]
     assert bool(forms) == (agent != "anybody")
+    ever = operations(described(guarded, agent))  # it lists what there ever is, not what is on offer now
     for form in forms:
-        assert form["htv:methodName"] in guarded[agent].options(form["href"]).headers["allow"]
+        assert form["htv:methodName"] in ever["/" + form["href"][len(guarded.url) :]]
 
 
 def test_the_description_says_what_takes_a_token_and_refers_to_nothing_that_is_not_there(guarded: Guarded) -> None:

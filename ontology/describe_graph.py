@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
@@ -41,10 +41,10 @@ ROOMS: Mapping[str, str] = {
 """The containers at the top, with their titles."""
 
 
-def entry_document(graph: Graph, space: Space, system: str = "ROS") -> Document:
+def entry_document(graph: Graph, space: Space, system: str = "ROS", storage_problems: Sequence[str] = ()) -> Document:
     """The entry point `/`: the distributed application (paper, Table 1), its master and state, and all the rooms.
 
-    `system` names the kind of ROS system (`ROS 1`, `recording`, ...).
+    `system` names the kind of ROS system (`ROS 1`, `recording`, ...); `storage_problems` are the server's.
     """
     entry, rooms = NamedNode(space.base), {room: NamedNode(space.container(room)) for room in ROOMS}
     ontology, sparql, graphs = (NamedNode(space.base + name) for name in ("ontology", "sparql", "graphs"))
@@ -82,6 +82,8 @@ def entry_document(graph: Graph, space: Space, system: str = "ROS") -> Document:
             (rdfs.label, text(title)),
             (ros.count, integer(counts.get(room))),
         )
+    status = NamedNode(f"{space.base}status")
+    triples += about(status, *((ros.storageProblem, text(problem)) for problem in storage_problems))
     triples += about(ontology, (rdfs.label, text("Vocabulary")))
     triples += about(sparql, (rdfs.label, text("SPARQL")))
     triples += about(graphs, (rdfs.label, text("Graph store")))

@@ -259,6 +259,7 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     longestPauseEnd: NamedNode
     longestPauseCode: NamedNode
     recentPause: NamedNode
+    storageProblem: NamedNode
 
     # receipts
     Write: NamedNode

@@ -342,7 +342,7 @@ class Application:
         elif isinstance(error, BodyError | LoweringError):
             error = problem_of_body(error)
         elif isinstance(error, StorageError):
-            error = Problem(507 if error.full else 503, str(error))
+            error = Problem(507, str(error)) if error.full else Problem(503, str(error), headers={"Retry-After": "1"})
         if not isinstance(error, Problem):
             _log.exception("%s %s failed", exchange.method, exchange.request.scope["path"], exc_info=error)
             error = Problem(500, "The server failed on this request; its log says more.")

@@ -250,7 +250,9 @@ class Dataset:
     def _describe(self) -> Iterator[GraphEntry]:
         robot, space, graph = self._robot, self._robot.space, self._robot.graph
         system = robot.adapter.capabilities.system
-        yield _described(space.base, graph.revision, partial(entry_document, listed(robot), space, system))
+        problems = robot.storage_problems
+        entry = partial(entry_document, listed(robot), space, system, problems)
+        yield _described(space.base, (graph.revision, problems), entry)
         simulated = graph.simulated_time
         for name, known in node_views(graph).items():
             view = NodeResource(robot, name).seen(known)

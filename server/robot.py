@@ -145,6 +145,12 @@ class Robot:
         )
 
     @property
+    def storage_problems(self) -> tuple[str, ...]:
+        """Why not everything can be stored just now, in sentences; none where it can."""
+        found = (self.records.trouble, self.receipts.trouble)
+        return tuple(problem for problem in found if problem is not None)
+
+    @property
     def limits(self) -> Limits:
         """The limits on what is written that are in force now."""
         return self.limits_in_force.now

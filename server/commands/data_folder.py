@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from rosld.server.records.blobs import sync_folder
 from rosld.server.records.lock import Lock
 
 NAME = "base-url"
@@ -31,7 +32,8 @@ def hold(folder: Path) -> Iterator[None]:
                 f"{folder} is served by another rosld (process {lock.read() or 'unknown'}): "
                 "end that one first, or give this one another folder with --data"
             )
-        lock.write(f"{os.getpid()}\n")
+        with suppress(OSError):  # a full disk: the lock holds without it
+            lock.write(f"{os.getpid()}\n")
         yield
     finally:
         lock.close()
@@ -71,7 +73,15 @@ def disown(folder: Path) -> None:
 
 
 def _write(note: Path, base: str) -> None:
-    """Whole or not at all: a note cut off by a crash would lock the folder for ever."""
+    """Whole or not at all, and durably: a note cut off by a crash would lock the folder for ever."""
     draft = note.with_name(f"{NAME}.{os.getpid()}")
-    draft.write_text(base + "\n", "utf-8")
-    draft.replace(note)
+    try:
+        with draft.open("w", encoding="utf-8") as file:
+            file.write(base + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(note)
+        sync_folder(note.parent)
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise

@@ -321,7 +321,9 @@ class Places:
         seconds: DataSchema = {"type": "number", "minimum": 0}
         told: DataSchema = dict.fromkeys(("longestPause", "longestPauseBusy", "recentPause"), seconds)
         told = {**told, **dict.fromkeys(("longestPauseEnd", "longestPauseCode"), or_null(TEXT))}
-        place = self._place("/status", "status", "How promptly the server itself answers")
+        place = self._place(
+            "/status", "status", "How promptly the server itself answers, what is wrong with its storage"
+        )
         return replace(place, plain={"type": "object", "properties": told})
 
     def _stop(self) -> Place:

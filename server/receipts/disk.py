@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import sqlite3
 from collections.abc import Iterable, Sequence
@@ -13,6 +14,8 @@ import orjson
 
 from rosld.ontology.describe_activities import Receipt
 
+_log = logging.getLogger("rosld")
+
 DATABASE = "receipts.sqlite"
 _FORMAT = 1
 _APPLICATION = 0x726F7372
@@ -21,37 +24,74 @@ _OPEN_SECONDS = 5.0
 
 
 class Disk:
-    """The database in a folder, made where it is missing. Raises ValueError for one that cannot be used."""
+    """The database in a folder, made where it is missing.
+
+    Raises ValueError for one that is not sound, or of something else; one that the disk fails to open for now is opened
+    when it is next written to, and `problem` says so.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / DATABASE
+        self.problem: str | None = None
+        """Why receipts are not on the disk for now, in a sentence."""
         folder.mkdir(parents=True, exist_ok=True)
-        os.close(os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))  # what people did is no one else's
+        self._connection: sqlite3.Connection | None = None
         try:
             self._connection = self._opened()
+        except sqlite3.OperationalError as error:  # a full disk, as a rule: no reason not to serve
+            self.failed(error)
         except sqlite3.Error as error:
             words = f"{self._path} cannot be used as the database of receipts: {error}"
             raise ValueError(f"{words}. Move it away to begin a new one") from error
         self._thread = ThreadPoolExecutor(1, "receipts")
 
+    @property
+    def is_open(self) -> bool:
+        """Whether what it holds can be read."""
+        return self._connection is not None
+
+    def failed(self, error: sqlite3.Error) -> None:
+        """Tell that receipts cannot be written, once."""
+        problem = f"Receipts cannot be written to the disk ({error}), and are kept in memory until they can."
+        if problem != self.problem:
+            _log.error("%s", problem)
+        self.problem = problem
+
     def _opened(self) -> sqlite3.Connection:
+        try:  # what people did is no one else's
+            os.close(os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
+        except OSError as error:
+            raise sqlite3.OperationalError(str(error)) from error
         connection = sqlite3.connect(self._path, timeout=_OPEN_SECONDS, isolation_level=None, check_same_thread=False)
         try:
-            for pragma in ("journal_mode = WAL", "synchronous = NORMAL", "secure_delete = ON"):
+            # Nobody else opens it: its index needs no file then, for which a full disk has no place.
+            for pragma in (
+                "locking_mode = EXCLUSIVE",
+                "journal_mode = WAL",
+                "synchronous = NORMAL",
+                "secure_delete = ON",
+            ):
                 connection.execute(f"PRAGMA {pragma}").fetchall()
             found, marked = (_number(connection, name) for name in ("user_version", "application_id"))
             if found > _FORMAT or (found and marked != _APPLICATION):
                 raise ValueError(f"{self._path} is of a newer rosld, or of something else: take another folder")
-            connection.execute("CREATE TABLE IF NOT EXISTS receipt (number INTEGER PRIMARY KEY, told BLOB NOT NULL)")
-            connection.execute(f"PRAGMA application_id = {_APPLICATION}")
-            connection.execute(f"PRAGMA user_version = {_FORMAT}")
+            if found != _FORMAT:
+                connection.execute("BEGIN IMMEDIATE")
+                connection.execute(
+                    "CREATE TABLE IF NOT EXISTS receipt (number INTEGER PRIMARY KEY, told BLOB NOT NULL)"
+                )
+                connection.execute(f"PRAGMA application_id = {_APPLICATION}")
+                connection.execute(f"PRAGMA user_version = {_FORMAT}")
+                connection.execute("COMMIT")
         except BaseException:
             connection.close()
             raise
         return connection
 
     def load(self) -> list[Receipt]:
-        """All receipts, the oldest first. What cannot be read any more is left out."""
+        """All receipts, the oldest first. What cannot be read any more is left out; all of it where it is not open."""
+        if self._connection is None:
+            return []
         rows = self._connection.execute("SELECT told FROM receipt ORDER BY number")
         found = (_read(told) for (told,) in rows)
         return [receipt for receipt in found if receipt is not None]
@@ -65,6 +105,11 @@ class Disk:
 
     def _write(self, added: Iterable[Receipt], dropped: Sequence[int]) -> None:
         rows = [(receipt.number, orjson.dumps(receipt._asdict())) for receipt in added]
+        if self._connection is None:
+            try:
+                self._connection = self._opened()
+            except ValueError as error:
+                raise sqlite3.OperationalError(str(error)) from error
         connection = self._connection
         connection.execute("BEGIN IMMEDIATE")
         try:
@@ -72,8 +117,10 @@ class Disk:
             connection.executemany("DELETE FROM receipt WHERE number = ?", [(number,) for number in dropped])
             connection.execute("COMMIT")
         except BaseException:
-            connection.execute("ROLLBACK")
+            if connection.in_transaction:  # a full disk has rolled back already
+                connection.execute("ROLLBACK")
             raise
+        self.problem = None
 
     async def close(self) -> None:
         """Finish. Idempotent."""
@@ -81,7 +128,8 @@ class Disk:
 
     def _close(self) -> None:
         self._thread.shutdown()
-        self._connection.close()
+        if self._connection is not None:
+            self._connection.close()
 
 
 def _read(told: bytes) -> Receipt | None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import heapq
-import logging
 import secrets
 import sqlite3
 import time
@@ -21,8 +20,6 @@ from rosld.ontology.describe_activities import Receipt
 from rosld.server.events.watches import Signal
 from rosld.server.receipts.asked import Asked, receipt_of
 from rosld.server.receipts.disk import Disk
-
-_log = logging.getLogger("rosld")
 
 WRITE_SECONDS = 0.2
 """How long what was noted waits for more before it is written to the disk: what a process that is killed may lose."""
@@ -87,6 +84,13 @@ class Journal:
             for receipt in self._disk.load():
                 self._keep(Entry(receipt.number, receipt.id, None, 0, receipt))
                 self.version = max(self.version, receipt.number)
+            if not self._disk.is_open:  # numbers that none of those on the disk has
+                self.version = time.time_ns() // 1000
+
+    @property
+    def trouble(self) -> str | None:
+        """Why receipts are not on the disk for now, in a sentence for people; None where they are."""
+        return None if self._disk is None else self._disk.problem
 
     def start(self) -> None:
         """Look now and then at what has become too old."""
@@ -189,7 +193,7 @@ class Journal:
         try:
             await self._write(disk)
         except sqlite3.Error as error:
-            _log.error("receipts cannot be written to the disk now, and are kept in memory: %s", error)
+            disk.failed(error)
             pause = _RETRY_SECONDS
         finally:
             self._writing = None

@@ -96,7 +96,7 @@ class Blobs:
 
     def remove(self, ids: Collection[str]) -> bool:
         """Remove files, unless somebody keeps them still; whether that was so."""
-        with self._unless_still() as free:
+        with self.unless_still() as free:
             if free:
                 for id in ids:
                     _unlink(self.path(id))
@@ -108,7 +108,7 @@ class Blobs:
 
     def sweep(self, used: Callable[[], Collection[str]]) -> None:
         """Remove what an earlier process left behind: all files but those `used` tells of."""
-        with self._unless_still() as free:
+        with self.unless_still() as free:
             if free:
                 keep = used()
                 for path in self._folder.iterdir():
@@ -116,7 +116,8 @@ class Blobs:
                         _unlink(path)
 
     @contextmanager
-    def _unless_still(self) -> Iterator[bool]:
+    def unless_still(self) -> Iterator[bool]:
+        """Within it no other process reads or replaces all records, where it yields True."""
         if self._lock is None:
             yield True
             return

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Protocol
 
-from rosld.server.records.durability import Durability
 from rosld.server.records.ledger import Applied, Busy
-from rosld.server.records.record import Conflict, Put, Write
+from rosld.server.records.record import Conflict, Put, StorageError, Write
 
 MOST = 128
 """Jobs in one transaction, which the loop does at a stretch."""
@@ -33,20 +33,38 @@ class Job:
         self.done: asyncio.Future[Applied] | None = None
 
 
+class Storage(Protocol):
+    """What does jobs."""
+
+    def transact(self, jobs: Sequence[Job]) -> Sequence[Applied | Conflict]:
+        """Do jobs in one transaction: what came of each.
+
+        Raises Busy where another process writes, and anything else with nothing done.
+        """
+        ...
+
+    async def reach(self, applied: Sequence[Applied]) -> None:
+        """Wait until what was done is durable. Raises StorageError where it is not, and was undone if possible."""
+        ...
+
+    async def recover(self) -> None:
+        """See to it that writes can be made durable. Raises StorageError where they cannot."""
+        ...
+
+    async def make_room(self, job: Job) -> None:
+        """Make what room there can be for a job that found the disk full."""
+        ...
+
+
 class Group:
-    """Belongs to one loop. `transact` does jobs in one transaction, and says what came of each.
+    """Belongs to one loop."""
 
-    It raises Busy where another process writes, and anything else with nothing done.
-    """
-
-    def __init__(
-        self, transact: Callable[[Sequence[Job]], Sequence[Applied | Conflict]], durability: Durability
-    ) -> None:
-        self._transact = transact
-        self._durability = durability
+    def __init__(self, storage: Storage) -> None:
+        self._storage = storage
         self._jobs: deque[Job] = deque()
         self._idle = asyncio.Event()
         self._idle.set()
+        self._work: asyncio.Task[None] | None = None
 
     async def do(self, job: Job) -> Applied:
         """Do a job and wait until it is durable. It is done even if nobody waits any more."""
@@ -55,40 +73,79 @@ class Group:
         self._jobs.append(job)
         if self._idle.is_set():
             self._idle.clear()
-            loop.call_soon(self._go_on)  # together with others that come at once
+            self._work = loop.create_task(self._do_all())  # begins together with others that come at once
         return await job.done
+
+    def stir(self) -> None:
+        """Recover, if there is something to recover from, although nobody writes."""
+        if self._idle.is_set():
+            self._idle.clear()
+            self._work = asyncio.get_running_loop().create_task(self._do_all())
 
     async def idle(self) -> None:
         """Wait until every job is done."""
         await self._idle.wait()
 
-    def _go_on(self) -> None:
-        """Do the jobs that wait, then wait for the disk."""
-        loop = asyncio.get_running_loop()
-        jobs = self._some()
-        if not jobs:
+    async def _do_all(self) -> None:
+        """Do the jobs that wait, and those that come meanwhile."""
+        try:
+            while True:
+                try:
+                    await self._storage.recover()
+                except Exception as error:
+                    while self._jobs:
+                        _settle(self._jobs.popleft(), error)
+                if not self._jobs:
+                    return
+                await self._round(self._some())
+        finally:
             self._idle.set()
-            return
-        freed, written = list[str](), list[tuple[Job, Applied]]()
+
+    async def _round(self, jobs: Sequence[Job]) -> None:
+        """Do jobs, then wait for the disk."""
+        written, short, busy = list[tuple[Job, Applied]](), list[Job](), list[Job]()
         for job, outcome in zip(jobs, self._outcomes(jobs), strict=True):
             if isinstance(outcome, Applied):
-                freed += outcome.freed
                 written.append((job, outcome))
             elif isinstance(outcome, Busy):
-                self._jobs.append(job)
+                busy.append(job)
+            elif isinstance(outcome, StorageError) and outcome.full:
+                short.append(job)
             else:
                 _settle(job, outcome)
-        if not written:
-            loop.call_later(_BUSY_SECONDS if self._jobs else 0, self._go_on)
+        self._jobs.extend(busy)
+        await self._reach(written)
+        for job in short:
+            await self._in_new_room(job)
+        if busy and not written:
+            await asyncio.sleep(_BUSY_SECONDS)
+
+    async def _in_new_room(self, job: Job) -> None:
+        """Try once more what found the disk full."""
+        try:
+            await self._storage.recover()
+        except StorageError as error:
+            _settle(job, error)
             return
+        await self._storage.make_room(job)
+        outcome = self._outcomes((job,))[0]
+        if isinstance(outcome, Applied):
+            await self._reach([(job, outcome)])
+        elif isinstance(outcome, Busy):
+            self._jobs.append(job)
+        else:
+            _settle(job, outcome)
 
-        def reached(future: asyncio.Future[None]) -> None:
-            error = future.exception()
-            for job, applied in written:
-                _settle(job, applied if error is None else error)
-            self._go_on()
-
-        self._durability.reached(freed).add_done_callback(reached)
+    async def _reach(self, written: Sequence[tuple[Job, Applied]]) -> None:
+        if not written:
+            return
+        error: StorageError | None = None
+        try:
+            await self._storage.reach([applied for _, applied in written])
+        except StorageError as failed:
+            error = failed
+        for job, applied in written:
+            _settle(job, applied if error is None else error)
 
     def _some(self) -> list[Job]:
         jobs, size = list[Job](), 0
@@ -100,7 +157,7 @@ class Group:
     def _outcomes(self, jobs: Sequence[Job]) -> Sequence[Applied | Exception]:
         """What came of each job. Where the transaction fails each is tried alone: one is too large for the disk."""
         try:
-            return self._transact(jobs)
+            return self._storage.transact(jobs)
         except Exception as error:
             if len(jobs) == 1 or isinstance(error, Busy):
                 return [error] * len(jobs)

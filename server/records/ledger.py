@@ -131,7 +131,7 @@ class Ledger:
     def __init__(
         self, connection: sqlite3.Connection, known: Callable[[str], Record | None] = lambda path: None
     ) -> None:
-        self._execute = connection.execute
+        self._execute: Callable[..., sqlite3.Cursor] = connection.execute
         self._connection = connection
         self._known = known
         self._next = 0
@@ -140,6 +140,8 @@ class Ledger:
         latest = self._latest()
         self.version = (latest // OPENING + 1) * OPENING if latest else 0
         """The last version that was used."""
+        self._withdrawn: dict[str, int] = {}
+        """What was seen and then was not kept, and has never been there since: the version at which it went."""
 
     def find(self, path: str) -> Record | None:
         """A record."""
@@ -178,7 +180,38 @@ class Ledger:
             rows = self._execute(_CHANGED, (after, most)).fetchall()
         except sqlite3.Error as error:
             raise failure(error) from error
-        return [Changed(path, version, bool(gone)) for path, version, gone in rows]
+        found = [Changed(path, version, bool(gone)) for path, version, gone in rows]
+        if self._withdrawn:
+            found += (Changed(path, version, True) for path, version in self._withdrawn.items() if version > after)
+            found.sort(key=_version)
+        return found[:most]
+
+    def suspend(self, words: str) -> None:
+        """Raise StorageError with these words whatever is asked from now on: the connection is about to be closed."""
+
+        def refuse(*_: object) -> sqlite3.Cursor:
+            raise sqlite3.OperationalError(words)
+
+        self._execute = refuse
+
+    def succeed(self, former: Ledger, undone: Iterable[str]) -> None:
+        """Take the place of a former ledger, some of whose writes were not kept: these have changed once more.
+
+        Versions go on from its own, so that none stands for two states. Raises what a write raises.
+        """
+        self.version = max(self.version, (former.version // OPENING + 1) * OPENING)
+        self._withdrawn = former._withdrawn
+        self.begin()
+        try:
+            for path in undone:
+                self._next += 1
+                if not self._execute("UPDATE record SET version = ? WHERE path = ?", (self._next, path)).rowcount:
+                    self._withdrawn[path] = self._next
+            self.commit()
+        except sqlite3.Error as error:
+            raise failure(error) from error
+        finally:
+            self.rollback()
 
     def blobs(self) -> set[str]:
         """The ids of all blobs that records refer to."""
@@ -368,6 +401,7 @@ class Ledger:
         self._list(above, container, applied, now, 1)
 
     def _insert(self, put: Put, container: int, now: int) -> Record:
+        self._withdrawn.pop(put.path, None)
         self._next = version = self._next + 1
         record = Record(put.path, put.model, version, now, now, put.triples, put.blob, put.membership, put.member)
         self._row(version, version, container, record)
@@ -476,9 +510,14 @@ def failure(error: sqlite3.Error) -> Exception:
     words = str(error)
     if "locked" in words or "busy" in words:
         return Busy(words)
-    if "full" in words:
+    if is_full(error):
         return StorageError(f"There is no space left to keep this: {words}.", full=True)
     return StorageError(f"The database of records failed: {words}.")
+
+
+def is_full(error: Exception) -> bool:
+    """Whether SQLite says that there is no space left."""
+    return "full" in str(error)
 
 
 def _version(changed: Changed) -> int:

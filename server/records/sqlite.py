@@ -17,12 +17,14 @@ from pathlib import Path
 
 from rosld.server.records.blobs import Blobs, sync_folder
 from rosld.server.records.cache import Cache
-from rosld.server.records.durability import Durability
+from rosld.server.records.durability import Durability, carried_over
 from rosld.server.records.group import Group, Job
-from rosld.server.records.ledger import Applied, Busy, Ledger, relisted
+from rosld.server.records.ledger import Applied, Busy, Ledger, is_full, relisted
+from rosld.server.records.log import close_as_it_is
 from rosld.server.records.paths import check
-from rosld.server.records.record import Blob, Changed, Conflict, Member, Put, Record, StorageError, Write
-from rosld.server.records.schema import prepare
+from rosld.server.records.record import Blob, Changed, Conflict, Member, Put, Record, Remove, StorageError, Write
+from rosld.server.records.reserve import LOW, Reserve, free
+from rosld.server.records.schema import number, prepare
 
 _log = logging.getLogger("rosld")
 
@@ -35,6 +37,8 @@ LOOK_SECONDS = 0.5
 """Between two looks at whether another process has changed the records."""
 _OPEN_SECONDS = 10.0
 _CHANGES = 10_000
+_SPARE_PAGES = 16
+"""Pages that a write may need beside its triples."""
 
 
 def open_records(
@@ -65,6 +69,18 @@ def connect(folder: Path | None) -> sqlite3.Connection:
     return connection
 
 
+def _connect_where_full(folder: Path) -> sqlite3.Connection:
+    """As `connect`, where the disk is full at the expense of what is set aside."""
+    try:
+        return connect(folder)
+    except ValueError:
+        reserve = Reserve(folder)
+        if not reserve.is_full or free(folder) >= LOW:
+            raise
+        reserve.release()
+        return connect(folder)
+
+
 def unusable(path: str, error: Exception) -> str:
     """What to tell of a database that cannot be opened."""
     words = f"{path} cannot be used as the database of records: {error}"
@@ -85,10 +101,12 @@ class SqliteRecords:
         self._look: asyncio.TimerHandle | None = None
         self._durability: Durability | None = None
         self._group: Group | None = None
+        self._undone: set[str] = set()
         self._closed = False
+        self._place = folder
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
-        self._connection = connect(folder)
+        self._connection = _connect_where_full(folder) if folder is not None else connect(None)
         try:
             self._ledger = Ledger(self._connection, self._cache.get)
             self._make_roots(roots)
@@ -113,8 +131,18 @@ class SqliteRecords:
         self._blobs = Blobs(folder / BLOBS, durable=True)
         self._blobs.sweep(self._ledger.blobs)
         sync_folder(folder)
-        self._durability = Durability(folder / DATABASE, self._blobs)
-        self._group = Group(self._transact, self._durability)
+        reserve = Reserve(folder)
+        try:
+            # What a process that was killed had written may not be on the disk, whatever a sync of the log says now.
+            carried_over(self._connection, reserve)
+        except sqlite3.Error as error:
+            if not is_full(error):
+                raise
+            _log.warning("the log of records cannot be carried over: %s", error)
+        self._durability = Durability(folder / DATABASE, self._blobs, reserve)
+        self._group = Group(self)
+        if self.trouble is not None:
+            _log.warning("%s", self.trouble)
 
     @property
     def identity(self) -> str:
@@ -123,6 +151,17 @@ class SqliteRecords:
     @property
     def version(self) -> int:
         return self._ledger.version
+
+    @property
+    def trouble(self) -> str | None:
+        """Why not everything can be kept just now, in a sentence for people; None where it can."""
+        if self._durability is None or self._place is None:
+            return None
+        if self._durability.failure is not None:
+            return str(self._durability.failure)
+        left = free(self._place)
+        words = f"The disk that holds the data is full, {left} bytes are left: delete what is not needed."
+        return words if left < LOW else None
 
     def get(self, path: str) -> Record | None:
         found = self._cache.get(path)
@@ -163,7 +202,7 @@ class SqliteRecords:
         if self._group is not None:
             applied = await self._group.do(job)
         else:
-            outcome = self._transact((job,))[0]
+            outcome = self.transact((job,))[0]
             if isinstance(outcome, Conflict):
                 raise outcome
             applied = outcome
@@ -180,7 +219,7 @@ class SqliteRecords:
             self._wake([Changed(record.path, record.version, False)])
         return record
 
-    def _transact(self, jobs: Sequence[Job]) -> Sequence[Applied | Conflict]:
+    def transact(self, jobs: Sequence[Job]) -> Sequence[Applied | Conflict]:
         """Do jobs in one transaction: what came of each. Raises Busy, StorageError, with none of them done."""
         try:
             outcomes = self._committed(jobs)
@@ -211,6 +250,60 @@ class SqliteRecords:
             ledger.rollback()
             raise
         return outcomes
+
+    async def reach(self, applied: Sequence[Applied]) -> None:
+        """Wait until what was done is durable. Raises StorageError where it is not, and was undone if possible."""
+        assert self._durability is not None
+        try:
+            await self._durability.reached([id for each in applied for id in each.freed])
+        except StorageError:
+            for each in applied:
+                self._undone.update(each.records, each.gone, each.lists)
+                self._keep(record.blob.id for record in each.records.values() if record.blob is not None)
+            await self._reopen()
+            raise
+
+    async def recover(self) -> None:
+        """See to it that writes can be made durable. Raises StorageError where they cannot."""
+        assert self._durability is not None
+        if self._durability.failure is not None and await asyncio.to_thread(self._durability.works):
+            await self._reopen()
+        if self._durability.failure is not None:
+            raise self._durability.failure
+
+    async def _reopen(self) -> None:
+        """Go on with a database opened anew, without what was undone. While it is opened nothing can be read."""
+        assert self._durability is not None
+        former = self._ledger
+        former.suspend("its log is being opened anew, try again")
+        self.forget()
+        try:
+            self._connection = await asyncio.to_thread(
+                self._durability.reopen, self._connection, lambda: connect(self._place)
+            )
+        except ValueError as error:
+            _log.error("%s", error)
+            return
+        self._connection.execute("PRAGMA busy_timeout = 0")
+        self._ledger = Ledger(self._connection, self._cache.get)
+        undone = () if self._durability.failure is not None else tuple(self._undone)
+        try:
+            self._ledger.succeed(former, undone)
+        except (StorageError, Busy) as error:
+            _log.error("what was not kept may still be found by queries: %s", error)
+        self._undone.difference_update(undone)
+        self._notice()
+
+    async def make_room(self, job: Job) -> None:
+        """Make what room there can be for a job that found the disk full.
+
+        What is set aside is for what deletes, and for what fits into the place of what was deleted.
+        """
+        assert self._durability is not None
+        pages, size = (number(self._connection, name) for name in ("freelist_count", "page_size"))
+        fits = job.size + job.size // 8 + _SPARE_PAGES * size <= pages * size
+        last = fits or all(isinstance(write, Remove) for write in job.writes)
+        await asyncio.to_thread(self._durability.make_room, last=last)
 
     def _renew(self, applied: Applied) -> None:
         """Bring the cache up to date."""
@@ -302,7 +395,9 @@ class SqliteRecords:
     def _look_again(self) -> None:
         self._look = asyncio.get_running_loop().call_later(LOOK_SECONDS, self._look_again)
         try:
-            if self._ledger.foreign():
+            if self._durability is not None and self._durability.failure is not None and self._group is not None:
+                self._group.stir()
+            elif self._ledger.foreign():
                 self._notice()
         except (sqlite3.Error, StorageError) as error:
             _log.error("the records cannot be read: %s", error)
@@ -313,6 +408,16 @@ class SqliteRecords:
         while changed := self._ledger.changed(self._told, _CHANGES):
             self._told = changed[-1].version
             self._wake(changed)
+
+    def _close_connection(self) -> None:
+        """Close it, which carries the log over, but not what could not be synced."""
+        if self._place is None or self._durability is None or self._durability.failure is None:
+            self._connection.close()
+            return
+        try:
+            close_as_it_is(self._place / DATABASE, self._connection)
+        except sqlite3.Error as error:
+            _log.error("the log of records may hold what was refused: %s", error)
 
     async def close(self) -> None:
         if self._closed:
@@ -326,7 +431,9 @@ class SqliteRecords:
             await self._group.idle()
         if self._durability is not None:
             await self._durability.close()
-        await asyncio.to_thread(self._connection.close)  # carries the log over
+        await asyncio.to_thread(self._close_connection)
+        if self._durability is not None:
+            self._durability.closed()
         self._cache.clear()
         if self._blobs is not None:
             self._blobs.close()

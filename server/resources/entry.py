@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Sequence
 
 from rosld.ontology.describe_graph import ROOMS, entry_document
 from rosld.server.html import Count, Csrf, EntryPage, Form, Notice, Site, render_entry
+from rosld.server.html.page import Tone
 from rosld.server.http.link import Link
 from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.ldp.state import State
@@ -53,7 +54,8 @@ class EntryResource(Resource):
             ),
         )
         counts = tuple(each for each in counts if site.may("GET", each.url))
-        return render_entry(EntryPage(site, state.document, counts, self._example(site), tuple(notices)))
+        troubles = (Notice(problem, Tone.ERROR) for problem in self.robot.storage_problems)
+        return render_entry(EntryPage(site, state.document, counts, self._example(site), (*troubles, *notices)))
 
     def _example(self, site: Site) -> str | None:
         """The URL of a topic worth trying: a small one that somebody publishes."""
@@ -64,7 +66,9 @@ class EntryResource(Resource):
 
     async def state(self) -> State:
         graph = listed(self.robot)
-        system = self.robot.adapter.capabilities.system
+        system, problems = self.robot.adapter.capabilities.system, self.robot.storage_problems
         return self.robot.states.get(
-            self.url, graph.revision, lambda: State(lambda: entry_document(graph, self.robot.space, system))
+            self.url,
+            (graph.revision, problems),
+            lambda: State(lambda: entry_document(graph, self.robot.space, system, problems)),
         )

@@ -1,8 +1,8 @@
-"""`/status`: how promptly the server itself answers."""
+"""`/status`: how promptly the server itself answers, and what is wrong with its storage."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import orjson
 from pyoxigraph import NamedNode
@@ -21,17 +21,18 @@ ROOM = "status"
 
 
 class StatusResource(Resource):
-    """The pauses of the event loop."""
+    """The pauses of the event loop, and the problems of storage."""
 
     kind = "Server status"
 
     def __init__(self, robot: Robot, watchdog: Watchdog) -> None:
         super().__init__(robot.space.base + ROOM)
+        self._robot = robot
         self._watchdog = watchdog
 
     async def state(self) -> State:
-        pauses = self._watchdog.pauses
-        return State(lambda: status_document(self.url, pauses), lambda: _plain(pauses))
+        pauses, problems = self._watchdog.pauses, self._robot.storage_problems
+        return State(lambda: status_document(self.url, pauses, problems), lambda: _plain(pauses, problems))
 
 
 def status_room(watchdog: Watchdog) -> Mapping[str, Callable[[Robot, Location], Resource]]:
@@ -45,7 +46,7 @@ def status_room(watchdog: Watchdog) -> Mapping[str, Callable[[Robot, Location], 
     return {ROOM: room}
 
 
-def status_document(url: str, pauses: Pauses) -> Document:
+def status_document(url: str, pauses: Pauses, storage_problems: Sequence[str] = ()) -> Document:
     """The RDF of a server's status; times are in seconds."""
     longest = pauses.longest
     return Document(
@@ -59,12 +60,13 @@ def status_document(url: str, pauses: Pauses) -> Document:
                 (ros.longestPauseEnd, moment(longest.ended_ns)),
                 (ros.longestPauseCode, text(longest.code)),
                 (ros.recentPause, double(round(pauses.recent, 4))),
+                *((ros.storageProblem, text(problem)) for problem in storage_problems),
             )
         ),
     )
 
 
-def _plain(pauses: Pauses) -> bytes:
+def _plain(pauses: Pauses, storage_problems: Sequence[str]) -> bytes:
     end = moment(pauses.longest.ended_ns)
     return orjson.dumps(
         {
@@ -73,5 +75,6 @@ def _plain(pauses: Pauses) -> bytes:
             "longestPauseEnd": None if end is None else end.value,
             "longestPauseCode": pauses.longest.code,
             "recentPause": round(pauses.recent, 4),
+            "storageProblem": [*storage_problems],
         }
     )

@@ -1,0 +1,68 @@
+"""The aircraft on a folder of data, as a process that may be killed, on a port that it keeps."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+
+
+def free_port() -> int:
+    """A port that nobody has."""
+    with socket.create_server(("127.0.0.1", 0)) as sock:
+        return int(sock.getsockname()[1])
+
+
+class Server:
+    """A server on a folder, once and again. What it logs is in `log`."""
+
+    def __init__(self, folder: Path, log: Path, environment: Mapping[str, str] | None = None) -> None:
+        self.http = httpx.Client(timeout=30)
+        self.log = log
+        self.process: subprocess.Popen[str] | None = None
+        self._environment = {**os.environ, **(environment or {})}
+        self._command = [sys.executable, "-m", "rosld", "serve", "aircraft", "--data", str(folder)]
+        self._command += ["--port", str(free_port())]
+
+    def start(self, *options: str) -> None:
+        """Start it, and wait until it serves."""
+        with self.log.open("a") as log:
+            self.process = subprocess.Popen(
+                [*self._command, *options], env=self._environment, stdout=subprocess.PIPE, stderr=log, text=True
+            )
+        assert self.process.stdout is not None
+        url = self.process.stdout.readline().strip()
+        assert url.startswith("http"), self.log.read_text()
+        self.http.base_url = httpx.URL(url)
+
+    def kill(self) -> None:
+        """End it as a crash does."""
+        assert self.process is not None
+        self.process.kill()
+        self.process.communicate()
+
+    def stop(self) -> int:
+        """End it as a service manager does; its exit code."""
+        assert self.process is not None
+        self.process.send_signal(signal.SIGTERM)
+        self.process.communicate(timeout=15)
+        return self.process.returncode
+
+
+@contextmanager
+def server_on(folder: Path, log: Path, environment: Mapping[str, str] | None = None) -> Iterator[Server]:
+    """A server that is not started yet, and ends with the test."""
+    server = Server(folder, log, environment)
+    try:
+        yield server
+    finally:
+        server.http.close()
+        if server.process is not None and server.process.poll() is None:
+            server.kill()

@@ -1,0 +1,138 @@
+"""A disk that fails to sync: what it failed to keep is refused and gone, and nothing is acknowledged on top of it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.server.disks.server import Server, server_on
+
+TURTLE = {"Content-Type": "text/turtle"}
+COUNT = "SELECT (COUNT(*) AS ?n) WHERE { GRAPH ?g { ?s <http://example.org/p> ?o } }"
+
+
+@pytest.fixture(scope="session")
+def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The library that makes syncs fail."""
+    if shutil.which("gcc") is None:
+        pytest.skip("without gcc: apt-get install --no-install-recommends gcc libc6-dev")
+    library = tmp_path_factory.mktemp("shim") / "failing.so"
+    source = Path(__file__).with_name("failing.c")
+    subprocess.run(["gcc", "-shared", "-fPIC", "-o", str(library), str(source), "-ldl"], check=True)
+    return library
+
+
+class Disk:
+    """How often syncs are to fail."""
+
+    def __init__(self, control: Path) -> None:
+        self._control = control
+        self.fail(0)
+
+    def fail(self, times: int) -> None:
+        self._control.write_text(f"{times:<9}")
+
+    @property
+    def failures_left(self) -> int:
+        return int(self._control.read_text())
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Disk:
+    return Disk(tmp_path / "control")
+
+
+@pytest.fixture
+def server(tmp_path: Path, shim: Path, disk: Disk, request: pytest.FixtureRequest) -> Iterator[Server]:
+    of = getattr(request, "param", "records.sqlite")
+    environment = {"LD_PRELOAD": str(shim), "SYNC_FAILS": str(tmp_path / "control"), "SYNC_OF": of}
+    with server_on(tmp_path / "data", tmp_path / "log", environment) as served:
+        served.start()
+        yield served
+
+
+def put(server: Server, name: str, value: str = "x") -> int:
+    body = f'<> <http://example.org/p> "{value}" .'
+    return server.http.put(f"/data/{name}", content=body, headers=TURTLE).status_code
+
+
+def value(server: Server, name: str) -> str | None:
+    answer = server.http.get(f"/data/{name}", headers={"Accept": "application/n-triples"})
+    if answer.status_code == 404:
+        return None
+    assert answer.status_code == 200, answer.text
+    (line,) = [line for line in answer.text.splitlines() if "example.org" in line]
+    return line.split('"')[1]
+
+
+def counted(server: Server) -> int:
+    answer = server.http.get("/sparql", params={"query": COUNT}, headers={"Accept": "text/csv"})
+    assert answer.status_code == 200, answer.text
+    return int(answer.text.split()[1])
+
+
+def test_of_what_one_failed_sync_refused_nothing_is_kept(server: Server, disk: Disk) -> None:
+    assert put(server, "old", "before") == 201
+    assert counted(server) == 1
+    disk.fail(1)
+    assert put(server, "new") == 503
+    assert disk.failures_left == 0
+    assert value(server, "new") is None
+    assert counted(server) == 1
+    assert put(server, "old", "after") == 204
+    disk.fail(1)
+    assert put(server, "old", "refused") == 503
+    assert value(server, "old") == "after"
+    assert put(server, "later/one") == 201
+    server.kill()
+    server.start()
+    assert (value(server, "old"), value(server, "new"), value(server, "later/one")) == ("after", None, "x")
+    assert counted(server) == 2
+
+
+def test_a_deletion_whose_sync_fails_is_not_done(server: Server, disk: Disk) -> None:
+    file = {"Content-Type": "application/octet-stream"}
+    assert server.http.put("/data/file", content=b"bytes", headers=file).status_code == 201
+    disk.fail(1)
+    assert server.http.delete("/data/file").status_code == 503
+    assert server.http.get("/data/file").content == b"bytes"
+    assert server.http.delete("/data/file").status_code == 204
+
+
+def test_as_long_as_syncs_fail_nothing_is_acknowledged_and_what_is_there_is_served(server: Server, disk: Disk) -> None:
+    assert put(server, "old") == 201
+    disk.fail(1000)
+    for number in range(3):
+        assert put(server, f"new{number}") == 503
+        assert value(server, "old") == "x"
+    assert "storageProblem" in server.http.get("/", headers={"Accept": "text/turtle"}).text
+    disk.fail(0)
+    assert put(server, "new") == 201
+    assert [value(server, f"new{number}") for number in range(3)] == [None] * 3
+    assert "storageProblem" not in server.http.get("/", headers={"Accept": "text/turtle"}).text
+    server.kill()
+    server.start()
+    assert (value(server, "old"), value(server, "new"), value(server, "new0")) == ("x", "x", None)
+
+
+def test_a_server_that_ends_while_syncs_fail_leaves_nothing_of_what_it_refused(server: Server, disk: Disk) -> None:
+    assert put(server, "old") == 201
+    disk.fail(1000)
+    assert put(server, "new") == 503
+    assert server.stop() == 0
+    disk.fail(0)
+    server.start()
+    assert (value(server, "old"), value(server, "new")) == ("x", None)
+
+
+@pytest.mark.parametrize("server", ["/blobs/"], indirect=True)
+def test_a_file_whose_sync_fails_is_refused_and_not_there(server: Server, disk: Disk) -> None:
+    file = {"Content-Type": "application/octet-stream"}
+    disk.fail(1)
+    assert server.http.put("/data/file", content=b"bytes", headers=file).status_code == 503
+    assert server.http.get("/data/file").status_code == 404
+    assert server.http.put("/data/file", content=b"bytes", headers=file).status_code == 201

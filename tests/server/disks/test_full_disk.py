@@ -1,0 +1,130 @@
+"""A full disk: what is there is served, nothing that was acknowledged is lost, and deleting makes room."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.server.disks.server import Server, server_on
+
+TURTLE = {"Content-Type": "text/turtle"}
+BINARY = {"Content-Type": "application/octet-stream"}
+NTRIPLES = {"Accept": "application/n-triples"}
+MEGABYTES = 16
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A small file system of its own."""
+    if os.getuid() != 0:
+        pytest.skip("only root mounts a small file system")
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounting = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", f"size={MEGABYTES}m", "tmpfs", str(place)], capture_output=True, text=True
+    )
+    if mounting.returncode:
+        pytest.skip(f"a small file system cannot be mounted here: {mounting.stderr.strip()}")
+    try:
+        yield place
+    finally:
+        subprocess.run(["umount", str(place)], check=True)
+
+
+@pytest.fixture
+def server(disk: Path, tmp_path: Path) -> Iterator[Server]:
+    with server_on(disk / "data", tmp_path / "log") as served:
+        served.start()
+        yield served
+
+
+def said(number: int, size: int = 100_000) -> str:
+    return f'<> <http://example.org/p> "{number} {"x" * size}" .'
+
+
+def filled(server: Server, *, files: bool) -> list[str]:
+    """The resources that were made until the disk was full, and it was full once more."""
+    made, refused = list[str](), 0
+    while refused < 3:
+        path, large = f"/data/{len(made)}", refused == 0
+        if files:
+            answer = server.http.put(path, content=b"x" * (500_000 if large else 2000), headers=BINARY)
+        else:
+            answer = server.http.put(path, content=said(len(made), 100_000 if large else 1000), headers=TURTLE)
+        if answer.status_code == 507:
+            refused += 1
+            continue
+        assert answer.status_code == 201, answer.text
+        made.append(path)
+    return made
+
+
+def crammed(disk: Path) -> None:
+    """Nothing is left of the disk at all."""
+    with (disk / "others").open("ab", buffering=0) as file:
+        for size in (100_000, 4096, 1):
+            while True:
+                try:
+                    file.write(bytes(size))
+                except OSError:
+                    break
+
+
+@pytest.mark.parametrize("files", [False, True], ids=["RDF sources", "files"])
+def test_a_full_disk_serves_what_is_there_also_after_a_kill_and_deleting_makes_room(
+    server: Server, disk: Path, files: bool
+) -> None:
+    made = filled(server, files=files)
+    crammed(disk)
+    assert "The disk that holds the data is full" in server.http.get("/", headers={"Accept": "text/html"}).text
+    assert "storageProblem" in server.http.get("/status", headers={"Accept": "text/turtle"}).text
+    for _ in range(2):  # the first start carries the log over, which makes some room
+        server.kill()
+        crammed(disk)
+        server.start()
+        crammed(disk)
+    assert "The disk that holds the data is full" in server.log.read_text()
+    assert all(server.http.get(path).status_code == 200 for path in made)
+    assert server.http.put("/data/new", content=said(0), headers=TURTLE).status_code == 507
+    for path in made[:5]:
+        assert server.http.delete(path).status_code == 204
+        assert server.http.get(path).status_code in (404, 410)
+    assert server.http.put("/data/new", content=said(0), headers=TURTLE).status_code == 201
+    server.kill()
+    server.start()
+    assert all(server.http.get(path).status_code == 200 for path in made[5:])
+    assert all(server.http.get(path).status_code in (404, 410) for path in made[:5])
+    assert server.http.get("/data/new", headers=NTRIPLES).text.count("x" * 100_000) == 1
+    assert server.stop() == 0
+
+
+def test_receipts_of_a_full_disk_are_kept_in_memory_and_written_when_there_is_room(server: Server, disk: Path) -> None:
+    crammed(disk)
+    assert server.http.put("/data/one", content=said(1), headers=TURTLE).status_code == 507
+    server.kill()
+    crammed(disk)
+    server.start()
+    refused = server.http.put("/data/two", content=said(2), headers=TURTLE)
+    assert refused.status_code == 507
+    receipt = refused.links["http://www.w3.org/ns/prov#has_provenance"]["url"]
+    (disk / "others").unlink()
+    written = server.http.put("/data/three", content=said(3), headers=TURTLE)
+    assert written.status_code == 201
+    assert server.stop() == 0
+    server.start()
+    for answer in (refused, written):
+        receipt = answer.links["http://www.w3.org/ns/prov#has_provenance"]["url"]
+        assert server.http.get(receipt).status_code == 200
+    assert "storageProblem" not in server.http.get("/", headers={"Accept": "text/turtle"}).text
+
+
+def test_a_folder_that_was_never_served_is_refused_on_a_full_disk_with_words(disk: Path, tmp_path: Path) -> None:
+    crammed(disk)
+    with server_on(disk / "data", tmp_path / "log") as server:
+        with pytest.raises(AssertionError):
+            server.start()
+        assert "No space left" in server.log.read_text() or "full" in server.log.read_text()

@@ -62,15 +62,16 @@ class Disk:
             os.close(os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
         except OSError as error:
             raise sqlite3.OperationalError(str(error)) from error
+        try:
+            return self._connected("NORMAL")
+        except sqlite3.OperationalError:
+            return self._connected("EXCLUSIVE")  # its index needs no file then, for which a full disk has no place
+
+    def _connected(self, locking: str) -> sqlite3.Connection:
         connection = sqlite3.connect(self._path, timeout=_OPEN_SECONDS, isolation_level=None, check_same_thread=False)
         try:
-            # Nobody else opens it: its index needs no file then, for which a full disk has no place.
-            for pragma in (
-                "locking_mode = EXCLUSIVE",
-                "journal_mode = WAL",
-                "synchronous = NORMAL",
-                "secure_delete = ON",
-            ):
+            locked = f"locking_mode = {locking}"
+            for pragma in (locked, "journal_mode = WAL", "synchronous = NORMAL", "secure_delete = ON"):
                 connection.execute(f"PRAGMA {pragma}").fetchall()
             found, marked = (_number(connection, name) for name in ("user_version", "application_id"))
             if found > _FORMAT or (found and marked != _APPLICATION):

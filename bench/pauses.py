@@ -140,7 +140,10 @@ def bench(triples: int) -> None:
                 print(f"{name:22}{status:8}{size / 1e6:8.1f}{ended - begun:8.2f}{slowest:20.1f}", flush=True)
         took = presser.end()
         pauses = Client(address).read("/status")
-    print(f"longest pause of the loop, ms{pauses['longestPause'] * 1e3:12.1f}   {pauses.get('longestPauseCode') or ''}")
+    print(
+        f"longest pause of the loop, ms {pauses['longestPause'] * 1e3:12.1f}   {pauses.get('longestPauseCode') or ''}"
+    )
+    print(f"  of it the loop's own work, ms{pauses['longestWork'] * 1e3:12.1f}   {pauses.get('longestWorkCode') or ''}")
     print(f"POST /stop, ms: median{statistics.median(took) * 1e3:19.1f}")
     print(f"POST /stop, ms: most{took[-1] * 1e3:21.1f}")
 

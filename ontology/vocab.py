@@ -258,6 +258,8 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     longestPause: NamedNode
     longestPauseEnd: NamedNode
     longestPauseCode: NamedNode
+    longestWork: NamedNode
+    longestWorkCode: NamedNode
     recentPause: NamedNode
     storageProblem: NamedNode
 

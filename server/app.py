@@ -27,6 +27,7 @@ from rosld.server.errors import problem_of, problem_of_body
 from rosld.server.events import websocket
 from rosld.server.events.channels import Channels
 from rosld.server.events.feed import Feeds
+from rosld.server.html import prepare_pages
 from rosld.server.http import link
 from rosld.server.http.again import SCOPE, Again
 from rosld.server.http.origin import Site, check_host, check_origin, sharing, site
@@ -198,6 +199,7 @@ class Application:
         await self.robot.start()
         self._watchdog.start()
         background = [asyncio.ensure_future(self._service.keep_up())]
+        background.append(asyncio.ensure_future(asyncio.to_thread(prepare_pages)))
         if self._mirror is not None:
             background.append(asyncio.ensure_future(self._mirror.run()))
         if self._door is not None:

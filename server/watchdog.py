@@ -47,9 +47,14 @@ class Pause:
 
 @dataclass(frozen=True, slots=True)
 class Pauses:
-    """The longest pause since the server started, and the seconds of the longest within the last minute."""
+    """The longest pause since the server started, and the seconds of the longest within the last minute.
+
+    `busiest` is the one in which the loop's thread itself worked the longest: where others have the processor, or the
+    interpreter's lock, that is less than the longest.
+    """
 
     longest: Pause
+    busiest: Pause
     recent: float
 
 
@@ -57,7 +62,7 @@ class Watchdog:
     """Measures the pauses of the loop that it is started on."""
 
     def __init__(self) -> None:
-        self._longest = Pause(0.0, 0.0, time.time_ns())
+        self._longest = self._busiest = Pause(0.0, 0.0, time.time_ns())
         self._slots: deque[tuple[float, float]] = deque(maxlen=_SLOTS + 1)
         self._due = 0.0
         self._busy = 0.0
@@ -85,7 +90,9 @@ class Watchdog:
     def pauses(self) -> Pauses:
         """What was measured so far."""
         since = time.monotonic() - RECENT_SECONDS
-        return Pauses(self._longest, max((seconds for at, seconds in self._slots if at >= since), default=0.0))
+        return Pauses(
+            self._longest, self._busiest, max((seconds for at, seconds in self._slots if at >= since), default=0.0)
+        )
 
     # On the loop
 
@@ -105,14 +112,17 @@ class Watchdog:
             slots.append((now, late))
         elif late > slots[-1][1]:
             slots[-1] = (slots[-1][0], late)
-        if late <= max(self._longest.seconds, 0.0) and late < LOGGED_SECONDS:
+        busy = time.thread_time() - self._busy
+        if late <= self._longest.seconds and busy <= self._busiest.busy and late < LOGGED_SECONDS:
             return
         sampled, code, stack = self._sample
         if sampled != due:
             code = stack = None
-        pause = Pause(late, max(0.0, time.thread_time() - self._busy), time.time_ns(), code, stack)
+        pause = Pause(late, busy, time.time_ns(), code, stack)
         if late > self._longest.seconds:
             self._longest = pause
+        if busy > self._busiest.busy:
+            self._busiest = pause
         waiting = self._to_log
         if late >= LOGGED_SECONDS and (waiting is None or late > waiting.seconds):
             self._to_log = pause

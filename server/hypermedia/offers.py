@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 
 _LEAST_SECONDS = 0.1
 """How often a getter is asked at most for somebody who follows its value."""
+_MANY_NAMES = 200
+"""Names in a graph from which its resources are found on a thread: 10,000 take it most of a second."""
 _TYPES_SECONDS = 3.0
 """How long a layout waits for types that must be asked for; those that come later make another layout."""
 
@@ -98,7 +100,13 @@ class Offers:
         if known is not None and known[0] is graph and known[1] == count:
             found = known[3].catalogue
         else:
-            found = catalogue(graph, self._schema_at_hand, self.conventions)
+            find = self._schema_at_hand
+            is_small = len(graph.topics) + len(graph.services) + len(graph.parameters) < _MANY_NAMES
+            found = (
+                catalogue(graph, find, self.conventions)
+                if is_small
+                else await asyncio.to_thread(catalogue, graph, find, self.conventions)
+            )
         layout = Layout(found, arrangement)
         self._kept = (graph, count, arrangement, layout)
         return layout

@@ -135,7 +135,7 @@ class Verbs:
             unchanged = asked.is_state(exchange.query["after"], self._name(state))
             standing = None
         media_type = chosen(exchange)
-        if state.is_large and media_type != HTML:
+        if state.is_large and media_type != HTML and not (media_type == JSON and state.plain is not None):
             return await self._read_large(exchange, resource, state, media_type, unchanged=unchanged)
         rendering = await self.represented(resource, state, media_type, exchange.judge)
         headers, age = rendering.headers, 0
@@ -198,10 +198,10 @@ class Verbs:
     async def _render(self, resource: Resource, state: State, media_type: str, variant: str, judge: Judge) -> Rendering:
         if media_type == HTML:
             body = await self.pages.page(resource, state, judge=judge)
-        elif state.is_large:
-            raise Problem(406, "This is too large to be sent here: GET it, or follow it by its notifications.")
         elif media_type == JSON and state.plain is not None:
             body = state.plain()
+        elif state.is_large:
+            raise Problem(406, "This is too large to be sent here: GET it, or follow it by its notifications.")
         else:
             body = _serialized(state, _JSON_IS_JSONLD.get(media_type, media_type))
         name = f"{self.boot}-{digest(body)}" if media_type == HTML else self._name(state)  # a page shows more

@@ -55,7 +55,8 @@ class Workers:
 
         Raises Problems: 503 where too much waits or a worker ended early, 507 where its memory did not suffice.
         """
-        if not AVAILABLE:
+        data = _pickled(work)
+        if data is None:
             return await asyncio.to_thread(work)
         if self._waiting >= QUEUE:
             raise Problem(503, "Too many large documents are being worked on: try again.", headers={"Retry-After": "5"})
@@ -65,12 +66,11 @@ class Workers:
         finally:
             self._waiting -= 1
         try:
-            return await self._run(work)
+            return cast("_T", await self._run(data))
         finally:
             self._free.release()
 
-    async def _run(self, work: Work[_T]) -> _T:
-        data = pickle.dumps(work, protocol=5)
+    async def _run(self, data: bytes) -> object:
         for is_new in (False, True):
             worker = await self._worker(anew=is_new)
             self._busy.add(worker)
@@ -88,7 +88,7 @@ class Workers:
                 self._busy.discard(worker)
             worker.has_worked = True
             self._keep(worker)
-            return cast("_T", _result(outcome, value))
+            return _result(outcome, value)
         raise AssertionError
 
     async def _worker(self, *, anew: bool) -> _Worker:
@@ -158,6 +158,16 @@ class _Worker:
         with contextlib.suppress(OSError):
             self._process.kill()
         asyncio.get_running_loop().run_in_executor(None, self._process.wait)
+
+
+def _pickled(work: Work[object]) -> bytes | None:
+    """Work for another process; None where it must stay in this one."""
+    if not AVAILABLE:
+        return None
+    try:
+        return pickle.dumps(work, protocol=5)
+    except (pickle.PicklingError, TypeError, AttributeError):
+        return None
 
 
 def _start(workers: Workers) -> tuple[subprocess.Popen[bytes], socket.socket]:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import TypeAlias
 
 from rosld.adapters.model import (
@@ -72,6 +73,9 @@ _HOLDING = (
 _KEEP = Query("keep", "Whether the event stream that is asked for keeps the hold.", {"type": "boolean"})
 _KEPT_ALSO = (303, 410, 507)
 _MOST_QUERIES = 1000
+MOST_SINGLE = 1000
+"""Parameters, and resources with their properties and actions, that are described one by one; a template has more."""
+_OR_ANOTHER = f", or one beyond the {MOST_SINGLE} that are described one by one"
 _LONGEST = 300
 _ANY_TYPE = "*/*"
 _BYTES = "application/octet-stream"
@@ -319,8 +323,8 @@ class Places:
 
     def _status(self) -> Place:
         seconds: DataSchema = {"type": "number", "minimum": 0}
-        told: DataSchema = dict.fromkeys(("longestPause", "longestPauseBusy", "recentPause"), seconds)
-        told = {**told, **dict.fromkeys(("longestPauseEnd", "longestPauseCode"), or_null(TEXT))}
+        told: DataSchema = dict.fromkeys(("longestPause", "longestWork", "recentPause"), seconds)
+        told = {**told, **dict.fromkeys(("longestPauseEnd", "longestPauseCode", "longestWorkCode"), or_null(TEXT))}
         place = self._place(
             "/status", "status", "How promptly the server itself answers, what is wrong with its storage"
         )
@@ -415,9 +419,7 @@ class Places:
     def _parameters(self) -> Iterator[Place]:
         graph, space = self.graph, self.robot.space
         trees: dict[tuple[str, ...], Members | None] = {(): None, **namespaces(graph, "parameters")}
-        for namespace in trees:
-            if "" in namespace:
-                continue
+        for namespace in islice((each for each in trees if "" not in each), MOST_SINGLE):
             path = self._path(space.container("parameters", namespace))
             tree = self._place(path, "parameters", "A tree of parameters")
             yield replace(
@@ -430,12 +432,11 @@ class Places:
                 pages=True,
                 query=self._of_listings,
             )
-        for name in graph.parameters:
-            if "" in names.segments(name):
-                continue
+        for name in islice((each for each in graph.parameters if "" not in names.segments(each)), MOST_SINGLE):
             place = self._place(self._path(space.parameter(name)), "parameters", "A parameter")
             yield replace(self._parameter(place), alike="parameter")
-        new = self._place("/parameters/{name}", "parameters", "A parameter that may be made", at="/parameters/new")
+        summary = "A parameter that may be made" + ("" if len(graph.parameters) <= MOST_SINGLE else _OR_ANOTHER)
+        new = self._place("/parameters/{name}", "parameters", summary, at="/parameters/new")
         about = "A name; those of several parts have slashes, as in the URL."
         yield replace(self._parameter(new), segments={"name": about})
 
@@ -450,8 +451,30 @@ class Places:
     # Levels two and three
 
     def _resources(self) -> Iterator[Place]:
+        number = 0
         for path in self.layout.paths:
-            yield from (place for place in self._complex(path) if not self._leaves_out(place.path))
+            for place in self._complex(path):
+                if self._leaves_out(place.path):
+                    continue
+                number += 1
+                if number > MOST_SINGLE:
+                    yield self._other_resources(place)
+                    return
+                yield place
+
+    def _other_resources(self, one: Place) -> Place:
+        """What stands for all resources and properties that are not described one by one, as `one` of them is."""
+        summary = "One of the resources, properties and actions that are too many to be described one by one"
+        return Place(
+            "/resources/{name}",
+            "resources",
+            summary,
+            one.methods,
+            _FIELD_READS,
+            dict.fromkeys(one.accepts, (_ANY_TYPE,)),
+            query=(_FORMAT,),
+            segments={"name": "A path, as in the URL: links lead to it."},
+        )
 
     def _complex(self, path: str) -> Iterator[Place]:
         """A complex resource and what lies in it: properties, actions, names that are both."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 
 from starlette.responses import Response
 
@@ -37,6 +37,11 @@ _ABOUT = (
 )
 
 
+_MANY = 500
+"""Places from which a description is written by a worker process: to write one holds the interpreter's lock."""
+_AT_ONCE = 25
+"""Places that are found before the loop has its turn: some milliseconds."""
+_digest = lru_cache(maxsize=4)(digest)
 _MOST = 8
 """Sets of rights for which descriptions are kept."""
 
@@ -74,7 +79,7 @@ class OpenApiResource(Resource):
         data = kept.data
         if exchange.visit is not OPEN:
             data = await self._for_agent(kept, hidden, exchange.judge, exchange.visit.public)
-        etag = ETag(f"{self.robot.boot}-{digest(data)}", media_type.partition("/")[2].replace(".", "-"))
+        etag = ETag(f"{self.robot.boot}-{_digest(data)}", media_type.partition("/")[2].replace(".", "-"))
         return held(exchange, data, media_type, etag, standing_headers(self).items())
 
     async def _for_agent(self, kept: _Described, hidden: bool, judge: Judge, public: Judge) -> bytes:
@@ -127,10 +132,26 @@ class OpenApiResource(Resource):
         layout = await robot.offers.layout()
         version = self._version()
         found = Places(robot, layout, self._resolve, hidden=hidden)
-        places = tuple(found.all())
-        data = await asyncio.to_thread(self._written, places, found.schemas)
+        places = await _in_turns(found.all())
+        if len(places) > _MANY:
+            data = await robot.workers.run(self._writing(places, found.schemas))
+        else:
+            data = await asyncio.to_thread(self._written, places, found.schemas)
         return _Described(version, data, places, found.schemas)
 
-    def _written(self, places: Iterable[Place], schemas: Mapping[str, Schema]) -> bytes:
+    def _writing(self, places: Iterable[Place], schemas: Mapping[str, Schema]) -> Callable[[], bytes]:
         title, base = f"rosld: {self.robot.name}", self.robot.space.base
-        return description(title, base, __version__, _ABOUT, places, schemas)
+        return partial(description, title, base, __version__, _ABOUT, places, schemas)
+
+    def _written(self, places: Iterable[Place], schemas: Mapping[str, Schema]) -> bytes:
+        return self._writing(places, schemas)()
+
+
+async def _in_turns(places: Iterable[Place]) -> tuple[Place, ...]:
+    """All places; whatever else waits for the loop has its turn after every few."""
+    found: list[Place] = []
+    for place in places:
+        found.append(place)
+        if len(found) % _AT_ONCE == 0:
+            await asyncio.sleep(0)
+    return tuple(found)

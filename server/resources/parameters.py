@@ -6,6 +6,7 @@ import json
 import secrets
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
@@ -66,6 +67,8 @@ from rosld.shapes.parameter import constraint_url, declared_shape, declared_trip
 from rosld.shapes.value import OpenShape
 
 _MOST_SLUG = 100
+_TRIPLES_BYTES = 40
+"""Bytes of N-Triples, about, that a byte of plain JSON of a tree comes to."""
 _LOOK_AGAIN_SECONDS = 1.0
 """How often a parameter that is watched is read again: not every kind of robot tells of all changes."""
 
@@ -369,9 +372,10 @@ class ParameterTree(_Parameters):
             self._sequence,
             (plain, whole),
             lambda: State(
-                lambda: parameter_container_document(self.namespace, tree, self.robot.space, MOST, whole=whole),
+                partial(parameter_container_document, self.namespace, tree, self.robot.space, MOST, whole=whole),
                 lambda: plain,
                 digest(plain),
+                weight=_TRIPLES_BYTES * len(plain),
             ),
         )
 

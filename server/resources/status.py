@@ -59,6 +59,8 @@ def status_document(url: str, pauses: Pauses, storage_problems: Sequence[str] = 
                 (ros.longestPause, double(round(longest.seconds, 4))),
                 (ros.longestPauseEnd, moment(longest.ended_ns)),
                 (ros.longestPauseCode, text(longest.code)),
+                (ros.longestWork, double(round(pauses.busiest.busy, 4))),
+                (ros.longestWorkCode, text(pauses.busiest.code)),
                 (ros.recentPause, double(round(pauses.recent, 4))),
                 *((ros.storageProblem, text(problem)) for problem in storage_problems),
             )
@@ -71,9 +73,10 @@ def _plain(pauses: Pauses, storage_problems: Sequence[str]) -> bytes:
     return orjson.dumps(
         {
             "longestPause": round(pauses.longest.seconds, 4),
-            "longestPauseBusy": round(pauses.longest.busy, 4),
             "longestPauseEnd": None if end is None else end.value,
             "longestPauseCode": pauses.longest.code,
+            "longestWork": round(pauses.busiest.busy, 4),
+            "longestWorkCode": pauses.busiest.code,
             "recentPause": round(pauses.recent, 4),
             "storageProblem": [*storage_problems],
         }

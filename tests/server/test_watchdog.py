@@ -19,8 +19,9 @@ PAUSE_SECONDS = 0.3
 
 
 def _busy(seconds: float) -> None:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
+    """Work for so many seconds of a processor."""
+    end = time.thread_time() + seconds
+    while time.thread_time() < end:
         pass
 
 
@@ -42,10 +43,10 @@ def test_the_longest_pause_of_the_loop_is_told_at_status_with_the_code_that_ran(
     with caplog.at_level(logging.WARNING, "rosld"), served(Sluggish()) as http:
         assert http.post("services/sluggish", json={}).status_code == 201
         told = http.get("status", headers={"Accept": "application/json"}).json()
-        assert PAUSE_SECONDS - 0.02 <= told["longestPause"] < 5
-        assert PAUSE_SECONDS - 0.02 <= told["recentPause"] < 5
-        assert 0 < told["longestPauseBusy"] <= told["longestPause"] + 1
-        assert told["longestPauseCode"].startswith("rosld.server.")
+        assert told["longestPause"] >= told["longestWork"] - 0.02
+        assert PAUSE_SECONDS - 0.02 <= told["longestWork"] < PAUSE_SECONDS + 0.2
+        assert PAUSE_SECONDS - 0.02 <= told["recentPause"]
+        assert told["longestWorkCode"].startswith("rosld.server.")
         until(lambda: any("the event loop was paused for" in each for each in caplog.messages), "a line in the log")
         assert any("_pause" in each for each in caplog.messages if "the event loop was paused" in each)
 

@@ -38,17 +38,18 @@ class Sluggish(MadeUp):
 
 
 def test_the_longest_pause_of_the_loop_is_told_at_status_with_the_code_that_ran(
-    caplog: pytest.LogCaptureFixture,
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("rosld.server.watchdog.LOG_INTERVAL_SECONDS", 0.0)  # others may come before on a busy machine
     with caplog.at_level(logging.WARNING, "rosld"), served(Sluggish()) as http:
         assert http.post("services/sluggish", json={}).status_code == 201
         told = http.get("status", headers={"Accept": "application/json"}).json()
         assert told["longestPause"] >= told["longestWork"] - 0.02
         assert PAUSE_SECONDS - 0.02 <= told["longestWork"] < PAUSE_SECONDS + 0.2
-        assert PAUSE_SECONDS - 0.02 <= told["recentPause"]
+        assert told["recentPause"] >= PAUSE_SECONDS - 0.02
         assert told["longestWorkCode"].startswith("rosld.server.")
-        until(lambda: any("the event loop was paused for" in each for each in caplog.messages), "a line in the log")
-        assert any("_pause" in each for each in caplog.messages if "the event loop was paused" in each)
+        paused = "the event loop was paused for"
+        until(lambda: any(paused in each and "_pause" in each for each in caplog.messages), "a line in the log")
 
 
 def test_the_status_is_linked_from_the_entry_and_told_in_rdf_and_html() -> None:

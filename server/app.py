@@ -259,9 +259,13 @@ class Application:
         check_origin(self._site, exchange.method, origin, exchange.header("sec-fetch-site"))
         if exchange.request.scope["raw_path"] != self._stop:
             await self._turns.wait()
+        if exchange.request.scope["raw_path"] == b"*":
+            self._admit(exchange)
+            return _of_server(exchange.method)
         is_preflight = exchange.method == "OPTIONS" and exchange.header("access-control-request-method") is not None
         if self._door is not None:
             if is_preflight:  # it never says who asks, so it is told of nothing
+                self._admit(exchange)
                 return self._preflight(None, origin)
             exchange.visit = await self._door.visit(exchange.header("authorization"))
             if not exchange.judge.whole:
@@ -269,10 +273,6 @@ class Application:
                 gate.require_path(exchange.judge, exchange.method, place)
         self._require_no_token(exchange)
         self._admit(exchange)
-        if exchange.request.scope["raw_path"] == b"*":
-            if exchange.method != "OPTIONS":
-                raise Problem(400, "Only OPTIONS is for the whole server (*): name a resource.")
-            return Response(status_code=204, headers=_OF_SERVER)
         resource = self._router.resolve(exchange.request.scope)
         if is_preflight:
             return self._preflight(resource, origin)
@@ -296,7 +296,7 @@ class Application:
     def _admit(self, exchange: Exchange) -> None:
         """Raises a 429 Problem for a client at its limit. Stopping the robot is never too much."""
         scope = exchange.request.scope
-        if exchange.method != "POST" or not scope["raw_path"].endswith(b"/stop"):
+        if exchange.method != "POST" or scope["raw_path"] != self._stop:
             client = scope["client"]
             exchange.client = self.clients.admit(exchange.agent, client[0] if client else None)
 
@@ -358,6 +358,13 @@ class Application:
 def _may_know(judge: Judge, place: Location | None, status: int) -> bool:
     """Whether an agent may know that there is nothing at a place."""
     return status in _ABSENT and place is not None and judge.knows_any(place)
+
+
+def _of_server(method: str) -> Response:
+    """The answer to `OPTIONS *`. Raises a 400 Problem for other methods, which are for a resource (RFC 9112 3.2.4)."""
+    if method != "OPTIONS":
+        raise Problem(400, "Only OPTIONS is for the whole server (*): name a resource.")
+    return Response(status_code=204, headers=_OF_SERVER)
 
 
 def _share(response: Response, headers: Mapping[str, str]) -> None:

@@ -23,6 +23,7 @@ from rosld.server.access.agent import Agent
 from rosld.server.events.watches import Signal
 from rosld.server.gate import Holder
 from rosld.server.http.problem import Problem
+from rosld.server.publication import require_rate
 from rosld.server.schedule import Lapse, Publish, Schedule, Wait
 from rosld.server.writable import refusal
 
@@ -117,13 +118,15 @@ class Holds:
     async def begin(self, hold: Hold) -> Hold:
         """Publish the message for the first time, and go on with it. `hold` is one that `new` made.
 
-        Raises TopicHeld, Stopped, and what the adapter raises: then there is no hold.
+        Raises TopicHeld, Stopped, a 429 Problem where the topic is published to too often, and what the adapter raises:
+        then there is no hold.
         """
         robot, gate = self._robot, self._robot.gate
         gate.require_open()
         gate.require_free(hold.topic)
         if self._closed is not None:
             raise Problem(503, f"No hold can begin: {self._closed}.")
+        require_rate(robot, hold.topic)
         holder = gate.held[hold.topic] = Holder(hold.holder.name, robot.space.hold(hold.id))
         running = _Running(self, robot, hold)
         try:
@@ -293,6 +296,7 @@ class _Running:
 
     async def _published(self) -> None:
         trouble: str | None = None
+        self._robot.limiter.count(self.hold.topic, self._loop.time())
         try:
             await self.publish(self._loop.time() + min(self._schedule.period, _LONGEST_PUBLISH))
         except (RosError, ValueError) as error:
@@ -325,6 +329,7 @@ class _Running:
         if then is None:
             return
         encoding = self._robot.adapter.capabilities.encoding
+        self._robot.limiter.count(topic, self._loop.time())  # it is published however often: what follows waits for it
         deadline = self._loop.time() + _LAST_SECONDS
         while True:
             try:

@@ -21,3 +21,9 @@ class PublishLimiter:
             return (1.0 - tokens) / self.rate
         self._buckets[topic] = (tokens - 1.0, now)
         return 0.0
+
+    def count(self, topic: str, now: float) -> None:
+        """Count a publish that cannot wait: the next ones wait for it, a second's worth at the most."""
+        tokens, then = self._buckets.get(topic, (self.rate, now))
+        tokens = min(max(self.rate, 1.0), tokens + (now - then) * self.rate) - 1.0
+        self._buckets[topic] = (max(tokens, -self.rate), now)

@@ -27,10 +27,7 @@ class Publication:
 async def publish(robot: Robot, publication: Publication) -> Published:
     """Publish, waiting a moment for somebody to listen. Raises a 429 Problem where the topic is published too often."""
     topic = publication.topic
-    wait = robot.limiter.wait(topic, asyncio.get_running_loop().time())
-    if wait > 0:
-        sentence = f"More than {robot.limiter.rate:g} messages a second on {topic} (--max-publish-rate)."
-        raise Problem(429, sentence, headers={"Retry-After": str(max(1, round(wait)))})
+    require_rate(robot, topic)
     deadline = robot.deadline(robot.settings.publish_wait)
     try:
         return await robot.adapter.publish(
@@ -38,6 +35,14 @@ async def publish(robot: Robot, publication: Publication) -> Published:
         )
     finally:
         robot.written(Kind.TOPIC, topic)
+
+
+def require_rate(robot: Robot, topic: str) -> None:
+    """Count one publish. Raises a 429 Problem where the topic is published to too often."""
+    wait = robot.limiter.wait(topic, asyncio.get_running_loop().time())
+    if wait > 0:
+        sentence = f"More than {robot.limiter.rate:g} messages a second on {topic} (--max-publish-rate)."
+        raise Problem(429, sentence, headers={"Retry-After": str(max(1, round(wait)))})
 
 
 def unheard(topic: str) -> Problem:

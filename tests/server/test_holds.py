@@ -395,6 +395,23 @@ def test_a_hold_goes_on_beside_another_publisher_where_that_is_permitted() -> No
         assert http.get(hold).status_code == 200
 
 
+def test_holds_that_begin_and_end_in_turn_publish_no_more_often_than_anything_else() -> None:
+    driven, most = Driven(), 20
+    with served(driven, max_publish_rate=float(most)) as http:
+        started, answers = time.monotonic(), []
+        while time.monotonic() - started < 2:
+            answers.append(held(http, rate=1, lease=5))
+            if answers[-1].status_code == 201:
+                http.delete(answers[-1].headers["location"])
+        seconds = time.monotonic() - started
+        assert {answer.status_code for answer in answers} == {201, 429}
+        assert "--max-publish-rate" in answers[-1].text or answers[-1].status_code == 201
+        assert len(driven.on(DRIVE)) <= most + most * seconds + 2
+        refused = next(answer for answer in answers if answer.status_code == 429)
+        assert int(refused.headers["retry-after"]) >= 1
+        assert driven.is_told(STILL), "the message that ends a hold is never refused"
+
+
 def test_a_hold_goes_on_while_its_only_subscriber_restarts(driven: Driven, http: httpx.Client) -> None:
     hold = begun(http, lease=5)
     try:

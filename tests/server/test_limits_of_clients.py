@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -85,10 +86,22 @@ def test_streams_count_and_stopping_the_robot_is_never_too_much(url: str) -> Non
         assert (refused.status_code, refused.headers["retry-after"]) == (429, "1")
         assert "8 requests of yours" in refused.json()["detail"]
         assert http.post("/stop/nothing").status_code == 429
+        for path in ("/services/aircraft/stop", "/topics/stop", "/data/stop"):
+            assert http.post(path).status_code == 429, path
         assert http.post("/stop").status_code != 429
         http.delete("/stop")
         for each in streams:
             each.__exit__(None, None, None)
+
+
+def test_preflights_are_requests_like_any_other(start_server: Callable[..., Any], tmp_path: Path) -> None:
+    rules = tmp_path / "auth.toml"
+    rules.write_text("[[rule]]\nagents = ['anybody']\nmodes = ['read']\npaths = ['/**']\n")
+    base = start_server("aircraft", "--limit-loopback", "--setting", "client_rate", "5", "--auth", str(rules)).url
+    asked = {"Origin": "https://app.example", "Access-Control-Request-Method": "PUT"}
+    with client(base, "127.0.0.8") as http:
+        statuses = {http.options("/topics/", headers=asked).status_code for _ in range(30)}
+    assert statuses == {204, 429}
 
 
 STREAM = {"Accept": "text/event-stream"}

@@ -160,7 +160,9 @@ class Application:
         self._mirror = mirror
         self._recorder = Recorder(robot.receipts, robot.space)
         settings = robot.settings
-        allowance = Allowance(settings.client_rate, settings.client_requests, settings.client_connections)
+        allowance = Allowance(
+            settings.client_rate, settings.client_requests, settings.client_connections, settings.client_websockets
+        )
         self.clients = Clients(allowance, loopback=settings.limit_loopback)
         self.again = Again(self._passes) if door is None else None
         self._door = door
@@ -185,6 +187,10 @@ class Application:
             await self._lifespan(receive, send)
         else:
             await self._websocket(scope, receive, send)
+
+    def is_urgent(self, method: bytes, path: bytes) -> bool:
+        """Whether a request is answered whatever limits there are: it stops the robot."""
+        return method == b"POST" and path == self._stop
 
     def end_streams(self) -> None:
         """End what would go on for ever, holds first: to be called when the server is told to end, before it waits for
@@ -246,6 +252,11 @@ class Application:
         await response(scope, receive, send)
 
     async def _websocket(self, scope: Scope, receive: Receive, send: Send) -> None:
+        client = scope["client"]
+        if not self._passes(client[0] if client else None):
+            await asyncio.sleep(REFUSAL_SECONDS)
+            await websocket.refuse(scope, send, Problem(429, "You open too many WebSockets a second: open fewer."))
+            return
         try:
             websocket.check_request(self._site, scope)
             receiver = self._notifications.receiver(scope)
@@ -296,7 +307,7 @@ class Application:
     def _admit(self, exchange: Exchange) -> None:
         """Raises a 429 Problem for a client at its limit. Stopping the robot is never too much."""
         scope = exchange.request.scope
-        if exchange.method != "POST" or scope["raw_path"] != self._stop:
+        if not self.is_urgent(exchange.method.encode(), scope["raw_path"]):
             client = scope["client"]
             exchange.client = self.clients.admit(exchange.agent, client[0] if client else None)
 

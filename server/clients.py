@@ -28,11 +28,12 @@ class TooMuch(Problem):
 
 @dataclass(frozen=True, slots=True)
 class Allowance:
-    """What one client may do: requests a second, requests under way, connections."""
+    """What one client may do: requests a second, requests under way, connections, WebSockets among them."""
 
     rate: float
     requests: int
     connections: int
+    websockets: int = 256
 
 
 class Client:
@@ -41,16 +42,17 @@ class Client:
     The second is the theoretical arrival time of the generic cell rate algorithm (ITU-T I.371).
     """
 
-    __slots__ = ("connections", "due", "requests")
+    __slots__ = ("connections", "due", "requests", "websockets")
 
     def __init__(self) -> None:
         self.requests = 0
         self.connections = 0
+        self.websockets = 0
         self.due = 0.0
 
     def is_idle(self, now: float) -> bool:
         """Whether forgetting it makes no difference."""
-        return not self.requests and not self.connections and self.due <= now
+        return not (self.requests or self.connections or self.websockets) and self.due <= now
 
 
 class Clients:
@@ -97,6 +99,19 @@ class Clients:
 
         def ended() -> None:
             client.connections -= 1
+
+        return ended
+
+    def open_websocket(self, address: str | None) -> Callable[[], None]:
+        """As `connect`, for WebSockets, which this machine's clients may not have without limit either."""
+        client = self._client(f"WebSockets of {name_of(address, loopback=True)}")
+        if client.websockets >= self._allowance.websockets:
+            words = f"{client.websockets} WebSockets are open at your address already, as many as may be at a time"
+            raise _too_much(f"{words} (client_websockets): use those, or end some.", 5.0)
+        client.websockets += 1
+
+        def ended() -> None:
+            client.websockets -= 1
 
         return ended
 

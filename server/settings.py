@@ -212,7 +212,12 @@ class Settings:
     client_requests: int = setting(64, "The most requests of one client at a time, streams included.", least=1)
     client_connections: int = setting(256, "The most connections from one address at a time.", least=1)
     limit_loopback: bool = setting(False, "Hold clients on this machine to the limits of clients, too.", option=True)
-    connections: int = setting(3000, "The most connections at a time; to more the answer is 503.", least=10)
+    client_websockets: int = setting(
+        256, "The most WebSockets from one address at a time, from this machine, too.", least=1
+    )
+    connections: int = setting(
+        3000, "The most connections at a time; a new one takes the place of an idle one, or is answered 503.", least=10
+    )
     head_limit: int = setting(
         64 * 1024, "The largest request line and headers of a request, together.", unit="bytes", least=1024
     )

@@ -15,7 +15,9 @@ from starlette.types import ASGIApp
 
 from rosld.server.http.again import Again
 from rosld.server.http.connection import Bounded, Bounds, Connection
+from rosld.server.http.connections import Connections
 from rosld.server.http.tokens import without_tokens
+from rosld.server.http.websocket_connection import WebSocketConnection
 from rosld.server.sparql.evaluation import Aborted
 
 _log = logging.getLogger("rosld")
@@ -23,7 +25,7 @@ _log = logging.getLogger("rosld")
 KEEP_ALIVE_SECONDS = 30
 GRACE_SECONDS = 2
 CONNECTIONS = 3000
-"""Connections at a time; one more is answered 503."""
+"""Connections at a time. One more takes the place of one that is idle, or only POST /stop is answered on it."""
 
 MESSAGE_BYTES = 4096
 """The most a WebSocket's client may send at once: it has nothing to say."""
@@ -68,7 +70,7 @@ class Server(uvicorn.Server):
         config = Bounded(
             app,
             http=Connection,
-            ws="websockets-sansio",
+            ws=WebSocketConnection,
             ws_max_size=MESSAGE_BYTES,
             ws_per_message_deflate=False,
             lifespan="off",
@@ -79,8 +81,8 @@ class Server(uvicorn.Server):
             server_header=False,
             timeout_keep_alive=KEEP_ALIVE_SECONDS,
             timeout_graceful_shutdown=GRACE_SECONDS,
-            limit_concurrency=connections,
         )
+        config.connections = Connections(connections)
         if bounds is not None:
             config.bounds = bounds
         config.again = again

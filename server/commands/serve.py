@@ -25,6 +25,8 @@ from rosld.server.settings import Settings
 if TYPE_CHECKING:
     from rosld.server.app import Application
 
+FILES = 256
+"""Open files that are left to everything else than clients: databases, recordings, robots, connections in reserve."""
 LAST_SECONDS = 4.5
 """Seconds after which a server that was told to end is ended, whatever still holds it: five are promised."""
 
@@ -58,8 +60,10 @@ class Serving:
         self._sock = sock
         self._url = url
         settings = app.robot.settings
-        bounds = Bounds(settings.head_limit, settings.head_timeout, settings.read_timeout, app.clients.connect)
-        self._server = listening.Server(app, self._listening, bounds, settings.connections, app.again)
+        limits = (settings.head_limit, settings.head_timeout, settings.read_timeout)
+        bounds = Bounds(*limits, app.clients.connect, app.clients.open_websocket, app.is_urgent)
+        most = min(settings.connections, most_open_files() - FILES)
+        self._server = listening.Server(app, self._listening, bounds, max(most, 1), app.again)
         tls.apply(self._server.config, app.robot.settings.tls_cert, app.robot.settings.tls_key)
         self._work: asyncio.Task[None] | None = None
 
@@ -117,6 +121,16 @@ def allow_open_files() -> None:
     if soft != resource.RLIM_INFINITY and soft < most:
         with contextlib.suppress(OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+
+
+def most_open_files() -> int:
+    """How many files this process may have open, sockets among them."""
+    if sys.platform == "win32":
+        return 65536
+    import resource
+
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return 65536 if soft == resource.RLIM_INFINITY else soft
 
 
 def _warn(settings: Settings) -> None:

@@ -16,8 +16,10 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from rosld.server.http import problem
 from rosld.server.http.again import LONGEST_REQUEST, SCOPE, Again, Still
+from rosld.server.http.connections import Connections
 from rosld.server.http.problem import Problem
 from rosld.server.http.request_head import RequestHead
+from rosld.server.http.websocket_connection import WebSocketConnection
 
 _JOINED = 64 * 1024
 _FRAMING_RATIO = 16
@@ -36,18 +38,25 @@ def _welcome(address: str | None) -> Callable[[], None]:
     return _nothing
 
 
+def _is_never(method: bytes, path: bytes) -> bool:
+    return False
+
+
 @dataclass(frozen=True, slots=True)
 class Bounds:
     """What a client has before it is cut off: bytes of a head, seconds to send one, seconds to read what it is sent.
 
-    `connect` is asked whether the client at an address may have one more connection. It raises a Problem if not; what
-    it answers is called when the connection ends.
+    `connect` is asked whether the client at an address may have one more connection, `open_websocket` whether it may
+    have one more WebSocket. They raise a Problem if not; what they answer is called when the connection ends.
+    `is_urgent` says of a method and a path whether such a request is answered also beyond the most connections.
     """
 
     head_bytes: int = 64 * 1024
     head_seconds: float = 20.0
     read_seconds: float = 60.0
     connect: Callable[[str | None], Callable[[], None]] = _welcome
+    open_websocket: Callable[[str | None], Callable[[], None]] = _welcome
+    is_urgent: Callable[[bytes, bytes], bool] = _is_never
 
 
 class Bounded(uvicorn.Config):
@@ -55,6 +64,7 @@ class Bounded(uvicorn.Config):
 
     bounds = Bounds()
     again: Again | None = None
+    connections = Connections(3000)
 
 
 class Together:
@@ -138,6 +148,8 @@ class Connection(HttpToolsProtocol):
     _unread: asyncio.TimerHandle | None = None
     _let_go: Callable[[], None] = staticmethod(_nothing)
     _is_over = False
+    _refusal: Problem | None = None
+    """Why nothing is answered on this connection but urgent requests."""
     _ending: Problem | None = None
     """What is to be told when the requests under way are answered."""
 
@@ -149,18 +161,27 @@ class Connection(HttpToolsProtocol):
         """A client connected, and has a while to say what it wants."""
         super().connection_made(cast("asyncio.Transport", Together(transport, self.loop)))
         self._again = self.config.again if isinstance(self.config, Bounded) else None
+        self._connections = self.config.connections if isinstance(self.config, Bounded) else Bounded.connections
         self._impatience = self.loop.call_later(self._bounds.head_seconds, self._too_slow)
         try:
             self._let_go = self._bounds.connect(self.client[0] if self.client else None)
         except Problem as problem:
-            self._end(problem)
+            self._refusal = problem
+        if not self._connections.open(self, is_extra=self._refusal is not None):
+            self.end_idle()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """The client has gone."""
         self._be_patient()
         self.resume_writing()
+        self._connections.close(self)
         self._leave()
         super().connection_lost(exc)
+
+    def end_idle(self) -> None:
+        """End the connection, which is idle, to make room for another."""
+        self._is_over = True
+        self.transport.close()
 
     def data_received(self, data: bytes) -> None:
         """Bytes came."""
@@ -250,6 +271,7 @@ class Connection(HttpToolsProtocol):
         if answer is None:
             return False
         self._be_patient()
+        self._connections.rest(self)
         self._together.write_whole(answer)
         self.server_state.total_requests += 1
         self._unset_keepalive_if_required()
@@ -276,6 +298,8 @@ class Connection(HttpToolsProtocol):
             if still is not None and is_alone and is_plain and not cycle.more_body and answer:
                 self._again.keep(request, answer, still)
         is_last = not self.pipeline
+        if is_last:
+            self._connections.rest(self)
         super().on_response_complete()
         if is_last and self._ending is not None and not self.transport.is_closing():
             self._say(self._ending)
@@ -299,6 +323,8 @@ class Connection(HttpToolsProtocol):
             self._is_handshake = self._is_answered and head.is_websocket_handshake
             if not self._is_handshake:
                 return
+        if not self._connections.begin(self) and not self._is_urgent(head):
+            raise self._refusal or _FULL
         if head.version == "1.0":
             self.expect_100_continue = False  # RFC 9110 10.1.1
         self._head_is_open, self._head_size, self._framing = False, 0, most
@@ -307,6 +333,9 @@ class Connection(HttpToolsProtocol):
         if self._whole is not None:
             self.scope[SCOPE] = None  # type: ignore[literal-required]
         super().on_headers_complete()
+
+    def _is_urgent(self, head: RequestHead) -> bool:
+        return self._bounds.is_urgent(head.method, httptools.parse_url(head.target).path)
 
     def on_body(self, body: bytes) -> None:
         """A piece of a body."""
@@ -351,8 +380,17 @@ class Connection(HttpToolsProtocol):
 
     def handle_websocket_upgrade(self) -> None:
         """The connection is a WebSocket's from now on."""
-        self._leave()
+        try:
+            close = self._bounds.open_websocket(self.client[0] if self.client else None)
+        except Problem as problem:
+            self._end(problem)
+            return
+        let_go, self._let_go = self._let_go, _nothing
         super().handle_websocket_upgrade()
+        websocket = self.transport.get_protocol()
+        assert isinstance(websocket, WebSocketConnection)
+        self._connections.replace(self, websocket)
+        websocket.count(self._connections, (close, let_go))
 
     def _leave(self) -> None:
         let_go, self._let_go = self._let_go, _nothing
@@ -381,11 +419,17 @@ class Connection(HttpToolsProtocol):
 
     def _say(self, ending: Problem) -> None:
         self._unset_keepalive_if_required()
+        self._connections.rest(self)
         self.transport.write(_response(ending))
         self.transport.write_eof()
         self._impatience = self.loop.call_later(LINGER_SECONDS, self.transport.close)
 
 
+_FULL = Problem(
+    503,
+    "There are as many connections as may be; on this one only POST /stop is answered. Come back later.",
+    headers={"Retry-After": "5"},
+)
 _UNREADABLE = Problem(400, "This is no HTTP request that can be read.")
 
 

@@ -113,6 +113,7 @@ def test_connections_are_counted_by_address_and_other_addresses_come_in(url: str
     held = [socket.create_connection((host, port), source_address=("127.0.0.5", 0)) for _ in range(12)]
     try:
         with socket.create_connection((host, port), source_address=("127.0.0.5", 0), timeout=10) as one_more:
+            one_more.sendall(f"GET / HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode())
             assert one_more.recv(1000).startswith(b"HTTP/1.1 429")
         with client(url, "127.0.0.6") as other:
             assert other.get("/").status_code == 200

@@ -1,0 +1,102 @@
+"""The open connections of one server: how many there may be, which end first, and room for what stops the robot."""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Protocol
+
+RESERVE = 64
+"""Connections beyond the most there may be, for requests that are always answered."""
+SILENT_SECONDS = 60.0
+"""A WebSocket that was sent nothing for so long may be ended to make room."""
+
+
+class Endable(Protocol):
+    """A connection that can be ended while nothing is under way on it."""
+
+    def end_idle(self) -> None:
+        """End it, telling why where the protocol has words for it."""
+
+
+class Connections:
+    """Open connections, at most `most` and a reserve. Belongs to one loop.
+
+    A new one beyond `most` takes the place of the one that has been idle longest: of a connection without a request
+    under way, or else of a WebSocket that was sent nothing for a minute. Where there is none, it is in the reserve. The
+    same holds within the reserve, so that it cannot be filled with connections on which nothing is asked.
+    """
+
+    def __init__(self, most: int, reserve: int = RESERVE, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._most = most
+        self._most_extra = reserve
+        self._open: set[Endable] = set()
+        self._extra: set[Endable] = set()
+        self._idle: OrderedDict[Endable, None] = OrderedDict()
+        self._idle_extra: OrderedDict[Endable, None] = OrderedDict()
+        self._websockets: OrderedDict[Endable, float] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._open) + len(self._extra)
+
+    def open(self, connection: Endable, *, is_extra: bool = False) -> bool:
+        """Add a connection, into the reserve if need be or if told so. False where the reserve is full, too."""
+        if not is_extra and (len(self._open) < self._most or self._end_longest_idle()):
+            self._open.add(connection)
+            self._idle[connection] = None
+            return True
+        if len(self._extra) >= self._most_extra and not self._end_first(self._idle_extra):
+            return False
+        self._extra.add(connection)
+        self._idle_extra[connection] = None
+        return True
+
+    def begin(self, connection: Endable) -> bool:
+        """Note that a request is under way. False where the connection is in the reserve."""
+        self._idle.pop(connection, None)
+        self._idle_extra.pop(connection, None)
+        return connection not in self._extra
+
+    def rest(self, connection: Endable) -> None:
+        """Note that the requests on a connection are answered."""
+        for among, idle in ((self._open, self._idle), (self._extra, self._idle_extra)):
+            if connection in among:
+                idle[connection] = None
+                idle.move_to_end(connection)
+
+    def replace(self, connection: Endable, websocket: Endable) -> None:
+        """Note that a connection has become a WebSocket."""
+        self.close(connection)
+        self._open.add(websocket)
+        self.touch(websocket)
+
+    def touch(self, websocket: Endable) -> None:
+        """Note that something is sent on a WebSocket."""
+        self._websockets[websocket] = self._clock()
+        self._websockets.move_to_end(websocket)
+
+    def close(self, connection: Endable) -> None:
+        """Note that a connection has ended, or will at once."""
+        self._open.discard(connection)
+        self._extra.discard(connection)
+        self._idle.pop(connection, None)
+        self._idle_extra.pop(connection, None)
+        self._websockets.pop(connection, None)
+
+    def _end_longest_idle(self) -> bool:
+        if self._end_first(self._idle):
+            return True
+        since = next(iter(self._websockets.values()), None)
+        if since is None or self._clock() - since < SILENT_SECONDS:
+            return False
+        return self._end_first(self._websockets)
+
+    def _end_first(self, connections: OrderedDict[Endable, None] | OrderedDict[Endable, float]) -> bool:
+        first = next(iter(connections), None)
+        if first is None:
+            return False
+        self.close(first)
+        first.end_idle()
+        return True

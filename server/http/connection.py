@@ -6,7 +6,7 @@ answers to requests that were answered before (`again.py`).
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
 
@@ -18,10 +18,10 @@ from rosld.server.http import problem
 from rosld.server.http.again import LONGEST_REQUEST, SCOPE, Again, Still
 from rosld.server.http.connections import Connections
 from rosld.server.http.problem import Problem
-from rosld.server.http.request_head import RequestHead
+from rosld.server.http.request_head import LONGEST_TARGET, RequestHead
+from rosld.server.http.transport import Together
 from rosld.server.http.websocket_connection import WebSocketConnection
 
-_JOINED = 64 * 1024
 _FRAMING_RATIO = 16
 """Bytes of chunk sizes, chunk extensions and trailers that may come with each byte of a chunked body: a byte in a chunk
 
@@ -67,64 +67,6 @@ class Bounded(uvicorn.Config):
     connections = Connections(3000)
 
 
-class Together:
-    """A transport that sends the head of an answer together with the first of its body: one call of the system less.
-
-    `joined` is what was sent so last, if that was short.
-    """
-
-    def __init__(self, transport: asyncio.Transport, loop: asyncio.AbstractEventLoop) -> None:
-        self._transport = transport
-        self._soon = loop.call_soon
-        self._head = b""
-        self.joined = b""
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._transport, name)
-
-    def write(self, data: bytes) -> None:
-        """Send bytes; a head waits for what is written next, or for the loop's next turn."""
-        if self._head:
-            head, self._head = self._head, b""
-            if len(data) < _JOINED:
-                self.joined = head + data
-                self._transport.write(self.joined)
-            else:
-                self._transport.write(head)
-                self._transport.write(data)
-        elif data.startswith(b"HTTP/1.1 ") and not data.startswith(b"HTTP/1.1 1"):  # 100 has no body to wait for
-            self._head, self.joined = data, b""
-            self._soon(self.flush)
-        else:
-            self._transport.write(data)
-
-    def write_whole(self, answer: bytes) -> None:
-        """Send an answer that is there with head and body."""
-        self.flush()
-        self._transport.write(answer)
-
-    def writelines(self, parts: Iterable[bytes]) -> None:
-        """Send several pieces."""
-        self.flush()
-        self._transport.writelines(parts)
-
-    def write_eof(self) -> None:
-        """Send no more."""
-        self.flush()
-        self._transport.write_eof()
-
-    def close(self) -> None:
-        """Close when all is sent."""
-        self.flush()
-        self._transport.close()
-
-    def flush(self) -> None:
-        """Send a head that still waits."""
-        if self._head:
-            head, self._head = self._head, b""
-            self._transport.write(head)
-
-
 class Connection(HttpToolsProtocol):
     """Ends connections whose request line and headers are too large (431) or too slow (408); says 400 in RFC 9457.
 
@@ -144,6 +86,8 @@ class Connection(HttpToolsProtocol):
     _framing = 0
     """Bytes that may yet come beside the body of this request."""
     _is_handshake = False
+    _is_coded = False
+    """Whether the head names a transfer coding."""
     _impatience: asyncio.TimerHandle | None = None
     _unread: asyncio.TimerHandle | None = None
     _let_go: Callable[[], None] = staticmethod(_nothing)
@@ -205,7 +149,8 @@ class Connection(HttpToolsProtocol):
         except httptools.HttpParserError as error:
             cause = error.__context__
             self._end(cause if isinstance(cause, Problem) else _UNREADABLE)
-        self._check_progress()
+        if self._head_size or not self._head_is_open:
+            self._check_progress()
 
     def _parse(self, data: bytes) -> None:
         """Parse bytes, and in them heads with an `Upgrade` that is ignored once more without it."""
@@ -306,33 +251,43 @@ class Connection(HttpToolsProtocol):
 
     def on_header(self, name: bytes, value: bytes) -> None:
         """A field of the head. Those of a trailer section are dropped: they are no fields of it (RFC 9110 6.5.1)."""
-        if self._head_is_open:
-            super().on_header(name, value)
+        if not self._head_is_open:
+            return
+        name = name.lower()
+        if name == b"transfer-encoding":
+            self._is_coded = True
+        elif name == b"expect" and value.lower() == b"100-continue":
+            self.expect_100_continue = True
+        self.headers.append((name, value))
 
     def on_headers_complete(self) -> None:
         """The head of a request is there. Its scope has the transport, for who must know when the client is silent.
 
         Raises Problems, which the parser passes on as its own error.
         """
-        head = self._head()
-        most = self._bounds.head_bytes
-        if max(self._head_size, self._block_size) > most and head.size > most:
-            raise self._too_large
-        head.check()
-        if self.parser.should_upgrade():
-            self._is_handshake = self._is_answered and head.is_websocket_handshake
-            if not self._is_handshake:
+        most, is_upgrade = self._bounds.head_bytes, self.parser.should_upgrade()
+        is_large = self._head_size > most or self._block_size > most or len(self.url) > LONGEST_TARGET
+        if is_upgrade or is_large or self._is_coded or self.parser.get_http_version() != "1.1":
+            self._check(self._head())
+            if is_upgrade and not self._is_handshake:
                 return
-        if not self._connections.begin(self) and not self._is_urgent(head):
+        if not self._connections.begin(self) and not self._is_urgent(self._head()):
             raise self._refusal or _FULL
-        if head.version == "1.0":
-            self.expect_100_continue = False  # RFC 9110 10.1.1
-        self._head_is_open, self._head_size, self._framing = False, 0, most
+        self._head_is_open, self._head_size, self._framing, self._is_coded = False, 0, most, False
         self._be_patient()
         self.scope["rosld.transport"] = self.transport  # type: ignore[typeddict-unknown-key]
         if self._whole is not None:
             self.scope[SCOPE] = None  # type: ignore[literal-required]
         super().on_headers_complete()
+
+    def _check(self, head: RequestHead) -> None:
+        """Raises the Problem of a head that is out of the ordinary; notes whether it opens a WebSocket."""
+        if head.size > self._bounds.head_bytes:
+            raise self._too_large
+        head.check()
+        if head.version == "1.0":
+            self.expect_100_continue = False  # RFC 9110 10.1.1
+        self._is_handshake = self.parser.should_upgrade() and self._is_answered and head.is_websocket_handshake
 
     def _is_urgent(self, head: RequestHead) -> bool:
         return self._bounds.is_urgent(head.method, httptools.parse_url(head.target).path)

@@ -55,16 +55,22 @@ class Connections:
 
     def begin(self, connection: Endable) -> bool:
         """Note that a request is under way. False where the connection is in the reserve."""
+        if connection in self._extra:
+            self._idle_extra.pop(connection, None)
+            return False
         self._idle.pop(connection, None)
-        self._idle_extra.pop(connection, None)
-        return connection not in self._extra
+        return True
 
     def rest(self, connection: Endable) -> None:
         """Note that the requests on a connection are answered."""
-        for among, idle in ((self._open, self._idle), (self._extra, self._idle_extra)):
-            if connection in among:
-                idle[connection] = None
-                idle.move_to_end(connection)
+        if connection in self._open:
+            idle = self._idle
+        elif connection in self._extra:
+            idle = self._idle_extra
+        else:
+            return
+        idle[connection] = None
+        idle.move_to_end(connection)
 
     def replace(self, connection: Endable, websocket: Endable) -> None:
         """Note that a connection has become a WebSocket."""

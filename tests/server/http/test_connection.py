@@ -15,8 +15,9 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rosld.server.commands import listening
 from rosld.server.http.body import read_body
-from rosld.server.http.connection import Bounds, Together
+from rosld.server.http.connection import Bounds
 from rosld.server.http.problem import Problem, render
+from rosld.server.http.transport import Together
 
 _V = TypeVar("_V")
 Talk = Callable[[bytes], Awaitable[bytes]]
@@ -119,6 +120,11 @@ def test_a_transfer_coding_that_is_not_undone_is_501(coding: bytes) -> None:
 
 def test_another_version_than_http_1_is_505() -> None:
     assert answer(b"GET / HTTP/2.0\r\nHost: a\r\n\r\n")[0] == 505
+
+
+def test_a_url_longer_than_can_be_read_is_431_also_where_heads_may_be_larger() -> None:
+    line = b"GET /" + b"x" * 70_000 + b" HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n"
+    assert answer(line, bounds=Bounds(head_bytes=1 << 20))[0] == 431
 
 
 CHUNK = b"PUT / HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n1\r\na\r\n"

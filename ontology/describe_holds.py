@@ -19,6 +19,8 @@ MOST_RATE = 50.0
 """Hz: how often a hold may publish."""
 MOST_LEASE = 5.0
 """Seconds that a hold may go on without being renewed."""
+LEAST_OF_HOLDS = 1e-6
+"""The least rate in Hz, and the least lease in seconds."""
 _SETTINGS = LiftSettings()
 _BODIES = tuple(map(Literal, ("application/json", "text/turtle", "application/ld+json")))
 _STREAM = (Literal("text/event-stream"),)

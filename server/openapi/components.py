@@ -64,14 +64,15 @@ PARAMETERS: Mapping[str, Json] = {
     "timeout": {
         "name": "timeout",
         "in": "query",
-        "description": "With `after`: the most seconds to wait.",
-        "schema": {"type": "number", "minimum": 0, "maximum": MOST_TIMEOUT},
+        "description": f"With `after`: the most seconds to wait; more than {MOST_TIMEOUT:g} are {MOST_TIMEOUT:g}.",
+        "schema": {"type": "number", "minimum": 0},
     },
     "rate": {
         "name": "rate",
         "in": "query",
-        "description": f"Of an event stream: the most events a second; {DEFAULT_RATE:g} where it is missing.",
-        "schema": {"type": "number", "minimum": LEAST_RATE, "maximum": MOST_RATE},
+        "description": f"Of an event stream: the most events a second, up to {MOST_RATE:g}; {DEFAULT_RATE:g} where it "
+        "is missing.",
+        "schema": {"type": "number", "minimum": LEAST_RATE},
     },
     "If-None-Match": {
         "name": "If-None-Match",

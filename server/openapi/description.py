@@ -137,6 +137,8 @@ def _operation(place: Place, method: str, names: _Names | None) -> dict[str, Jso
     if method not in _SHORT:
         operation["summary"] = f"{_VERBS[method]}: {place.summary}"
         operation["parameters"] = [*_parameters(place, method)]
+    elif method == "HEAD" and (required := [_query(one) for one in place.query if one.of_reads and one.required]):
+        operation["parameters"] = [*required]
     body = _body(place, method)
     if body is not None:
         operation["requestBody"] = body
@@ -151,7 +153,8 @@ def _parameters(place: Place, method: str) -> Iterator[Json]:
             yield from (reference("parameters", name) for name in ("page", "Prefer.container"))
         yield reference("parameters", "If-None-Match")
         if place.streams:
-            yield from (reference("parameters", name) for name in ("after", "timeout", "rate"))
+            own = {one.name for one in place.query if one.of_reads}
+            yield from (reference("parameters", name) for name in ("after", "timeout", "rate") if name not in own)
     else:
         yield from (reference("parameters", name) for name in ("If-Match", "If-None-Match", "Prefer"))
         yield from (_query(one) for one in place.query if method in one.of)

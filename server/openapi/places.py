@@ -21,7 +21,7 @@ from rosld.adapters.model import (
     TypeRef,
     names,
 )
-from rosld.ontology.describe_holds import MOST_LEASE, MOST_RATE
+from rosld.ontology.describe_holds import LEAST_OF_HOLDS, MOST_LEASE, MOST_RATE
 from rosld.ontology.namespaces import Members
 from rosld.ontology.notifications import CHANNEL_TYPES
 from rosld.server.events.source import LINES
@@ -64,7 +64,7 @@ _DEFAULTS = Query(
 _LATCH = Query(
     "latch", "Whether subscribers that come later get the message.", {"type": "boolean"}, of=frozenset({"PUT", "PATCH"})
 )
-_POSITIVE: Mapping[str, Json] = {"type": "number", "exclusiveMinimum": 0}
+_POSITIVE: Mapping[str, Json] = {"type": "number", "minimum": LEAST_OF_HOLDS}
 _HOLDING = (
     Query("rate", "How many times a second the message is published.", {**_POSITIVE, "maximum": MOST_RATE}),
     Query("lease", "The seconds that the hold goes on unrenewed.", {**_POSITIVE, "maximum": MOST_LEASE}),
@@ -82,6 +82,12 @@ _BYTES = "application/octet-stream"
 _FIELD_READS = (*OFFERS, _BYTES, "text/plain")
 _RESULTS = tuple(dict.fromkeys((*SOLUTIONS, *GRAPHS, HTML)))
 _PARAMETER: Mapping[str, Json] = {"type": ["string", "number", "boolean", "array"]}
+_NEW_PARAMETER: DataSchema = {"type": ["string", "number", "boolean", "array", "object"]}
+_IRI: DataSchema = {
+    "type": "string",
+    "pattern": r"""^(/|[A-Za-z][A-Za-z0-9+.-]*:)([^\x00-\x20\x7f<>"{}|\\^`%\[\]]|%[0-9A-Fa-f]{2})*$""",
+}
+"""An absolute IRI, or a path below the base."""
 _GRAPHS: DataSchema = {"type": "array", "items": {"type": "string", "format": "uri"}}
 _OF_UPDATES = (
     Query("using-graph-uri", "The graphs that are the default graph of an update together.", _GRAPHS),
@@ -98,7 +104,7 @@ _DEFAULT = Query("default", "Instead of a graph: all of them together.")
 _RESULT_FORMAT = replace(_FORMAT, schema={"type": "string", "enum": [*RESULT_FORMATS]})
 _TIMEOUT = Query("timeout", "The seconds that the query may take.", {"type": "number", "exclusiveMinimum": 0})
 _TYPES: Mapping[Type, DataSchema] = {
-    Type.IRI: TEXT,
+    Type.IRI: _IRI,
     Type.STRING: TEXT,
     Type.INTEGER: {"type": "integer"},
     Type.DOUBLE: {"type": "number"},
@@ -275,6 +281,7 @@ class Places:
         patch: DataSchema = json_schema.as_patch(message_schema(schema)) if schema is not None else OBJECT
         return replace(
             place,
+            methods=place.methods | {"DELETE"} if "PUT" in place.methods else place.methods,  # once rosld publishes
             reads=_FIELD_READS,
             plain=or_null(self._read(schema)) if schema is not None else ANYTHING,
             sends={"PUT": sent, "PATCH": patch, "POST": sent},
@@ -291,6 +298,7 @@ class Places:
                 "PUT": "Publishes a message.",
                 "PATCH": "Publishes the latest message with changes.",
                 "POST": "Holds the topic: publishes the message `rate` times a second while the lease is renewed.",
+                "DELETE": "Stops to advertise the topic; 405 while this server does not advertise it.",
             },
         )
 
@@ -444,7 +452,7 @@ class Places:
         return replace(
             place,
             plain=dict(_PARAMETER),
-            sends={"PUT": ANYTHING, "PATCH": ANYTHING},
+            sends={"PUT": _NEW_PARAMETER, "PATCH": _NEW_PARAMETER},
             done={"PUT": (200, 201, 204), "PATCH": (200, 204), "DELETE": (204,)},
         )
 
@@ -634,6 +642,7 @@ class Places:
                 Query("default-graph-uri", "The graphs that are the default graph together.", _GRAPHS, of=both),
                 Query("named-graph-uri", "The named graphs.", _GRAPHS, of=both),
                 replace(_RESULT_FORMAT, of=both),
+                _TIMEOUT,
                 *((replace(one, of=post) for one in _OF_UPDATES) if updates else ()),
             ),
         )

@@ -16,7 +16,7 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Message, MessageSchema, RosError
 from rosld.ontology.body import body_of
-from rosld.ontology.describe_holds import MOST_LEASE, MOST_RATE, HoldView, hold_document
+from rosld.ontology.describe_holds import LEAST_OF_HOLDS, MOST_LEASE, MOST_RATE, HoldView, hold_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import LoweringError, find_message, lowerer, parse_json
@@ -215,8 +215,8 @@ def require_holder(exchange: Exchange, hold: Hold) -> None:
 
 # What is asked for
 
-_RATES = f"more than 0 and at most {MOST_RATE:g} Hz"
-_LEASES = f"more than 0 and at most {MOST_LEASE:g} s"
+_RATES = f"at least {LEAST_OF_HOLDS:f} and at most {MOST_RATE:g} Hz"
+_LEASES = f"at least {LEAST_OF_HOLDS:f} and at most {MOST_LEASE:g} s"
 
 
 def _rate(exchange: Exchange, robot: Robot) -> float | None:
@@ -236,7 +236,7 @@ def _number(exchange: Exchange, name: str, most: float, words: str) -> float | N
         return None
     given = exchange.query[name]
     value = field.number(given)
-    if value is None or not 0 < value <= most or value * 1e6 < 1:
+    if value is None or not LEAST_OF_HOLDS <= value <= most:
         raise Problem(400, f"?{name}={given[:100]}: it must be {words}.")
     return value
 

@@ -296,7 +296,7 @@ for _media_type, _bodies in BODIES.items():
     schemathesis.openapi.media_type(_media_type, _bodies)
 TAGS = (
     "actions", "activity", "bags", "calls", "channels", "data", "entry", "goals", "holds", "mappings", "nodes",
-    "parameters", "queries", "resources", "services", "shapes", "topics", "types", "stop",
+    "parameters", "queries", "resources", "services", "shapes", "status", "topics", "types", "stop",
 )  # fmt: skip
 
 

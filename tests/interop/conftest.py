@@ -7,16 +7,19 @@ with CI=true it fails.
 from __future__ import annotations
 
 import itertools
+import subprocess
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
+from tests.interop.missing import require
 from tests.server.conftest import start_server, triples_of
 
 __all__ = ["start_server", "triples_of"]
 """Fixtures of the server's tests: one starts servers, one reads answers."""
 
+PATIENCE = 60.0
 _COUNTER = itertools.count(1)
 
 
@@ -30,3 +33,17 @@ def server(start_server: Callable[..., Any]) -> Any:
 def folder(server: Any) -> str:
     """The URL of a container of the test's own below `/data/`, which a client's first write makes."""
     return f"{server.url}data/t{next(_COUNTER)}/"
+
+
+@pytest.fixture(scope="session")
+def curl() -> Callable[..., str]:
+    """What a command of curl prints."""
+    require("curl")
+
+    def run(*arguments: str, given: str | None = None) -> str:
+        command = ["curl", "-sS", "-g", *arguments]
+        done = subprocess.run(command, input=given, capture_output=True, text=True, timeout=PATIENCE, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return run

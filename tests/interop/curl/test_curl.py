@@ -9,25 +9,9 @@ from typing import Any
 
 import pytest
 
-from tests.interop.missing import require
-
 TURTLE = ("-H", "Content-Type: text/turtle")
 PATIENCE = 30.0
 CODE = ("-o", "/dev/null", "-w", "%{http_code}")
-
-
-@pytest.fixture(scope="module")
-def curl() -> Callable[..., str]:
-    """What a command of curl prints."""
-    require("curl")
-
-    def run(*arguments: str, given: str | None = None) -> str:
-        command = ["curl", "-sS", "-g", *arguments]
-        done = subprocess.run(command, input=given, capture_output=True, text=True, timeout=PATIENCE, check=False)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    return run
 
 
 @pytest.fixture(params=[(), ("--http2",)], ids=["http1.1", "http2"])

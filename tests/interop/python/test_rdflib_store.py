@@ -105,7 +105,6 @@ def test_a_dataset_lists_and_removes_its_graphs(store: SPARQLUpdateStore, graph:
     assert list(graph.objects(S, P)) == []
 
 
-@pytest.mark.xfail(strict=True, reason="what was deleted cannot be made again yet")
 def test_a_graph_that_was_removed_is_loaded_again(store: SPARQLUpdateStore, graph: Graph) -> None:
     graph.add((S, P, Literal("a")))
     store.remove_graph(graph)

@@ -167,6 +167,11 @@ final class Rdf4jRepository {
         }));
         checks.check("a long query", () -> with(connection ->
             Checks.yes(connection.prepareBooleanQuery("# " + "long ".repeat(2000) + "\nASK {}").evaluate(), "false")));
+        checks.check("a literal with a control character", () -> with(connection -> {
+            IRI graph = fresh();
+            insert(connection, graph, "'a\\u0001b'");
+            holds(connection, graph, "a\u0001b");
+        }));
         checks.check("everything of the robot", () -> with(connection -> {
             try (TupleQueryResult rows = connection.prepareTupleQuery("SELECT * { ?s ?p ?o }").evaluate()) {
                 Checks.yes(QueryResults.asList(rows).size() > 500, "too few");

@@ -49,6 +49,10 @@ class LoweringError(ValueError):
         super().__init__(in_words(violations))
         self.violations = violations
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Worker processes raise such errors, too."""
+        return LoweringError, self.violations
+
 
 class Findings:
     """The violations found so far; the twentieth ends the search with a LoweringError."""

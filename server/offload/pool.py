@@ -10,6 +10,7 @@ import pickle
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from typing import TypeAlias, TypeVar, cast
 
@@ -33,6 +34,8 @@ IDLE_SECONDS = 30.0
 QUEUE = 32
 """The most pieces of work that wait."""
 _BUFFER = 1024 * 1024
+_AT_ONCE_SECONDS = 0.5
+"""A worker that ends within these did not end by its work."""
 _START = "import sys; sys.path[:] = sys.argv[1:-2]; from rosld.server.offload.worker import main; main()"
 """What a worker runs: with the same modules as the server, wherever that found them."""
 AVAILABLE = sys.platform != "win32"
@@ -51,7 +54,7 @@ class Workers:
         self._busy: set[_Worker] = set()
 
     async def run(self, work: Work[_T]) -> _T:
-        """Do work in a worker: what it returns, or raises (a ValueError, a LookupError, an exception of rosld).
+        """Do work in a worker: what it returns, or what it raises of OSError, ValueError, LookupError and of rosld.
 
         Raises Problems: 503 where too much waits or a worker ended early, 507 where its memory did not suffice.
         """
@@ -74,12 +77,13 @@ class Workers:
         for is_new in (False, True):
             worker = await self._worker(anew=is_new)
             self._busy.add(worker)
+            begun = time.monotonic()
             try:
                 outcome, value = await asyncio.wait_for(worker.done(data), self._seconds + 1)
-            except (OSError, EOFError) as error:
+            except (asyncio.TimeoutError, OSError, EOFError) as error:
                 worker.end()
-                if worker.has_worked and not is_new:
-                    continue  # it had ended since: another one does it
+                if worker.has_worked and not is_new and time.monotonic() - begun < _AT_ONCE_SECONDS:
+                    continue  # it had ended since its last work: another one does it
                 raise _ended(self._seconds) from error
             except BaseException:
                 worker.end()

@@ -73,7 +73,7 @@ def _done(data: bytes) -> bytes:
     try:
         work: Callable[[], object] = pickle.loads(data)  # from the server, on a socket that nobody else has
         outcome = Outcome.VALUE, work()
-    except (MemoryError, ValueError, LookupError) as error:
+    except (MemoryError, OSError, ValueError, LookupError) as error:
         outcome = Outcome.RAISED, error
     except Exception as error:
         is_ours = type(error).__module__.startswith("rosld.")

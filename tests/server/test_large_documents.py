@@ -151,3 +151,16 @@ def test_the_description_of_very_many_parameters_is_of_bounded_size_and_made_bes
         for accept in ("text/turtle", "text/html"):
             assert http.get("parameters/", headers={"Accept": accept}).status_code == 200
         assert busy(http) < BUSY_SECONDS
+
+
+def test_a_large_json_file_is_patched_beside_the_loop() -> None:
+    with served(MadeUp()) as http:
+        http.timeout = httpx.Timeout(120)
+        numbers = list(range(700_000))
+        assert http.put("data/numbers.json", json={"numbers": numbers}).status_code == 201
+        patch = {"Content-Type": "application/merge-patch+json"}
+        assert http.patch("data/numbers.json", content=b'{"more": 1}', headers=patch).status_code == 204
+        assert http.get("data/numbers.json").json() == {"numbers": numbers, "more": 1}
+        broken = http.patch("data/numbers.json", content=b'{"more": NaN}', headers=patch)
+        assert broken.status_code == 400
+        assert busy(http) < 0.05

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
 
 from starlette.responses import Response
 
@@ -32,6 +34,7 @@ from rosld.server.records.describe import META
 from rosld.server.resources.kept.base import ANYTHING, Kept
 from rosld.server.resources.kept.bodies import one_chunk, received, require_model
 from rosld.server.resources.kept.showing import shown
+from rosld.server.resources.kept.stated import LIGHT_BYTES
 from rosld.server.robot import Robot
 
 
@@ -101,7 +104,9 @@ class KeptFile(Kept):
     async def patch(self, exchange: Exchange) -> Answer:
         """JSON merge patch of a JSON file (RFC 7396)."""
         self.require_guard(exchange)
-        patch = parse_json(await exchange.body())
+        patch = await exchange.body()
+        if len(patch) <= LIGHT_BYTES:
+            parse_json(patch)  # before all else that may be wrong
 
         async def changed(record: Record) -> Write:
             return with_blob(record, await self._patched(record, patch))
@@ -109,22 +114,28 @@ class KeptFile(Kept):
         await self.change(exchange, changed)
         return Response(status_code=204)
 
-    async def _patched(self, record: Record, patch: object) -> Blob:
+    async def _patched(self, record: Record, patch: bytes) -> Blob:
         assert record.blob is not None
         if record.blob.media_type.partition(";")[0].strip() != JSON:
             raise Problem(415, f"{MERGE_PATCH} changes {JSON}, and this is {record.blob.media_type}.")
         if record.blob.size > self.robot.settings.body_limit:
             raise Problem(413, f"A file of {record.blob.size} bytes is too large to be patched; PUT it whole.")
-        media_type = media.parse(record.blob.media_type)
+        is_light = record.blob.size + len(patch) <= LIGHT_BYTES
         try:
-            path = self.robot.records.file(record.blob)
-            before = parse_json(as_utf8(await asyncio.to_thread(path.read_bytes), media_type))
+            work = partial(merged_json, self.robot.records.file(record.blob), patch, record.blob.media_type)
+            data = await (asyncio.to_thread(work) if is_light else self.robot.workers.run(work))
         except FileNotFoundError as error:
             if self.robot.records.get(self.path) is record:
                 raise
             raise Conflict(record.path, "its bytes were replaced meanwhile", Cause.CHANGED) from error
-        data = json.dumps(merge_patch(before, patch)).encode(codec_of(media_type))  # integers of any size
         return await self.robot.records.receive(one_chunk(data), record.blob.media_type, most=len(data))
+
+
+def merged_json(path: Path, patch: bytes, media_type: str) -> bytes:
+    """The JSON of a file of a media type after a merge patch (RFC 7396). Raises FileNotFoundError, LoweringError."""
+    stated = media.parse(media_type)
+    before = parse_json(as_utf8(path.read_bytes(), stated))
+    return json.dumps(merge_patch(before, parse_json(patch))).encode(codec_of(stated))  # integers of any size
 
 
 def with_blob(record: Record, blob: Blob) -> Put:

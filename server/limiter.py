@@ -14,8 +14,9 @@ class PublishLimiter:
 
     def wait(self, topic: str, now: float) -> float:
         """0.0 and one publish less, or the seconds until the next is allowed. `now` is a monotonic time in seconds."""
-        tokens, then = self._buckets.get(topic, (self.rate, now))
-        tokens = min(max(self.rate, 1.0), tokens + (now - then) * self.rate)
+        most = max(self.rate, 1.0)
+        tokens, then = self._buckets.get(topic, (most, now))
+        tokens = min(most, tokens + (now - then) * self.rate)
         if tokens < 1.0:
             self._buckets[topic] = (tokens, now)
             return (1.0 - tokens) / self.rate

@@ -28,3 +28,20 @@ def test_what_the_holder_may_not_read_is_not_published_at_the_end(guard: Callabl
     hold = pilot.post("/topics/cockpit/display", **held)
     assert hold.status_code == 201
     assert pilot.delete(hold.headers["location"]).status_code == 204
+
+
+def test_a_hold_is_changed_kept_and_ended_by_its_holder_alone(guard: Callable[..., Guarded]) -> None:
+    both = guard(RULES.replace('["pilot"]', '["pilot", "mate"]'), "pilot", "mate")
+    body: dict[str, Any] = {"json": {"data": "held"}}
+    hold = both["pilot"].post("/topics/cockpit/display", params={"rate": 10, "lease": 5}, **body).headers["location"]
+    stream = {"Accept": "text/event-stream"}
+    for answer in (
+        both["mate"].patch(hold, json={"data": "mine"}),
+        both["mate"].delete(hold),
+        both["mate"].get(hold, params={"keep": "true"}, headers=stream),
+    ):
+        assert answer.status_code == 403, answer.text
+        assert "is pilot's" in answer.json()["detail"]
+    assert both["mate"].get(hold, headers={"Accept": "application/json"}).json()["message"] == {"data": "held"}
+    assert both["pilot"].patch(hold, json={"data": "still mine"}).status_code == 204
+    assert both["pilot"].delete(hold).status_code == 204

@@ -7,8 +7,10 @@ orjson, whose escapes in strings are exactly those that Turtle and N-Triples kno
 
 from __future__ import annotations
 
+import re
 from base64 import b64encode
 from collections.abc import Iterable
+from datetime import datetime, timezone
 from functools import lru_cache
 from typing import Any
 
@@ -130,3 +132,19 @@ def date_time(seconds: int, nanoseconds: int) -> str:
     if nanoseconds == 0:
         return _second(seconds) + "Z"
     return f"{_second(seconds)}.{nanoseconds:09d}".rstrip("0") + "Z"
+
+
+_DATE_TIME = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,30}))?(?:Z|([+-]\d\d:\d\d))", re.ASCII)
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+
+
+def nanoseconds(date_time: str) -> int | None:
+    """The nanoseconds from the epoch to an xsd:dateTime with a time zone; None for any other text."""
+    found = _DATE_TIME.fullmatch(date_time)
+    if found is None:
+        return None
+    try:
+        seconds = int((datetime.fromisoformat(found[1] + (found[3] or "+00:00")) - _EPOCH).total_seconds())
+    except (ValueError, OverflowError):
+        return None
+    return seconds * 1_000_000_000 + int((found[2] or "0").ljust(9, "0")[:9])

@@ -14,7 +14,7 @@ from rosld.ontology.syntax import Syntax
 from rosld.ontology.vocab import ldp, rdf
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
-from rosld.server.records import Membership, Model
+from rosld.server.records import NO_MEMBER, Membership, Model
 
 _RDF = frozenset(syntax.media_type for syntax in Syntax)
 _PLAIN = (ldp.Resource, ldp.RDFSource)
@@ -167,9 +167,9 @@ def membership_of(triples: Iterable[Triple], url: str, model: Model) -> Membersh
 def member_of(membership: Membership | None, body: RdfBody, url: str) -> str:
     """What stands for a new member at `url` in membership triples: the member-derived URI (LDP 5.4.1.5, 5.5.1.2).
 
-    It is the member itself, or the object of the inserted content relation in the body it is made from. What is said
-    of the member itself comes before what is said of others. Raises 409 Problems where there is none, more than one,
-    or one that is no IRI.
+    It is the member itself, or the object of the inserted content relation in the body it is made from, `NO_MEMBER`
+    where that says none. What is said of the member itself comes before what is said of others. Raises 409 Problems
+    where there is more than one, or one that is no IRI.
     """
     if membership is None or membership.content in (None, ldp.MemberSubject.value):
         return url
@@ -177,16 +177,22 @@ def member_of(membership: Membership | None, body: RdfBody, url: str) -> str:
     objects = body.objects(NamedNode(url), relation) or list(
         dict.fromkeys(each for properties in body.subjects.values() for each in properties.get(relation, ()))
     )
-    if len(objects) != 1:
-        found = f"{len(objects)} triples" if objects else "no triple"
+    if not objects:
+        return NO_MEMBER
+    if len(objects) > 1:
         raise Problem(
             409,
             f"What is put into this container says by one triple with {relation} what the member is (LDP 5.5.1.2); "
-            f"the body has {found} with it.",
+            f"the body has {len(objects)} triples with it.",
         )
     if not isinstance(objects[0], NamedNode):
         raise Problem(409, f"What {relation} says is the member must be an IRI, not {objects[0]}.")
     return objects[0].value
+
+
+def stand_ins(members: Iterable[tuple[str, str | None]]) -> Iterator[str]:
+    """What stands in membership triples for members, each its URL and what its record says stands for it."""
+    return (url if stated is None else stated for url, stated in members if stated != NO_MEMBER)
 
 
 def declared(membership: Membership, container_url: str) -> list[Triple]:
@@ -238,4 +244,4 @@ def _content(said: NamedNode | None, model: Model) -> NamedNode | None:
             f"The members of a Direct container are what was put into it (LDP 5.4.1.5): leave out {said}, "
             "or ask for ldp:IndirectContainer.",
         )
-    return None
+    return said

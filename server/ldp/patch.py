@@ -10,7 +10,7 @@ from pyoxigraph import Literal, NamedNode, Quad, Store, Triple
 from rosld.ontology.body import RdfBody, indexed
 from rosld.ontology.vocab import rdf, xsd
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.lexer import check_update_of_one_graph
+from rosld.server.sparql.lexer import check_update_of_one_graph, tokens
 
 
 def merge_patch(target: object, patch: object) -> object:
@@ -36,10 +36,7 @@ def updated(data: bytes, before: Iterable[Triple], base: str, most: int | None =
     Raises Problems: 400 for what cannot be parsed, 422 for what reaches beyond the one graph (GRAPH, WITH, USING, LOAD,
     SERVICE, whole-graph operations). Raises Grown where more than `most` triples come of it.
     """
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise Problem(400, f"The update is not UTF-8: {error.reason} at byte {error.start}.") from error
+    text = _text(data)
     check_update_of_one_graph(text)
     store = Store()
     said = tuple(before)
@@ -53,6 +50,18 @@ def updated(data: bytes, before: Iterable[Triple], base: str, most: int | None =
     if most is not None and len(store) > most:
         raise Grown
     return indexed(_as_spelt(store, said), base)
+
+
+def deletes(update: bytes) -> bool:
+    """Whether a SPARQL Update has an operation that deletes. Raises a 400 Problem for what is no UTF-8."""
+    return any(token.is_word("DELETE") for token in tokens(_text(update)))
+
+
+def _text(update: bytes) -> str:
+    try:
+        return update.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise Problem(400, f"The update is not UTF-8: {error.reason} at byte {error.start}.") from error
 
 
 def spelt(after: Iterable[Triple], before: Iterable[Triple]) -> list[Triple]:

@@ -2,6 +2,7 @@
 
 from rosld.server.records.base import Records
 from rosld.server.records.record import (
+    NO_MEMBER,
     Blob,
     Cause,
     Changed,
@@ -18,6 +19,7 @@ from rosld.server.records.record import (
 from rosld.server.records.sqlite import SqliteRecords, open_records
 
 __all__ = [
+    "NO_MEMBER",
     "Blob",
     "Cause",
     "Changed",

@@ -32,7 +32,7 @@ from rosld.server.records import packing
 from rosld.server.records.blobs import ID, Blobs
 from rosld.server.records.ledger import Busy, Entry, Ledger, failure
 from rosld.server.records.paths import check, container_of
-from rosld.server.records.record import Blob, Membership, Model, Put, Record, StorageError
+from rosld.server.records.record import NO_MEMBER, Blob, Membership, Model, Put, Record, StorageError
 from rosld.server.records.sqlite import BLOBS, DATABASE, connect
 
 FORMAT = 1
@@ -262,7 +262,7 @@ def _entry(line: bytes) -> Entry:
         packing.pack(told["triples"].encode("utf-8", "surrogateescape")),
         None if blob is None else _blob(blob),
         None if membership is None else _membership(membership),
-        None if told.get("member") is None else _matched(_IRI, told["member"], "an IRI"),
+        None if told.get("member") is None else _member(told["member"]),
     )
     return Entry(number, record)
 
@@ -272,6 +272,10 @@ def _blob(told: Mapping[str, object]) -> Blob:
     if type(size) is not int or not 0 <= size < _MOST:
         raise ValueError(f"{size!r} is no size")
     return Blob(_matched(ID, told["id"], "an id"), size, _matched(_MEDIA_TYPE, told["media_type"], "a media type"))
+
+
+def _member(told: object) -> str:
+    return NO_MEMBER if told == NO_MEMBER else _matched(_IRI, told, "an IRI")
 
 
 def _membership(told: Mapping[str, object]) -> Membership:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 
@@ -11,17 +13,20 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import Statement, about, each, integer, moment, text
 from rosld.ontology.vocab import dcterms, ldp, rdf, ros
 from rosld.server.ldp.interaction import rdf_types
-from rosld.server.records.packing import unpack
+from rosld.server.records.packing import beginning, unpack
 from rosld.server.records.record import Model, Record
 
-MANAGED = frozenset({ldp.contains, dcterms.created, dcterms.modified, ros.length, dcterms.format})
-"""What the server says of a resource, and nobody else."""
 MEMBERSHIP = frozenset(
     {ldp.membershipResource, ldp.hasMemberRelation, ldp.isMemberOfRelation, ldp.insertedContentRelation}
 )
 """What a container says its membership triples are made of: a client says it once, the server from then on."""
+TIMES = (dcterms.created, dcterms.modified)
+OF_FILES = frozenset({dcterms.format, ros.length})
+"""What the server says of the bytes of a non-RDF source."""
 META = ".meta"
 """What the URL of a non-RDF source's description ends in."""
+LONGEST_TIME = 1000
+"""Bytes of a line that says when a resource was created or modified, beside its URL."""
 
 
 def record_document(record: Record, url: str, members: Sequence[str], membership: Sequence[Triple]) -> Document:
@@ -29,22 +34,63 @@ def record_document(record: Record, url: str, members: Sequence[str], membership
 
     Of a non-RDF source it is the description, at its URL and `.meta`.
     """
-    subject = NamedNode(url)
     document = url + META if record.model is Model.NON_RDF_SOURCE else url
-    managed = about(
-        subject,
-        *((rdf.type, kind) for kind in rdf_types(record.model)),
-        (dcterms.created, moment(record.created_ns)),
-        (dcterms.modified, moment(record.modified_ns)),
-        *_of_file(record),
-        *each(ldp.contains, map(NamedNode, members)),
-    )
-    return Document(document, (*managed, *said(record), *membership))
+    contained = about(NamedNode(url), *each(ldp.contains, map(NamedNode, members)))
+    said = parsed(said_beside_times(record, url))
+    return Document(document, (*managed_triples(record, url), *contained, *said, *membership))
 
 
-def said(record: Record) -> tuple[Triple, ...]:
-    """What clients say of a resource, spelt as they did."""
-    quads = parse(unpack(record.triples), RdfFormat.N_TRIPLES) if record.triples else ()
+def managed_triples(record: Record, url: str) -> tuple[Triple, ...]:
+    """What the server says of a resource, its members and membership aside: its classes, its times, its bytes.
+
+    It was created when its first writer says; and modified then, too, for as long as nobody has written to it here.
+    """
+    said = said_times(record, url)
+    times = said.created + (said.modified if _is_new(record) else b"")
+    created = () if said.created else ((dcterms.created, moment(record.created_ns)),)
+    modified = () if said.modified and _is_new(record) else ((dcterms.modified, moment(record.modified_ns)),)
+    classes = ((rdf.type, each) for each in rdf_types(record.model))
+    return (*about(NamedNode(url), *classes, *created, *modified, *_of_file(record)), *parsed(times))
+
+
+def _is_new(record: Record) -> bool:
+    return record.created_ns == record.modified_ns
+
+
+class SaidTimes(NamedTuple):
+    """When a resource was created and modified as its first writer says: lines of N-Triples, empty where it does not.
+
+    What a record says begins with them.
+    """
+
+    created: bytes
+    modified: bytes
+
+
+def said_times(record: Record, url: str) -> SaidTimes:
+    """What the first writer of a record said of its times."""
+    left = beginning(record.triples, len(TIMES) * (len(url) + LONGEST_TIME))
+    lines = []
+    for predicate in TIMES:
+        is_said = left.startswith(f"<{url}> {predicate} ".encode())
+        line, left = (left[: left.index(b"\n") + 1], left[left.index(b"\n") + 1 :]) if is_said else (b"", left)
+        lines.append(line)
+    return SaidTimes(*lines)
+
+
+def said_beside_times(record: Record, url: str) -> bytes:
+    """All else that clients say of a resource, as N-Triples."""
+    return unpack(record.triples)[sum(map(len, said_times(record, url))) :]
+
+
+def bare(record: Record, url: str) -> Record:
+    """A record of which clients say nothing but its times."""
+    return replace(record, triples=b"".join(said_times(record, url)))
+
+
+def parsed(ntriples: bytes) -> tuple[Triple, ...]:
+    """Triples spelt as they are, each once."""
+    quads = parse(ntriples, RdfFormat.N_TRIPLES) if ntriples else ()
     return tuple(dict.fromkeys(quad.triple for quad in quads))
 
 
@@ -54,21 +100,25 @@ def _of_file(record: Record) -> Iterable[Statement]:
     return ((dcterms.format, text(record.blob.media_type)), (ros.length, integer(record.blob.size)))
 
 
-def unmanaged(triples: Iterable[Triple], url: str) -> list[Triple]:
-    """The triples that are not the server's to say: neither the kind, the times nor the members of what is at `url`."""
+def unmanaged(triples: Iterable[Triple], url: str, model: Model) -> list[Triple]:
+    """The triples that are not the server's to say of what is at `url`."""
     subject = NamedNode(url)
-    return [each for each in triples if each.subject != subject or not is_managed(each.predicate, each.object)]
+    return [each for each in triples if each.subject != subject or not is_managed(each.predicate, each.object, model)]
 
 
-def is_managed(predicate: NamedNode, value: object) -> bool:
-    """Whether what is said of a resource by a predicate is the server's to say."""
+def is_managed(predicate: NamedNode, value: object, model: Model | None = None) -> bool:
+    """Whether what is said by a predicate is the server's to say, of a resource of this model or of any (None)."""
     if predicate == rdf.type:
-        return isinstance(value, NamedNode) and value.value.startswith(ldp.iri)
-    return predicate in _OURS
+        return value in _CLASSES
+    if predicate in OF_FILES:
+        return model in (None, Model.NON_RDF_SOURCE)
+    if predicate in MEMBERSHIP:
+        return model in (None, Model.DIRECT_CONTAINER, Model.INDIRECT_CONTAINER)
+    return predicate in TIMES or predicate == ldp.contains
 
 
-_OURS = MANAGED | MEMBERSHIP
-_SIGNS = (f"<{ldp.iri}", *(str(each) for each in _OURS if not each.value.startswith(ldp.iri)))
+_CLASSES = frozenset(each for model in Model for each in rdf_types(model))
+_SIGNS = (f"<{ldp.iri}", *map(str, TIMES), *map(str, OF_FILES))
 _SIGN = re.compile("|".join(map(re.escape, _SIGNS)).encode())
 
 

@@ -45,6 +45,10 @@ class Membership:
     content: str | None = None
 
 
+NO_MEMBER = ""
+"""What stands in membership triples for a member of an Indirect container that does not say yet what it is."""
+
+
 @dataclass(frozen=True, slots=True)
 class Record:
     """A resource that is kept.
@@ -54,7 +58,8 @@ class Record:
     manages; for a non-RDF source they are its description's. `version` rises with each change of the record, `listed`
     (of a container) with each change of its members; both are numbers of `Records.version`. `modified_ns` is when the
     later of the two was. `member` is the IRI that stands for it in the membership triples of the container it was made
-    in; None: its own URL, as it is as a rule. `count` is how many members a container has.
+    in; None: its own URL, as it is as a rule; `NO_MEMBER`: it has no membership triple yet. `count` is how many members
+    a container has.
     """
 
     path: str
@@ -74,7 +79,7 @@ class Record:
 class Member:
     """A member of a container: `number` orders members by when they were made, and never changes.
 
-    `member` is that of its record: None stands for its own URL.
+    `member` is that of its record: None stands for its own URL, `NO_MEMBER` for nothing.
     """
 
     number: int

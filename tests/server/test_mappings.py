@@ -152,9 +152,10 @@ def test_a_mapping_is_deleted(stored: httpx.Client) -> None:
     assert stored.delete("/mappings/cockpit").status_code == 204
     assert stored.get("/mappings/cockpit").status_code == 410
     assert stored.delete("/mappings/cockpit").status_code == 410
-    assert stored.put("/mappings/cockpit", content=COCKPIT, headers=TURTLE).status_code == 410
     assert stored.get("/resources/cockpit/").text.count("av:power") == 0
     assert "cockpit" not in stored.get("/mappings/").text
+    assert stored.put("/mappings/cockpit", content=COCKPIT, headers=TURTLE).status_code == 201
+    assert "cockpit" in stored.get("/mappings/").text
 
 
 def test_a_bad_mapping_is_422_with_a_shacl_report_and_the_old_one_stays(stored: httpx.Client) -> None:

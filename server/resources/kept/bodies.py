@@ -16,13 +16,12 @@ from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.files import exact_media_type
 from rosld.server.ldp.interaction import (
-    membership_of,
     membership_triples,
     model_asked,
     rdf_types,
 )
-from rosld.server.records import Blob, Membership, Model, Record
-from rosld.server.records.describe import MEMBERSHIP, written
+from rosld.server.records import Blob, Model, Record
+from rosld.server.records.describe import written
 from rosld.server.resources.kept.showing import all_members, stand_ins
 from rosld.server.resources.kept.stated import (
     CONTAINED,
@@ -88,13 +87,6 @@ def require_small(triples: Sequence[Triple]) -> None:
         raise Problem(413, "This says more than can be kept here: a few thousand triples at the most.")
 
 
-def require_membership(membership: Membership, triples: Sequence[Triple], url: str, model: Model) -> None:
-    """Raise a 409 Problem where a body would change what a container's membership triples are made of."""
-    stated = {each.predicate for each in triples if each.subject == NamedNode(url)} & MEMBERSHIP
-    if stated and membership_of(triples, url, model) != membership:
-        raise Problem(409, "What membership triples are made of was said when the container was made, and stays so.")
-
-
 def require_contained(robot: Robot, record: Record, triples: Iterable[Triple]) -> None:
     """Raise a 409 Problem where a body would change what a container contains (LDP 5.2.4.1)."""
     stated = contained(triples, robot.space.base + record.path)
@@ -114,10 +106,13 @@ async def one_chunk(data: bytes) -> AsyncIterator[bytes]:
     yield data
 
 
-async def own_statements(robot: Robot, record: Record, triples: Statements) -> bytes:
-    """What is the client's to say of a body, as it is kept: all but what the server says of the record itself."""
+async def own_statements(robot: Robot, record: Record, triples: Statements, times: bytes) -> bytes:
+    """What is the client's to say of a body, as it is kept: all but what the server says of the record itself.
+
+    It begins with `times`, which its first writer said.
+    """
     subject, servers = robot.space.base + record.path, frozenset[Triple]()
     if record.membership is not None:
         servers = frozenset(membership_triples(record.membership, stand_ins(robot, all_members(robot, record))))
-    work = partial(own, triples, subject, servers)
+    work = partial(own, triples, subject, record.model, servers, times)
     return await robot.workers.run(work) if triples.is_large else work()

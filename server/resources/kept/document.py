@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 
 from pyoxigraph import Triple
 
 from rosld.ontology.document import Document
-from rosld.server.ldp.interaction import declared, membership_triples
+from rosld.server.ldp.interaction import declared, membership_triples, stand_ins
 from rosld.server.ldp.parts import Parts
 from rosld.server.records import Member, Record
-from rosld.server.records.describe import record_document
+from rosld.server.records.describe import bare, record_document
 
 
 def kept_document(
@@ -23,10 +22,10 @@ def kept_document(
     if record.membership is not None and parts.membership:
         membership += membership_triples(record.membership, members_stand_for(base, members))
     contained = [base + each.path for each in members] if parts.containment else []
-    kept = record if parts.minimal else replace(record, triples=b"")
+    kept = record if parts.minimal else bare(record, url)
     return record_document(kept, url, contained, [*membership, *more])
 
 
 def members_stand_for(base: str, members: Iterable[Member]) -> list[str]:
     """What stands for members in the membership triples of their container (LDP 5.4.1.5, 5.5.1.2)."""
-    return [each.member or base + each.path for each in members]
+    return list(stand_ins((base + each.path, each.member) for each in members))

@@ -7,7 +7,6 @@ containment triple, a membership triple) comes and goes by itself.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import TypeAlias
 
@@ -16,10 +15,10 @@ from pyoxigraph import Triple
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.vocab import dcterms, ldp
-from rosld.server.ldp.interaction import declared
+from rosld.server.ldp.interaction import declared, stand_ins
 from rosld.server.records import Changed, Member, Membership, Model, Record, Records
-from rosld.server.records.describe import META, record_document
-from rosld.server.records.packing import size_of, unpack
+from rosld.server.records.describe import META, bare, managed_triples, record_document, said_beside_times
+from rosld.server.records.packing import size_of
 from rosld.server.records.paths import container_of
 from rosld.server.sparql.kept import Changes
 from rosld.server.store import Edit
@@ -203,7 +202,8 @@ class _Search:
         lines = [f"<{url}> {ldp.contains} <{self._base + path}> .\n" for path, _ in members]
         membership = container.membership
         if membership is not None:
-            lines += (_membership(membership, member or self._base + path) for path, member in members)
+            named = stand_ins((self._base + path, member) for path, member in members)
+            lines += (_membership(membership, member) for member in named)
         return "".join(lines)
 
     def _edit(self, path: str, added: str = "", removed: str = "") -> None:
@@ -226,12 +226,11 @@ def _membership(membership: Membership, member: str) -> str:
 def _text(record: Record, url: str, said: Said) -> str:
     """What it says, its members aside. What clients say stands as it is kept, which spares reading it."""
     membership = declared(record.membership, url) if record.membership is not None else ()
-    managed = record_document(replace(record, triples=b""), url, (), (*membership, *said(record)))
-    return serialize(managed, Syntax.N_TRIPLES).decode() + unpack(record.triples).decode()
+    managed = record_document(bare(record, url), url, (), (*membership, *said(record)))
+    return serialize(managed, Syntax.N_TRIPLES).decode() + said_beside_times(record, url).decode()
 
 
 def _modified(record: Record, url: str) -> str:
     """What it says of when it was modified."""
-    managed = record_document(replace(record, triples=b""), url, (), ())
-    said = tuple(each for each in managed.triples if each.predicate == dcterms.modified)
+    said = tuple(each for each in managed_triples(record, url) if each.predicate == dcterms.modified)
     return serialize(Document(url, said), Syntax.N_TRIPLES).decode()

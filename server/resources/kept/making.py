@@ -15,6 +15,7 @@ from rosld.server.records import Blob, Model, Put, Record
 from rosld.server.records.paths import container_of
 from rosld.server.resources.kept.base import Kept
 from rosld.server.resources.kept.bodies import as_statements, statements
+from rosld.server.resources.kept.managed import first_times, managed_of, require_classes
 from rosld.server.resources.kept.stated import NOTHING, Statements, contained, own, stand_in
 from rosld.server.resources.kept.together import kept_together
 from rosld.server.robot import Robot
@@ -46,11 +47,12 @@ async def making(robot: Robot, path: str, model: Model, triples: Sequence[Triple
     require_free(robot, path)
     url = robot.space.base + path
     stated = await as_statements(triples, url)
-    managed, kept = stated.managed, stated.kept
+    managed, kept = managed_of(stated.managed, url, model), stated.kept
     if managed:
         if contained(managed, url):
             raise Problem(409, "A new container contains nothing: leave ldp:contains away, and POST its members to it.")
-        work = partial(own, stated, url, frozenset[Triple]())
+        require_classes(managed, model)
+        work = partial(own, stated, url, model, frozenset[Triple](), first_times(managed))
         kept = await robot.workers.run(work) if stated.is_large else work()
     put = Put(path, model, kept, membership=membership_of(managed, url, model), expected=0)
     return [*_ways_to(robot, path), await _as_member(robot, put, stated, url)]

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
+from functools import partial
 
 from pyoxigraph import Triple
 
+from rosld.ontology.document import Document
 from rosld.ontology.urls import Location
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.patch import deletes
 from rosld.server.ldp.plan import Keep
 from rosld.server.ldp.resource import (
     RDF_BODIES,
+    READ,
+    SPARQL_UPDATE,
     Answer,
+    Created,
     Resource,
     moved,
 )
+from rosld.server.ldp.standing import standing_headers
 from rosld.server.ldp.state import State
 from rosld.server.records import Blob, Cause, Conflict, Model
 from rosld.server.records.describe import META
@@ -26,26 +34,43 @@ from rosld.server.resources.kept.files import KeptFile
 from rosld.server.resources.kept.making import making, require_free
 from rosld.server.resources.kept.showing import shown
 from rosld.server.resources.kept.sources import DescriptionResource
+from rosld.server.resources.kept.stated import N3_PATCH, is_light, patched
+from rosld.server.resources.kept.together import kept_together
 from rosld.server.robot import Robot
+
+_PATCHES = (SPARQL_UPDATE, N3_PATCH)
 
 
 class AbsentResource(Kept):
-    """Nothing yet: PUT makes it."""
+    """Nothing yet: PUT makes it, and so does a PATCH that only inserts (Solid Protocol 5.3.1)."""
 
     kind = "Absent"
-    writes = frozenset({"PUT"})
+    in_turn = frozenset({"PATCH"})
     links = ()
     merges = False
     """Whether what is sent is added to what others make here meanwhile, and does not replace it."""
 
     def __init__(self, robot: Robot, path: str) -> None:
         super().__init__(robot, path)
-        self.accepts = {"PUT": self.makes}
+        puts = RDF_BODIES if path.endswith("/") else self.makes
+        self.accepts = {"PUT": puts, "PATCH": _PATCHES} if RDF_BODIES[0] in puts else {"PUT": puts}
+
+    def methods(self) -> frozenset[str]:
+        return READ if self.robot.settings.read_only else READ | self.accepts.keys()
 
     async def narrowed(self, exchange: Exchange) -> Resource:
-        if exchange.method not in ("PUT", "OPTIONS"):
-            raise missing(self.robot, self.path)
+        may_make = exchange.method in ("PUT", "OPTIONS")
+        may_make = may_make or (exchange.method == "PATCH" and exchange.essence in self.accepts.get("PATCH", ()))
+        if not may_make:
+            raise self._missing(exchange)
         return self
+
+    def _missing(self, exchange: Exchange) -> Problem:
+        """That nothing is here, and for those who may make something what that may be."""
+        problem = missing(self.robot, self.path)
+        if problem.status in (404, 410) and self.methods() > READ and exchange.judge.may("PUT", self.url):
+            problem.headers |= {name: value for name, value in standing_headers(self).items() if name != "link"}
+        return problem
 
     async def state(self) -> State:
         found = self.robot.records.get(self.path)
@@ -54,7 +79,7 @@ class AbsentResource(Kept):
         return shown(self.robot, found)  # it was made while this request waited for its turn
 
     def streams(self, exchange: Exchange) -> bool:
-        return self._model(exchange) is Model.NON_RDF_SOURCE
+        return exchange.method == "PUT" and self._model(exchange) is Model.NON_RDF_SOURCE
 
     def _model(self, exchange: Exchange) -> Model:
         return asked_model(exchange, self.url, container=self.url.endswith("/"))
@@ -64,8 +89,12 @@ class AbsentResource(Kept):
             raise Problem(403, self.why_not("PUT"))
         if triples is None:
             raise missing(self.robot, self.path)
-        model = Model.BASIC_CONTAINER if self.path.endswith("/") else Model.RDF_SOURCE
-        return Keep(f"make {self.title}", tuple(await making(self.robot, self.path, model, triples)))
+        return Keep(f"make {self.title}", tuple(await making(self.robot, self.path, self._plain_model, triples)))
+
+    @property
+    def _plain_model(self) -> Model:
+        """The model where nobody asks for one."""
+        return Model.BASIC_CONTAINER if self.path.endswith("/") else Model.RDF_SOURCE
 
     async def put(self, exchange: Exchange) -> Answer:
         model, blob = self._model(exchange), None
@@ -80,6 +109,31 @@ class AbsentResource(Kept):
         if exchange.is_conditional:
             raise Problem(412, f"{self.url} was made by another request meanwhile; nothing was done.")
         return await self._once_more(exchange, blob)
+
+    async def patch(self, exchange: Exchange) -> Answer:
+        """What is not there is made of what a patch inserts; what was made meanwhile is patched."""
+        if self.robot.records.get(self.path) is not None:
+            return await self._patch_there(exchange)
+        data, media_type = await exchange.body(), exchange.media_type
+        if media_type == SPARQL_UPDATE and deletes(data):
+            raise self._missing(exchange)
+        work = partial(patched, partial(Document, self.url, ()), data, media_type, self.url, self.url)
+        said = await (asyncio.to_thread(work) if is_light(data) else self.robot.workers.run(work))
+        try:
+            record = (await kept_together(self.robot, await making(self.robot, self.path, self._plain_model, said)))[-1]
+        except Conflict as error:
+            if error.path != self.path or error.cause is not Cause.THERE or exchange.is_conditional:
+                raise told(self.robot, error) from error
+            return await self._patch_there(exchange)
+        assert record is not None
+        made = resource_of(self.robot, self.path, record.model)
+        return Created(made.url, made, shown(self.robot, record))
+
+    async def _patch_there(self, exchange: Exchange) -> Answer:
+        there = resource_of(self.robot, self.path, self.there().model)
+        if exchange.media_type not in there.accepts["PATCH"]:
+            raise Problem(415, f"PATCH takes {', '.join(there.accepts['PATCH'])} here, not {exchange.media_type}.")
+        return await there.patch(exchange)
 
     async def _once_more(self, exchange: Exchange, blob: Blob | None) -> Answer:
         """The same write of what another request has made meanwhile: of those without a condition the last one wins."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 
 from pyoxigraph import Triple
@@ -22,26 +23,29 @@ from rosld.server.ldp.resource import (
     Answer,
 )
 from rosld.server.ldp.state import State
-from rosld.server.records import Model, Put, Record, Remove, Write
-from rosld.server.records.describe import META
+from rosld.server.records import NO_MEMBER, Model, Put, Record, Remove, Write
+from rosld.server.records.describe import META, said_times
+from rosld.server.records.paths import container_of
 from rosld.server.resources.kept.base import Kept
 from rosld.server.resources.kept.bodies import (
     as_statements,
     own_statements,
     require_contained,
-    require_membership,
     require_model,
     statements,
 )
+from rosld.server.resources.kept.managed import managed_of, require_as_it_is, require_membership
 from rosld.server.resources.kept.merging import united
 from rosld.server.resources.kept.showing import shown
 from rosld.server.resources.kept.stated import (
     MOST_PATCHED,
     N3_PATCH,
+    Statements,
     merged,
     patch_of,
     patched,
     require_same_members,
+    stand_in,
 )
 from rosld.server.robot import Robot
 
@@ -74,7 +78,7 @@ class SourceResource(Kept):
         async def replaced(record: Record) -> Write:
             put = await self.with_triples(record, triples)
             whole = record.model is Model.RDF_SOURCE and not exchange.is_conditional
-            return Put(put.path, put.model, put.triples) if whole else put  # the last one counts, whatever was there
+            return replace(put, expected=None) if whole else put  # the last one counts, whatever was there
 
         await self.change(exchange, replaced)
         return done()
@@ -137,14 +141,25 @@ class SourceResource(Kept):
 
     async def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
         """The record with these triples; those that are the server's to say must be as they are, or away."""
-        stated = await as_statements(triples, self._subject)
-        kept, managed = stated.kept, stated.managed
-        if record.membership is not None or managed:
+        stated, url = await as_statements(triples, self._subject), self._subject
+        kept, managed = stated.kept, managed_of(stated.managed, url, record.model)
+        times = b"".join(said_times(record, url))
+        if record.membership is not None or managed or times:
             require_contained(self.robot, record, managed)
+            require_as_it_is(managed, record, url)
             if record.membership is not None:
-                require_membership(record.membership, managed, self._subject, record.model)
-            kept = await own_statements(self.robot, record, stated)
-        return Put(record.path, record.model, kept, record.blob, record.membership, expected=record.version)
+                require_membership(record.membership, managed, url)
+            kept = await own_statements(self.robot, record, stated, times)
+        member = await self._member(record, stated)
+        return Put(record.path, record.model, kept, record.blob, record.membership, member, expected=record.version)
+
+    async def _member(self, record: Record, stated: Statements) -> str | None:
+        """What stands for it from now on in the membership triples of its container; None: what did before."""
+        container = self.robot.records.get(container_of(record.path))
+        if record.member != NO_MEMBER or container is None or container.membership is None:
+            return None
+        work = partial(stand_in, container.membership, stated, self._subject)
+        return await self.robot.workers.run(work) if stated.is_large else work()
 
 
 class DescriptionResource(SourceResource):

@@ -19,7 +19,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.ldp.interaction import member_of
 from rosld.server.ldp.n3patch import applied, read_patch
 from rosld.server.ldp.patch import updated
-from rosld.server.records import Membership
+from rosld.server.records import Membership, Model
 from rosld.server.records.describe import is_managed, may_be_managed, unmanaged, written
 from rosld.server.records.packing import is_packed, pack, unpack
 
@@ -183,9 +183,12 @@ def patched(describe: Callable[[], Document], data: bytes, media_type: str, url:
     return looked_through(written(after), subject)
 
 
-def own(kept: Statements, subject: str, servers: frozenset[Triple]) -> bytes:
-    """As it is kept, what is the client's to say: neither what the server manages nor what `servers` has."""
-    return pack(written([each for each in unmanaged(kept, subject) if each not in servers]))
+def own(kept: Statements, subject: str, model: Model, servers: frozenset[Triple], times: bytes) -> bytes:
+    """As it is kept, what is the client's to say: neither what the server manages nor what `servers` has.
+
+    It begins with `times`, which its first writer said.
+    """
+    return pack(times + written([each for each in unmanaged(kept, subject, model) if each not in servers]))
 
 
 def stand_in(membership: Membership, kept: Statements, url: str) -> str:

@@ -327,3 +327,36 @@ def test_http_what_is_kept_is_in_the_same_dataset_as_the_robot(place: Place, ser
     )
     rows = answer.json()["results"]["bindings"]
     assert [row["topic"]["value"] for row in rows] == [f"{served.url}topics/aircraft/engine/speed"]
+
+
+# What could be made (RFC 9110 10.2.1; Comunica and rdflib.js look there before they create)
+
+
+@pytest.mark.parametrize("method", ["GET", "HEAD", "DELETE", "OPTIONS"])
+@pytest.mark.parametrize("name", ["nothing", "gone", "box/"])
+def test_http_what_is_not_there_says_what_could_be_made(method: str, name: str, place: Place) -> None:
+    place.put("gone", ONE)
+    assert place.send("DELETE", "gone").status_code == 204
+    answer = place.send(method, name)
+    assert answer.status_code == (204 if method == "OPTIONS" else 410 if name == "gone" else 404)
+    assert {"PUT", "PATCH"} <= set(answer.headers["allow"].split(", "))
+    assert TURTLE in answer.headers["accept-put"]
+    assert "application/sparql-update" in answer.headers["accept-patch"]
+    assert "text/n3" in answer.headers["accept-patch"]
+
+
+def test_http_what_nobody_can_make_says_nothing_of_it(served: Served) -> None:
+    for path in ("topics/nothing", "nothing", "data/nothing.meta"):
+        assert "accept-patch" not in served.at(path).get().headers
+
+
+@pytest.mark.parametrize(
+    ("sent", "url"), [("%61", "a"), ("%7Etilde", "~tilde"), ("a;b", "a%3Bb"), ("a%2Fb", "a%2Fb"), ("%c3%bc", "%C3%BC")]
+)
+def test_http_a_name_has_one_url_however_it_is_encoded(sent: str, url: str, place: Place) -> None:
+    answer = place.send("PUT", sent, ONE, TURTLE)
+    assert (answer.status_code, answer.headers["location"]) == (201, place.at(url))
+    read = place.get(sent)
+    assert (read.status_code, read.headers.get("location")) == ((200, None) if sent == url else (308, place.at(url)))
+    assert place.contained() == {place.at(url)}
+    assert place.send("PUT", "%FF", ONE, TURTLE).status_code == 400

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import httpx
@@ -11,7 +12,7 @@ from pyoxigraph import Literal, NamedNode
 from rosld.ontology.vocab import ldp
 
 if TYPE_CHECKING:
-    from tests.conformance.ldp.conftest import Place
+    from tests.conformance.ldp.conftest import Place, Served
 
 P, Q = NamedNode("http://ex.org/p"), NamedNode("http://ex.org/q")
 PREFIXES = "@prefix solid: <http://www.w3.org/ns/solid/terms#> . @prefix ex: <http://ex.org/> .\n"
@@ -163,3 +164,56 @@ def test_merge_patch_of_what_is_no_json_is_415(place: Place) -> None:
 def test_merge_patch_that_cannot_be_parsed_is_400(place: Place) -> None:
     assert merge(place, "{no json").status_code == 400
     assert place.get("a.json").json() == {"a": {"b": 1, "c": 2}, "d": [1, 2]}
+
+
+# What is not there yet (Solid Protocol 5.3.1)
+
+
+@pytest.mark.parametrize("name", ["new", "deep/er/new", "box/", "gone"])
+def test_a_patch_that_only_inserts_makes_what_is_not_there(name: str, place: Place) -> None:
+    place.put("gone", "<> <http://ex.org/p> 1 .")
+    assert place.send("DELETE", "gone").status_code == 204
+    answer = update(place, 'INSERT DATA { <> <http://ex.org/p> "new" }', name)
+    assert (answer.status_code, answer.headers["location"]) == (201, place.at(name)), answer.text
+    assert place.objects(name, P) == {Literal("new")}
+    assert update(place, 'INSERT { <> <http://ex.org/q> ?o } WHERE { <> ?p ?o FILTER(?o = "new") }', name).is_success
+    assert place.objects(name, Q) == {Literal("new")}
+
+
+def test_an_n3_patch_that_only_inserts_makes_what_is_not_there(place: Place) -> None:
+    answer = n3(place, 'solid:inserts { <> ex:p "new" . }', "new")
+    assert answer.status_code == 201, answer.text
+    assert place.objects("new", P) == {Literal("new")}
+    answer = n3(place, 'solid:inserts { <> ex:p "new" . } ; solid:deletes { <> ex:p "old" . }', "other")
+    assert answer.status_code == 409
+    answer = n3(place, "solid:where { <> ex:q ?q . } ; solid:inserts { <> ex:p ?q . }", "other")
+    assert answer.status_code == 409
+    assert place.get("other").status_code == 404
+
+
+def test_a_patch_that_deletes_or_merges_makes_nothing(place: Place) -> None:
+    for text in (
+        'DELETE { <> ?p "old" } INSERT { <> <http://ex.org/p> "new" } WHERE { <> ?p "old" }',
+        'INSERT DATA { <> <http://ex.org/p> "new" } ; DELETE DATA { <> <http://ex.org/p> "old" }',
+        "DELETE WHERE { <> <http://ex.org/p> ?o }",
+    ):
+        assert update(place, text, "other").status_code == 404
+    assert merge(place, '{"a": 1}', "other.json").status_code == 404
+    assert update(place, "INSERT DATA { nonsense", "other").status_code == 400
+    assert update(place, "INSERT DATA { <> <http://ex.org/p> 1 }", "other", If_Match="*").status_code == 412
+    assert [place.get(name).status_code for name in ("other", "other.json")] == [404, 404]
+
+
+def test_of_patches_that_make_the_same_each_is_applied(place: Place) -> None:
+    with ThreadPoolExecutor(8) as threads:
+        answers = list(
+            threads.map(lambda each: update(place, f"INSERT DATA {{ <> <http://ex.org/p> {each} }}", "new"), range(8))
+        )
+    assert sorted(answer.status_code for answer in answers) == [201] + [204] * 7
+    assert len(place.objects("new", P)) == 8
+
+
+def test_a_patch_makes_a_graph_by_its_name_too(place: Place, served: Served) -> None:
+    text = "INSERT DATA { <> <http://ex.org/p> 1 }"
+    answer = served.at("graphs").send("PATCH", f"?graph={place.at('new')}", text, "application/sparql-update")
+    assert (answer.status_code, place.get("new").status_code) == (201, 200)

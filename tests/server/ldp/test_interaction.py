@@ -18,7 +18,7 @@ from rosld.server.ldp.interaction import (
     model_links,
     rdf_types,
 )
-from rosld.server.records import Membership, Model
+from rosld.server.records import NO_MEMBER, Membership, Model
 
 ROOT = "http://host/data/"
 LEAF, BOX = f"{ROOT}leaf", f"{ROOT}box/"
@@ -279,6 +279,10 @@ def test_what_the_body_says_by_the_inserted_content_relation_stands_for_the_memb
     assert member("<#other> ex:topic <#it> .") == f"{NEW}#it"
 
 
+def test_a_body_that_says_nothing_of_it_names_no_member() -> None:
+    assert member("<> ex:label 'x' .") == NO_MEMBER
+
+
 def test_what_is_said_of_the_member_itself_comes_first() -> None:
     assert member("<#other> ex:topic <#that> . <> ex:topic <#it>, <#it> .") == f"{NEW}#it"
 
@@ -286,7 +290,6 @@ def test_what_is_said_of_the_member_itself_comes_first() -> None:
 @pytest.mark.parametrize(
     ("turtle", "words"),
     [
-        ("<> ex:label 'x' .", "no triple"),
         ("<> ex:topic <#a>, <#b> .", "2 triples"),
         ("<> ex:topic 'it' .", "must be an IRI"),
         ("<> ex:topic [] .", "must be an IRI"),

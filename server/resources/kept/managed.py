@@ -1,0 +1,108 @@
+"""What the server says of a resource, as bodies state it: what is so passes, else 409 (LDP 4.2.4.3). Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.ontology.literals import nanoseconds
+from rosld.ontology.vocab import dcterms, ldp, rdf
+from rosld.server.http.problem import Problem
+from rosld.server.ldp.interaction import declared, rdf_types
+from rosld.server.records import Membership, Model, Record
+from rosld.server.records.describe import (
+    LONGEST_TIME,
+    MEMBERSHIP,
+    TIMES,
+    is_managed,
+    managed_triples,
+    parsed,
+    said_times,
+    written,
+)
+
+_MILLISECOND = 1_000_000
+"""Nanoseconds: many clients know times no better, JavaScript's do not."""
+
+
+def managed_of(triples: Iterable[Triple], url: str, model: Model) -> list[Triple]:
+    """Those of the triples by which a body says of the resource at `url` what is the server's to say."""
+    subject = NamedNode(url)
+    return [each for each in triples if each.subject == subject and is_managed(each.predicate, each.object, model)]
+
+
+# Of what is new
+
+
+def first_times(managed: Sequence[Triple]) -> bytes:
+    """When a new resource was created and modified as its first writer says, as lines of N-Triples.
+
+    Raises a 409 Problem for what is said more than once, or by something else than a short literal.
+    """
+    found: list[Triple] = []
+    for predicate in TIMES:
+        said = list(dict.fromkeys(each for each in managed if each.predicate == predicate))
+        if len(said) > 1 or not all(isinstance(each.object, Literal) for each in said):
+            raise Problem(409, f"{predicate.value} of a resource is one literal, such as a date.")
+        if said and len(str(said[0].object).encode()) > LONGEST_TIME - 100:
+            raise Problem(409, f"{predicate.value} is longer than any date: say it shorter.")
+        found += said
+    return written(found)
+
+
+def require_classes(managed: Sequence[Triple], model: Model) -> None:
+    """Raise a 409 Problem where a body says that it is of another interaction model than it is to be made with."""
+    for each in managed:
+        if each.predicate == rdf.type and each.object not in rdf_types(model):
+            asked = each.object.value if isinstance(each.object, NamedNode) else each.object
+            words = f"{rdf.type.value} {asked} does not fit: this is to be an ldp:{model.value}. Ask for another"
+            raise Problem(409, f'{words} interaction model by a Link header with rel="type" (LDP 5.2.3.4).')
+
+
+# Of what is there
+
+
+def require_as_it_is(managed: Sequence[Triple], record: Record, url: str) -> None:
+    """Raise a 409 Problem, which names the property, where a body says otherwise what the server says of a resource.
+
+    A time of modification that it had at any time since it was made passes: it is an earlier state that is put back.
+    Members and membership are judged by themselves.
+    """
+    present, first = managed_triples(record, url), parsed(b"".join(said_times(record, url)))
+    for each in managed:
+        if each.predicate == ldp.contains or each.predicate in MEMBERSHIP or each in present or each in first:
+            continue
+        now = [one.object for one in present if one.predicate == each.predicate]
+        if each.predicate in TIMES and _is_a_time_of(each, now, record):
+            continue
+        raise _refused(each, now)
+
+
+def require_membership(membership: Membership, managed: Sequence[Triple], url: str) -> None:
+    """Raise a 409 Problem, which names the property, where a body changes what membership triples are made of."""
+    present = declared(membership, url)
+    for each in managed:
+        is_default = each.predicate == ldp.insertedContentRelation and membership.content is None
+        if each.predicate not in MEMBERSHIP or each in present or (is_default and each.object == ldp.MemberSubject):
+            continue
+        raise _refused(each, [one.object for one in present if one.predicate == each.predicate])
+
+
+def _is_a_time_of(said: Triple, now: Sequence[object], record: Record) -> bool:
+    at = _milliseconds(said.object)
+    if at is None:
+        return False
+    if said.predicate == dcterms.modified and record.created_ns // _MILLISECOND <= at:
+        return at <= record.modified_ns // _MILLISECOND
+    return at in map(_milliseconds, now)
+
+
+def _milliseconds(value: object) -> int | None:
+    at = nanoseconds(value.value) if isinstance(value, Literal) else None
+    return None if at is None else at // _MILLISECOND
+
+
+def _refused(said: Triple, now: Sequence[object]) -> Problem:
+    is_so = f"is {' and '.join(map(str, now))} here" if now else "is not said here"
+    return Problem(409, f"{said.predicate.value} {is_so}, and not a client's to change: leave {said.object} away.")

@@ -1,0 +1,220 @@
+"""What the server says of what is kept, as clients say it: kept, passed where it is so, or refused (LDP 4.2.4.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import httpx
+import pytest
+from pyoxigraph import Literal, NamedNode
+
+from rosld.ontology.vocab import dcterms, ldp, rdf, ros, xsd
+
+if TYPE_CHECKING:
+    from tests.conformance.ldp.conftest import Place, Served
+
+TURTLE = "text/turtle"
+P = NamedNode("http://ex.org/p")
+DCTERMS = "http://purl.org/dc/terms/"
+YEAR = Literal("2020-01-01", datatype=NamedNode("http://www.w3.org/2001/XMLSchema#date"))
+OTHER = Literal("2021-01-01T00:00:00Z", datatype=xsd.dateTime)
+TIMES = (dcterms.created, dcterms.modified)
+Write = Callable[[str, str], httpx.Response]
+
+
+def put(place: Place, served: Served) -> Write:
+    return lambda name, triple: place.send("PUT", name, triple + " .", TURTLE)
+
+
+def patch(place: Place, served: Served) -> Write:
+    return lambda name, triple: place.send("PATCH", name, f"INSERT DATA {{ {triple} }}", "application/sparql-update")
+
+
+def patch_n3(place: Place, served: Served) -> Write:
+    head = "@prefix solid: <http://www.w3.org/ns/solid/terms#> . _:x a solid:InsertDeletePatch ; solid:inserts"
+    return lambda name, triple: place.send("PATCH", name, f"{head} {{ {triple} . }} .", "text/n3")
+
+
+def merge(place: Place, served: Served) -> Write:
+    return lambda name, triple: place.send("POST", name, triple + " .", TURTLE)
+
+
+def put_graph(place: Place, served: Served) -> Write:
+    return lambda name, triple: served.at("graphs").send("PUT", f"?graph={place.at(name)}", triple + " .", TURTLE)
+
+
+def insert(place: Place, served: Served) -> Write:
+    def send(name: str, triple: str) -> httpx.Response:
+        said = triple.replace("<>", f"<{place.at(name)}>")
+        text = f"INSERT DATA {{ GRAPH <{place.at(name)}> {{ {said} }} }}"
+        return served.at("sparql").send("POST", "", text, "application/sparql-update")
+
+    return send
+
+
+WAYS = (put, patch, patch_n3, merge, put_graph, insert)
+
+
+@pytest.mark.parametrize("way", [put, patch, put_graph, insert])
+@pytest.mark.parametrize("name", ["new", "new/"])
+def test_managed_the_first_writer_says_when_it_was_created_and_modified(
+    way: Callable[..., Write], name: str, place: Place, served: Served
+) -> None:
+    answer = way(place, served)(name, f"<> <{DCTERMS}created> {YEAR} ; <{DCTERMS}modified> {OTHER} ; {P} 1")
+    assert answer.is_success, answer.text
+    assert place.objects(name, dcterms.created) == {YEAR}
+    assert place.objects(name, dcterms.modified) == {OTHER}
+    place.put(name, "<> <http://ex.org/p> 2 .")
+    assert place.objects(name, dcterms.created) == {YEAR}
+    modified = place.objects(name, dcterms.modified)
+    assert len(modified) == 1
+    assert modified != {OTHER}
+    assert _in_queries(place, served, name, dcterms.created) == [YEAR.value]
+    assert len(_in_queries(place, served, name, dcterms.modified)) == 1
+
+
+def test_managed_a_member_more_modifies_a_container(place: Place, served: Served) -> None:
+    place.put("box/", f"<> <{DCTERMS}modified> {OTHER} .")
+    assert _in_queries(place, served, "box/", dcterms.modified) == [OTHER.value]
+    place.post(to="box/")
+    assert place.objects("box/", dcterms.modified) != {OTHER}
+    found = _in_queries(place, served, "box/", dcterms.modified)
+    assert len(found) == 1
+    assert found != [OTHER.value]
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("predicate", TIMES)
+@pytest.mark.parametrize("name", ["there", "there/", "said"])
+def test_managed_another_time_is_refused_from_then_on(
+    way: Callable[..., Write], predicate: NamedNode, name: str, place: Place, served: Served
+) -> None:
+    if way is merge and name.endswith("/"):
+        pytest.skip("a POST to a container makes a member")
+    place.put(name, f"<> <http://ex.org/p> 1 ; <{DCTERMS}created> {YEAR} ." if name == "said" else "")
+    before = place.graph(name)
+    answer = way(place, served)(name, f"<> {predicate} {OTHER}")
+    assert answer.status_code == 409, answer.text
+    assert predicate.value in answer.json()["detail"]
+    assert place.graph(name) == before
+
+
+@pytest.mark.parametrize("accept", ["text/turtle", "application/ld+json", "application/n-quads"])
+@pytest.mark.parametrize("kind", ["rdf", "basic/", "direct/", "indirect/", "file.txt.meta"])
+def test_managed_what_was_got_is_put_back(accept: str, kind: str, place: Place, kinds: dict[str, str]) -> None:
+    place.put("said", f"<> <{DCTERMS}created> {YEAR} ; <{DCTERMS}modified> {OTHER} .")
+    for name in (kind, "said"):
+        seen = place.get(name, Accept=accept)
+        answer = place.send("PUT", name, seen.content, accept, If_Match=seen.headers["etag"])
+        assert answer.status_code == 204, answer.text
+        assert place.send("PUT", name, seen.content, accept).status_code == 204
+
+
+def test_managed_an_earlier_state_is_put_back(place: Place) -> None:
+    """The time when it was modified is then one that it had, and no other."""
+    place.put("a", "<> <http://ex.org/p> 1 .")
+    seen = place.get("a", Accept=TURTLE)
+    place.put("a", "<> <http://ex.org/p> 2 .")
+    assert place.send("PUT", "a", seen.content, TURTLE).status_code == 204
+    assert place.objects("a", P) == {Literal("1", datatype=xsd.integer)}
+
+
+def test_managed_clients_may_round_times_to_milliseconds(place: Place) -> None:
+    place.put("a", "<> <http://ex.org/p> 1 .")
+    for predicate in TIMES:
+        (value,) = place.objects("a", predicate)
+        assert isinstance(value, Literal)
+        rounded = value.value[:23].rstrip("Z") + "Z"
+        text = f'<> {predicate} "{rounded}"^^{xsd.dateTime} .'
+        assert place.send("PUT", "a", text, TURTLE).status_code == 204, text
+
+
+@pytest.mark.parametrize(
+    "said",
+    [f"<{DCTERMS}created> {YEAR}, {OTHER}", f"<{DCTERMS}modified> <http://ex.org/now>", f"<{DCTERMS}created> []"],
+)
+def test_managed_a_time_is_one_literal(said: str, place: Place) -> None:
+    answer = place.send("PUT", "a", f"<> {said} .", TURTLE)
+    assert answer.status_code == 409
+    assert DCTERMS in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("name", ["rdf", "basic/", "file.txt.meta", "new", "new/"])
+@pytest.mark.parametrize("kind", ["DirectContainer", "IndirectContainer"])
+def test_managed_another_interaction_model_is_refused(
+    name: str, kind: str, place: Place, kinds: dict[str, str]
+) -> None:
+    url = place.at(name.removesuffix(".meta"))
+    answer = place.send("PUT", name, f"<{url}> a <{ldp.iri}{kind}> .", TURTLE)
+    assert answer.status_code == 409
+    assert rdf.type.value in answer.json()["detail"]
+
+
+def test_managed_other_classes_of_ldp_are_anybodys_to_say(place: Place) -> None:
+    place.put("a", f"<> a <{ldp.iri}PageSortCriterion> .")
+    assert f"{ldp.iri}PageSortCriterion" in place.objects("a", rdf.type)
+
+
+def test_managed_what_is_said_of_a_files_bytes_is_refused_where_it_is_not_so(
+    place: Place, kinds: dict[str, str]
+) -> None:
+    url = kinds["NonRDFSource"]
+    for said in (f'<{DCTERMS}format> "image/png"', f"{ros.length} 12345"):
+        answer = place.send("PUT", f"{url}.meta", f"<{url}> {said} .", TURTLE)
+        assert answer.status_code == 409
+        assert said.partition(" ")[0].strip("<>") in answer.json()["detail"]
+    place.put(f"{url}.meta", f'<{url}> {ros.length} 10 ; <{DCTERMS}format> "text/plain" .')
+
+
+def test_managed_of_what_is_no_file_or_container_nothing_of_theirs_is_lost(place: Place) -> None:
+    """A catalogue says formats, and a document about containers what their membership is made of."""
+    said = {
+        dcterms.format: Literal("text/csv"),
+        ros.length: Literal("7", datatype=xsd.integer),
+        ldp.hasMemberRelation: NamedNode("http://ex.org/has"),
+        ldp.membershipResource: NamedNode("http://ex.org/it"),
+        ldp.insertedContentRelation: NamedNode("http://ex.org/topic"),
+    }
+    text = "<> " + " ; ".join(f"{predicate} {value}" for predicate, value in said.items()) + " ."
+    for name in ("a", "box/"):
+        for _ in range(2):
+            place.put(name, text)
+            graph = {(each.predicate, each.object) for each in place.graph(name)}
+            assert set(said.items()) <= graph
+
+
+def test_managed_what_membership_is_made_of_is_named_where_it_is_refused(place: Place, kinds: dict[str, str]) -> None:
+    for predicate in (ldp.membershipResource, ldp.hasMemberRelation, ldp.isMemberOfRelation):
+        answer = place.send("PUT", kinds["DirectContainer"], f"<> {predicate} <http://ex.org/other> .", TURTLE)
+        assert answer.status_code == 409
+        assert predicate.value in answer.json()["detail"]
+
+
+def test_managed_that_a_direct_containers_members_are_what_is_put_into_it_may_be_said(place: Place) -> None:
+    said = f"<> {ldp.insertedContentRelation} {ldp.MemberSubject} ."
+    place.put("direct/", said, model="DirectContainer")
+    assert place.objects("direct/", ldp.insertedContentRelation) == {ldp.MemberSubject.value}
+    place.put("direct/", said)
+    place.put("direct/", "<> <http://ex.org/p> 1 .")
+    made = place.post(to="direct/")
+    assert place.objects("direct/", ldp.member) == {made}
+
+
+def test_managed_times_of_large_documents_are_kept_too(place: Place) -> None:
+    many = "".join(f"<#n{number}> <http://ex.org/p> {number} .\n" for number in range(12_000))
+    place.put("large", f"<> <{DCTERMS}created> {YEAR} .\n{many}")
+    for _ in range(2):
+        assert place.objects("large", dcterms.created) == {YEAR}
+        answer = place.send("PUT", "large", f"<> <{DCTERMS}created> {OTHER} .\n{many}", TURTLE)
+        assert answer.status_code == 409
+        place.put("large", many)
+
+
+def _in_queries(place: Place, served: Served, name: str, predicate: NamedNode) -> list[str]:
+    """What a query finds."""
+    query = f"SELECT ?o {{ GRAPH <{place.at(name)}> {{ <{place.at(name)}> {predicate} ?o }} }}"
+    answer = served.http.get(
+        f"{served.url}sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"}
+    )
+    return [row["o"]["value"] for row in answer.json()["results"]["bindings"]]

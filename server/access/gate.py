@@ -167,13 +167,20 @@ def marked(
             methods = [each.strip() for each in value.decode("latin-1").split(",")]
             left = [each for each in methods if judge.may_at(each, place) and (may is None or each in may)]
             found.append((name, ", ".join(left).encode("latin-1")))
-        elif name not in _ACCEPTS or (may is not None and _ACCEPTS[name] in may):
+        elif name not in _ACCEPTS or _may_use(_ACCEPTS[name], judge, place, may):
             found.append((name, value))
     found.append((b"vary", ", ".join(varies).encode("latin-1")))
     found.append((b"link", ", ".join(filter(None, links)).encode("latin-1")))
     if place is not None and judge.knows(place):
         found.append((b"wac-allow", _wac_allow(judge, public, place).encode("ascii")))
     return found
+
+
+def _may_use(method: str, judge: Judge, place: Location | None, may: frozenset[str] | None) -> bool:
+    """Whether the agent may use a method there: one of `may`, or where nothing is known to be there, by the path."""
+    if may is not None:
+        return method in may
+    return place is not None and judge.may_at(method, place)
 
 
 def _readable(field: str, judge: Judge) -> str:

@@ -33,7 +33,10 @@ class LiveSettings:
 
 @dataclass(slots=True)
 class _Look:
-    """One subscription and what was made of it last; `awaited` are the publishers that were waited for in vain."""
+    """One subscription and what was made of it last.
+
+    `awaited` are the publishers that were waited for in vain; `insisted`: a message was waited for whoever publishes.
+    """
 
     subscription: Subscription
     looked_at: float
@@ -44,6 +47,7 @@ class _Look:
     latest: Sequence[Sample] | None = None
     view: View = field(default_factory=View)
     awaited: tuple[Endpoint, ...] = ()
+    insisted: bool = False
 
     @property
     def is_kept(self) -> bool:
@@ -69,7 +73,10 @@ class _TopicWatch:
 
 
 class LiveTopics:
-    """The values of topics. A look costs nothing while nothing new has come: the same `View` is handed out."""
+    """The values of topics. A look costs nothing while nothing new has come: the same `View` is handed out.
+
+    A topic that is not in the graph has no values, whatever was received of it before.
+    """
 
     def __init__(self, adapter: Adapter, schemas: Schemas, settings: LiveSettings) -> None:
         self._adapter = adapter
@@ -98,12 +105,14 @@ class LiveTopics:
 
     def kept(self) -> Sequence[str]:
         """The topics that stay subscribed to whether anybody looks or not, as far as they have a value."""
-        return [topic for topic, look in self._looks.items() if look.is_kept and look.subscription.latest()]
+        there = self._adapter.graph.topics
+        looks = [(topic, look) for topic, look in self._looks.items() if look.is_kept and topic in there]
+        return [topic for topic, look in looks if look.subscription.latest()]
 
     def peek(self, topic: str) -> View | None:
-        """The view of a topic if it is subscribed to and has a value: at once, asking nobody."""
+        """The view of a topic if it is there, subscribed to and has a value: at once, asking nobody."""
         look = self._looks.get(topic)
-        if look is None:
+        if look is None or topic not in self._adapter.graph.topics:
             return None
         look.looked_at = asyncio.get_running_loop().time()
         view = self._refresh(look)
@@ -116,28 +125,35 @@ class LiveTopics:
     def last_seen(self, topic: str) -> View | None:
         """The view as somebody saw it last; from any thread."""
         look = self._looks.get(topic)
-        return None if look is None else look.view
+        return None if look is None or topic not in self._adapter.graph.topics else look.view
 
     def is_settled(self, topic: str) -> bool:
         """Whether a look would find no more than `known` does: it would neither subscribe nor wait."""
         look = self._looks.get(topic)
+        if topic not in self._adapter.graph.topics:
+            return True
         if look is None or look.view.samples:
             return look is not None
         return not look.subscription.latest() and set(self._publishers(topic)) <= set(look.awaited)
 
-    async def look(self, topic: str) -> View:
+    async def look(self, topic: str, *, insist: bool = False) -> View:
         """The view of a topic, subscribing if need be and then waiting a moment where somebody publishes it.
 
-        The same publishers are waited for once: a topic that is silent holds nobody up again.
+        The same publishers are waited for once: a topic that is silent holds nobody up again. Who insists waits once
+        also where nobody publishes yet. A topic that is not there is neither subscribed to nor waited for.
         """
         view = self.peek(topic)
         if view is not None:
             return view
+        if topic not in self._adapter.graph.topics:
+            return NOTHING
         look = await self._open(topic)
         await self._know_types(look)
         view = self._refresh(look)
         publishers = self._publishers(topic)
-        if not view.samples and not set(publishers) <= set(look.awaited):
+        is_new = insist and not look.insisted
+        look.insisted |= insist
+        if not view.samples and (is_new or not set(publishers) <= set(look.awaited)):
             await self._wait(look, self._settings.first_value)
             await self._know_types(look)
             view = self._refresh(look)
@@ -249,7 +265,8 @@ class LiveTopics:
             await asyncio.sleep(_SWEEP)
             horizon = asyncio.get_running_loop().time() - self._settings.idle
             for topic, look in list(self._looks.items()):
-                if not look.is_kept and look.looked_at < horizon:
+                is_gone = topic not in self._adapter.graph.topics
+                if not look.is_kept and (look.looked_at < horizon or is_gone):
                     self._close(topic)
                     continue
                 if look.awaited:  # who comes back is waited for again

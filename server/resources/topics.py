@@ -62,7 +62,11 @@ class TopicResource(Resource):
         return self._publishing.topic
 
     def methods(self) -> frozenset[str]:
-        return self._allowance()[1]
+        """The verbs of a topic that is there; of one that is not, what makes it: nothing can be read of it."""
+        methods = self._allowance()[1]
+        if self.topic is None and moved_to_namespace(self.robot, "topics", self.name) is None:
+            return methods - {"GET", "HEAD"}
+        return methods
 
     def why_unwritable(self) -> str | None:
         """Why nothing may be published here, in a sentence; None where it may."""
@@ -112,9 +116,13 @@ class TopicResource(Resource):
         view = robot.topics.peek(self.name)
         if view is None:
             if self.name not in robot.graph.topics:
-                raise moved_to_namespace(robot, "topics", self.name) or Problem(404, f"There is no topic {self.name}.")
+                raise self._missing()
             view = await robot.topics.look(self.name)
         return await self.shown(view)
+
+    def _missing(self) -> Problem:
+        """Why nothing can be read where there is no topic of this name (now)."""
+        return moved_to_namespace(self.robot, "topics", self.name) or Problem(404, f"There is no topic {self.name}.")
 
     async def shown(self, view: View) -> State:
         """The state with these values; at once where the types of their messages are at hand."""
@@ -192,7 +200,9 @@ class TopicResource(Resource):
         """`?field=PATH`: the bytes of one field of the latest message."""
         if b"field=" not in exchange.request.scope["query_string"] or "field" not in exchange.query:
             return None
-        view = await self.robot.topics.look(self.name)
+        if self.topic is None:
+            raise self._missing()
+        view = await self.robot.topics.look(self.name, insist=True)
         if view.newest is None:
             raise Problem(404, f"{self.name} has no message yet, so no field {exchange.query['field']!r}.")
         return await field_response(self.robot, view.newest, exchange.query["field"])

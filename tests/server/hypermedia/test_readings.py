@@ -699,6 +699,7 @@ def test_a_topic_comes_before_the_getter() -> None:
 
 def test_a_topic_without_a_message_gives_way_to_the_getter_until_one_comes() -> None:
     async def main(bench: Bench, loop: Clock) -> None:
+        bench.fake.advertise("/robot/x", TypeRef("std_msgs/msg/Float64"))
         sources = (TOPIC, getter(ASKED), ParameterSource("/robot/x"))
         reading = await bench.read(*sources)
         assert plain(reading) == "1.0"

@@ -163,6 +163,10 @@ class MadeUp:
         if value is not None:
             self.publishes(name, value)
 
+    def forget(self, name: str) -> None:
+        """The topic is gone: no node has it any more."""
+        self._do(lambda: self._revised(self._topics.pop, name))
+
     def publishes(self, name: str, value: Any) -> None:
         """The robot sends a message."""
         self._do(lambda: self._put(name, ROBOT, self._encoded(name, value)))

@@ -1,0 +1,138 @@
+"""A topic whose last node is gone is gone: everywhere, in every representation, until a node has it again."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.adapters.ros1.system import running
+from tests.server.robots.made_up import MadeUp, served
+from tests.waiting import until
+
+NAME, OTHER = "/chatter", "/other"
+TOPIC = "/topics/chatter"
+STRING = "std_msgs/msg/String"
+ACCEPTED = ["text/turtle", "application/json", "application/ld+json", "text/html", "application/n-quads"]
+
+
+@pytest.fixture
+def robot() -> MadeUp:
+    """A robot with two topics."""
+    made = MadeUp()
+    made.topic(NAME, STRING, {"data": "x"})
+    made.topic(OTHER, STRING, {"data": "y"})
+    return made
+
+
+@pytest.fixture
+def http(robot: MadeUp) -> Iterator[httpx.Client]:
+    """A client that has read the topic while it was there, and then it went."""
+    with served(robot) as client:
+        for accept in ACCEPTED:
+            assert client.get(TOPIC, headers={"Accept": accept}).status_code == 200
+        assert client.get(TOPIC, params={"field": "data"}).text == "x"
+        robot.forget(NAME)
+        yield client
+
+
+def asks(http: httpx.Client, pattern: str) -> bool:
+    answer = http.get("/sparql", params={"query": f"ASK {{ {pattern} }}"}, headers={"Accept": "application/json"})
+    assert answer.status_code == 200, answer.text
+    return bool(answer.json()["boolean"])
+
+
+@pytest.mark.parametrize("accept", ACCEPTED)
+def test_it_is_404_in_every_representation(http: httpx.Client, accept: str) -> None:
+    assert http.get(TOPIC, headers={"Accept": accept}).status_code == 404
+    assert http.head(TOPIC, headers={"Accept": accept}).status_code == 404
+
+
+def test_it_has_no_fields_no_stream_no_graph_and_no_place_in_the_listing(http: httpx.Client) -> None:
+    assert http.get(TOPIC, params={"field": "data"}).status_code == 404
+    assert http.get(TOPIC, headers={"Accept": "text/event-stream"}).status_code == 404
+    assert "chatter" not in http.get("/topics/", headers={"Accept": "text/turtle"}).text
+    assert not asks(http, f"GRAPH <{http.base_url.join(TOPIC)}> {{ ?s ?p ?o }}")
+    assert not asks(http, f"<{http.base_url.join(TOPIC)}> ?p ?o")
+    assert asks(http, f"GRAPH <{http.base_url.join('/topics/other')}> {{ ?s ?p ?o }}")
+
+
+def test_what_is_allowed_is_what_is_answered(http: httpx.Client) -> None:
+    assert http.options(TOPIC).headers["allow"] == "OPTIONS"
+    assert http.put(TOPIC, json={"data": "z"}).status_code == 405
+    assert http.patch(TOPIC, json={"data": "z"}, headers={"If-Match": '"x"'}).status_code == 405
+
+
+def test_once_a_node_has_it_again_it_is_read_as_a_new_one(robot: MadeUp) -> None:
+    slot = robot._topics[NAME].slot
+    with served(robot, first_value_wait=0.1) as http:
+        assert http.get(TOPIC, headers={"Accept": "application/json"}).json() == {"data": "x"}
+        robot.forget(NAME)
+        until(lambda: slot.subscriptions == 0, "it is not subscribed to any more")
+        robot.topic(NAME, STRING)
+        assert http.get(TOPIC, headers={"Accept": "application/json"}).json() is None
+        robot.publishes(NAME, {"data": "anew"})
+        assert http.get(TOPIC, headers={"Accept": "application/json"}).json() == {"data": "anew"}
+
+
+def test_who_follows_it_is_told_that_it_is_gone(robot: MadeUp) -> None:
+    with served(robot) as http, http.stream("GET", TOPIC, headers={"Accept": "text/event-stream"}) as stream:
+        lines = stream.iter_lines()
+        assert json.loads(next(line for line in lines if line.startswith("data: ")).removeprefix("data: ")) is not None
+        robot.forget(NAME)
+        assert next(line for line in lines if line.startswith("event: ")) == "event: gone"
+
+
+def test_the_first_look_at_a_field_waits_for_a_message_whoever_will_publish_it(robot: MadeUp) -> None:
+    robot.topic("/heard", STRING, published=False, heard=True)
+    with served(robot, first_value_wait=5.0) as http:
+        soon = threading.Timer(0.3, robot.publishes, ("/heard", {"data": "here"}))
+        soon.start()
+        assert http.get("/topics/heard", params={"field": "data"}).text == "here"
+        soon.join()
+    robot.topic("/silent", STRING, published=False, heard=True)
+    with served(robot, first_value_wait=0.5) as http:
+        took = []
+        for _ in range(2):
+            began = time.monotonic()
+            assert http.get("/topics/silent", params={"field": "data"}).status_code == 404
+            took.append(time.monotonic() - began)
+        assert took[0] >= 0.5 > took[1]
+
+
+def test_looking_for_what_is_not_there_subscribes_to_nothing(robot: MadeUp) -> None:
+    asked: list[str] = []
+    subscribe = robot.subscribe
+
+    async def counted(topic: str, *, depth: int = 1) -> Any:
+        asked.append(topic)
+        return await subscribe(topic, depth=depth)
+
+    robot.subscribe = counted  # type: ignore[method-assign]
+    with served(robot) as http:
+        assert http.get("/topics/none", params={"field": "data"}).status_code == 404
+        assert http.get("/topics/none").status_code == 404
+        assert http.get(TOPIC).status_code == 200
+    assert asked == [NAME]
+
+
+def test_on_ros_1_it_is_gone_with_its_publisher_and_can_be_made_again(
+    tmp_path: Path, serve: Callable[..., Any]
+) -> None:
+    with running(tmp_path) as ros:
+        publisher = ros.publish(NAME, "std_msgs/String", "data: x")
+        http = serve(ros.source).http
+        until(lambda: http.get(TOPIC, headers={"Accept": "application/json"}).json() == {"data": "x"}, "a message")
+        publisher.stop()
+        until(lambda: http.get(TOPIC, headers={"Accept": "application/json"}).status_code == 404, "it is gone")
+        assert http.options(TOPIC).headers["allow"] == "OPTIONS, PUT"
+        assert http.put(TOPIC, json={"data": "y"}).status_code == 404
+        stated = '<#message> a <{0}> ; <{0}#data> "y" .'.format("https://w3id.org/rosld/types/std_msgs/msg/String")
+        assert http.put(TOPIC, content=stated, headers={"Content-Type": "text/turtle"}).status_code == 201
+        assert http.get(TOPIC, headers={"Accept": "application/json"}).json() == {"data": "y"}

@@ -23,7 +23,7 @@ from rosld.server.access.door import Door
 from rosld.server.access.judge import Judge
 from rosld.server.clients import REFUSAL_SECONDS, Allowance, Clients, TooMuch
 from rosld.server.dataset import ELSEWHERE, Dataset
-from rosld.server.errors import problem_of, problem_of_body
+from rosld.server.errors import problem_of, problem_of_body, problem_of_shortage
 from rosld.server.events import websocket
 from rosld.server.events.channels import Channels
 from rosld.server.events.feed import Feeds
@@ -41,6 +41,7 @@ from rosld.server.ldp.pages import Pages
 from rosld.server.ldp.prepared import Prepared
 from rosld.server.ldp.resource import Resource
 from rosld.server.ldp.verbs import Verbs, options
+from rosld.server.memory import is_shortage
 from rosld.server.mirroring import mirror_of
 from rosld.server.receipts.graphs import ReceiptGraphs
 from rosld.server.receipts.recorder import Recorder
@@ -356,6 +357,10 @@ class Application:
             error = problem_of_body(error)
         elif isinstance(error, StorageError):
             error = Problem(507, str(error)) if error.full else Problem(503, str(error), headers={"Retry-After": "1"})
+        elif is_shortage(error):
+            _log.error("%s %s: %s", exchange.method, exchange.request.scope["path"], error or "no memory is left")
+            is_write = exchange.account.is_write or exchange.method in ("PUT", "PATCH")
+            error = problem_of_shortage(error, is_write=is_write)
         if not isinstance(error, Problem):
             _log.exception("%s %s failed", exchange.method, exchange.request.scope["path"], exc_info=error)
             error = Problem(500, "The server failed on this request; its log says more.")

@@ -8,6 +8,7 @@ from rosld.ontology.lower import LoweringError
 from rosld.ontology.triples import moment
 from rosld.server.gate import Stopped, TopicHeld
 from rosld.server.http.problem import Problem
+from rosld.server.memory import NotEnoughMemory
 
 RETRY_AFTER_SECONDS = 2
 
@@ -39,6 +40,13 @@ def problem_of(error: RosError) -> Problem:
             about = (holder.hold,)
     headers = {"Retry-After": str(RETRY_AFTER_SECONDS)} if status == 503 and error.sent is Sent.NO else {}
     return Problem(status, error.sentence, title=type(error).__name__, headers=headers, extra=extra, about=about)
+
+
+def problem_of_shortage(error: BaseException, *, is_write: bool) -> Problem:
+    """507 for a write that there is no memory for, 503 for anything else."""
+    words = str(error) if isinstance(error, NotEnoughMemory) else "The server is short of memory: try again later."
+    headers = {"Retry-After": str(RETRY_AFTER_SECONDS)}
+    return Problem(507 if is_write else 503, words, headers=headers, extra={"reason": "memory"})
 
 
 def problem_of_body(error: BodyError | LoweringError) -> Problem:

@@ -20,6 +20,7 @@ from rosld.server.http import again, media, prefer, text
 from rosld.server.http.body import TIMEOUT, read_body, read_chunks
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.account import Account
+from rosld.server.memory import MEMORY, PER_BYTE
 
 
 class Exchange:
@@ -137,6 +138,7 @@ class Exchange:
         """The whole body as it was sent; raises Problems for one too large (413), compressed (415) or cut off (400)."""
         if self._body is None:
             self._body = await read_body(self, limit=self._body_limit, timeout=self._body_seconds)
+            MEMORY.require(len(self._body) * PER_BYTE, f"a body of {len(self._body)} bytes")
         return self._body
 
     async def body(self) -> bytes:

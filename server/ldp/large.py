@@ -21,7 +21,7 @@ from pyoxigraph import serialize as pyoxigraph_serialize
 
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import serialize
-from rosld.server.ldp.state import State
+from rosld.server.ldp.state import State, require_memory
 from rosld.server.offload import Work, Workers
 
 _T = TypeVar("_T")
@@ -102,6 +102,7 @@ class LargeDocuments:
 
     async def _run(self, state: State, work: Work[_T]) -> _T:
         """Work on a state's document: in a worker, or in a thread where it cannot be told to another process."""
+        require_memory(state)
         return await (self._workers.run(work) if isinstance(state.describe, partial) else asyncio.to_thread(work))
 
     async def close(self) -> None:

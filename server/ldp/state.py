@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
+from rosld.server.memory import MEMORY, PER_CHARACTER
 
 if TYPE_CHECKING:
     from rosld.server.hypermedia.views import View
@@ -71,6 +72,12 @@ class State:
     def tag(self) -> str:
         """The state part of the ETag."""
         return self.token if self.token is not None else digest(serialize(self.document, Syntax.N_TRIPLES))
+
+
+def require_memory(state: State) -> None:
+    """Raise NotEnoughMemory where there is none to work on what a state says."""
+    if state.weight:
+        MEMORY.require(state.weight * PER_CHARACTER, f"a document of {state.weight} bytes of N-Triples")
 
 
 def digest(data: bytes) -> str:

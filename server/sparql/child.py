@@ -28,6 +28,7 @@ from queue import Queue
 from typing import BinaryIO, NoReturn, TypeAlias, cast
 
 from rosld.server.http.problem import Problem
+from rosld.server.memory import MEMORY
 from rosld.server.sparql.limits import Limits, crashed, out_of_memory, out_of_time
 from rosld.server.sparql.results import Check
 from rosld.server.store import QueryError
@@ -35,6 +36,7 @@ from rosld.server.store import QueryError
 AVAILABLE = sys.platform == "linux"
 """Elsewhere a process with threads cannot be forked safely, and queries run in threads."""
 _FRAME = struct.Struct("<cI")
+_MIB = 1024 * 1024
 _CHUNK = 64 * 1024
 _PIPE = 1024 * 1024
 """Bytes that a child may be ahead of its reader."""
@@ -42,6 +44,8 @@ _GLANCE = 0.05
 """Seconds between looks at whether the time is over."""
 _BEHIND = 5
 """How much nicer than the server a child is: whoever moves or stops the robot never waits for a query's processor."""
+_LEAST = 32 * _MIB
+"""Bytes of memory without which no query is begun."""
 _NO_MEMORY = 86
 """How a child exits that was refused memory."""
 
@@ -108,6 +112,7 @@ def answer(
     many times a second, and as soon as the leash was pulled), QueryError and Problem as `work` does; Problems 503 where
     the memory did not suffice and 500 where the child crashed.
     """
+    MEMORY.require(_LEAST, "a query")
     reading, writing = os.pipe()
     with contextlib.suppress(OSError):  # an ordinary pipe does as well
         fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, _PIPE)
@@ -216,7 +221,9 @@ def _be_alone(writing: int, limits: Limits) -> None:
     os.closerange(writing + 1, resource.getrlimit(resource.RLIMIT_NOFILE)[0])
     os.nice(_BEHIND)
     pages = int(Path("/proc/self/statm").read_text().split()[0])
-    most = pages * resource.getpagesize() + limits.memory
+    most, hard = pages * resource.getpagesize() + limits.memory, resource.getrlimit(resource.RLIMIT_AS)[1]
+    if hard != resource.RLIM_INFINITY:
+        most = min(most, hard)
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # the words of an allocator that gives up are for nobody

@@ -18,6 +18,7 @@ from typing import NamedTuple, Protocol
 
 from pyoxigraph import Triple
 
+from rosld.server.memory import DATASET_PER_CHARACTER, MEMORY
 from rosld.server.sparql.kept import NOTHING, Backlog, KeptSource
 from rosld.server.sparql.needs import Needs
 from rosld.server.store import Edit, MemoryStore, Store
@@ -32,6 +33,8 @@ _MUCH = 1000
 """Changes of what clients keep that are not left for a query to find."""
 _GLANCE = 1.0
 """Seconds between looks at how many there are."""
+_SHORT_OF_MEMORY = 30.0
+"""Seconds until what there was no memory for is tried again, unless a query asks for it."""
 _SLICE = 0.002
 """Seconds of rendering after which the loop gets its turn."""
 
@@ -215,6 +218,9 @@ class Synchroniser:
             if self._kept[0].version - self._versions[0] >= _MUCH:
                 try:
                     await self.catch_up()
+                except MemoryError as error:
+                    _log.error("what clients keep cannot be brought to the dataset now: %s", error)
+                    await asyncio.sleep(_SHORT_OF_MEMORY)
                 except Exception:  # the next query, or the next time, may have more luck
                     _log.exception("what clients keep cannot be brought to the dataset now")
             await asyncio.sleep(_GLANCE)
@@ -377,6 +383,8 @@ def _replace(store: Store, changes: Mapping[str, _Change], backlog: Backlog) -> 
     edits: Sequence[Edit] = backlog.edits
     if not changes and not backlog.graphs and not edits:
         return {}
+    # What the robot itself says is not asked about: the sizes of its graphs are not known, and they are small.
+    MEMORY.require(backlog.size * DATASET_PER_CHARACTER, f"the dataset, for changes of {backlog.size} characters,")
     texts = _rendered(backlog.graphs)
     texts |= _rendered({iri: change.entry and change.entry.ntriples for iri, change in changes.items()})
     try:
@@ -402,6 +410,8 @@ def _rendered(graphs: Mapping[str, Callable[[], str] | None]) -> dict[str, str |
 def _render(iri: str, ntriples: Callable[[], str]) -> str | None:
     try:
         return ntriples()
+    except MemoryError:
+        raise
     except Exception:  # a source's failure concerns one graph only
         _log.exception("%s cannot be rendered and is left out of the dataset", iri)
         return None

@@ -14,6 +14,7 @@ from typing import IO, TypeAlias, cast
 
 import pyoxigraph
 
+from rosld.server.memory import MEMORY, resident
 from rosld.server.store.base import Edit, Function, QueryError, Results, Term
 from rosld.server.store.update import operations
 from rosld.server.store.wear import Wear
@@ -111,6 +112,7 @@ class MemoryStore:
     def _renew(self) -> None:
         """Have another store take over, with the same in it. Queries that have begun go on with the old one."""
         try:
+            MEMORY.require(resident(), "a new dataset in place of one with many gaps")
             new = pyoxigraph.Store()
             new.load(self._store.dump(format=pyoxigraph.RdfFormat.N_QUADS), pyoxigraph.RdfFormat.N_QUADS)
             for _ in range(_ROUNDS):
@@ -118,7 +120,9 @@ class MemoryStore:
             with self._changing:
                 self._repeat(new)
                 self._store = new
-        except Exception:  # memory, most likely: what is there stays in use
+        except MemoryError as error:
+            _log.warning("the dataset goes on as it is: %s", error)
+        except Exception:  # what is there stays in use
             _log.exception("the dataset cannot be renewed, and goes on as it is")
         finally:
             with self._changing:

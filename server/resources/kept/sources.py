@@ -22,7 +22,7 @@ from rosld.server.ldp.resource import (
     SPARQL_UPDATE,
     Answer,
 )
-from rosld.server.ldp.state import State
+from rosld.server.ldp.state import State, require_memory
 from rosld.server.records import NO_MEMBER, Model, Put, Record, Remove, Write
 from rosld.server.records.describe import META, said_times
 from rosld.server.records.paths import container_of
@@ -91,6 +91,7 @@ class SourceResource(Kept):
 
         async def with_added(record: Record) -> Write:
             before = shown(self.robot, record)
+            require_memory(before)
             work = partial(merged, before.describe, added, self._subject)
             is_large = added.is_large or before.is_large
             return await self.with_triples(record, await self.robot.workers.run(work) if is_large else work())
@@ -105,6 +106,7 @@ class SourceResource(Kept):
 
         async def changed(record: Record) -> Write:
             before = shown(self.robot, record)
+            require_memory(before)
             if not before.is_large:
                 with suppress(Grown):
                     return await self.with_triples(record, await self._patched(patch, before.document.triples))

@@ -31,11 +31,12 @@ class Server:
         self._command = [sys.executable, "-m", "rosld", "serve", "aircraft", "--data", str(folder)]
         self._command += ["--port", str(free_port())]
 
-    def start(self, *options: str) -> None:
-        """Start it, and wait until it serves."""
+    def start(self, *options: str, address_space: int | None = None) -> None:
+        """Start it, with so many bytes of address space, and wait until it serves."""
+        limit = [] if address_space is None else ["prlimit", f"--as={address_space}"]
         with self.log.open("a") as log:
             self.process = subprocess.Popen(
-                [*self._command, *options], env=self._environment, stdout=subprocess.PIPE, stderr=log, text=True
+                [*limit, *self._command, *options], env=self._environment, stdout=subprocess.PIPE, stderr=log, text=True
             )
         assert self.process.stdout is not None
         url = self.process.stdout.readline().strip()

@@ -1,0 +1,140 @@
+"""How much memory this process may still take, asked before something large is begun.
+
+An allocation that fails in native code (the RDF parser, the dataset) ends the process, and so does the system where a
+container's memory is used up. So what is known to need much is refused in time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import os
+import re
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+if sys.platform != "win32":
+    import resource
+
+MARGIN = 48 * 1024 * 1024
+"""Bytes that are never asked for: what is not asked about needs some, too."""
+PER_BYTE = 56
+"""Bytes that a body may take while it is read and stored, for each of its own: measured with short Turtle."""
+DATASET_PER_CHARACTER = 16
+"""Bytes that the dataset takes for a character of N-Triples, while it takes them in: measured with short triples."""
+PER_CHARACTER = 24
+"""Bytes that a document takes for a character of its N-Triples while it is patched or rendered, measured likewise."""
+_GOOD_FOR = 0.25
+"""Seconds for which what was measured is gone by, less what was asked for since."""
+_MIB = 1024 * 1024
+_AVAILABLE = re.compile(rb"^(?:MemAvailable|SwapFree): +(\d+) kB", re.MULTILINE)
+_INACTIVE = re.compile(rb"^inactive_file (\d+)", re.MULTILINE)
+
+
+class NotEnoughMemory(MemoryError):
+    """What was asked for would need more memory than is left; nothing of it was begun."""
+
+
+class Memory:
+    """The memory of this process. In any thread."""
+
+    def __init__(self, measure: Callable[[], int | None]) -> None:
+        self._measure = measure
+        self._until = 0.0
+        self._left = 0
+
+    def require(self, needed: int, what: str) -> None:
+        """Raise NotEnoughMemory where so many bytes are not left; `what` needs them, such as `a body of 9 bytes`."""
+        if needed * 4 < self._left and time.monotonic() < self._until:
+            self._left -= needed
+            return
+        left = self._measured()
+        if left is not None and needed > left:
+            _give_back()
+            left = self._measured()
+        if left is not None and needed > left:
+            sizes = f"{_mebibytes(needed)} of memory, and {_mebibytes(max(0, left))} are left"
+            raise NotEnoughMemory(f"{what[0].upper()}{what[1:]} may need {sizes}; nothing was done.")
+        self._left -= needed
+
+    def _measured(self) -> int | None:
+        """The bytes that may still be taken, less the margin; None where nothing is known."""
+        found = self._measure()
+        left = None if found is None else found - MARGIN
+        self._left = sys.maxsize if left is None else left
+        self._until = time.monotonic() + _GOOD_FOR
+        return left
+
+
+def available() -> int | None:
+    """The bytes that this process may still take: by its own limits, its container's, and what the machine has."""
+    found = [*_of_process(), *_of_container(), *_of_machine()]
+    return min(found) if found else None
+
+
+def resident() -> int:
+    """The bytes of memory that this process has; 0 where that cannot be told."""
+    with contextlib.suppress(OSError, ValueError):
+        return int(Path("/proc/self/statm").read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return 0
+
+
+def is_shortage(error: BaseException) -> bool:
+    """Whether an error says that the system gave no memory: for an object, a thread, a process."""
+    if isinstance(error, OSError):
+        return error.errno in (errno.ENOMEM, errno.EAGAIN)
+    return isinstance(error, MemoryError) or (
+        isinstance(error, RuntimeError) and "can't start new thread" in str(error)
+    )
+
+
+def _of_process() -> Iterator[int]:
+    if sys.platform == "win32":
+        return
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY:
+        with contextlib.suppress(OSError, ValueError):
+            pages = int(Path("/proc/self/statm").read_bytes().split()[0])
+            yield limit - pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def _of_container() -> Iterator[int]:
+    """What the control groups leave, from that of this process upwards (cgroup v2)."""
+    with contextlib.suppress(OSError, ValueError):
+        lines = Path("/proc/self/cgroup").read_text().splitlines()
+        own = [line[3:] for line in lines if line.startswith("0::")]
+        group = Path("/sys/fs/cgroup") / "".join(own).lstrip("/")
+        for folder in (group, *group.parents):
+            if folder == Path("/sys/fs"):
+                return
+            with contextlib.suppress(OSError, ValueError):
+                limit = int((folder / "memory.max").read_text())  # `max` is no limit
+                used = int((folder / "memory.current").read_text())
+                files = _INACTIVE.search((folder / "memory.stat").read_bytes())
+                yield limit - used + (int(files[1]) if files else 0)
+
+
+def _of_machine() -> Iterator[int]:
+    with contextlib.suppress(OSError):
+        found = _AVAILABLE.findall(Path("/proc/meminfo").read_bytes())
+        if found:
+            yield sum(map(int, found)) * 1024
+
+
+def _give_back() -> None:
+    """Let the system have what was freed, which the allocator may still hold."""
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:
+            trim(0)
+
+
+def _mebibytes(size: int) -> str:
+    return f"{size / _MIB:.0f} MiB"
+
+
+MEMORY = Memory(available)
+"""The memory of this process."""

@@ -9,7 +9,9 @@ import time
 from collections.abc import AsyncIterator
 from typing import BinaryIO, NamedTuple, Protocol, cast
 
+from rosld.server.errors import problem_of_shortage
 from rosld.server.http.problem import Problem
+from rosld.server.memory import is_shortage
 from rosld.server.sparql.child import Leash
 from rosld.server.sparql.hangup import HangUp
 from rosld.server.sparql.limits import Limits, busy, out_of_time
@@ -199,6 +201,8 @@ class Evaluation(io.RawIOBase):
             error = out_of_time(self._limits.seconds)
         elif isinstance(error, QueryError):
             error = refused(error)
+        elif is_shortage(error):
+            error = problem_of_shortage(error, is_write=False)
         elif not isinstance(error, Problem):
             error = Problem(500, f"The query failed: {error}.")
         # What an error remembers of its way holds the store's results, which must end in the thread they began in.

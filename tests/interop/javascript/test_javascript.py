@@ -11,12 +11,7 @@ from tests.interop.checks import Check, declared, judge, outcomes
 from tests.interop.javascript.node import SOURCES, node
 
 PATIENCE = 200.0
-UNSAID = "a 404 or 410 does not say yet that PUT and PATCH would make it"
 PENDING: Mapping[Check, str] = {
-    ("rdflib", "UpdateManager.update after DELETE makes it again"): UNSAID,
-    ("comunica", "an update of a document that was deleted makes it again"): UNSAID,
-    ("rdflib", "UpdateManager.update of a document that does not exist makes it"): UNSAID,
-    ("comunica", "an update of a document that does not exist makes it"): UNSAID,
     ("jsonld", "numbers have the values that N-Triples say"): "doubles are native numbers, which lose digits",
 }
 """What does not work yet, and what it lacks."""

@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 if sys.platform != "win32":
     import resource
@@ -31,7 +32,20 @@ _GOOD_FOR = 0.25
 """Seconds for which what was measured is gone by, less what was asked for since."""
 _MIB = 1024 * 1024
 _AVAILABLE = re.compile(rb"^(?:MemAvailable|SwapFree): +(\d+) kB", re.MULTILINE)
-_INACTIVE = re.compile(rb"^inactive_file (\d+)", re.MULTILINE)
+
+
+class _Names(NamedTuple):
+    """The files of a control group that tell of memory, and what `memory.stat` says of files that can be let go of."""
+
+    limit: str
+    used: str
+    files: re.Pattern[bytes]
+
+
+_VERSION_1 = _Names(
+    "memory.limit_in_bytes", "memory.usage_in_bytes", re.compile(rb"^total_inactive_file (\d+)", re.MULTILINE)
+)
+_VERSION_2 = _Names("memory.max", "memory.current", re.compile(rb"^inactive_file (\d+)", re.MULTILINE))
 
 
 class NotEnoughMemory(MemoryError):
@@ -71,7 +85,9 @@ class Memory:
 
 def available() -> int | None:
     """The bytes that this process may still take: by its own limits, its container's, and what the machine has."""
-    found = [*_of_process(), *_of_container(), *_of_machine()]
+    found = [*_of_process(), *_of_machine()]
+    with contextlib.suppress(OSError, ValueError):
+        found += of_groups(Path("/proc/self/cgroup").read_text(), Path("/sys/fs/cgroup"))
     return min(found) if found else None
 
 
@@ -101,20 +117,26 @@ def _of_process() -> Iterator[int]:
             yield limit - pages * os.sysconf("SC_PAGE_SIZE")
 
 
-def _of_container() -> Iterator[int]:
-    """What the control groups leave, from that of this process upwards (cgroup v2)."""
-    with contextlib.suppress(OSError, ValueError):
-        lines = Path("/proc/self/cgroup").read_text().splitlines()
-        own = [line[3:] for line in lines if line.startswith("0::")]
-        group = Path("/sys/fs/cgroup") / "".join(own).lstrip("/")
-        for folder in (group, *group.parents):
-            if folder == Path("/sys/fs"):
-                return
-            with contextlib.suppress(OSError, ValueError):
-                limit = int((folder / "memory.max").read_text())  # `max` is no limit
-                used = int((folder / "memory.current").read_text())
-                files = _INACTIVE.search((folder / "memory.stat").read_bytes())
-                yield limit - used + (int(files[1]) if files else 0)
+def of_groups(groups: str, mounted: Path) -> Iterator[int]:
+    """What control groups leave, from those that a process is in (the text of /proc/self/cgroup) upwards."""
+    for line in groups.splitlines():
+        _, controllers, path = line.split(":", 2)
+        if not controllers:
+            yield from _left(mounted, path, _VERSION_2)
+        elif "memory" in controllers.split(","):
+            yield from _left(mounted / "memory", path, _VERSION_1)
+
+
+def _left(top: Path, path: str, names: _Names) -> Iterator[int]:
+    group = top / path.lstrip("/")
+    for folder in (group, *group.parents):
+        with contextlib.suppress(OSError, ValueError):
+            limit = int((folder / names.limit).read_text())  # `max` is no limit
+            used = int((folder / names.used).read_text())
+            files = names.files.search((folder / "memory.stat").read_bytes())
+            yield limit - used + (int(files[1]) if files else 0)
+        if folder == top:
+            return
 
 
 def _of_machine() -> Iterator[int]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import random
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import httpx
 import pytest
 
-from rosld.server.memory import MARGIN, Memory, NotEnoughMemory, available, is_shortage
+from rosld.server.memory import MARGIN, Memory, NotEnoughMemory, available, is_shortage, of_groups
 from tests.server.disks.server import Server, server_on
 
 ADDRESS_SPACE = 1100 * 1024 * 1024
@@ -143,3 +144,28 @@ def test_what_was_asked_for_a_moment_ago_counts() -> None:
 )
 def test_errors_that_tell_of_a_lack_of_memory_are_known(error: Exception, expected: bool) -> None:
     assert is_shortage(error) is expected
+
+
+@pytest.mark.parametrize(
+    ("groups", "place", "limit", "used", "files"),
+    [
+        ("0::/a/b\n", "", "memory.max", "memory.current", "inactive_file"),
+        (
+            *("1:cpu:/\n4:memory:/a/b\n0::/\n", "memory"),
+            *("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+        ),
+    ],
+    ids=["version 2", "version 1"],
+)
+def test_what_a_container_leaves_is_the_least_that_its_groups_do(
+    tmp_path: Path, groups: str, place: str, limit: str, used: str, files: str
+) -> None:
+    for path, most in (("a/b", "max"), ("a", "1000"), ("", "2000")):
+        folder = tmp_path / place / path
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / limit).write_text(f"{most}\n")
+        (folder / used).write_text("700\n")
+        (folder / "memory.stat").write_text(f"anon 1\n{files} 50\n")
+    assert min(of_groups(groups, tmp_path)) == 350
+    shutil.rmtree(tmp_path / place / "a")  # as within a container, which sees its own group as the top
+    assert list(of_groups(groups, tmp_path)) == [1350]

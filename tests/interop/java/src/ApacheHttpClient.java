@@ -84,7 +84,8 @@ final class ApacheHttpClient {
     private void charsets(Checks checks) {
         checks.check("Turtle in ISO-8859-1, as it is stated by default", () -> {
             String graph = fresh();
-            put(201, graph, new StringEntity("<urn:s> <urn:p> 'b\u00e4r' .", ContentType.parse("text/turtle; charset=ISO-8859-1")));
+            put(201, graph, new StringEntity("<urn:s> <urn:p> 'b\u00e4r' .",
+                ContentType.parse("text/turtle; charset=ISO-8859-1")));
             Checks.yes(read(graph).contains("b\u00e4r"), read(graph));
         });
         checks.check("Turtle without a charset", () -> {
@@ -94,12 +95,14 @@ final class ApacheHttpClient {
         });
         checks.check("Turtle in UTF-8", () -> {
             String graph = fresh();
-            put(201, graph, new StringEntity("<urn:s> <urn:p> 'b\u00e4r\u6f22' .", ContentType.parse("text/turtle; charset=UTF-8")));
+            put(201, graph, new StringEntity("<urn:s> <urn:p> 'b\u00e4r\u6f22' .",
+                ContentType.parse("text/turtle; charset=UTF-8")));
             Checks.yes(read(graph).contains("b\u00e4r\u6f22"), read(graph));
         });
         checks.check("Turtle in UTF-16", () -> {
             String graph = fresh();
-            put(201, graph, new StringEntity("<urn:s> <urn:p> 'b\u00e4r\u6f22' .", ContentType.parse("text/turtle; charset=UTF-16")));
+            put(201, graph, new StringEntity("<urn:s> <urn:p> 'b\u00e4r\u6f22' .",
+                ContentType.parse("text/turtle; charset=UTF-16")));
             Checks.yes(read(graph).contains("b\u00e4r\u6f22"), read(graph));
         });
         checks.check("RDF/XML in ISO-8859-1", () -> {
@@ -117,31 +120,38 @@ final class ApacheHttpClient {
         checks.check("an update in ISO-8859-1", () -> {
             String graph = fresh();
             expect(204, ClassicRequestBuilder.post(url + "sparql").setEntity(new StringEntity(
-                "INSERT DATA { GRAPH <" + graph + "> { <urn:s> <urn:p> 'b\u00e4r' } }", ContentType.parse("application/sparql-update; charset=ISO-8859-1"))).build());
+                "INSERT DATA { GRAPH <" + graph + "> { <urn:s> <urn:p> 'b\u00e4r' } }",
+                    ContentType.parse("application/sparql-update; charset=ISO-8859-1"))).build());
             Checks.yes(read(graph).contains("b\u00e4r"), read(graph));
         });
-        checks.check("JSON for a service in its default charset", () -> expect(201, ClassicRequestBuilder.post(url + "services/aircraft/get_power")
+        checks.check("JSON for a service in its default charset", () -> expect(201, ClassicRequestBuilder.post(url
+            + "services/aircraft/get_power")
             .setEntity(new StringEntity("{}", ContentType.APPLICATION_JSON)).build()));
     }
 
     private void forms(Checks checks) {
         checks.check("a query as a form, as it is encoded by default", () -> {
-            Answer answer = expect(200, ClassicRequestBuilder.post(url + "sparql").setHeader("Accept", "text/csv").setEntity(
-                new UrlEncodedFormEntity(List.of(new BasicNameValuePair("query", "SELECT ('b\u00e4r+&' AS ?x) {}")))).build());
+            Answer answer = expect(200, ClassicRequestBuilder.post(url + "sparql").setHeader("Accept",
+                "text/csv").setEntity(
+                new UrlEncodedFormEntity(List.of(new BasicNameValuePair("query",
+                    "SELECT ('b\u00e4r+&' AS ?x) {}")))).build());
             Checks.yes(answer.body.contains("b\u00e4r+&"), answer);
         });
         checks.check("an update as a form, as it is encoded by default", () -> {
             String graph = fresh();
             expect(204, ClassicRequestBuilder.post(url + "sparql").setEntity(new UrlEncodedFormEntity(List.of(
-                new BasicNameValuePair("update", "INSERT DATA { GRAPH <" + graph + "> { <urn:s> <urn:p> 'b\u00e4r' } }")))).build());
+                new BasicNameValuePair("update", "INSERT DATA { GRAPH <" + graph
+                    + "> { <urn:s> <urn:p> 'b\u00e4r' } }")))).build());
             Checks.yes(read(graph).contains("b\u00e4r"), read(graph));
         });
         checks.check("graphs as multipart/form-data", () -> {
             String graph = fresh();
             for (String value : new String[] {"one", "two"}) {
                 HttpEntity parts = MultipartEntityBuilder.create()
-                    .addBinaryBody("graph", ("<urn:s> <urn:p> '" + value + "' .").getBytes(), ContentType.parse("text/turtle"), "g.ttl").build();
-                Answer answer = send(ClassicRequestBuilder.post(url + "graphs").addParameter("graph", graph).setEntity(parts).build());
+                    .addBinaryBody("graph", ("<urn:s> <urn:p> '" + value + "' .").getBytes(),
+                        ContentType.parse("text/turtle"), "g.ttl").build();
+                Answer answer = send(ClassicRequestBuilder.post(url + "graphs").addParameter("graph",
+                    graph).setEntity(parts).build());
                 Checks.yes(answer.status < 300, answer);
             }
             Checks.yes(read(graph).contains("one") && read(graph).contains("two"), read(graph));
@@ -157,7 +167,8 @@ final class ApacheHttpClient {
         checks.check("a body in chunks", () -> {
             String graph = fresh();
             byte[] body = "<urn:s> <urn:p> 'chunk' .\n".repeat(3000).getBytes();
-            put(201, graph, new InputStreamEntity(new java.io.ByteArrayInputStream(body), ContentType.parse("text/turtle")));
+            put(201, graph, new InputStreamEntity(new java.io.ByteArrayInputStream(body),
+                ContentType.parse("text/turtle")));
             Checks.yes(read(graph).contains("chunk"), "lost");
         });
         checks.check("one connection for read, write, read", () -> {
@@ -175,7 +186,8 @@ final class ApacheHttpClient {
                 .setEntity(new StringEntity("<> <urn:p> 'posted' .", ContentType.parse("text/turtle"))).build();
             Checks.yes(read(expect(201, request).location).contains("posted"), "lost");
         });
-        checks.check("redirects are followed", () -> Checks.yes(read(url + "topics").contains("topics/"), "not followed"));
+        checks.check("redirects are followed", () -> Checks.yes(read(url + "topics").contains("topics/"),
+            "not followed"));
         checks.check("conditional writes", () -> {
             String graph = fresh();
             StringEntity turtle = new StringEntity("<urn:s> <urn:p> 1 .", ContentType.parse("text/turtle"));
@@ -191,7 +203,8 @@ final class ApacheHttpClient {
                 List<Future<SimpleHttpResponse>> sent = new ArrayList<>();
                 for (int i = 0; i < 20; i++) {
                     SimpleHttpRequest request = SimpleRequestBuilder.put(base + "x" + i)
-                        .setBody("<urn:s> <urn:p> " + i + " .", ContentType.parse("text/turtle; charset=UTF-8")).build();
+                        .setBody("<urn:s> <urn:p> " + i + " .",
+                            ContentType.parse("text/turtle; charset=UTF-8")).build();
                     sent.add(client.execute(request, null));
                 }
                 for (Future<SimpleHttpResponse> one : sent) Checks.equal(201, one.get(15, TimeUnit.SECONDS).getCode());

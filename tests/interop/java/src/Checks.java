@@ -60,7 +60,8 @@ final class Checks {
             Throwable cause = error.getCause();
             StackTraceElement[] trace = cause.getStackTrace();
             StringBuilder text = new StringBuilder(cause.toString());
-            for (Throwable deeper = cause.getCause(); deeper != null; deeper = deeper.getCause()) text.append("; ").append(deeper);
+            for (Throwable deeper = cause.getCause(); deeper != null;
+                deeper = deeper.getCause()) text.append("; ").append(deeper);
             for (int i = 0; i < Math.min(12, trace.length); i++) text.append("\n  at ").append(trace[i]);
             return text.toString();
         } catch (Exception error) {

@@ -73,13 +73,15 @@ final class JdkHttpClient {
         checks.check("PUT in chunks", () -> {
             String graph = fresh();
             byte[] body = "<urn:s> <urn:p> 'chunk' .\n".repeat(3000).getBytes(StandardCharsets.UTF_8);
-            expect(201, to(graph).header("Content-Type", "text/turtle").PUT(BodyPublishers.ofInputStream(() -> new ByteArrayInputStream(body))).build());
+            expect(201, to(graph).header("Content-Type", "text/turtle").PUT(BodyPublishers.ofInputStream(() ->
+                new ByteArrayInputStream(body))).build());
             Checks.yes(turtle(graph).contains("chunk"), "the body was lost");
         });
         checks.check("PUT in chunks by a new client", () -> {
             String graph = fresh();
             byte[] body = "<urn:s> <urn:p> 'chunk' .".getBytes(StandardCharsets.UTF_8);
-            HttpRequest request = to(graph).header("Content-Type", "text/turtle").PUT(BodyPublishers.ofInputStream(() -> new ByteArrayInputStream(body))).build();
+            HttpRequest request = to(graph).header("Content-Type", "text/turtle").PUT(BodyPublishers.ofInputStream(() ->
+                new ByteArrayInputStream(body))).build();
             Checks.equal(201, HttpClient.newHttpClient().send(request, BodyHandlers.ofString()).statusCode());
             Checks.yes(turtle(graph).contains("chunk"), "the body was lost");
         });
@@ -87,10 +89,12 @@ final class JdkHttpClient {
             String file = fresh() + ".bin";
             byte[] body = new byte[3_000_000];
             for (int i = 0; i < body.length; i++) body[i] = (byte) i;
-            expect(201, to(file).header("Content-Type", "application/octet-stream").PUT(BodyPublishers.ofByteArray(body)).build());
+            expect(201, to(file).header("Content-Type",
+                "application/octet-stream").PUT(BodyPublishers.ofByteArray(body)).build());
             HttpResponse<byte[]> whole = client.send(to(file).build(), BodyHandlers.ofByteArray());
             Checks.yes(java.util.Arrays.equals(body, whole.body()), "other bytes");
-            HttpResponse<byte[]> part = client.send(to(file).header("Range", "bytes=256-259").build(), BodyHandlers.ofByteArray());
+            HttpResponse<byte[]> part = client.send(to(file).header("Range", "bytes=256-259").build(),
+                BodyHandlers.ofByteArray());
             Checks.equal(206, part.statusCode());
             Checks.yes(java.util.Arrays.equals(new byte[] {0, 1, 2, 3}, part.body()), "another part");
         });
@@ -99,13 +103,16 @@ final class JdkHttpClient {
                 .POST(BodyPublishers.ofString("<> <urn:p> 'posted' .")).build();
             HttpResponse<String> answer = HttpClient.newHttpClient().send(request, BodyHandlers.ofString());
             Checks.equal(201, answer.statusCode());
-            Checks.yes(turtle(answer.headers().firstValue("Location").orElseThrow()).contains("posted"), "the body was lost");
+            Checks.yes(turtle(answer.headers().firstValue("Location").orElseThrow()).contains("posted"),
+                "the body was lost");
         });
         checks.check("a service is called, by a new client", () -> {
-            HttpRequest request = to(url + "services/aircraft/engine/set_direction").header("Content-Type", "application/json")
+            HttpRequest request = to(url + "services/aircraft/engine/set_direction").header("Content-Type",
+                "application/json")
                 .header("Accept", "application/json").POST(BodyPublishers.ofString("{\"data\": 0}")).build();
             HttpResponse<String> answer = HttpClient.newHttpClient().send(request, BodyHandlers.ofString());
-            Checks.yes(answer.statusCode() == 201 || answer.statusCode() == 422, answer.statusCode() + ": " + answer.body());
+            Checks.yes(answer.statusCode() == 201 || answer.statusCode() == 422, answer.statusCode() + ": "
+                + answer.body());
         });
         checks.check("PATCH", () -> {
             String graph = fresh();
@@ -126,7 +133,8 @@ final class JdkHttpClient {
             expect(204, to(graph).DELETE().build());
             Checks.yes(send(to(graph).build()).statusCode() >= 404, "still there");
         });
-        checks.check("a topic is published", () -> expect(204, to(url + "topics/cockpit/display").header("Content-Type", "application/json")
+        checks.check("a topic is published", () -> expect(204, to(url + "topics/cockpit/display").header("Content-Type",
+            "application/json")
             .PUT(BodyPublishers.ofString("{\"data\": \"java\"}")).build()));
     }
 
@@ -138,13 +146,15 @@ final class JdkHttpClient {
         });
         checks.check("If-None-Match is 304", () -> {
             HttpResponse<String> answer = send(to(url + "ontology").build());
-            expect(304, to(url + "ontology").header("If-None-Match", answer.headers().firstValue("ETag").orElseThrow()).build());
+            expect(304, to(url + "ontology").header("If-None-Match",
+                answer.headers().firstValue("ETag").orElseThrow()).build());
         });
         checks.check("If-Match of an older state is 412", () -> {
             String graph = fresh();
             String tag = send(put(graph, "<urn:s> <urn:p> 1 .")).headers().firstValue("ETag").orElseThrow();
             expect(204, put(graph, "<urn:s> <urn:p> 2 ."));
-            expect(412, to(graph).header("Content-Type", "text/turtle").header("If-Match", tag).PUT(BodyPublishers.ofString("")).build());
+            expect(412, to(graph).header("Content-Type", "text/turtle").header("If-Match",
+                tag).PUT(BodyPublishers.ofString("")).build());
         });
         checks.check("redirects are followed where asked", () -> {
             HttpClient following = HttpClient.newBuilder().followRedirects(HttpClient.Redirect.NORMAL).build();
@@ -156,8 +166,10 @@ final class JdkHttpClient {
         checks.check("fifty writes side by side", () -> {
             String base = fresh();
             List<CompletableFuture<HttpResponse<String>>> sent = IntStream.range(0, 50)
-                .mapToObj(i -> client.sendAsync(put(base + "x" + i, "<urn:s> <urn:p> " + i + " ."), BodyHandlers.ofString())).toList();
-            for (CompletableFuture<HttpResponse<String>> one : sent) Checks.equal(201, one.get(15, TimeUnit.SECONDS).statusCode());
+                .mapToObj(i -> client.sendAsync(put(base + "x" + i, "<urn:s> <urn:p> " + i + " ."),
+                    BodyHandlers.ofString())).toList();
+            for (CompletableFuture<HttpResponse<String>> one : sent) Checks.equal(201, one.get(15,
+                TimeUnit.SECONDS).statusCode());
             for (int i = 0; i < 50; i++) Checks.yes(turtle(base + "x" + i).contains("\"" + i + "\""), "lost: " + i);
         });
         checks.check("a request after a refused one is carried out", () -> {
@@ -178,8 +190,10 @@ final class JdkHttpClient {
         });
         checks.check("a WebSocket tells of a change", () -> {
             String wish = "{\"@context\": [\"https://www.w3.org/ns/solid/notification/v1\"], "
-                + "\"type\": \"http://www.w3.org/ns/solid/notifications#WebSocketChannel2023\", \"topic\": \"" + url + "data/\"}";
-            HttpResponse<String> made = send(to(url + "channels/WebSocketChannel2023").header("Content-Type", "application/ld+json")
+                + "\"type\": \"http://www.w3.org/ns/solid/notifications#WebSocketChannel2023\", \"topic\": \"" + url
+                    + "data/\"}";
+            HttpResponse<String> made = send(to(url + "channels/WebSocketChannel2023").header("Content-Type",
+                "application/ld+json")
                 .header("Accept", "application/ld+json").POST(BodyPublishers.ofString(wish)).build());
             String from = made.body().replaceAll("(?s).*\"receiveFrom\":\\s*\"([^\"]+)\".*", "$1");
             CompletableFuture<String> told = new CompletableFuture<>();

@@ -39,7 +39,8 @@ final class JenaGraphStore {
     private static Model model(String... values) {
         Model model = ModelFactory.createDefaultModel();
         for (String value : values)
-            model.add(ResourceFactory.createResource("http://example.org/s"), ResourceFactory.createProperty("http://example.org/p"), value);
+            model.add(ResourceFactory.createResource("http://example.org/s"),
+                ResourceFactory.createProperty("http://example.org/p"), value);
         return model;
     }
 
@@ -143,8 +144,10 @@ final class JenaGraphStore {
             String graph = fresh();
             try (RDFConnection connection = connection()) {
                 connection.put(graph, model("a"));
-                Checks.yes(connection.queryAsk("ASK { GRAPH <" + graph + "> { <http://example.org/s> <http://example.org/p> 'a' } }"), "not queried");
-                connection.update("INSERT DATA { GRAPH <" + graph + "> { <http://example.org/s> <http://example.org/p> 'b' } }");
+                Checks.yes(connection.queryAsk("ASK { GRAPH <" + graph
+                    + "> { <http://example.org/s> <http://example.org/p> 'a' } }"), "not queried");
+                connection.update("INSERT DATA { GRAPH <" + graph
+                    + "> { <http://example.org/s> <http://example.org/p> 'b' } }");
                 holds(connection.fetch(graph), "a", "b");
             }
         });
@@ -193,7 +196,8 @@ final class JenaGraphStore {
                 Checks.fails(HttpException.class, "4", () -> connection.put(model("a")));
                 Checks.fails(HttpException.class, "4", () -> connection.load(model("a")));
                 Checks.fails(HttpException.class, "4", connection::delete);
-                Checks.yes(!connection.queryAsk("ASK { GRAPH <" + url + "graphs> { <http://example.org/s> <http://example.org/p> 'a' } }"), "written");
+                Checks.yes(!connection.queryAsk("ASK { GRAPH <" + url
+                    + "graphs> { <http://example.org/s> <http://example.org/p> 'a' } }"), "written");
             }
         });
     }
@@ -214,9 +218,12 @@ final class JenaGraphStore {
                 holds(connection.fetch(graph), "a");
             }
         });
-        checks.check("load of a file of Turtle", () -> loaded(".ttl", "<http://example.org/s> <http://example.org/p> 'a' ."));
-        checks.check("load of a file of N-Triples", () -> loaded(".nt", "<http://example.org/s> <http://example.org/p> \"a\" ."));
-        checks.check("load of a file of JSON-LD", () -> loaded(".jsonld", "{\"@id\": \"http://example.org/s\", \"http://example.org/p\": \"a\"}"));
+        checks.check("load of a file of Turtle", () -> loaded(".ttl",
+            "<http://example.org/s> <http://example.org/p> 'a' ."));
+        checks.check("load of a file of N-Triples", () -> loaded(".nt",
+            "<http://example.org/s> <http://example.org/p> \"a\" ."));
+        checks.check("load of a file of JSON-LD", () -> loaded(".jsonld",
+            "{\"@id\": \"http://example.org/s\", \"http://example.org/p\": \"a\"}"));
         checks.check("load of a file of RDF/XML", () -> loaded(".rdf",
             "<rdf:RDF xmlns:rdf='http://www.w3.org/1999/02/22-rdf-syntax-ns#' xmlns:u='http://example.org/'>"
                 + "<rdf:Description rdf:about='http://example.org/s'><u:p>a</u:p></rdf:Description></rdf:RDF>"));
@@ -250,7 +257,8 @@ final class JenaGraphStore {
         checks.check("fetch as N-Quads", () -> fetched(WebContent.contentTypeNQuads));
         checks.check("fetch as TriG", () -> fetched(WebContent.contentTypeTriG));
         checks.check("fetch of the default graph as RDF/XML", () -> {
-            try (RDFConnection connection = JenaQuery.builder(url).acceptHeaderGraph(WebContent.contentTypeRDFXML).build()) {
+            try (RDFConnection connection =
+                JenaQuery.builder(url).acceptHeaderGraph(WebContent.contentTypeRDFXML).build()) {
                 Checks.yes(connection.fetch().size() > 500, "too small");
             }
         });
@@ -269,7 +277,8 @@ final class JenaGraphStore {
             Checks.yes(GSP.service(url + "graphs").defaultGraph().GET().size() > 500, "too small"));
         checks.check("GSP PUT of a file with its syntax", () -> {
             String graph = fresh();
-            GSP.service(url + "graphs").graphName(graph).contentType(RDFFormat.TURTLE).PUT(file(".x", "<http://example.org/s> <http://example.org/p> 'a' .").toString());
+            GSP.service(url + "graphs").graphName(graph).contentType(RDFFormat.TURTLE).PUT(file(".x",
+                "<http://example.org/s> <http://example.org/p> 'a' .").toString());
             holds(ModelFactory.createModelForGraph(GSP.service(url + "graphs").graphName(graph).GET()), "a");
         });
         checks.check("GSP names with letters of all kinds", () -> {
@@ -301,7 +310,8 @@ final class JenaGraphStore {
             Model found = ModelFactory.createDefaultModel().read(url + "topics/aircraft/engine/speed");
             Checks.yes(found.size() > 5, found);
         });
-        checks.check("a page is loaded as a model", () -> Checks.yes(RDFDataMgr.loadModel(url + "nodes/aircraft").size() > 3, "too small"));
+        checks.check("a page is loaded as a model", () -> Checks.yes(RDFDataMgr.loadModel(url
+            + "nodes/aircraft").size() > 3, "too small"));
         checks.check("a page is loaded as a dataset, into its default graph", () -> {
             DatasetGraph found = RDFParser.source(url + "topics/aircraft/engine/speed").toDatasetGraph();
             Checks.yes(found.getDefaultGraph().size() > 5, "the default graph has " + found.getDefaultGraph().size());
@@ -313,16 +323,20 @@ final class JenaGraphStore {
     }
 
     private static final String[] PAGES = {
-        "", "topics/", "topics/aircraft/engine/speed", "nodes/", "services/aircraft/start", "parameters/", "parameters/cockpit/night",
-        "resources/", "resources/aircraft/", "resources/aircraft/power", "mappings/", "data/", "queries/", "queries/inventory", "sparql",
-        "ontology", "shapes/limits", "shapes/mapping", "shapes/std_msgs/msg/String", "types/std_msgs/msg/String", "calls/", "bags/",
+        "", "topics/", "topics/aircraft/engine/speed", "nodes/", "services/aircraft/start", "parameters/",
+            "parameters/cockpit/night",
+        "resources/", "resources/aircraft/", "resources/aircraft/power", "mappings/", "data/", "queries/",
+            "queries/inventory", "sparql",
+        "ontology", "shapes/limits", "shapes/mapping", "shapes/std_msgs/msg/String", "types/std_msgs/msg/String",
+            "calls/", "bags/",
     };
 
     private void read(Lang lang) {
         StringBuilder failed = new StringBuilder();
         for (String path : PAGES) {
             try {
-                Graph found = RDFParser.source(url + path).acceptHeader(lang.getContentType().getContentTypeStr()).toGraph();
+                Graph found = RDFParser.source(url
+                    + path).acceptHeader(lang.getContentType().getContentTypeStr()).toGraph();
                 Checks.yes(found.size() > 0, "no triples");
             } catch (Exception | AssertionError error) {
                 failed.append('/').append(path).append(": ").append(error).append('\n');

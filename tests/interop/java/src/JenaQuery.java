@@ -80,12 +80,14 @@ final class JenaQuery {
     private void forms(Checks checks) {
         checks.check("queryResultSet of a string", () -> {
             try (RDFConnection connection = connection()) {
-                connection.queryResultSet(select(), results -> Checks.equal(Set.copyOf(VALUES), Set.copyOf(values(results))));
+                connection.queryResultSet(select(), results -> Checks.equal(Set.copyOf(VALUES),
+                    Set.copyOf(values(results))));
             }
         });
         checks.check("queryResultSet of a query", () -> {
             try (RDFConnection connection = connection()) {
-                connection.queryResultSet(QueryFactory.create(select()), results -> Checks.equal(3, values(results).size()));
+                connection.queryResultSet(QueryFactory.create(select()), results -> Checks.equal(3,
+                    values(results).size()));
             }
         });
         checks.check("querySelect of a string", () -> {
@@ -98,7 +100,8 @@ final class JenaQuery {
         checks.check("querySelect of a query", () -> {
             List<String> found = new ArrayList<>();
             try (RDFConnection connection = connection()) {
-                connection.querySelect(QueryFactory.create(select()), row -> found.add(row.getLiteral("o").getLexicalForm()));
+                connection.querySelect(QueryFactory.create(select()), row ->
+                    found.add(row.getLiteral("o").getLexicalForm()));
             }
             Checks.equal(VALUES.size(), found.size());
         });
@@ -130,7 +133,8 @@ final class JenaQuery {
         });
         checks.check("queryDescribe of a query", () -> {
             try (RDFConnection connection = connection()) {
-                Model found = connection.queryDescribe(QueryFactory.create("DESCRIBE <" + url + "topics/aircraft/engine/speed>"));
+                Model found = connection.queryDescribe(QueryFactory.create("DESCRIBE <" + url
+                    + "topics/aircraft/engine/speed>"));
                 Checks.yes(found.size() > 5, found);
             }
         });
@@ -140,7 +144,8 @@ final class JenaQuery {
             }
         });
         checks.check("query of a query, then execAsk", () -> {
-            try (RDFConnection connection = connection(); QueryExecution execution = connection.query(QueryFactory.create(ask()))) {
+            try (RDFConnection connection = connection();
+                QueryExecution execution = connection.query(QueryFactory.create(ask()))) {
                 Checks.yes(execution.execAsk(), "false");
             }
         });
@@ -152,13 +157,15 @@ final class JenaQuery {
             }
         });
         checks.check("query, then execDescribeTriples", () -> {
-            try (RDFConnection connection = connection(); QueryExecution execution = connection.query("DESCRIBE <urn:s>")) {
+            try (RDFConnection connection = connection();
+                QueryExecution execution = connection.query("DESCRIBE <urn:s>")) {
                 Checks.yes(execution.execDescribeTriples().hasNext(), "nothing");
             }
         });
         checks.check("an expression without a pattern", () -> {
             try (RDFConnection connection = connection()) {
-                connection.queryResultSet("SELECT (1 AS ?o) {}", results -> Checks.equal(List.of("1"), values(results)));
+                connection.queryResultSet("SELECT (1 AS ?o) {}", results -> Checks.equal(List.of("1"),
+                    values(results)));
             }
         });
         checks.check("newQuery with a substitution", () -> {
@@ -177,7 +184,8 @@ final class JenaQuery {
         });
         checks.check("an unbound variable", () -> {
             try (RDFConnection connection = connection()) {
-                connection.querySelect("SELECT ?x ?y { VALUES (?x ?y) { (1 UNDEF) } }", row -> Checks.yes(!row.contains("y"), row));
+                connection.querySelect("SELECT ?x ?y { VALUES (?x ?y) { (1 UNDEF) } }", row ->
+                    Checks.yes(!row.contains("y"), row));
             }
         });
         checks.check("everything of the robot", () -> {
@@ -193,7 +201,8 @@ final class JenaQuery {
 
     private void selected(String accepted) {
         try (RDFConnection connection = builder(url).acceptHeaderSelectQuery(accepted).build()) {
-            connection.queryResultSet(select(), results -> Checks.equal(Set.copyOf(VALUES), Set.copyOf(values(results))));
+            connection.queryResultSet(select(), results -> Checks.equal(Set.copyOf(VALUES),
+                Set.copyOf(values(results))));
         }
     }
 
@@ -227,7 +236,8 @@ final class JenaQuery {
         checks.check("CONSTRUCT as TriG", () -> constructed(WebContent.contentTypeTriG));
         checks.check("CONSTRUCT as anything", () -> constructed("*/*"));
         checks.check("one Accept header for all forms", () -> {
-            try (RDFConnection connection = builder(url).acceptHeaderQuery(WebContent.contentTypeResultsXML + ", text/turtle;q=0.9").build()) {
+            try (RDFConnection connection = builder(url).acceptHeaderQuery(WebContent.contentTypeResultsXML
+                + ", text/turtle;q=0.9").build()) {
                 Checks.yes(connection.queryAsk(ask()), "false");
                 Checks.equal(3L, connection.queryConstruct(construct()).size());
             }
@@ -260,7 +270,8 @@ final class JenaQuery {
     private void datasets(Checks checks) {
         String any = "SELECT ?o { ?s <urn:p> ?o }";
         checks.check("default-graph-uri", () -> {
-            try (QueryExecution execution = QueryExecutionHTTP.service(endpoint).queryString(any).addDefaultGraphURI(graph).build()) {
+            try (QueryExecution execution =
+                QueryExecutionHTTP.service(endpoint).queryString(any).addDefaultGraphURI(graph).build()) {
                 Checks.equal(3, values(execution.execSelect()).size());
             }
         });
@@ -284,7 +295,8 @@ final class JenaQuery {
         });
         checks.check("FROM", () -> {
             try (RDFConnection connection = connection()) {
-                connection.queryResultSet("SELECT ?o FROM <" + graph + "> { ?s <urn:p> ?o }", results -> Checks.equal(3, values(results).size()));
+                connection.queryResultSet("SELECT ?o FROM <" + graph + "> { ?s <urn:p> ?o }", results -> Checks.equal(3,
+                    values(results).size()));
             }
         });
         checks.check("FROM NAMED", () -> {
@@ -294,7 +306,8 @@ final class JenaQuery {
             }
         });
         checks.check("a limit of time", () -> {
-            try (QueryExecution execution = QueryExecutionHTTP.service(endpoint).param("timeout", "5").queryString(any).timeout(10_000).build()) {
+            try (QueryExecution execution = QueryExecutionHTTP.service(endpoint).param("timeout",
+                "5").queryString(any).timeout(10_000).build()) {
                 Checks.yes(execution.execSelect().hasNext(), "nothing");
             }
         });
@@ -308,7 +321,8 @@ final class JenaQuery {
         });
         checks.check("a format that does not exist is refused by 406", () -> {
             try (RDFConnection connection = builder(url).acceptHeaderSelectQuery("application/x-none").build()) {
-                Checks.fails(QueryExceptionHTTP.class, "406", () -> connection.queryResultSet(select(), results -> { }));
+                Checks.fails(QueryExceptionHTTP.class, "406", () -> connection.queryResultSet(select(), results ->
+                    { }));
             }
         });
         checks.check("a request after a refused one is answered", () -> {
@@ -326,15 +340,21 @@ final class JenaQuery {
     }
 
     private void federation(Checks checks) {
-        checks.check("SERVICE", () -> Checks.equal(3, federated("SELECT ?o { SERVICE <" + endpoint + "> { GRAPH <" + graph + "> { ?s <urn:p> ?o } } }").size()));
+        checks.check("SERVICE", () -> Checks.equal(3, federated("SELECT ?o { SERVICE <" + endpoint + "> { GRAPH <"
+            + graph + "> { ?s <urn:p> ?o } } }").size()));
         checks.check("SERVICE with a join from outside", () -> Checks.equal(List.of("a"), federated(
-            "SELECT ?o { VALUES ?o { 'a' 'z' } SERVICE <" + endpoint + "> { GRAPH <" + graph + "> { ?s <urn:p> ?o } } }")));
+            "SELECT ?o { VALUES ?o { 'a' 'z' } SERVICE <" + endpoint + "> { GRAPH <" + graph
+                + "> { ?s <urn:p> ?o } } }")));
         checks.check("SERVICE that is a variable", () -> Checks.equal(3, federated(
-            "SELECT ?o { VALUES ?at { <" + endpoint + "> } SERVICE ?at { GRAPH <" + graph + "> { ?s <urn:p> ?o } } }").size()));
-        checks.check("SERVICE SILENT", () -> Checks.equal(3, federated("SELECT ?o { SERVICE SILENT <" + endpoint + "> { GRAPH <" + graph + "> { ?s <urn:p> ?o } } }").size()));
+            "SELECT ?o { VALUES ?at { <" + endpoint + "> } SERVICE ?at { GRAPH <" + graph
+                + "> { ?s <urn:p> ?o } } }").size()));
+        checks.check("SERVICE SILENT", () -> Checks.equal(3, federated("SELECT ?o { SERVICE SILENT <" + endpoint
+            + "> { GRAPH <" + graph + "> { ?s <urn:p> ?o } } }").size()));
         checks.check("SERVICE with OPTIONAL and FILTER", () -> Checks.equal(List.of("1"), federated(
-            "SELECT ?o { SERVICE <" + endpoint + "> { GRAPH <" + graph + "> { ?s <urn:p> ?o OPTIONAL { ?o <urn:q> ?x } FILTER(isNumeric(?o)) } } }")));
+            "SELECT ?o { SERVICE <" + endpoint + "> { GRAPH <" + graph
+                + "> { ?s <urn:p> ?o OPTIONAL { ?o <urn:q> ?x } FILTER(isNumeric(?o)) } } }")));
         checks.check("SERVICE with a sub-query", () -> Checks.equal(1, federated(
-            "SELECT ?o { SERVICE <" + endpoint + "> { SELECT ?o { GRAPH <" + graph + "> { ?s <urn:p> ?o } } ORDER BY ?o LIMIT 1 } }").size()));
+            "SELECT ?o { SERVICE <" + endpoint + "> { SELECT ?o { GRAPH <" + graph
+                + "> { ?s <urn:p> ?o } } ORDER BY ?o LIMIT 1 } }").size()));
     }
 }

@@ -136,7 +136,8 @@ final class JenaUpdate {
             String to = fresh();
             update(insert(from, "1"));
             UpdateExecutionHTTP.service(url + "sparql").addUsingGraphURI(from)
-                .update("INSERT { GRAPH <" + to + "> { ?s ?p ?o } } WHERE { ?s ?p ?o . FILTER(?p = <urn:p>) }").build().execute();
+                .update("INSERT { GRAPH <" + to
+                    + "> { ?s ?p ?o } } WHERE { ?s ?p ?o . FILTER(?p = <urn:p>) }").build().execute();
             expect(to, "1");
         });
         checks.check("using-named-graph-uri in a form", () -> {
@@ -144,7 +145,8 @@ final class JenaUpdate {
             String to = fresh();
             update(insert(from, "1"));
             UpdateExecutionHTTP.service(url + "sparql").sendMode(UpdateSendMode.asPostForm).addUsingNamedGraphURI(from)
-                .update("INSERT { GRAPH <" + to + "> { ?s <urn:p> ?o } } WHERE { GRAPH ?g { ?s <urn:p> ?o } }").build().execute();
+                .update("INSERT { GRAPH <" + to
+                    + "> { ?s <urn:p> ?o } } WHERE { GRAPH ?g { ?s <urn:p> ?o } }").build().execute();
             expect(to, "1");
         });
     }
@@ -166,7 +168,8 @@ final class JenaUpdate {
         checks.check("DELETE and INSERT", () -> {
             String graph = fresh();
             update(insert(graph, "1"));
-            update("WITH <" + graph + "> DELETE { ?s ?p ?o } INSERT { ?s ?p ?n } WHERE { ?s ?p ?o . FILTER(?p = <urn:p>) BIND(?o + 1 AS ?n) }");
+            update("WITH <" + graph
+                + "> DELETE { ?s ?p ?o } INSERT { ?s ?p ?n } WHERE { ?s ?p ?o . FILTER(?p = <urn:p>) BIND(?o + 1 AS ?n) }");
             expect(graph, "2");
             expectNot(graph, "1");
         });
@@ -185,11 +188,13 @@ final class JenaUpdate {
         checks.check("several operations see each other", () -> {
             String from = fresh();
             String to = fresh();
-            update(insert(from, "1") + "; INSERT { GRAPH <" + to + "> { ?s ?p ?o } } WHERE { GRAPH <" + from + "> { ?s ?p ?o . FILTER(?p = <urn:p>) } }");
+            update(insert(from, "1") + "; INSERT { GRAPH <" + to + "> { ?s ?p ?o } } WHERE { GRAPH <" + from
+                + "> { ?s ?p ?o . FILTER(?p = <urn:p>) } }");
             expect(to, "1");
         });
         checks.check("LOAD of a graph that may not be loaded is refused", () ->
-            Checks.fails(HttpException.class, "403", () -> update("LOAD <http://127.0.0.1:9/x> INTO GRAPH <" + fresh() + ">")));
+            Checks.fails(HttpException.class, "403", () -> update("LOAD <http://127.0.0.1:9/x> INTO GRAPH <" + fresh()
+                + ">")));
     }
 
     private void graphs(Checks checks) {
@@ -217,7 +222,8 @@ final class JenaUpdate {
             update("DROP GRAPH <" + graph + ">");
             expectNot(graph, "?o");
         });
-        checks.check("DROP SILENT GRAPH of one that does not exist", () -> update("DROP SILENT GRAPH <" + fresh() + ">"));
+        checks.check("DROP SILENT GRAPH of one that does not exist", () -> update("DROP SILENT GRAPH <" + fresh()
+            + ">"));
         checks.check("DROP, then INSERT", () -> {
             String graph = fresh();
             update(insert(graph, "1"));
@@ -257,7 +263,8 @@ final class JenaUpdate {
         });
         checks.check("an update of a sensor is refused by 403", () -> Checks.fails(HttpException.class, "403",
             () -> update(insert(url + "topics/aircraft/engine/speed", "1"))));
-        checks.check("an insertion into the default graph is refused by 422", () -> Checks.fails(HttpException.class, "422",
+        checks.check("an insertion into the default graph is refused by 422", () -> Checks.fails(HttpException.class,
+            "422",
             () -> update("INSERT DATA { <urn:s> <urn:p> 1 }")));
         checks.check("an update after a refused one is carried out", () -> {
             String graph = fresh();

@@ -63,7 +63,8 @@ final class Rdf4jRepository {
 
     private static Set<String> values(RepositoryConnection connection, IRI graph) {
         Set<String> found = new TreeSet<>();
-        try (TupleQueryResult rows = connection.prepareTupleQuery("SELECT ?o { GRAPH <" + graph + "> { <urn:s> <urn:p> ?o } }").evaluate()) {
+        try (TupleQueryResult rows = connection.prepareTupleQuery("SELECT ?o { GRAPH <" + graph
+            + "> { <urn:s> <urn:p> ?o } }").evaluate()) {
             rows.forEach(row -> found.add(row.getValue("o").stringValue()));
         }
         return found;
@@ -100,7 +101,8 @@ final class Rdf4jRepository {
         }));
         checks.check("prepareTupleQuery into a handler", () -> with(connection -> {
             List<String> seen = new ArrayList<>();
-            connection.prepareTupleQuery("SELECT ?x { VALUES ?x { 1 2 3 } }").evaluate(new org.eclipse.rdf4j.query.AbstractTupleQueryResultHandler() {
+            connection.prepareTupleQuery("SELECT ?x { VALUES ?x { 1 2 3 } }").evaluate(new
+                org.eclipse.rdf4j.query.AbstractTupleQueryResultHandler() {
                 @Override
                 public void handleSolution(org.eclipse.rdf4j.query.BindingSet row) {
                     seen.add(row.getValue("x").stringValue());
@@ -122,16 +124,19 @@ final class Rdf4jRepository {
         checks.check("prepareGraphQuery of a CONSTRUCT", () -> with(connection -> {
             IRI graph = fresh();
             insert(connection, graph, "1, 'a'");
-            GraphQuery query = connection.prepareGraphQuery("CONSTRUCT { ?s ?p ?o } WHERE { GRAPH <" + graph + "> { ?s ?p ?o . FILTER(?p = <urn:p>) } }");
+            GraphQuery query = connection.prepareGraphQuery("CONSTRUCT { ?s ?p ?o } WHERE { GRAPH <" + graph
+                + "> { ?s ?p ?o . FILTER(?p = <urn:p>) } }");
             Checks.equal(2, QueryResults.asModel(query.evaluate()).size());
         }));
         checks.check("prepareGraphQuery of a DESCRIBE", () -> with(connection -> Checks.yes(QueryResults.asModel(
-            connection.prepareGraphQuery("DESCRIBE <" + url + "topics/aircraft/engine/speed>").evaluate()).size() > 5, "too small")));
+            connection.prepareGraphQuery("DESCRIBE <" + url + "topics/aircraft/engine/speed>").evaluate()).size() > 5,
+                "too small")));
         checks.check("prepareGraphQuery into a handler", () -> with(connection -> {
             IRI graph = fresh();
             insert(connection, graph, "1, 'a'");
             StatementCollector found = new StatementCollector();
-            connection.prepareGraphQuery("CONSTRUCT { ?s <urn:p> ?o } WHERE { GRAPH <" + graph + "> { ?s <urn:p> ?o } }").evaluate(found);
+            connection.prepareGraphQuery("CONSTRUCT { ?s <urn:p> ?o } WHERE { GRAPH <" + graph
+                + "> { ?s <urn:p> ?o } }").evaluate(found);
             Checks.equal(2, found.getStatements().size());
         }));
         checks.check("prepareQuery of any form", () -> with(connection ->
@@ -188,7 +193,8 @@ final class Rdf4jRepository {
         checks.check("getStatements of the union", () -> with(connection -> {
             IRI graph = fresh();
             insert(connection, graph, "'of the union'");
-            Checks.equal(1, QueryResults.asList(connection.getStatements(S, P, VALUES.createLiteral("of the union"))).size());
+            Checks.equal(1, QueryResults.asList(connection.getStatements(S, P,
+                VALUES.createLiteral("of the union"))).size());
         }));
         checks.check("getStatements of everything", () -> with(connection ->
             Checks.yes(QueryResults.asList(connection.getStatements(null, null, null)).size() > 500, "too few")));
@@ -203,7 +209,8 @@ final class Rdf4jRepository {
             insert(connection, graph, "1, 'a'");
             Checks.yes(connection.size(graph) >= 2, connection.size(graph));
         }));
-        checks.check("size of the union", () -> with(connection -> Checks.yes(connection.size() > 500, connection.size())));
+        checks.check("size of the union", () -> with(connection -> Checks.yes(connection.size() > 500,
+            connection.size())));
         checks.check("isEmpty", () -> with(connection -> Checks.yes(!connection.isEmpty(), "empty")));
         checks.check("getContextIDs", () -> with(connection -> {
             IRI graph = fresh();
@@ -230,7 +237,8 @@ final class Rdf4jRepository {
             try (RepositoryConnection connection = quads.getConnection()) {
                 IRI graph = fresh();
                 insert(connection, graph, "'in a graph'");
-                List<Statement> found = QueryResults.asList(connection.getStatements(S, P, VALUES.createLiteral("in a graph")));
+                List<Statement> found = QueryResults.asList(connection.getStatements(S, P,
+                    VALUES.createLiteral("in a graph")));
                 Checks.equal(1, found.size());
                 Checks.equal(graph, found.get(0).getContext());
             }
@@ -252,7 +260,8 @@ final class Rdf4jRepository {
             insert(connection, from, "1");
             SimpleDataset dataset = new SimpleDataset();
             dataset.addDefaultGraph(from);
-            Update update = connection.prepareUpdate("INSERT { GRAPH <" + to + "> { ?s <urn:p> ?o } } WHERE { ?s <urn:p> ?o }");
+            Update update = connection.prepareUpdate("INSERT { GRAPH <" + to
+                + "> { ?s <urn:p> ?o } } WHERE { ?s <urn:p> ?o }");
             update.setDataset(dataset);
             update.execute();
             holds(connection, to, "1");
@@ -260,14 +269,16 @@ final class Rdf4jRepository {
         checks.check("DELETE and INSERT", () -> with(connection -> {
             IRI graph = fresh();
             insert(connection, graph, "1");
-            connection.prepareUpdate("WITH <" + graph + "> DELETE { ?s ?p ?o } INSERT { ?s ?p 2 } WHERE { ?s ?p ?o . FILTER(?p = <urn:p>) }").execute();
+            connection.prepareUpdate("WITH <" + graph
+                + "> DELETE { ?s ?p ?o } INSERT { ?s ?p 2 } WHERE { ?s ?p ?o . FILTER(?p = <urn:p>) }").execute();
             holds(connection, graph, "2");
         }));
         checks.check("an update of the robot", () -> with(connection -> {
             String graph = url + "resources/cockpit/brightness";
             for (String value : new String[] {"0.25", "0.8"})
                 connection.prepareUpdate("PREFIX rdf: <http://www.w3.org/1999/02/22-rdf-syntax-ns#> WITH <" + graph
-                    + "> DELETE { ?s rdf:value ?o } INSERT { ?s rdf:value " + value + "e0 } WHERE { ?s rdf:value ?o }").execute();
+                    + "> DELETE { ?s rdf:value ?o } INSERT { ?s rdf:value " + value
+                        + "e0 } WHERE { ?s rdf:value ?o }").execute();
         }));
     }
 
@@ -380,7 +391,8 @@ final class Rdf4jRepository {
             try {
                 insert(connection, VALUES.createIRI(url + "topics/aircraft/engine/speed"), "1");
             } catch (UpdateExecutionException | RepositoryException error) {
-                Checks.yes(String.valueOf(error).contains("published") || String.valueOf(error.getCause()).contains("published"), error);
+                Checks.yes(String.valueOf(error).contains("published") ||
+                    String.valueOf(error.getCause()).contains("published"), error);
                 return;
             }
             throw new AssertionError("done");

@@ -12,9 +12,12 @@ import org.eclipse.rdf4j.rio.Rio;
 /** RDF4J's Rio over the JDK's older HttpURLConnection: it reads pages and writes graphs in each syntax. */
 final class Rdf4jRio {
     private static final String[] PAGES = {
-        "", "topics/", "topics/aircraft/engine/speed", "nodes/", "services/aircraft/start", "parameters/", "parameters/cockpit/night",
-        "resources/", "resources/aircraft/", "resources/aircraft/power", "mappings/", "data/", "queries/", "queries/inventory", "sparql",
-        "ontology", "shapes/limits", "shapes/mapping", "shapes/std_msgs/msg/String", "types/std_msgs/msg/String", "calls/", "bags/",
+        "", "topics/", "topics/aircraft/engine/speed", "nodes/", "services/aircraft/start", "parameters/",
+            "parameters/cockpit/night",
+        "resources/", "resources/aircraft/", "resources/aircraft/power", "mappings/", "data/", "queries/",
+            "queries/inventory", "sparql",
+        "ontology", "shapes/limits", "shapes/mapping", "shapes/std_msgs/msg/String", "types/std_msgs/msg/String",
+            "calls/", "bags/",
     };
 
     private final String url;
@@ -57,7 +60,8 @@ final class Rdf4jRio {
             try {
                 Model found = read(url + path, format);
                 Checks.yes(!found.isEmpty(), "no triples");
-                Checks.yes(!quads || !found.filter(null, null, null, (org.eclipse.rdf4j.model.Resource) null).isEmpty(), "nothing in the default graph");
+                Checks.yes(!quads || !found.filter(null, null, null, (org.eclipse.rdf4j.model.Resource) null).isEmpty(),
+                    "nothing in the default graph");
             } catch (Exception | AssertionError error) {
                 failed.append('/').append(path).append(": ").append(error).append('\n');
             }

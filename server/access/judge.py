@@ -41,6 +41,12 @@ class Judge:
         self._types = types
         self._located = lru_cache(maxsize=16384)(self._locate)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """For a worker process. Raises TypeError where types matter: what is where is known to the server only."""
+        if self.rights.is_typed:
+            raise TypeError("rights that depend on types are judged in the server only")
+        return Judge, (self.agent, Rights(self.rights.rules), self._space)
+
     def may_read(self, url: str) -> bool:
         """Whether what is at a URL may be read, whatever its query and fragment."""
         return self.may("GET", url)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from rosld.ontology.document import Document
 from rosld.server.access.judge import Judge
@@ -26,12 +27,17 @@ def veiled_state(
     def described() -> Document:
         return veiled(state.document if document is None else document(), judge)
 
+    is_for_worker = state.is_large and document is None
     return replace(
         state,
-        describe=described,
+        describe=partial(_veiled_document, state.describe, judge) if is_for_worker else described,
         plain=state.plain if plain is None else plain,
         token=state.tag,
         view=None if state.view is None else veiled_view(state.view, judge),
         renderings={},
         veils={},
     )
+
+
+def _veiled_document(describe: Callable[[], Document], judge: Judge) -> Document:
+    return veiled(describe(), judge)

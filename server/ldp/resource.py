@@ -17,7 +17,7 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.ontology.serialize import Syntax
 from rosld.server.access.judge import Judge
-from rosld.server.html import Csrf, Form, Listing, Notice, Page, Site, Step, render_page
+from rosld.server.html import Csrf, Form, Listing, Notice, Page, Site, Step
 from rosld.server.http.link import Link, uri
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
@@ -130,23 +130,23 @@ class Resource:
         """The URL of what constrains the bodies it takes, such as the shape of its type."""
         return None
 
-    def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        """Its page for people."""
-        return render_page(
-            Page(
-                site,
-                self.kind,
-                self.title or self.url.removeprefix(site.base),
-                state.document,
-                tuple(sorted(each for each in self.methods() if self._is_for(site, each))),
-                tuple(forms),
-                csrf,
-                tuple(notices),
-                self.listing(),
-                self.steps(),
-                offer=state.view,
-                query=self.query,
-            )
+    def page(
+        self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]
+    ) -> Page | bytes:
+        """Its page for people, rendered already where it has a template of its own."""
+        return Page(
+            site,
+            self.kind,
+            self.title or self.url.removeprefix(site.base),
+            state.document,
+            tuple(sorted(each for each in self.methods() if self._is_for(site, each))),
+            tuple(forms),
+            csrf,
+            tuple(notices),
+            self.listing(),
+            self.steps(),
+            offer=state.view,
+            query=self.query,
         )
 
     def _is_for(self, site: Site, method: str) -> bool:

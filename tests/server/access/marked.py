@@ -159,7 +159,9 @@ def everywhere(guarded: Guarded, most: int = 400) -> list[str]:
     return list(found)
 
 
-def said_to(guarded: Guarded, agent: str, paths: list[str]) -> Iterator[tuple[str, str, Answer]]:
+def said_to(
+    guarded: Guarded, agent: str, paths: list[str], own: tuple[str, ...] = ()
+) -> Iterator[tuple[str, str, Answer]]:
     """Everything that an agent is told at these paths: the request in words, the same, and the answer."""
     ask = Asking(guarded, agent)
 
@@ -170,7 +172,9 @@ def said_to(guarded: Guarded, agent: str, paths: list[str]) -> Iterator[tuple[st
     for number, path in enumerate(paths):
         first = asked("GET", path)
         yield first
-        if first[2].status in (401, 403, 404):  # all of these are refused alike: some of them each time
+        if (
+            first[2].status in (401, 403, 404) and path not in own
+        ):  # all of these are refused alike: some of them each time
             method, body, kind = OTHERS[(number + len(agent)) % len(OTHERS)]
             yield asked(method, path, body, Content_Type=kind)
             yield asked("GET", f"{path}?format=html")

@@ -96,7 +96,7 @@ def test_who_has_one_right_is_told_nothing_of_anything_else(secretive: Guarded, 
     told: dict[str, set[str]] = {}
     failed: list[str] = []
     asked = chain(
-        said_to(secretive, name, paths),
+        said_to(secretive, name, paths, CASES[name].paths),
         asked_of_the_dataset(secretive, name, list(ASKED)),
         streamed_to(secretive, name, [*CASES[name].paths, "/zebranever", "/data/zebradocument", "/data/zebragone"]),
     )

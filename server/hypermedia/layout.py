@@ -6,13 +6,13 @@ on the state of the robot. Plans are made when first asked for and kept with the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from pyoxigraph import NamedNode
 
-from rosld.adapters.model import Kind, ServiceSchema
+from rosld.adapters.model import ActionSchema, Kind, MessageSchema, ServiceSchema
 from rosld.ontology.namespaces import Members
 from rosld.server.hypermedia.catalogue import Catalogue, Getter, Property, Setter
 from rosld.server.hypermedia.mapping import Arrangement, ComplexResource, Condition, MappedLink, MappedProperty
@@ -52,16 +52,28 @@ class MemberPlan:
 class ActionPlan:
     """An action by its full name; it is on offer while all of `exists_when` and `conditions` hold.
 
-    `schema` is None where the type of the service is not known.
+    `service` is the service that it calls, or (`sends_goals`) the action of ROS that it sends goals to. `schema` is
+    None where the type of that is not known.
     """
 
     name: str
     service: str
-    schema: ServiceSchema | None
+    schema: ServiceSchema | ActionSchema | None
     relation: NamedNode | None
     exists_when: tuple[Condition, ...]
     conditions: tuple[Condition, ...]
     reads: tuple[Property, ...]
+    sends_goals: bool = False
+
+    @property
+    def request(self) -> MessageSchema | None:
+        """What is sent to it."""
+        match self.schema:
+            case ActionSchema(goal=goal):
+                return goal
+            case ServiceSchema(request=request):
+                return request
+        return None
 
     @property
     def home(self) -> str:
@@ -154,10 +166,13 @@ def home_of(name: str) -> str:
 
 
 class Layout:
-    """The resources of one catalogue and one arrangement."""
+    """The resources of one catalogue and one arrangement; `goals` are the actions of ROS by name, as far as needed."""
 
-    def __init__(self, catalogue: Catalogue, arrangement: Arrangement) -> None:
+    def __init__(
+        self, catalogue: Catalogue, arrangement: Arrangement, goals: Mapping[str, ActionSchema | None] = {}
+    ) -> None:
         self.catalogue = catalogue
+        self._goals = goals
         self.arrangement = arrangement
         self._claimed = actions_by_service(arrangement)
         self._named = {
@@ -378,7 +393,7 @@ class Layout:
         action = self._named.get(name)
         if action is not None:
             service, relation, conditions = action.service, action.relation, action.available_when
-            if service not in self._services:
+            if service not in self._services and service not in self._goals:
                 return None
         else:
             derived = self.catalogue.actions.get(name)
@@ -386,10 +401,11 @@ class Layout:
                 return None
             service, relation, conditions = derived.service, None, ()
         exists = self.exists_when(home_of(name))
-        schema = self._schemas.get(service)
+        sends_goals = service not in self._services
+        schema = self._goals[service] if sends_goals else self._schemas.get(service)
         return ActionPlan(
             name, service, schema, relation, exists, conditions,
-            self._reads((), (*exists, *conditions)),
+            self._reads((), (*exists, *conditions)), sends_goals,
         )  # fmt: skip
 
     def _unclaimed(self, found: Property) -> Property:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rosld.adapters.base import Watch
-from rosld.adapters.model import Descriptor, Graph, Kind, Operation, Ref, RosError, Schema, TypeRef
+from rosld.adapters.model import ActionSchema, Descriptor, Graph, Kind, Operation, Ref, RosError, Schema, TypeRef
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import in_words
 from rosld.server.events.watches import Signal, every, together
@@ -95,7 +95,9 @@ class Offers:
     async def _made(self) -> Layout:
         robot = self._robot
         graph, arrangement = robot.graph, robot.mappings.arrangement
-        await self._learn(needed_types(graph, self.conventions))
+        goals = {name: graph.actions[name].type for name in _mapped_actions(arrangement) if name in graph.actions}
+        types = tuple(ref for ref in goals.values() if ref is not None)
+        await self._learn((*needed_types(graph, self.conventions), *types))
         known, count = self._kept, robot.schemas.count
         if known is not None and known[0] is graph and known[1] == count:
             found = known[3].catalogue
@@ -107,7 +109,7 @@ class Offers:
                 if is_small
                 else await asyncio.to_thread(catalogue, graph, find, self.conventions)
             )
-        layout = Layout(found, arrangement)
+        layout = Layout(found, arrangement, {name: self._action_at_hand(ref) for name, ref in goals.items()})
         self._kept = (graph, count, arrangement, layout)
         return layout
 
@@ -129,6 +131,10 @@ class Offers:
         """The schema of a type, if it was learnt before; by its name alone where no hash is known of it."""
         schemas = self._robot.schemas
         return schemas.at_hand(ref) or (schemas.named(ref.name) if ref.hash is None else None)
+
+    def _action_at_hand(self, ref: TypeRef | None) -> ActionSchema | None:
+        found = None if ref is None else self._schema_at_hand(ref)
+        return found if isinstance(found, ActionSchema) else None
 
     # Looking
 
@@ -233,7 +239,8 @@ class Offers:
         """An action by itself. Raises a 404 Problem where it is not on offer."""
         self.require((*plan.exists_when, *plan.conditions), sight.verdicts, plan.name)
         space = self._robot.space
-        return ActionView(self.action_affordance(plan), space.service(plan.service), url_of(plan.home, space))
+        invokes = space.action(plan.service) if plan.sends_goals else space.service(plan.service)
+        return ActionView(self.action_affordance(plan), invokes, url_of(plan.home, space))
 
     def require(self, conditions: Iterable[Condition], verdicts: Verdicts, name: str) -> None:
         """Raise a 404 Problem with the reason where a condition of something's being there does not hold."""
@@ -282,9 +289,10 @@ class Offers:
 
     def action_affordance(self, plan: ActionPlan) -> ActionAffordance:
         """An action as it can be used."""
-        request = plan.schema.request if plan.schema is not None and self.is_callable(plan) else None
+        request = plan.request if self.is_callable(plan) else None
         url = url_of(plan.name, self._robot.space)
-        return ActionAffordance(plan.name.rpartition("/")[2], url, request, plan.relation)
+        name = plan.name.rpartition("/")[2]
+        return ActionAffordance(name, url, request, plan.relation, sends_goals=plan.sends_goals)
 
     # Writing
 
@@ -297,6 +305,8 @@ class Offers:
         robot = self._robot
         if plan.schema is None or robot.settings.read_only:
             return False
+        if plan.sends_goals:
+            return Operation.SEND_GOAL in robot.adapter.allows(Ref(Kind.ACTION, plan.service))
         return Operation.CALL in robot.adapter.allows(Ref(Kind.SERVICE, plan.service))
 
     @asynccontextmanager
@@ -331,6 +341,11 @@ class Offers:
 def conventions_of(settings: Settings) -> Conventions:
     """The conventions with what the settings add. Raises ValueError for a template or a glob that makes no sense."""
     return CONVENTIONS.extended(getters=settings.getter, setters=settings.setter, excluded=settings.exclude_service)
+
+
+def _mapped_actions(arrangement: Arrangement) -> set[str]:
+    """The names that mappings offer as actions: of services, or of actions of ROS."""
+    return {action.service for resource in arrangement.resources.values() for action in resource.actions}
 
 
 async def _take(held: contextlib.AsyncExitStack, locks: Iterable[asyncio.Lock]) -> None:

@@ -112,7 +112,10 @@ def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment
 
 @lru_cache(maxsize=4096)
 def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
-    """An action (5.3.1.4): what to send, unless that is nothing; its answer is the state of its complex resource."""
+    """An action (5.3.1.4): what to send, unless that is nothing; its answer is the state of its complex resource,
+
+    of one that sends goals the goal.
+    """
     assert one.request is not None
     schema: DataSchema | None = message_schema(one.request, lifting) if one.request.type.fields else None
     return _fragment(
@@ -121,7 +124,7 @@ def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
             "output": {"type": "object"},
             "safe": False,
             "idempotent": False,
-            "synchronous": True,
+            "synchronous": not one.sends_goals,
             **_led_to("map:relation", one.relation),
             "forms": [_form(one.url, "invokeaction", "POST")],
         }

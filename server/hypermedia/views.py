@@ -36,13 +36,17 @@ class PropertyAffordance:
 
 @dataclass(frozen=True, slots=True)
 class ActionAffordance:
-    """An action: POST to `url`, with a message of `request` (None: its type is not known, so it cannot be called)."""
+    """An action: POST to `url`, with a message of `request` (None: its type is not known, so it cannot be called).
+
+    `sends_goals`: it takes its time, so that what comes of it is a goal.
+    """
 
     name: str
     url: str
     request: MessageSchema | None
     relation: NamedNode | None = None
     title: str | None = None
+    sends_goals: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ from rosld.ontology.notifications import CHANNEL_TYPES
 from rosld.server.events.source import LINES
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.layout import Layout
+from rosld.server.hypermedia.layout import ActionPlan, Layout
 from rosld.server.hypermedia.schema import DataSchema, Json, message_schema, value_schema
 from rosld.server.hypermedia.thing import MEDIA_TYPE as THING
 from rosld.server.ldp.resource import MERGE_PATCH, RDF_BODIES, READ, SPARQL_UPDATE, Resource
@@ -119,6 +119,8 @@ _SUBSCRIPTION: DataSchema = {
     },
     "required": ["@context", "type", "topic"],
 }
+_INVOKES = "Invokes the action; what is shown then is the resource that it belongs to."
+_SENDS_A_GOAL = "Sends a goal, which is what is made; 409 where it is rejected."
 _NOT_IN_A_KEY = re.compile(r"[^A-Za-z0-9._-]")
 
 
@@ -507,14 +509,15 @@ class Places:
             members={one.name: each.url for one, each in shown.items()},
         )
         properties = {one.at: value for one, value in values.items() if one.at is not None}
-        actions = {one.name: one.schema for one in plan.actions}
+        actions = {one.name: one for one in plan.actions}
         for name in dict.fromkeys((*properties, *actions)):
             yield self._member(name, properties.get(name), actions.get(name))
 
-    def _member(self, name: str, value: DataSchema | None, action: ServiceSchema | None) -> Place:
+    def _member(self, name: str, value: DataSchema | None, action: ActionPlan | None) -> Place:
         path = self._path(url_of(name, self.robot.space))
         place = self._place(path, "resources", f"The {'action' if value is None else 'property'} {name}")
         sent = ANYTHING if value is None else json_schema.as_sent(value)
+        sends_goals = action is not None and action.sends_goals
         return replace(
             place,
             reads=_FIELD_READS,
@@ -525,10 +528,10 @@ class Places:
                 "POST": self._sent(action.request if action else None),
             },
             optional=frozenset({"POST"}),
-            done={"PUT": (200, 202, 204), "PATCH": (200, 202, 204), "POST": (200, 204)},
+            done={"PUT": (200, 202, 204), "PATCH": (200, 202, 204), "POST": (201,) if sends_goals else (200, 204)},
             shows={"POST": OBJECT},
             query=(_FORMAT, _FIELD, replace(_DEFAULTS, of=frozenset({"POST"}))),
-            notes={"POST": "Invokes the action; what is shown then is the resource that it belongs to."},
+            notes={"POST": _SENDS_A_GOAL if sends_goals else _INVOKES},
         )
 
     # Everything else

@@ -124,9 +124,19 @@ class ActionResource(Resource):
             return ()
 
     async def post(self, exchange: Exchange) -> Answer:
+        schema, message = await self.goal_in(exchange, self.url)
+        return await self.send(exchange, schema, message)
+
+    async def goal_in(self, exchange: Exchange, url: str) -> tuple[ActionSchema, Message]:
+        """The goal in a request to a URL, within the limits. Raises LoweringError, and Problems."""
         robot, schema = self.robot, await self._schema()
-        message = await message_in(exchange, robot, schema.goal, self.url, "#goal")
+        message = await message_in(exchange, robot, schema.goal, url, "#goal")
         await require_message(robot, Kind.ACTION, self.name, schema.goal, message, self.url, "#goal")
+        return schema, message
+
+    async def send(self, exchange: Exchange, schema: ActionSchema, message: Message) -> Created:
+        """Send a goal: it is created if it is accepted. Raises whatever else becomes of it."""
+        robot = self.robot
         sending = await self._sent(exchange, schema, message)
         problem = _failure(robot, self.name, sending)
         if problem is not None or sending.goal is None:

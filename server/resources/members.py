@@ -11,7 +11,7 @@ from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
-from rosld.adapters.model import Kind
+from rosld.adapters.model import Kind, ServiceSchema
 from rosld.ontology.body import RdfBody, body_of, parse_body
 from rosld.ontology.fields import field_bytes
 from rosld.ontology.lower import parse_json
@@ -44,6 +44,7 @@ from rosld.server.ldp.resource import (
     moved,
 )
 from rosld.server.ldp.state import State
+from rosld.server.resources.actions import ActionResource
 from rosld.server.resources.changes import all_of, with_field
 from rosld.server.resources.complex import ABSENT, ComplexResource
 from rosld.server.resources.guarding import require_offered, require_writable, seen_anew
@@ -117,9 +118,9 @@ class MemberResource(Resource):
     def constrained_by(self) -> str | None:
         layout = self._layout
         action = layout.action(self.name) if layout is not None else None
-        if action is None or action.schema is None:
+        if action is None or action.request is None:
             return f"{self.url}#property/shape"
-        return self.robot.space.shape(action.schema.request.ref.name)
+        return self.robot.space.shape(action.request.ref.name)
 
     # Reading
 
@@ -288,7 +289,9 @@ class MemberResource(Resource):
         plan = layout.action(self.name)
         if plan is None:
             raise self._missing(layout)
-        if plan.schema is None:
+        if plan.sends_goals:
+            return await self._send_goal(exchange, layout, plan)
+        if not isinstance(plan.schema, ServiceSchema):
             raise Problem(409, f"{self.name} cannot be invoked: the type of the service is not known.")
         request = await request_in(exchange, robot, plan.schema, self.url)
         url = robot.space.service(plan.service)
@@ -300,6 +303,14 @@ class MemberResource(Resource):
         if problem is not None:
             raise problem
         return await self._after(plan.home, outcome)
+
+    async def _send_goal(self, exchange: Exchange, layout: Layout, plan: ActionPlan) -> Answer:
+        """Send a goal to the action of ROS that the mapping names: what is made is the goal."""
+        action = ActionResource(self.robot, plan.service)
+        schema, goal = await action.goal_in(exchange, self.url)
+        async with self.robot.offers.turn(layout, self.name):
+            require_offered(self.robot, plan, await seen_anew(self.robot, layout, plan.reads))
+            return await action.send(exchange, schema, goal)
 
     async def _after(self, path: str, outcome: Outcome) -> Shown:
         """The complex resource as it is after an action; the one above where the action has ended its own."""

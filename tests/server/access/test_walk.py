@@ -51,7 +51,11 @@ def test_allow_the_description_and_the_answers_to_every_verb_agree(guarded: Guar
         if path.startswith("/resources/") and guarded["admin"].get(path).status_code == 404:  # not on offer now
             assert allowed <= mine.get(path, set()) - {"GET", "HEAD"}
             continue
-        if allowed - {"OPTIONS"} != mine.get(path, set()) - {"OPTIONS"}:
+        told = mine.get(path, set()) - {"OPTIONS"}
+        if path.startswith("/topics/"):  # DELETE is told wherever it may come to be allowed: once rosld publishes there
+            told -= {"DELETE"} - allowed
+            whole -= {"DELETE"} - allowed
+        if allowed - {"OPTIONS"} != told:
             wrong.append((path, allowed, mine.get(path)))
         for method in VERBS:
             if (

@@ -37,10 +37,11 @@ class Refused(StoreError):
 
 
 class Response(NamedTuple):
-    """What an endpoint answered: the media type without parameters, and the whole body."""
+    """What an endpoint answered: the media type without parameters, the whole body, and the Content-Type as stated."""
 
     media_type: str
     body: bytes
+    content_type: str
 
 
 class Endpoint:
@@ -116,7 +117,8 @@ class Endpoint:
         with _limited(lambda: self._socket, self.seconds):
             connection.request(method, self._target, body, headers)
             answer = connection.getresponse()
-            media_type = (answer.getheader("Content-Type") or "").partition(";")[0].strip().lower()
+            stated = answer.getheader("Content-Type") or ""
+            media_type = stated.partition(";")[0].strip().lower()
             if not 200 <= answer.status < 300:
                 raise self._refused(answer)
             read = answer.read(self._most + 1)
@@ -127,7 +129,7 @@ class Endpoint:
                 raise Unreachable(f"{self.url} answers with more than {self._most} bytes.")
             if answer.will_close or not answer.isclosed():
                 self._drop()
-        return Response(media_type, read)
+        return Response(media_type, read, stated)
 
     def _connect(self) -> HTTPConnection:
         self.connections += 1

@@ -188,6 +188,8 @@ def document() -> Iterator[str]:
         def do_GET(self) -> None:
             body, kind = {
                 "/doc": (b"<#it> <urn:says> [ <urn:n> 1 ] .", "text/turtle"),
+                "/latin": ("<#it> <urn:says> 'Zoë' .".encode("latin-1"), "text/turtle; charset=ISO-8859-1"),
+                "/klingon": (b"<#it> <urn:says> 1 .", "text/turtle; charset=klingon"),
                 "/page": (b"<html></html>", "text/html"),
                 "/broken": (b"<#it> <urn:says>", "text/turtle"),
             }.get(self.path, (b"", "text/turtle"))
@@ -212,7 +214,7 @@ def document() -> Iterator[str]:
 def test_documents_that_are_listed_are_loaded_into_a_graph_and_no_others(
     serve: Callable[..., Served], document: str
 ) -> None:
-    listed = [f"{document}/{name}" for name in ("doc", "page", "broken", "moved")]
+    listed = [f"{document}/{name}" for name in ("doc", "latin", "klingon", "page", "broken", "moved")]
     http = serve("aircraft", *(word for url in listed for word in ("--allow-load", url))).http
 
     def load(text: str) -> int:
@@ -223,6 +225,9 @@ def test_documents_that_are_listed_are_loaded_into_a_graph_and_no_others(
     assert load(f"LOAD <{document}/doc> INTO GRAPH </data/loaded>") == 204
     found = http.get("/data/loaded", headers={"Accept": "application/n-triples"}).text
     assert f"<{document}/doc#it> <urn:says> _:" in found
+    assert load(f"LOAD <{document}/latin> INTO GRAPH </data/latin>") == 204
+    assert '"Zoë"' in http.get("/data/latin", headers={"Accept": "application/n-triples"}).text
+    assert load(f"LOAD <{document}/klingon> INTO GRAPH </data/other>") == 422
     assert load(f"LOAD <{document}/doc>") == 422
     assert load(f"LOAD <{document}/other> INTO GRAPH </data/other>") == 403
     assert load(f"LOAD <{document}/page> INTO GRAPH </data/other>") == 422

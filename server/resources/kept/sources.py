@@ -157,8 +157,10 @@ class SourceResource(Kept):
 
     async def _member(self, record: Record, stated: Statements) -> str | None:
         """What stands for it from now on in the membership triples of its container; None: what did before."""
+        if record.member != NO_MEMBER:
+            return None
         container = self.robot.records.get(container_of(record.path))
-        if record.member != NO_MEMBER or container is None or container.membership is None:
+        if container is None or container.membership is None:
             return None
         work = partial(stand_in, container.membership, stated, self._subject)
         return await self.robot.workers.run(work) if stated.is_large else work()

@@ -7,8 +7,10 @@ from collections.abc import Iterator, Sequence
 
 from pyoxigraph import NamedNode, Triple
 
-from rosld.ontology.body import MEDIA_TYPES, BodyError, parse_triples
+from rosld.ontology.body import MEDIA_TYPES, parse_triples
+from rosld.server.http import media
 from rosld.server.http.problem import Problem
+from rosld.server.http.text import as_utf8
 from rosld.server.sparql.update.operations import Load, Modify, Operation, QuadTemplate
 from rosld.server.store.endpoint import Endpoint, StoreError
 
@@ -44,12 +46,14 @@ def _read(document: str, seconds: float, most: int) -> Sequence[Triple]:
     try:
         answer = endpoint.get(", ".join(MEDIA_TYPES))
         if answer.media_type not in MEDIA_TYPES:
-            raise Problem(422, f"LOAD: <{document}> is {answer.media_type or 'of no type'}, not one of {MEDIA_TYPES}.")
-        triples = parse_triples(answer.body, answer.media_type, document)
+            raise ValueError(f"it is {answer.media_type or 'of no type'}, not one of {MEDIA_TYPES}")
+        body = as_utf8(answer.body, media.parse(answer.content_type))
+        triples = parse_triples(body, answer.media_type, document)
     except StoreError as error:
         raise Problem(502, f"LOAD: {error}") from error
-    except BodyError as error:
-        raise Problem(422, f"LOAD: <{document}> cannot be read: {error}.") from error
+    except (Problem, ValueError) as error:  # a BodyError is one
+        words = error.detail if isinstance(error, Problem) else f"{error}."
+        raise Problem(422, f"LOAD: <{document}> cannot be read: {words}") from error
     finally:
         endpoint.close()
     return triples

@@ -158,7 +158,7 @@ def test_what_cannot_be_streamed_is_refused_before_it_begins(aircraft: Any, name
     assert "json" in answer.json()["detail"]
 
 
-@pytest.mark.parametrize("rate", ["0", "-1", "nan", "inf", "1e9", "", "x" * 1000, "%0a", "1%00", "٣"])
+@pytest.mark.parametrize("rate", ["0", "-1", "nan", "inf", "1_0", "", "x" * 1000, "%0a", "1%00", "٣"])
 def test_a_hostile_rate_is_refused_before_it_begins(aircraft: Any, rate: str) -> None:
     answer = aircraft.http.get(f"{SPEED}?rate={rate}", headers=STREAM)
     assert answer.status_code == 400

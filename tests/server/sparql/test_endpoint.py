@@ -88,7 +88,6 @@ def test_without_a_wish_results_are_json_and_graphs_turtle(make_source: Make, ma
     [
         (VALUE, "text/turtle", 406, "text/csv"),
         ("DESCRIBE <topics/t3>", "text/csv", 406, "text/turtle"),
-        (VALUE, "nonsense", 406, "sparql-results"),
         ("SELECT * { ?s ?p }", None, 400, "1:19"),
         ("SELECT * { ?s ?p ?o FILTER(<h:f>(?o)) }", None, 400, "h:f"),
         ("SELECT * { SERVICE <http://127.0.0.1:9/> { ?s ?p ?o } }", None, 400, "SERVICE"),

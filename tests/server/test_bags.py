@@ -81,7 +81,8 @@ def test_topics_play_and_loop(walk: Any) -> None:
 
 def test_nothing_is_writable_and_allow_says_so(walk: Any) -> None:
     for path in ("/topics/walk/point", "/topics/new", "/bags/walk/messages/3", "/parameters/x", "/bags/walk/"):
-        assert walk.http.options(path).headers["allow"] == "GET, HEAD, OPTIONS", path
+        there = "OPTIONS" if path == "/topics/new" else "GET, HEAD, OPTIONS"
+        assert walk.http.options(path).headers["allow"] == there, path
         for method in ("PUT", "PATCH", "DELETE", "POST"):
             answer = walk.http.request(method, path, json={"x": 1, "y": 2, "z": 3})
             assert answer.status_code == 405, (method, path)

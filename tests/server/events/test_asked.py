@@ -36,6 +36,7 @@ def test_a_rate_beyond_the_most_is_the_most() -> None:
     assert asked.rate({}) == 10.0
     assert asked.rate({"rate": "0.5"}) == 0.5
     assert asked.rate({"rate": "1000"}) == 100.0
+    assert asked.rate({"rate": "1e3"}) == 100.0
     assert asked.rate({"rate": "9" * 20}) == 100.0
 
 
@@ -45,7 +46,7 @@ def test_a_timeout_beyond_the_most_is_the_most() -> None:
     assert asked.timeout({"timeout": "3600"}) == 60.0
 
 
-HOSTILE = ["", "0", "-1", "nan", "inf", "1e3", "0x10", "10Hz", "١٠", "1_0", " 1", "1;2", "9" * 21, "0.0001", "%00"]
+HOSTILE = ["", "0", "-1", "nan", "inf", "0x10", "10Hz", "١٠", "1_0", " 1", "1;2", "9" * 21, "0.0001", "%00"]
 
 
 @pytest.mark.parametrize("text", HOSTILE)

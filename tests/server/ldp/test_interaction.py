@@ -208,7 +208,9 @@ def test_an_indirect_container_says_what_stands_for_its_members() -> None:
 
 
 def test_a_direct_container_may_say_that_its_members_are_themselves() -> None:
-    assert direct("<> ldp:insertedContentRelation ldp:MemberSubject .") == Membership(BOX, ldp.member.value)
+    assert direct("<> ldp:insertedContentRelation ldp:MemberSubject .") == Membership(
+        BOX, ldp.member.value, content=ldp.MemberSubject.value
+    )
 
 
 @pytest.mark.parametrize(

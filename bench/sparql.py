@@ -13,8 +13,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Collection, Hashable, Iterator, Mapping, Sequence
+from contextlib import asynccontextmanager, contextmanager
 from http.client import HTTPConnection
 from pathlib import Path
 from urllib.parse import quote, urlsplit
@@ -36,9 +36,9 @@ from rosld.ontology.vocab import rdf, ros
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.endpoint import QueryService, QuerySettings
 from rosld.server.sparql.needs import Needs
+from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.protocol import query_request
 from rosld.server.sparql.sync import GraphEntry, Synchroniser
-from rosld.server.store import MemoryStore
 
 BASE = "http://127.0.0.1:8080/"
 TOPICS = 1000
@@ -140,6 +140,7 @@ class Robot:
     """A thousand topics of Twists, lifted as they are in the server."""
 
     revision = 0
+    writes = 0
 
     def __init__(self) -> None:
         library = TypeLibrary(ros_version=1)
@@ -157,6 +158,8 @@ class Robot:
     def tick(self) -> None:
         """A new message on every topic."""
         self._turn += 1
+
+    writes = 0
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
         return self._descriptions
@@ -192,8 +195,8 @@ class Robot:
 
 def serve() -> None:
     """The thousand topics behind HTTP: /sparql; /tick, a new message on each; /idle, which asks for nothing."""
-    robot, store = Robot(), MemoryStore()
-    service = QueryService(store, Synchroniser(store, robot), Analyser(BASE, TYPES), settings=QuerySettings(kept=0))
+    robot, process, settings = Robot(), QueryProcess(4, 256), QuerySettings()
+    service = QueryService(process, Synchroniser(process, robot), Analyser(BASE, TYPES), settings=settings)
 
     async def sparql(request: Request) -> Response:
         answer = await service.answer(query_request("GET", request.scope["query_string"]), "text/csv")
@@ -207,7 +210,14 @@ def serve() -> None:
     async def idle(request: Request) -> Response:
         return Response()
 
-    app = Starlette(routes=[Route("/sparql", sparql), Route("/tick", tick), Route("/idle", idle)])
+    @asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        await process.start()
+        yield
+        await process.close()
+
+    routes = [Route("/sparql", sparql), Route("/tick", tick), Route("/idle", idle)]
+    app = Starlette(routes=routes, lifespan=lifespan)
     listening = socket.socket()
     listening.bind(("127.0.0.1", 0))
     listening.listen()

@@ -104,16 +104,37 @@ def parse_body(data: bytes, media_type: str, base: str, *, alone: bool = False) 
         raise BodyError(str(error)) from error
 
 
+def parse_dataset(data: bytes, media_type: str, base: str) -> dict[str, list[Triple]]:
+    """The graphs of `data` by their names. Raises as `parse_body`, and BodyError for a triple in no named graph."""
+    form = _form(media_type)
+    graphs: dict[str, list[Triple]] = {}
+    try:
+        for quad in _quads(data, form, base, relabelled=True):
+            if not isinstance(quad.graph_name, NamedNode):
+                raise BodyError(f"{quad.triple} stands in no graph that has an IRI: name the graph that is to say it")
+            graphs.setdefault(quad.graph_name.value, []).append(quad.triple)
+    except SyntaxError as error:
+        raise _syntax_error(error) from error
+    except BodyError:
+        raise
+    except ValueError as error:
+        raise BodyError(str(error)) from error
+    return graphs
+
+
 def parse_triples(data: bytes, media_type: str, base: str) -> list[Triple]:
     """The triples that `read_ntriples` reads."""
     return [quad.triple for quad in parse(read_ntriples(data, media_type, base), RdfFormat.N_TRIPLES)]
 
 
 def read_ntriples(data: bytes, media_type: str, base: str) -> bytes:
-    """The triples of `data` as they come, as N-Triples, of the graph named `base` alone; raises as `parse_body`."""
+    """The triples of `data` as they come, as N-Triples, of the graph named `base` alone; raises as `parse_body`.
+
+    Blank nodes have new labels, which no other document has: labels mean nothing beyond their document (RDF 1.1, 3.4).
+    """
     form = _form(media_type)
     try:
-        quads = _quads(data, form, base)
+        quads = _quads(data, form, base, relabelled=True)
         triples = _of_graph(quads, base) if form.supports_datasets else quads
         return serialize(triples, format=RdfFormat.N_TRIPLES) or b""
     except SyntaxError as error:
@@ -148,8 +169,8 @@ def _form(media_type: str) -> RdfFormat:
     return form
 
 
-def _quads(data: bytes, form: RdfFormat, base: str) -> Iterator[Quad]:
-    """The quads of a body that is fit to be parsed, as the parser finds them."""
+def _quads(data: bytes, form: RdfFormat, base: str, *, relabelled: bool = False) -> Iterator[Quad]:
+    """The quads of a body that is fit to be parsed, as the parser finds them; or with blank nodes `relabelled`."""
     if form is RdfFormat.RDF_XML:
         data = _xml(data)
     data = data.removeprefix(b"\xef\xbb\xbf")
@@ -161,7 +182,7 @@ def _quads(data: bytes, form: RdfFormat, base: str) -> Iterator[Quad]:
         _check_xml(data)
     else:
         _check_depth(data, _TURTLE_TOKENS, b"[({<")
-    return parse(data, form, base_iri=base)
+    return parse(data, form, base_iri=base, rename_blank_nodes=relabelled)
 
 
 def body_of(triples: Iterable[Triple]) -> RdfBody:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 
 from pyoxigraph import Literal, NamedNode, Triple
 
@@ -123,7 +124,7 @@ def stop_document(
     """
     url = space.stop
     subject = NamedNode(url)
-    nodes = [NamedNode(f"{url}#step-{number}") for number, _ in enumerate(steps, 1)]
+    nodes = [_step_node(url, step) for step in steps]
     triples = about(
         subject,
         (rdf.type, ros.Stop),
@@ -148,6 +149,11 @@ def stop_document(
         if by is not None:
             triples += form(subject, "stop", "delete", "DELETE", td.cancelAction)
     return Document(url, tuple(triples))
+
+
+def _step_node(url: str, step: StepView) -> NamedNode:
+    """The name of a step, of what it does: numbers would tell who may not see all steps how many there are."""
+    return NamedNode(f"{url}#step-{sha256(step.does.encode()).hexdigest()[:12]}")
 
 
 def _variables(subject: NamedNode, affordance: str) -> list[Triple]:

@@ -53,9 +53,14 @@ def parameter_document(name: str, value: ParameterValue, space: Space) -> Docume
     return Document(url, tuple(_leaf(url, name, value)))
 
 
+Outline: TypeAlias = "dict[str, Outline | None]"
+"""The members of a tree of parameters without their values."""
+Tree: TypeAlias = "Mapping[str, ParameterValue] | Outline"
+
+
 def parameter_container_document(
     namespace: tuple[str, ...],
-    tree: Mapping[str, ParameterValue],
+    tree: Tree,
     space: Space,
     most: int | None = None,
     *,
@@ -64,7 +69,7 @@ def parameter_container_document(
     """A tree of parameters as a container with all its members and their values.
 
     Of trees in it that have more than `most` members it is told that they are there, and not what they hold. `whole` is
-    where hidden members are told as well, if there are any.
+    where hidden members are told as well, if there are any. A value that is None is not told.
     """
     url = space.container("parameters", namespace)
     title = f"Parameters in /{'/'.join(namespace)}" if namespace else "Parameters"
@@ -74,13 +79,12 @@ def parameter_container_document(
     return Document(url, (*_tree(url, "/" + "/".join(namespace), tree, 0, most), *triples))
 
 
-def _leaf(url: str, name: str, value: ParameterValue) -> list[Triple]:
-    return about(
-        NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(name)), (ros.value, literal(value))
-    )
+def _leaf(url: str, name: str, value: ParameterValue | None) -> list[Triple]:
+    told = None if value is None else literal(value)
+    return about(NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(name)), (ros.value, told))
 
 
-def _tree(url: str, name: str, tree: Mapping[str, ParameterValue], depth: int, most: int | None) -> list[Triple]:
+def _tree(url: str, name: str, tree: Tree, depth: int, most: int | None) -> list[Triple]:
     if depth > DEEPEST:
         raise ValueError(f"{name} lies deeper than {DEEPEST} levels, which is more than rosld shows")
     subject = NamedNode(url)

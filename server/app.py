@@ -31,7 +31,9 @@ from rosld.server.html import prepare_pages
 from rosld.server.http import link
 from rosld.server.http.again import SCOPE, Again
 from rosld.server.http.origin import Site, check_host, check_origin, sharing, site
-from rosld.server.http.problem import Problem, render
+from rosld.server.http.problem import Problem
+from rosld.server.http.problem_details import render
+from rosld.server.http.tokens import LENGTH as TOKEN_LENGTH
 from rosld.server.http.tokens import PREFIX, has_token, without_tokens
 from rosld.server.hypermedia.mappings import relations
 from rosld.server.ldp.alone import Alone
@@ -47,7 +49,7 @@ from rosld.server.receipts.graphs import ReceiptGraphs
 from rosld.server.receipts.recorder import Recorder
 from rosld.server.records.record import StorageError
 from rosld.server.resources.acl import acl_room
-from rosld.server.resources.channels import Notifications, rooms
+from rosld.server.resources.channels import Notifications, fixed, rooms
 from rosld.server.resources.kept.graphs import RecordGraphs
 from rosld.server.resources.mirror import mirror_room
 from rosld.server.resources.router import ROOMS, Router
@@ -57,13 +59,14 @@ from rosld.server.resources.updating.service import Updates
 from rosld.server.robot import Robot, Same
 from rosld.server.settings import Settings
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.endpoint import QueryService, QuerySettings
-from rosld.server.sparql.functions import functions
+from rosld.server.sparql.endpoint import QueryService, QuerySettings, Unread
 from rosld.server.sparql.lexer import Bounds, Reach
-from rosld.server.sparql.shades import Shades
+from rosld.server.sparql.mentions import Mentions, Noting
+from rosld.server.sparql.process.client import QueryProcess
+from rosld.server.sparql.protocol import UPDATE
+from rosld.server.sparql.restricted import RestrictedDatasets
 from rosld.server.sparql.sync import Synchroniser
 from rosld.server.sparql.update.drawer import Drawer
-from rosld.server.store import MemoryStore
 from rosld.server.store.mirror import Mirror
 from rosld.server.turns import Turns
 from rosld.server.watchdog import Watchdog
@@ -84,10 +87,12 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     robot = Robot(adapter, settings)
     large = LargeDocuments(robot.workers)
     pages = Pages(robot, large)
-    store = MemoryStore()
+    process = QueryProcess(settings.query_concurrency, settings.query_queue)
     kept = RecordGraphs(robot.records, robot.space.base, robot.queries.said, ELSEWHERE)
+    mentions = Mentions(robot.space.base, robot.space.types)
+    receipts = ReceiptGraphs(robot.receipts, robot.space)
     source = Dataset(robot)
-    synchroniser = Synchroniser(store, source, kept, ReceiptGraphs(robot.receipts, robot.space))
+    synchroniser = Synchroniser(process, source, Noting(kept, mentions), receipts, mentioned=mentions.of)
     reach = Reach(frozenset(settings.allow_service))
     bounded = Bounds(size=settings.query_size_limit)
     analyser = Analyser(
@@ -97,28 +102,34 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         reach=reach,
         relations=lambda: relations(robot.mappings.arrangement),
     )
-    service = query_service(robot, store, synchroniser, analyser)
-    mirror = mirror_of(robot, store, synchroniser, {*ROOMS, "queries", "sparql"})
+    service = query_service(robot, process, synchroniser, analyser, source.unread)
+    mirror = mirror_of(robot, process, synchroniser, {*ROOMS, "queries", "sparql"})
     names = site(settings.base_url, settings.host, settings.port, settings.cors_origins)
-    feeds = Feeds(robot.changes)
+    feeds = Feeds(robot.changes, settings.client_streams)
     alone = Alone(settings.call_deadline)
     bounds = Bounds(size=settings.body_limit)
-    drawer = Drawer(service, store, source, analyser)
+    drawer = Drawer(service, analyser)
     router = Router(robot, service, pages, lambda at: Updates(robot, drawer, analyser, bounds, at, alone))
     notifications = Notifications(robot, Channels(robot.boot), feeds, names, router.resolve)
     router.add(rooms(notifications, ROOMS[".well-known"]))
     router.add(mirror_room(mirror))
     watchdog = Watchdog()
     router.add(status_room(watchdog))
+    described = {each.url: each.document for each in fixed(notifications)}
+    described |= {router.endpoint.url: router.endpoint.document, router.graphs.url: router.graphs.document}
+    changing = ("/status",) if mirror is None else ("/status", "/mirror")
+    source.add(described, map(router.at, changing))
     door = None if settings.auth is None else Door(settings.auth, robot.space, partial(types_at, robot))
     if door is not None:
         door.changed.watch(feeds.stir)
     router.add(acl_room(door))
     verbs = Verbs(robot.boot, pages, feeds, alone, large)
-    return Application(robot, router, verbs, pages, names, notifications, service, watchdog, mirror, door)
+    return Application(robot, router, verbs, pages, names, notifications, service, process, watchdog, mirror, door)
 
 
-def query_service(robot: Robot, store: MemoryStore, synchroniser: Synchroniser, analyser: Analyser) -> QueryService:
+def query_service(
+    robot: Robot, process: QueryProcess, synchroniser: Synchroniser, analyser: Analyser, unread: Unread
+) -> QueryService:
     """SPARQL over everything that the robot's resources say."""
     settings = robot.settings
     limits = QuerySettings(
@@ -128,8 +139,8 @@ def query_service(robot: Robot, store: MemoryStore, synchroniser: Synchroniser, 
         settings.query_concurrency,
         settings.query_queue,
     )
-    shades = Shades(store, lambda: Same(robot.graph))
-    return QueryService(store, synchroniser, analyser, lambda: functions(robot.seconds_since), limits, shades)
+    restricted = RestrictedDatasets(process, lambda: Same(robot.graph))
+    return QueryService(process, synchroniser, analyser, robot.ages, limits, restricted, unread)
 
 
 class Application:
@@ -144,6 +155,7 @@ class Application:
         names: Site,
         notifications: Notifications,
         service: QueryService,
+        process: QueryProcess,
         watchdog: Watchdog,
         mirror: Mirror | None = None,
         door: Door | None = None,
@@ -155,6 +167,7 @@ class Application:
         self._site = names
         self._notifications = notifications
         self._service = service
+        self._process = process
         self._watchdog = watchdog
         self._turns = Turns()
         self._stop = f"{robot.space.path}stop".encode("ascii")
@@ -203,7 +216,12 @@ class Application:
 
     async def _lifespan(self, receive: Receive, send: Send) -> None:
         await receive()
-        await self.robot.start()
+        await self._process.start()
+        try:
+            await self.robot.start()
+        except BaseException:
+            await self._process.close()
+            raise
         self._watchdog.start()
         background = [asyncio.ensure_future(self._service.keep_up())]
         background.append(asyncio.ensure_future(asyncio.to_thread(prepare_pages)))
@@ -220,6 +238,7 @@ class Application:
         if self._mirror is not None:
             await self._mirror.close()
         await self._verbs.large.close()
+        await self._process.close()
         await self.robot.stop()
         await send({"type": "lifespan.shutdown.complete"})
 
@@ -234,7 +253,8 @@ class Application:
             if isinstance(error, TooMuch):
                 await asyncio.sleep(REFUSAL_SECONDS)
             response = self._failure(exchange, error)
-        self._audit_refusal(exchange, response.status_code)
+        if response.status_code in _REFUSED:
+            self._audit_refusal(exchange, response.status_code)
         if exchange.account.is_write:
             response.raw_headers = [*response.raw_headers, self._recorder.note(exchange, scope, response)]
         if self._door is not None:
@@ -267,11 +287,13 @@ class Application:
         await receiver(scope, receive, send)
 
     async def _answer(self, exchange: Exchange, origin: str | None) -> Response:
-        check_host(self._site, exchange.hosts)
+        path: bytes = exchange.request.scope["raw_path"]
+        if exchange.header("host") not in self._site.hosts:  # several are joined, and then none of these
+            check_host(self._site, exchange.hosts)
         check_origin(self._site, exchange.method, origin, exchange.header("sec-fetch-site"))
-        if exchange.request.scope["raw_path"] != self._stop:
+        if path != self._stop:
             await self._turns.wait()
-        if exchange.request.scope["raw_path"] == b"*":
+        if path == b"*":
             self._admit(exchange)
             return _of_server(exchange.method)
         is_preflight = exchange.method == "OPTIONS" and exchange.header("access-control-request-method") is not None
@@ -297,7 +319,7 @@ class Application:
         """
         scope = exchange.request.scope
         asked: bytes = scope["raw_path"] + b"?" + scope["query_string"]
-        if exchange.method == "DELETE" or not (_TOKEN_MARK in asked or b"%" in asked):
+        if len(asked) <= TOKEN_LENGTH or exchange.method == "DELETE" or not (_TOKEN_MARK in asked or b"%" in asked):
             return
         if has_token(asked.decode("latin-1")):
             if gate.is_write(exchange.method, self._place(exchange)):
@@ -308,7 +330,7 @@ class Application:
     def _admit(self, exchange: Exchange) -> None:
         """Raises a 429 Problem for a client at its limit. Stopping the robot is never too much."""
         scope = exchange.request.scope
-        if not self.is_urgent(exchange.method.encode(), scope["raw_path"]):
+        if scope["raw_path"] != self._stop or exchange.method != "POST":
             client = scope["client"]
             exchange.client = self.clients.admit(exchange.agent, client[0] if client else None)
 
@@ -346,8 +368,14 @@ class Application:
         if exchange.agent == ANYBODY:
             if status in _ABSENT:
                 exchange.account.only_reads()
-        elif status in _REFUSED and gate.is_write(exchange.method, self._place(exchange)):
+        elif gate.is_write(exchange.method, self._place(exchange)):
             exchange.account.begin()
+
+    def _would_write(self, exchange: Exchange) -> bool:
+        """Whether a request is a write, as far as it was read: of a form for `/sparql`, only its content tells."""
+        if exchange.account.is_write or exchange.method in ("PUT", "PATCH"):
+            return True
+        return exchange.essence == UPDATE or gate.is_write(exchange.method, self._place(exchange))
 
     def _failure(self, exchange: Exchange, error: Exception) -> Response:
         """The response that tells of an error. What nobody foresaw is logged in full and told in one sentence."""
@@ -359,8 +387,7 @@ class Application:
             error = Problem(507, str(error)) if error.full else Problem(503, str(error), headers={"Retry-After": "1"})
         elif is_shortage(error):
             _log.error("%s %s: %s", exchange.method, exchange.request.scope["path"], error or "no memory is left")
-            is_write = exchange.account.is_write or exchange.method in ("PUT", "PATCH")
-            error = problem_of_shortage(error, is_write=is_write)
+            error = problem_of_shortage(error, is_write=self._would_write(exchange))
         if not isinstance(error, Problem):
             _log.exception("%s %s failed", exchange.method, exchange.request.scope["path"], exc_info=error)
             error = Problem(500, "The server failed on this request; its log says more.")

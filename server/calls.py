@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import secrets
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
@@ -14,6 +13,7 @@ from enum import Enum
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import Message, Refused, RosError, Sent, ServiceSchema, TimedOut
 from rosld.server.events.watches import Signal
+from rosld.server.identifiers import new_identifier
 
 
 class CallState(Enum):
@@ -108,7 +108,7 @@ class Calls:
         Raises ValueError where the request cannot be encoded: then nothing was sent.
         """
         data = schema.request.codec.encode(request, self._adapter.capabilities.encoding)
-        call = Call(secrets.token_urlsafe(9), service, schema, request, time.time_ns())
+        call = Call(new_identifier(), service, schema, request, time.time_ns())
         self._keep(call)
         loop = asyncio.get_running_loop()
         settled = loop.create_task(self._settle(call, data, deadline + LATE_SECONDS))

@@ -15,7 +15,17 @@ from itertools import chain, product
 
 from pyoxigraph import NamedNode
 
-from rosld.adapters.model import MessageSchema, Parameter, ParameterValue, RosError, Schema, Topic, halves_of, names
+from rosld.adapters.model import (
+    MessageSchema,
+    Parameter,
+    ParameterValue,
+    RosError,
+    Schema,
+    Topic,
+    TypeRef,
+    halves_of,
+    names,
+)
 from rosld.ontology.describe_bags import bag_document
 from rosld.ontology.describe_containers import container_document, type_container_document
 from rosld.ontology.describe_graph import entry_document, node_document, node_views
@@ -27,6 +37,7 @@ from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.triples import RDF_SOURCE, about, text
 from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import rdf, ros
+from rosld.server.access.judge import Judge
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.layout import path_of
@@ -34,6 +45,7 @@ from rosld.server.hypermedia.mappings import related
 from rosld.server.in_force import limits, queries
 from rosld.server.ldp.resource import Resource
 from rosld.server.ldp.state import State
+from rosld.server.loop_time import loop_time
 from rosld.server.resources import types
 from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.bags import BagMessage
@@ -43,12 +55,12 @@ from rosld.server.resources.members import MemberResource
 from rosld.server.resources.namespaces import listed, listed_members, namespace_described, namespaces, of_room
 from rosld.server.resources.nodes import NodeResource
 from rosld.server.resources.ontology import vocabulary
-from rosld.server.resources.parameters import ParameterResource
+from rosld.server.resources.parameters import ParameterResource, ParameterTree
 from rosld.server.resources.queries import shipped_document, whole_container
 from rosld.server.resources.services import CallResource
 from rosld.server.resources.stop import StopResource
 from rosld.server.resources.topics import TopicResource
-from rosld.server.resources.types import WHOLE, known_types, names_below, whole_shape
+from rosld.server.resources.types import WHOLE, ShapeResource, TypeResource, known_types, names_below, whole_shape
 from rosld.server.robot import Robot, Same
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.sync import GraphEntry
@@ -73,11 +85,23 @@ class Dataset:
         self._robot = robot
         self._described: tuple[Hashable, Mapping[str, GraphEntry]] = (None, {})
         self._found: dict[Needs, tuple[Hashable, Sequence[Resource]]] = {}
+        self._fixed: Mapping[str, Callable[[], Document]] = {}
+        self._live: Mapping[str, Resource] = {}
+
+    def add(self, fixed: Mapping[str, Callable[[], Document]], live: Iterable[Resource]) -> None:
+        """Add documents that never change, by URL, and resources that are read whenever a query may mean them."""
+        self._fixed = fixed
+        self._live = {resource.url: resource for resource in live}
 
     @property
     def revision(self) -> Hashable:
         """Changes whenever a description may have changed."""
         return self._robot.revision
+
+    @property
+    def writes(self) -> int:
+        """How many writes have ended that the robot was told of."""
+        return self._robot.gate.writes
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
         """Every graph without live values, by IRI."""
@@ -98,6 +122,33 @@ class Dataset:
             paths.update(layout.actions)
         return {url_of(path, space) for path in paths}
 
+    async def unread(self, needs: Needs, judge: Judge) -> Mapping[str, int]:
+        """How many graphs that are there only on demand the needs could match without asking for them, by container.
+
+        Only those count that the judge lets be read.
+        """
+        robot, space = self._robot, self._robot.space
+        found: dict[str, int] = {}
+        if needs.everything:
+            wanted = {one.url for one in self._resources(needs)}
+            urls = {space.topic(name) for name in robot.graph.topics}
+            found["topics"] = sum(map(judge.may_read, urls - wanted))
+        if needs.resources:
+            layout = await robot.offers.layout()
+            urls = {url_of(path, space) for path in (*layout.paths, *layout.properties, *layout.actions)}
+            found["resources"] = sum(map(judge.may_read, urls - needs.documents))
+            left = () if needs.everything else (url for url in self._live if url not in needs.documents)
+            found |= {url.removeprefix(space.base): int(judge.may_read(url)) for url in left}
+        if needs.trees:
+            urls = {space.container("parameters", path) for path in namespaces(robot.graph, "parameters")}
+            found["parameters"] = sum(map(judge.may_read, urls - needs.graph_names))
+        if needs.records:
+            recordings = [one for one in robot.adapter.recordings.values() if judge.may_read(space.bag(one.name))]
+            named = (space.location(url) for url in needs.documents)
+            count = sum(one is not None and one.kind == "bags" and len(one.segments) == 3 for one in named)
+            found["bags"] = sum(one.count for one in recordings) - count
+        return {container: count for container, count in found.items() if count > 0}
+
     def glance(self, needs: Needs) -> Hashable | None:
         """What tells whether `live` would find what it found, at once; None where that must be looked for."""
         if any(demand.anything for demand in needs.demands):
@@ -112,9 +163,9 @@ class Dataset:
         nothing, what is subscribed to already is all there is.
         """
         resources = self._resources(needs)
-        parameters = [one for one in resources if isinstance(one, ParameterResource)]
+        parameters = [one for one in resources if isinstance(one, ParameterResource | ParameterTree)]
         topics = [one for one in resources if isinstance(one, TopicResource)]
-        others = [one for one in resources if not isinstance(one, ParameterResource | TopicResource)]
+        others = [one for one in resources if not isinstance(one, ParameterResource | ParameterTree | TopicResource)]
         found = await self._look(topics, others, deadline)
         stored = await self._parameters(parameters, deadline)
         return [*stored, *found, *await self._of_topics(topics)]
@@ -134,17 +185,23 @@ class Dataset:
     def _wanted(self, needs: Needs) -> Iterator[Resource]:
         robot = self._robot
         if needs.messages:
-            subscribed = frozenset(robot.topics.subscribed())
+            at_hand = {*robot.topics.subscribed(), *robot.gated.published}
             definite = Needs(tuple(demand for demand in needs.demands if not demand.anything))
             for topic in self._candidates(needs.graphs):
                 url = robot.space.topic(topic.name)
-                asked = needs if topic.name in subscribed else definite  # looking at anything subscribes to nothing new
+                asked = needs if topic.name in at_hand else definite  # looking at anything subscribes to nothing new
                 if asked.wants_topic(url, self._types_within(topic)):
                     yield TopicResource(robot, topic.name)
         if needs.parameters:
             for name in robot.graph.parameters:
                 if needs.wants_parameter(robot.space.parameter(name)):
                     yield ParameterResource(robot, name)
+            for path in namespaces(robot.graph, "parameters") if needs.graph_names else ():
+                url = robot.space.container("parameters", path)
+                if url in needs.graph_names and needs.wants_parameter(url):
+                    yield ParameterTree(robot, path)
+        anything = any(demand.anything for demand in needs.demands)
+        yield from (one for url, one in self._live.items() if anything or url in needs.documents)
         yield from self._named(needs.documents)
 
     def _candidates(self, named: frozenset[str] | None) -> Iterator[Topic]:
@@ -168,8 +225,14 @@ class Dataset:
                 found.update(schema.types)
         return frozenset(found)
 
+    def _is_known(self, type: str) -> bool:
+        return self._robot.schemas.named(type) is not None
+
     def _named(self, documents: frozenset[str]) -> Iterator[Resource]:
-        """What is in the dataset only where it is named: recorded messages, and resources whose getters are called."""
+        """What is in the dataset only where it is named: recorded messages, resources whose getters are called, types
+
+        that nobody has asked for yet.
+        """
         for url in documents:
             location = self._robot.space.location(url)
             match location:
@@ -177,6 +240,9 @@ class Dataset:
                     recording = self._robot.adapter.recordings.get(bag)
                     if recording is not None and int(index) < recording.count:
                         yield BagMessage(self._robot, recording, int(index))
+                case Location("types" | "shapes", (_, _, _) as path, False) if not self._is_known("/".join(path)):
+                    make = TypeResource if location.kind == "types" else ShapeResource
+                    yield make(self._robot, "/".join(path))
                 case Location("resources", segments, True):
                     yield ComplexResource(self._robot, path_of(segments))
                 case Location("resources", (_, *_), False):
@@ -199,7 +265,7 @@ class Dataset:
                 if len(tasks) % _AT_ONCE == 0:
                     await asyncio.sleep(0)
             if tasks:
-                seconds = max(0.0, deadline - asyncio.get_running_loop().time())
+                seconds = max(0.0, deadline - loop_time())
                 await asyncio.wait(tasks, timeout=seconds)
         finally:
             for task in tasks:
@@ -213,8 +279,10 @@ class Dataset:
         with contextlib.suppress(Problem, RosError):
             await self._robot.topics.look(topic.name)
 
-    async def _parameters(self, resources: Sequence[ParameterResource], deadline: float) -> Sequence[GraphEntry]:
-        """The graphs of parameters, asked for all together."""
+    async def _parameters(
+        self, resources: Sequence[ParameterResource | ParameterTree], deadline: float
+    ) -> Sequence[GraphEntry]:
+        """The graphs of parameters and of trees of them, asked for all together."""
         if not resources:
             return ()
         robot = self._robot
@@ -278,12 +346,17 @@ class Dataset:
         yield from self._containers()
         yield from self._types()
         yield from self._records()
+        for iri, fixed in self._fixed.items():
+            yield _described(iri, 0, fixed)
         ontology = Document(f"{space.base}ontology", vocabulary())
         yield _described(ontology.url, 0, lambda: ontology)
 
     def _containers(self) -> Iterator[GraphEntry]:
         space, graph = self._robot.space, self._robot.graph
-        for room in ("nodes", "topics", "services", "actions", "parameters"):
+        for path in namespaces(graph, "parameters"):
+            tree = ParameterTree(self._robot, path)
+            yield _described(tree.url, Same(graph.parameters), partial(_of_itself, tree))
+        for room in ("nodes", "topics", "services", "actions"):
             for path, whole in namespaces(graph, room).items():
                 members = listed_members(self._robot, room, path)
                 assert members is not None
@@ -312,14 +385,16 @@ class Dataset:
         yield _described(shapes.url, Same(shapes), lambda: shapes)
         for name in WHOLE:
             yield _described(space.shape(name), Same(self._robot.limits), partial(whole_shape, self._robot, name))
+        variants = known_types(self._robot)
         for schema in self._robot.schemas.all():
-            yield from self._type(schema)
+            yield from self._type(schema, variants)
 
-    def _type(self, schema: Schema) -> Iterator[GraphEntry]:
+    def _type(self, schema: Schema, variants: Sequence[TypeRef]) -> Iterator[GraphEntry]:
         space = self._robot.space
-        yield _described(space.type(schema.ref.name), schema.ref, partial(type_document, schema, space))
-        for half in halves_of(schema):
-            yield _described(space.shape(half.ref.name), schema.ref, partial(shape_document, half, space))
+        for one in (schema,) if isinstance(schema, MessageSchema) else (schema, *halves_of(schema)):
+            same = tuple(ref for ref in variants if ref.name == one.ref.name)
+            yield _described(space.type(one.ref.name), (one.ref, same), partial(type_document, one, space, same))
+            yield _described(space.shape(one.ref.name), one.ref, partial(shape_document, one, space))
 
     def _records(self) -> Iterator[GraphEntry]:
         space = self._robot.space
@@ -356,12 +431,19 @@ def described_parameter(parameter: Parameter, space: Space) -> Document:
     return Document(url, (*triples, *(declared_triples(descriptor, url, space) if descriptor is not None else ())))
 
 
-def _of_parameter(resource: ParameterResource, value: ParameterValue | None) -> GraphEntry | None:
-    """The graph of a parameter, None where it has no value that can be shown."""
-    if value is None or isinstance(value, dict):
+def _of_itself(tree: ParameterTree) -> Document:
+    """What a tree of parameters says of itself alone: the union has what it says of its members from their graphs."""
+    document = tree.outline()
+    itself = NamedNode(document.url)
+    return Document(document.url, tuple(triple for triple in document.all_triples() if triple.subject == itself))
+
+
+def _of_parameter(resource: ParameterResource | ParameterTree, value: ParameterValue | None) -> GraphEntry | None:
+    """The graph of a parameter or a tree, None where it has no value that can be shown."""
+    if value is None or isinstance(value, dict) == isinstance(resource, ParameterResource):
         return None
     try:
-        return _live(resource.url, resource.shown(value))
+        return _live(resource.url, resource.shown(value))._replace(passing=isinstance(resource, ParameterTree))
     except Problem:
         return None
 

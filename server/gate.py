@@ -68,7 +68,10 @@ class Gate:
         self.standstill: Standstill | None = None
         self.held: dict[str, Holder] = {}
         """Who holds a topic, by topic."""
+        self.writes = 0
+        """How many writes have ended, whatever became of them."""
         self._under_way: set[_UnderWay] = set()
+        self._loop: asyncio.AbstractEventLoop | None = None
 
     def shut(self, standstill: Standstill) -> None:
         """Let no write pass from now on, and cut off those that are under way."""
@@ -94,7 +97,8 @@ class Gate:
     async def let_pass(self, write: Callable[[], Awaitable[_T]]) -> _T:
         """Carry a write out, unless the robot is stopped before it is done: raises Stopped."""
         self.require_open()
-        task = asyncio.current_task()
+        loop = self._loop = self._loop or asyncio.get_running_loop()  # a system call before Python 3.12
+        task = asyncio.current_task(loop)
         assert task is not None
         under_way = _UnderWay(task)
         self._under_way.add(under_way)
@@ -106,7 +110,15 @@ class Gate:
                 raise Stopped(self.standstill, sent=Sent.MAYBE) from None
             raise
         finally:
+            self.writes += 1
             self._under_way.discard(under_way)
+
+    async def let_by(self, write: Awaitable[_T]) -> _T:
+        """Carry a write out that must reach the robot also while it is stopped."""
+        try:
+            return await write
+        finally:
+            self.writes += 1
 
 
 class _UnderWay:

@@ -10,14 +10,14 @@ from rosld.server.gate import Gate
 
 
 class Gated:
-    """An `Adapter` behind a gate. `inner` is the adapter itself.
+    """An `Adapter` behind a gate. `inner` is the adapter itself, for what reads by calling (getters).
 
-    That is for what reads by calling (getters), and for what must reach a robot that is stopped: what ends a hold, what
-    stops the robot. A goal can be canceled in any case, as that ends what moves.
+    `published` are the topics that were published to, until they are no longer advertised.
     """
 
     def __init__(self, inner: Adapter, gate: Gate) -> None:
         self.inner = inner
+        self.published: set[str] = set()
         self._gate = gate
 
     # Writes
@@ -27,16 +27,28 @@ class Gated:
     ) -> Published:
         """`Adapter.publish`; raises TopicHeld while somebody holds the topic."""
         self._gate.require_free(topic)
+        self.published.add(topic)
         return await self._gate.let_pass(lambda: self.inner.publish(topic, type, data, latch=latch, deadline=deadline))
 
     async def publish_held(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
         """`Adapter.publish` for the hold of the topic."""
+        self.published.add(topic)
         return await self._gate.let_pass(lambda: self.inner.publish(topic, type, data, deadline=deadline))
+
+    async def publish_at_last(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
+        """`Adapter.publish`, also while the robot is stopped: for what ends a hold, or stops the robot."""
+        self.published.add(topic)
+        return await self._gate.let_by(self.inner.publish(topic, type, data, deadline=deadline))
+
+    async def call_at_last(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        """`Adapter.call`, also while the robot is stopped: for what stops it."""
+        return await self._gate.let_by(self.inner.call(service, type, request, deadline=deadline))
 
     async def unadvertise(self, topic: str) -> None:
         """`Adapter.unadvertise`; raises TopicHeld while somebody holds the topic."""
         self._gate.require_free(topic)
         await self._gate.let_pass(lambda: self.inner.unadvertise(topic))
+        self.published.discard(topic)
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """`Adapter.call`."""
@@ -47,8 +59,8 @@ class Gated:
         return await self._gate.let_pass(lambda: self.inner.send_goal(action, type, goal, deadline=deadline))
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
-        """`Adapter.cancel_goal`."""
-        await self.inner.cancel_goal(goal, deadline=deadline)
+        """`Adapter.cancel_goal`, also while the robot is stopped: it ends what moves."""
+        await self._gate.let_by(self.inner.cancel_goal(goal, deadline=deadline))
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         """`Adapter.change_state`."""

@@ -7,7 +7,6 @@ import contextlib
 import hashlib
 import logging
 import re
-import secrets
 import threading
 import time
 from collections import OrderedDict
@@ -28,6 +27,8 @@ from rosld.adapters.model import (
 )
 from rosld.server.calls import Gone, KeyReused
 from rosld.server.events.watches import Signal
+from rosld.server.identifiers import new_identifier
+from rosld.server.loop_time import loop_time
 
 _log = logging.getLogger("rosld")
 _PLAIN = re.compile(r"[A-Za-z0-9_-]{1,64}")
@@ -154,7 +155,7 @@ class Goals:
                 return Sending(None, error)
             words = error.words or error.sentence
             goal = Goal(
-                secrets.token_urlsafe(9), action, None, now, now, GoalStatus.REJECTED, schema, message, words=words,
+                new_identifier(), action, None, now, now, GoalStatus.REJECTED, schema, message, words=words,
                 ended_ns=time.time_ns(), own=True,
             )  # fmt: skip
             self._keep(goal)
@@ -262,7 +263,7 @@ class Goals:
         if following is None:
             opening = asyncio.ensure_future(self._adapter.follow_goals(action, deadline=deadline))
             following = self._followed[action] = _Following(opening, 0.0)
-        following.looked_at = asyncio.get_running_loop().time()
+        following.looked_at = loop_time()
         try:
             await asyncio.shield(following.opening)
         except RosError:
@@ -295,7 +296,7 @@ class Goals:
     async def _sweep_for_ever(self) -> None:
         while True:
             await asyncio.sleep(_SWEEP)
-            horizon = asyncio.get_running_loop().time() - self._idle
+            horizon = loop_time() - self._idle
             for action, following in list(self._followed.items()):
                 if not following.watches and following.looked_at < horizon:
                     self._unfollow(action)
@@ -372,7 +373,7 @@ class _GoalWatch:
         following, self._following = self._following, None
         if following is not None:
             following.watches -= 1
-            following.looked_at = asyncio.get_running_loop().time()
+            following.looked_at = loop_time()
         self._watch.close()
 
 

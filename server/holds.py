@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 import logging
 import math
-import secrets
 import time
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
@@ -23,6 +22,7 @@ from rosld.server.access.agent import Agent
 from rosld.server.events.watches import Signal
 from rosld.server.gate import Holder
 from rosld.server.http.problem import Problem
+from rosld.server.identifiers import new_identifier
 from rosld.server.publication import require_rate
 from rosld.server.schedule import Lapse, Publish, Schedule, Wait
 from rosld.server.writable import refusal
@@ -219,9 +219,7 @@ def new(
 ) -> Hold:
     """A hold that has not begun."""
     now = time.time_ns()
-    return Hold(
-        secrets.token_urlsafe(9), topic, holder, rate, lease, asked, then, then_asked, now, now + int(lease * 1e9)
-    )
+    return Hold(new_identifier(), topic, holder, rate, lease, asked, then, then_asked, now, now + int(lease * 1e9))
 
 
 class _Running:
@@ -334,7 +332,7 @@ class _Running:
         while True:
             try:
                 data = then.at(time.time_ns(), encoding)
-                await self._robot.gated.inner.publish(topic, then.schema.ref, data, deadline=deadline)
+                await self._robot.gated.publish_at_last(topic, then.schema.ref, data, deadline=deadline)
                 return
             except (RosError, ValueError) as error:
                 if self._loop.time() + _AGAIN_SECONDS >= deadline:

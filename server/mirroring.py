@@ -5,17 +5,22 @@ from __future__ import annotations
 import asyncio
 import base64
 import logging
-from collections.abc import Collection
+import pickle
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from rosld.server.http.origin import is_loopback
+from rosld.server.http.problem import Problem
+from rosld.server.loop_time import loop_time
 from rosld.server.robot import Robot
 from rosld.server.settings import Settings
 from rosld.server.sparql.needs import Demand, Needs
+from rosld.server.sparql.process.client import QueryProcess
+from rosld.server.sparql.process.work import Dump, Graphs, Work
 from rosld.server.sparql.sync import Synchroniser
-from rosld.server.store import MemoryStore
-from rosld.server.store.endpoint import Endpoint
+from rosld.server.store import Edit
+from rosld.server.store.endpoint import Endpoint, StoreError
 from rosld.server.store.mirror import Mirror
 from rosld.server.store.remote import RemoteStore
 
@@ -28,7 +33,7 @@ _LONGEST_READING = 5.0
 _log = logging.getLogger("rosld.store")
 
 
-def mirror_of(robot: Robot, store: MemoryStore, synchroniser: Synchroniser, rooms: Collection[str]) -> Mirror | None:
+def mirror_of(robot: Robot, process: QueryProcess, synchroniser: Synchroniser, rooms: Collection[str]) -> Mirror | None:
     """The mirror that the settings ask for, None for none. `rooms` are the first segments of all paths of this server.
 
     Raises ValueError where the credentials cannot be used, OSError where they cannot be read.
@@ -41,7 +46,7 @@ def mirror_of(robot: Robot, store: MemoryStore, synchroniser: Synchroniser, room
     _warn(settings, endpoints)
     query, update = (Endpoint(url, header, seconds=settings.store_time_limit) for url in endpoints)
     return Mirror(
-        store,
+        _Dataset(process, synchroniser),
         RemoteStore(query, update),
         _Graphs(robot.space.base, rooms, synchroniser),
         _Reading(robot, synchroniser).refresh,
@@ -74,6 +79,34 @@ def _warn(settings: Settings, endpoints: tuple[str, str]) -> None:
             _log.warning("the credentials for %s can be read on their way: it is not https", url)
 
 
+class _Dataset:
+    """What the query process holds, as a mirror reads it."""
+
+    def __init__(self, process: QueryProcess, synchroniser: Synchroniser) -> None:
+        self._process = process
+        self._synchroniser = synchroniser
+
+    def watch(self, told: Callable[[Collection[str], Sequence[Edit]], None], begun: Callable[[], None]) -> None:
+        self._process.watch(told)
+        self._process.watch_start(begun)
+
+    def graphs(self) -> Collection[str]:
+        names: list[str] = pickle.loads(self._result(Graphs()))  # from our own process
+        return names
+
+    def ntriples(self, graph: str) -> str | None:
+        texts: dict[str, str | None] = pickle.loads(self._result(Dump((graph,))))
+        return texts[graph]
+
+    def _result(self, work: Work) -> bytes:
+        if self._synchroniser.progress is not None:
+            raise StoreError(self._synchroniser.progress)
+        try:
+            return self._process.result_for_thread(work, _LONGEST_READING)
+        except (Problem, TimeoutError) as error:
+            raise StoreError(f"The dataset cannot be read now: {error}.") from error
+
+
 class _Graphs:
     """The graphs of this server in a store that others use too: those in its rooms. A base may begin with another."""
 
@@ -102,7 +135,7 @@ class _Reading:
 
     async def refresh(self) -> None:
         await asyncio.wait_for(self._read(self._topics()), _LONGEST_READING)
-        now = asyncio.get_running_loop().time()
+        now = loop_time()
         if now - self._parameters_at >= _PARAMETERS_EVERY:
             self._parameters_at = now
             await asyncio.wait_for(self._read(self._parameters()), _LONGEST_READING)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rosld.adapters.base import Published
 from rosld.adapters.model import Kind, TypeRef
 from rosld.server.http.problem import Problem
+from rosld.server.loop_time import loop_time
 
 if TYPE_CHECKING:
     from rosld.server.robot import Robot
@@ -39,7 +39,7 @@ async def publish(robot: Robot, publication: Publication) -> Published:
 
 def require_rate(robot: Robot, topic: str) -> None:
     """Count one publish. Raises a 429 Problem where the topic is published to too often."""
-    wait = robot.limiter.wait(topic, asyncio.get_running_loop().time())
+    wait = robot.limiter.wait(topic, loop_time())
     if wait > 0:
         sentence = f"More than {robot.limiter.rate:g} messages a second on {topic} (--max-publish-rate)."
         raise Problem(429, sentence, headers={"Retry-After": str(max(1, round(wait)))})

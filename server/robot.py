@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import gc
 import secrets
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
@@ -32,6 +32,7 @@ from rosld.server.ldp.state import State
 from rosld.server.limiter import PublishLimiter
 from rosld.server.live.schemas import Schemas
 from rosld.server.live.topics import LiveSettings, LiveTopics
+from rosld.server.loop_time import loop_time
 from rosld.server.offload import Workers
 from rosld.server.receipts.journal import Journal
 from rosld.server.records import Changed
@@ -129,6 +130,11 @@ class Robot:
         newest = None if view is None else view.newest
         return None if newest is None else self.adapter.age_ns(newest) / 1e9
 
+    def ages(self) -> Mapping[str, float]:
+        """The seconds since the newest message of each topic that has one, by the URLs of the topics."""
+        urls = map(self.space.topic, self.topics.subscribed())
+        return {url: age for url in urls if (age := self.seconds_since(url)) is not None}
+
     @property
     def revision(self) -> Hashable:
         """Another one whenever anything has changed but values and what clients keep."""
@@ -165,7 +171,7 @@ class Robot:
 
     def deadline(self, seconds: float) -> float:
         """The loop time so many seconds from now."""
-        return asyncio.get_running_loop().time() + seconds
+        return loop_time() + seconds
 
     async def start(self) -> None:
         """Open the adapter unless it is, and follow its graph. Raises what `Adapter.open` raises."""

@@ -215,6 +215,9 @@ class Settings:
     client_websockets: int = setting(
         256, "The most WebSockets from one address at a time, from this machine, too.", least=1
     )
+    client_streams: int = setting(
+        256, "The most event streams and waiting requests from one address at a time, from this machine, too.", least=1
+    )
     connections: int = setting(
         3000, "The most connections at a time; a new one takes the place of an idle one, or is answered 503.", least=10
     )

@@ -160,7 +160,7 @@ class Stops:
                 raise ValueError(f"there is no service {mapped.service} that can be called")
             called = await robot.schemas.service(service.type)
             request = called.request.codec.encode(self._message(called.request, mapped), encoding)
-            answer = await robot.gated.inner.call(mapped.service, called.ref, request, deadline=deadline)
+            answer = await robot.gated.call_at_last(mapped.service, called.ref, request, deadline=deadline)
             response = called.response.codec.decode(answer, encoding)
             if getattr(response, "success", True) is False:
                 raise ValueError(str(getattr(response, "message", "") or "it answered that it did not succeed"))
@@ -171,7 +171,7 @@ class Stops:
             raise ValueError(f"there is no topic {mapped.topic} that can be published to")
         schema = await robot.schemas.message(topic.type)
         data = schema.codec.encode(self._message(schema, mapped), encoding)
-        await robot.gated.inner.publish(mapped.topic, schema.ref, data, deadline=deadline)
+        await robot.gated.publish_at_last(mapped.topic, schema.ref, data, deadline=deadline)
 
     def _message(self, schema: MessageSchema, mapped: MappedStop) -> Message:
         return lowerer(schema, self._robot.lifting).from_json(parse_json(mapped.content.encode()), defaults=True)

@@ -10,16 +10,20 @@ MOST = 4
 
 
 class Turns:
-    """Lets the first requests of a turn begin at once, and the others in the turns after it, in their order."""
+    """Lets the first requests of a turn begin at once, and the others in the turns after it, in their order.
+
+    Belongs to one loop.
+    """
 
     def __init__(self, most: int = MOST) -> None:
         self._most = most
         self._begun = 0
         self._waiting: deque[asyncio.Future[None]] = deque()
+        self._loop: asyncio.AbstractEventLoop | None = None
 
     async def wait(self) -> None:
         """Until it is one's turn."""
-        loop = asyncio.get_running_loop()
+        loop = self._loop = self._loop or asyncio.get_running_loop()  # the latter is a system call before Python 3.12
         if self._begun == 0:
             loop.call_soon(self._next)
         if self._begun < self._most and not self._waiting:
@@ -36,5 +40,5 @@ class Turns:
             if not turn.done():  # who has gone has cancelled it
                 turn.set_result(None)
                 self._begun += 1
-        if self._begun:
-            asyncio.get_running_loop().call_soon(self._next)
+        if self._begun and self._loop is not None:
+            self._loop.call_soon(self._next)

@@ -19,10 +19,14 @@ from types import FrameType
 _log = logging.getLogger("rosld")
 
 BEAT_SECONDS = 0.01
+WATCH_SECONDS = 0.05
+"""Between two looks of the thread: each wakes the processor, and only a pause that it meets gets a stack."""
 LATE_SECONDS = 0.02
 """From here on the stack of a pause is taken."""
 LOGGED_SECONDS = 0.1
 """From here on a pause is logged. On a busy machine the system itself takes shorter ones."""
+LONG_SECONDS = 1.0
+"""From here on a pause is a warning, whoever took the processor."""
 LOG_INTERVAL_SECONDS = 60.0
 RECENT_SECONDS = 60.0
 _SLOTS = 6
@@ -131,14 +135,14 @@ class Watchdog:
 
     def _watch(self) -> None:
         logged = -LOG_INTERVAL_SECONDS
-        while not self._ended.wait(BEAT_SECONDS):
+        while not self._ended.wait(WATCH_SECONDS):
             due, now = self._due, time.monotonic()
             if now - due > LATE_SECONDS and self._sample[0] != due:
                 self._sample = (due, *self._stack())
             pause = self._to_log
             if pause is not None and now - logged >= LOG_INTERVAL_SECONDS:
                 self._to_log, logged = None, now
-                _log.warning("%s", words(pause))
+                _log.log(_level(pause), "%s", words(pause))
 
     def _stack(self) -> tuple[str | None, str | None]:
         """The innermost function of rosld that the loop's thread runs, and the whole stack."""
@@ -147,6 +151,11 @@ class Watchdog:
             return None, None
         code = _innermost(frame)
         return code, None if code is None else "".join(traceback.format_stack(frame)[-_FRAMES:])
+
+
+def _level(pause: Pause) -> int:
+    """How loud a pause is logged: a short one in which no code of rosld ran is that of a busy machine."""
+    return logging.WARNING if pause.code is not None or pause.seconds >= LONG_SECONDS else logging.INFO
 
 
 def words(pause: Pause) -> str:

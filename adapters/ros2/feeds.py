@@ -165,7 +165,9 @@ class Feed:
         nameless = self._streams.get("")
         name = next(iter(publishers.nodes), "")
         if nameless is not None and name and len(publishers.nodes) == 1 and name not in self._streams:
-            nameless.kept = deque((each._replace(publisher=name) for each in nameless.kept), maxlen=self.depth)
+            is_latched = name in publishers.latched
+            named = (each._replace(publisher=name, latched=is_latched) for each in nameless.kept)
+            nameless.kept = deque(named, maxlen=self.depth)
             self._streams[name] = self._streams.pop("")
 
     def _put(self, taken: Taken, publishers: Publishers, latched: bool) -> bool:
@@ -192,7 +194,7 @@ class Feed:
                 taken.received_ns,
                 sequence,
                 stream.epoch,
-                name in publishers.latched,
+                name in publishers.latched or (latched and not name),  # only what is latched is read so
             )
         )
         return True

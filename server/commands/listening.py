@@ -18,7 +18,7 @@ from rosld.server.http.connection import Bounded, Bounds, Connection
 from rosld.server.http.connections import Connections
 from rosld.server.http.tokens import without_tokens
 from rosld.server.http.websocket_connection import WebSocketConnection
-from rosld.server.sparql.evaluation import Aborted
+from rosld.server.sparql.process.client import Aborted
 
 _log = logging.getLogger("rosld")
 

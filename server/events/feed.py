@@ -5,13 +5,16 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+from collections import Counter
 from collections.abc import Coroutine, Hashable, Iterator
 from dataclasses import dataclass, field
 
-from starlette.types import Receive
+from starlette.datastructures import Address
+from starlette.types import Receive, Scope
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
+from rosld.server.clients import name_of
 from rosld.server.errors import problem_of
 from rosld.server.events.watches import Signal, every
 from rosld.server.http.problem import Problem
@@ -20,6 +23,8 @@ from rosld.server.ldp.state import State
 
 MOST_READERS = 2000
 """Streams and waiting requests at a time; one more is answered 503."""
+MOST_OF_ADDRESS = 256
+"""Those of one address, unless a setting says otherwise; one more is answered 429."""
 RETRY_SECONDS = 2
 _LOOK_AGAIN_SECONDS = 5.0
 """How often a resource with no watch of its own is looked at."""
@@ -168,17 +173,37 @@ class Feed:
 class Feeds:
     """The feeds of one server and all that read them; `general` is given whenever anything changed."""
 
-    def __init__(self, general: Signal) -> None:
+    def __init__(self, general: Signal, most_of_address: int = MOST_OF_ADDRESS) -> None:
         self._general = general
+        self._most_of_address = most_of_address
+        self._of_address: Counter[str | None] = Counter()
         self._feeds: dict[Resource, Feed] = {}
         self._held: set[asyncio.Task[None]] = set()
         self._is_over = False
 
-    def require_room(self) -> None:
-        """Raises a 503 Problem where there are as many readers as there may be, or the server is about to end."""
+    def require_room(self, client: tuple[str, int] | Address | None = None) -> None:
+        """Raises a 503 Problem where there are as many readers as there may be, or the server is about to end.
+
+        Raises a 429 Problem where as many as may be come from the address of this client, this machine's included.
+        """
+        if self._of_address[_address_of(client)] >= self._most_of_address:
+            words = f"{self._most_of_address} streams and waiting requests come from your address already"
+            raise Problem(429, f"{words} (client_streams): end some.", headers={"Retry-After": "5"})
         if self._is_over or len(self._held) >= MOST_READERS:
             why = "The server is ending." if self._is_over else f"{MOST_READERS} readers of changes are here already."
             raise Problem(503, f"{why} Come back later, or read without a stream.", headers={"Retry-After": "10"})
+
+    @contextlib.contextmanager
+    def reading(self, scope: Scope) -> Iterator[None]:
+        """Count a stream or a waiting request among those of its client's address."""
+        address = _address_of(scope.get("client"))
+        self._of_address[address] += 1
+        try:
+            yield
+        finally:
+            self._of_address[address] -= 1
+            if not self._of_address[address]:
+                del self._of_address[address]
 
     @contextlib.contextmanager
     def following(self, resource: Resource) -> Iterator[Feed]:
@@ -226,6 +251,10 @@ class Feeds:
         self._is_over = True
         for task in tuple(self._held):
             task.cancel()
+
+
+def _address_of(client: tuple[str, int] | Address | None) -> str | None:
+    return name_of(client[0], loopback=True) if client else None
 
 
 async def _gone(receive: Receive) -> None:

@@ -48,5 +48,6 @@ class Source(Response):
         await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
         await sent(b"")
         delivery = Delivery(self._channels, self._feeds, self._channel, told, sent)
-        await self._feeds.hold(delivery.run(), receive, self._channel.seconds_left)
+        with self._feeds.reading(scope):
+            await self._feeds.hold(delivery.run(), receive, self._channel.seconds_left)
         await send({"type": "http.response.body", "body": b"", "more_body": False})

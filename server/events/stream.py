@@ -15,8 +15,8 @@ from starlette.types import Receive, Scope, Send
 from rosld.server.events import asked, frame
 from rosld.server.events.feed import RETRY_SECONDS, Feed, Feeds, Moment, Sleeper
 from rosld.server.events.pace import Pace
-from rosld.server.http import problem as problems
 from rosld.server.http.problem import Problem
+from rosld.server.http.problem_details import render
 from rosld.server.ldp.resource import Resource
 from rosld.server.ldp.state import State
 
@@ -79,7 +79,7 @@ class Telling:
             problem = error
         problem = self.told(problem)
         name = GONE if problem.status in (404, 410) or problem.status < 400 else PROBLEM
-        return frame.event(problems.render(problem).body, name=name)
+        return frame.event(render(problem).body, name=name)
 
 
 class EventStream(Response):
@@ -112,7 +112,7 @@ class EventStream(Response):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send it."""
-        with self._lasting as seconds:
+        with self._feeds.reading(scope), self._lasting as seconds:
             self._quiet = seconds or KEEP_ALIVE_SECONDS
             await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
             await self._feeds.hold(self._tell(send), receive)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from starlette.types import Receive
+from starlette.requests import Request
 
 from rosld.server.events import asked
 from rosld.server.events.feed import Feed, Feeds, Sleeper
@@ -14,19 +14,20 @@ from rosld.server.ldp.state import State
 
 
 async def changed_since(
-    feeds: Feeds, resource: Resource, after: str, name: Callable[[State], str], receive: Receive, seconds: float
+    feeds: Feeds, resource: Resource, after: str, name: Callable[[State], str], request: Request, seconds: float
 ) -> bool:
     """Whether the resource is, within so many seconds, in another state than `after` (or not there any more).
 
-    False at once where the client has gone or the server ends. Raises a 503 Problem where too many wait already.
+    False at once where the client has gone or the server ends. Raises a 503 or 429 Problem where too many wait already.
     """
-    feeds.require_room()
+    feeds.require_room(request.client)
 
     async def changes() -> None:
         with feeds.following(resource) as feed:
             await _until_other(feed, after, name)
 
-    return await feeds.hold(changes(), receive, seconds)
+    with feeds.reading(request.scope):
+        return await feeds.hold(changes(), request.receive, seconds)
 
 
 async def _until_other(feed: Feed, after: str, name: Callable[[State], str]) -> None:

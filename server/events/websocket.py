@@ -14,9 +14,9 @@ from rosld.ontology.notifications import channel_type
 from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.delivery import Delivery
 from rosld.server.events.feed import Feeds
-from rosld.server.http import problem as problems
 from rosld.server.http.origin import Site, check_host
 from rosld.server.http.problem import Problem
+from rosld.server.http.problem_details import render
 
 NORMAL, GOING_AWAY = 1000, 1001
 _CLOCKS_NS = 100_000_000
@@ -52,7 +52,7 @@ async def refuse(scope: Scope, send: Send, problem: Problem) -> None:
     if "websocket.http.response" not in scope.get("extensions", {}):
         await send({"type": "websocket.close", "code": 1008, "reason": problem.title})
         return
-    rendered = problems.render(problem)
+    rendered = render(problem)
     headers = [(name.encode("latin-1"), value.encode("latin-1")) for name, value in rendered.headers.items()]
     await send({"type": "websocket.http.response.start", "status": rendered.status, "headers": headers})
     await send({"type": "websocket.http.response.body", "body": rendered.body})

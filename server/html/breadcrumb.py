@@ -5,9 +5,6 @@ from __future__ import annotations
 from rosld.server.html.site import Anchor, Site, readable
 from rosld.server.html.view import visible
 
-_NO_RESOURCES = frozenset({".well-known"})
-"""Levels of paths at which there is nothing (RFC 8615 asks for nothing there)."""
-
 
 def breadcrumb(site: Site, url: str) -> tuple[Anchor, ...]:
     """A link for each level above `url` and, last, one for itself; none for URLs that are not of this site."""
@@ -20,8 +17,7 @@ def breadcrumb(site: Site, url: str) -> tuple[Anchor, ...]:
     here = site.base
     for part in parts:
         here = f"{here}{part}/"
-        if part not in _NO_RESOURCES:
-            crumbs.append(_crumb(site, here, _words(part)))
+        crumbs.append(_crumb(site, here, _words(part)))
     if leaf:
         crumbs.append(_crumb(site, f"{here}{leaf}", _words(leaf)))
     return tuple(crumb for crumb in crumbs if crumb.url == path or site.may("GET", crumb.url))

@@ -141,7 +141,8 @@ async def _collect(receive: Receive, limit: int) -> bytes:
 
 async def _within(seconds: float, work: Coroutine[object, object, bytes]) -> bytes:
     """What `work` returns, or TimeoutError. A timer and nothing else: most bodies are there at once."""
-    task = asyncio.current_task()
+    loop = asyncio.get_running_loop()
+    task = asyncio.current_task(loop)
     assert task is not None
     expired: list[bool] = []
 
@@ -149,7 +150,7 @@ async def _within(seconds: float, work: Coroutine[object, object, bytes]) -> byt
         expired.append(True)
         task.cancel()
 
-    timer = asyncio.get_running_loop().call_later(seconds, expire)
+    timer = loop.call_later(seconds, expire)
     try:
         return await work
     except asyncio.CancelledError:

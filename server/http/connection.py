@@ -14,10 +14,10 @@ import httptools
 import uvicorn
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from rosld.server.http import problem
 from rosld.server.http.again import LONGEST_REQUEST, SCOPE, Again, Still
 from rosld.server.http.connections import Connections
 from rosld.server.http.problem import Problem
+from rosld.server.http.problem_details import render
 from rosld.server.http.request_head import LONGEST_TARGET, RequestHead
 from rosld.server.http.transport import Together
 from rosld.server.http.websocket_connection import WebSocketConnection
@@ -76,6 +76,7 @@ class Connection(HttpToolsProtocol):
     What comes as a whole, with nothing else before or after it, is answered as it was the last time if that stands.
     """
 
+    _bounds = Bounded.bounds
     _whole: bytes | None = None
     """A request that came as a whole, and before, until it is answered or something else comes."""
     _again: Again | None = None
@@ -97,15 +98,11 @@ class Connection(HttpToolsProtocol):
     _ending: Problem | None = None
     """What is to be told when the requests under way are answered."""
 
-    @property
-    def _bounds(self) -> Bounds:
-        return self.config.bounds if isinstance(self.config, Bounded) else Bounded.bounds
-
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """A client connected, and has a while to say what it wants."""
         super().connection_made(cast("asyncio.Transport", Together(transport, self.loop)))
-        self._again = self.config.again if isinstance(self.config, Bounded) else None
-        self._connections = self.config.connections if isinstance(self.config, Bounded) else Bounded.connections
+        config = self.config if isinstance(self.config, Bounded) else Bounded
+        self._bounds, self._again, self._connections = config.bounds, config.again, config.connections
         self._impatience = self.loop.call_later(self._bounds.head_seconds, self._too_slow)
         try:
             self._let_go = self._bounds.connect(self.client[0] if self.client else None)
@@ -148,7 +145,8 @@ class Connection(HttpToolsProtocol):
             self._parse(data)
         except httptools.HttpParserError as error:
             cause = error.__context__
-            self._end(cause if isinstance(cause, Problem) else _UNREADABLE)
+            unreadable = _UNREADABLE if self._head_is_open else _UNREADABLE_BODY
+            self._end(cause if isinstance(cause, Problem) else unreadable)
         if self._head_size or not self._head_is_open:
             self._check_progress()
 
@@ -359,7 +357,7 @@ class Connection(HttpToolsProtocol):
     def _end(self, ending: Problem) -> None:
         """Tell why, after the answers to earlier requests, and close when the client has heard it.
 
-        A request whose body is at fault is not answered: its connection is closed.
+        It is also the answer to the request whose body is at fault. To the application its client has gone.
         """
         if self._is_over or self.transport.is_closing():
             return
@@ -370,7 +368,21 @@ class Connection(HttpToolsProtocol):
         elif self._head_is_open:
             self._ending = ending
         else:
+            self._refuse_body(ending)
+
+    def _refuse_body(self, ending: Problem) -> None:
+        """Answer the newest request, whose body is at fault, unless its answer has begun: then only close."""
+        if self.cycle.response_started:
             self.transport.close()
+            return
+        self.cycle.disconnected = True
+        self.cycle.message_event.set()
+        if self.pipeline:
+            self.pipeline.popleft()  # it has not reached the application
+            self._ending = ending
+        else:
+            self.flow.resume_reading()  # what is not read when the connection closes resets it, and the answer is lost
+            self._say(ending)
 
     def _say(self, ending: Problem) -> None:
         self._unset_keepalive_if_required()
@@ -386,10 +398,11 @@ _FULL = Problem(
     headers={"Retry-After": "5"},
 )
 _UNREADABLE = Problem(400, "This is no HTTP request that can be read.")
+_UNREADABLE_BODY = Problem(400, "The chunks of the body are not as RFC 9112 7.1 has them. Nothing was done.")
 
 
 def _response(ending: Problem) -> bytes:
-    rendered = problem.render(ending)
+    rendered = render(ending)
     headers = {**rendered.headers, "content-length": str(len(rendered.body)), "connection": "close"}
     lines = "".join(f"{name}: {value}\r\n" for name, value in headers.items())
     return f"HTTP/1.1 {ending.status} {ending.title}\r\n{lines}\r\n".encode("latin-1") + rendered.body

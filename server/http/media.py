@@ -26,7 +26,7 @@ class MediaType:
 
     def parameter(self, name: str) -> str | None:
         """The value of a parameter, None where it is missing."""
-        return dict(self.parameters).get(name)
+        return dict(self.parameters).get(name) if self.parameters else None
 
     def __str__(self) -> str:
         return self.essence + "".join(

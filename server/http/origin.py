@@ -23,7 +23,7 @@ _REQUEST_HEADERS = "Accept, Content-Type, If-Match, If-None-Match, Prefer, Link,
 _NAMED_HEADERS = f"{_REQUEST_HEADERS}, Authorization"
 _EXPOSED = (
     "ETag, Link, Location, Content-Location, Allow, Accept-Post, Accept-Patch, Accept-Put, Age, Retry-After, "
-    "Preference-Applied, WAC-Allow, WWW-Authenticate"
+    "Preference-Applied, Unread-Graphs, WAC-Allow, WWW-Authenticate"
 )
 ANYBODY = "*"
 """`--cors-origin '*'` shares reads with every page; writes stay with the origins that are named."""

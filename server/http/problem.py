@@ -1,37 +1,20 @@
-"""Problems: every refusal and failure that the web sees (RFC 9457), negotiated like any other representation.
+"""Problems: every refusal and failure that the web sees (RFC 9457), raised as an exception.
 
-`Problem` is raised; `render` turns it into a status, headers and a body. A body says what the client sent and what to
-do next, and never how the server is made: no traceback, no path of a file, no class.
+`problem_details.py` renders them. A body says what the client sent and what to do next, and never how the server is
+made: no traceback, no path of a file, no class.
 """
 
 from __future__ import annotations
 
-import html
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from http import HTTPStatus
+from typing import TYPE_CHECKING
 
-import orjson
-from pyoxigraph import NamedNode
-from starlette.responses import Response
-
-from rosld.ontology.document import Document
-from rosld.ontology.serialize import Syntax, serialize
-from rosld.ontology.triples import about, integer, text
-from rosld.ontology.violations import Violation
-from rosld.ontology.vocab import rdf, rdfs
-from rosld.server.http import field, negotiation
 from rosld.server.http.tokens import without_tokens, without_tokens_in
-from rosld.shapes.report import validation_report
 
-JSON = "application/problem+json"
-_SYNTAXES: Mapping[str, Syntax] = {syntax.media_type: syntax for syntax in Syntax}
-_OFFERS = (JSON, "application/json", "text/html", *_SYNTAXES)
-_HYDRA = "http://www.w3.org/ns/hydra/core#"
-_NOWHERE = "about:blank"
-_LONGEST = 2000
-"""Characters of a value that are told back to whoever sent it."""
+if TYPE_CHECKING:  # what a problem needs is little, so that the query process can raise one
+    from rosld.ontology.violations import Violation
 
 
 class Problem(Exception):
@@ -79,20 +62,6 @@ class Problem(Exception):
         return _problem, told
 
 
-@dataclass(frozen=True, slots=True)
-class Rendered:
-    """A problem ready to be sent."""
-
-    status: int
-    headers: Mapping[str, str]
-    body: bytes
-
-    def response(self, *, head: bool = False) -> Response:
-        """The Starlette response; `head` leaves the body out and its length in."""
-        headers = {**self.headers, "content-length": str(len(self.body))}
-        return Response(b"" if head else self.body, self.status, headers)
-
-
 def _problem(
     status: int,
     detail: str,
@@ -113,118 +82,8 @@ def phrase(status: int) -> str:
         return f"Status {status}"
 
 
-def render(problem: Problem, accept: str | None = None, *, url: str = _NOWHERE) -> Rendered:
-    """The problem in the form the client prefers: problem+json by default and whenever nothing else is acceptable.
-
-    `url` is the resource the problem is with; RDF is about it. Headers that could not be sent safely are left out, so
-    that a hostile name can never turn a refusal into a failure.
-    """
-    chosen = negotiation.choose(accept, _OFFERS) or JSON
-    if chosen in _SYNTAXES:
-        body = _rdf(problem, _SYNTAXES[chosen], url)
-    elif chosen == "text/html":
-        body = _page(problem).encode("utf-8", "replace")
-    else:
-        chosen, body = JSON, _json(problem)
-    headers = {name.lower(): value for name, value in problem.headers.items() if _sendable(name, value)}
-    content_type = f"{chosen}; charset=utf-8" if chosen.startswith("text/") else chosen
-    return Rendered(
-        problem.status,
-        {
-            **headers,
-            "content-type": content_type,
-            "vary": "Accept",
-            "cache-control": "no-store",
-            "x-content-type-options": "nosniff",
-            "content-security-policy": "default-src 'none'; style-src 'unsafe-inline'",
-        },
-        body,
-    )
-
-
-def members(problem: Problem) -> dict[str, object]:
-    """The problem details object (RFC 9457 3)."""
-    found: dict[str, object] = {
-        **{name: value for name, value in problem.extra.items() if name not in ("type", "title", "status", "detail")},
-        "type": problem.type,
-        "title": problem.title,
-        "status": problem.status,
-        "detail": _clean(problem.detail),
-    }
-    if problem.violations:
-        cleaned = map(_cleaned, problem.violations)
-        found["violations"] = [{"path": one.path, "message": one.message, "value": one.value} for one in cleaned]
-    return found
-
-
-def _json(problem: Problem) -> bytes:
-    found = members(problem)
-    try:
-        return orjson.dumps(found, default=str, option=orjson.OPT_INDENT_2)
-    except TypeError:  # a lone surrogate, or an integer beyond 64 bits
-        return json.dumps(found, default=str, indent=2).encode("ascii")
-
-
-def document(problem: Problem, url: str = _NOWHERE) -> Document:
-    """The problem with the resource at `url`: a hydra:Error and, where fields do not fit, a sh:ValidationReport."""
-    node = NamedNode(f"{url}#problem")
-    report = validation_report(url, [_cleaned(one) for one in problem.violations]) if problem.violations else None
-    triples = about(
-        node,
-        (rdf.type, NamedNode(f"{_HYDRA}Error")),
-        (NamedNode(f"{_HYDRA}statusCode"), integer(problem.status)),
-        (NamedNode(f"{_HYDRA}title"), text(_clean(problem.title))),
-        (NamedNode(f"{_HYDRA}description"), text(_clean(problem.detail))),
-        (rdfs.seeAlso, NamedNode(f"{url}#report") if report else None),
-    )
-    return Document(url, (*triples, *(report.triples if report else ())))
-
-
 def _without_tokens(violation: Violation) -> Violation:
     value = None if violation.value is None else without_tokens(violation.value)
     path, message = without_tokens(violation.path), without_tokens(violation.message)
     same = (path, message, value) == (violation.path, violation.message, violation.value)
     return violation if same else replace(violation, path=path, message=message, value=value)
-
-
-def _cleaned(violation: Violation) -> Violation:
-    value = None if violation.value is None else _clean(violation.value)
-    return replace(violation, path=_clean(violation.path), message=_clean(violation.message), value=value)
-
-
-def _rdf(problem: Problem, syntax: Syntax, url: str) -> bytes:
-    try:
-        return serialize(document(problem, url), syntax)
-    except ValueError:  # the URL of the request is no IRI
-        return serialize(document(problem), syntax)
-
-
-def _page(problem: Problem) -> str:
-    title = html.escape(f"{problem.status} {problem.title}")
-    rows = "".join(
-        f"<tr><td><code>{html.escape(_clean(one.path))}</code></td><td>{html.escape(_clean(one.message))}</td></tr>"
-        for one in problem.violations
-    )
-    table = f"<table><tr><th>Field</th><th>What does not fit</th></tr>{rows}</table>" if rows else ""
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{title}</title><style>body{{font:1rem/1.5 system-ui,sans-serif;max-width:45rem;margin:3rem auto;"
-        "padding:0 1rem;color-scheme:light dark}td,th{text-align:left;padding:.2rem 1rem .2rem 0}</style></head>"
-        f"<body><h1>{title}</h1><p>{html.escape(_clean(problem.detail))}</p>{table}"
-        '<p><a href="/">To the start</a></p></body></html>'
-    )
-
-
-def _clean(text: str) -> str:
-    """Text that every form can carry: no control characters, no lone surrogates, not endless."""
-    shown = text if len(text) <= _LONGEST else text[:_LONGEST] + "..."
-    return "".join(char if char.isprintable() or char == "\n" else "\N{REPLACEMENT CHARACTER}" for char in shown)
-
-
-def _sendable(name: str, value: str) -> bool:
-    try:
-        field.safe(value)
-    except ValueError:
-        return False
-    return field.is_token(name)

@@ -29,8 +29,10 @@ def codec_of(media_type: MediaType) -> str:
 
 def as_utf8(data: bytes, media_type: MediaType) -> bytes:
     """A body in UTF-8. Raises Problems: 415 as `codec_of`, 400 for bytes that are nothing in the stated charset."""
-    found, stated = codec_of(media_type), media_type.parameter("charset")
-    declares_another = stated is not None and _is_xml(media_type)  # what the field says counts (RFC 7303 3.2)
+    stated = media_type.parameter("charset")
+    if stated is None:
+        return data
+    found, declares_another = codec_of(media_type), _is_xml(media_type)  # what the field says counts (RFC 7303 3.2)
     if not data or (found == UTF_8 and not declares_another):
         return data
     try:

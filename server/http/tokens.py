@@ -11,8 +11,12 @@ from urllib.parse import quote, unquote
 PREFIX = "rosld_"
 _RANDOM = 43
 """Characters after the prefix: 256 random bits, base64url (RFC 4648 5) without padding."""
+LENGTH = len(PREFIX) + _RANDOM
+"""Characters of a token."""
 _TOKEN = re.compile(rf"{PREFIX}(?=[\w-]*[A-Z])(?=[\w-]*[a-z])[A-Za-z0-9_-]{{{_RANDOM}}}")
 """Both cases occur in every token but one in 10^9, and hardly in a name of ROS that is as long."""
+_ENCODED = re.compile("%(?:2[Dd]|3[0-9]|4[1-9A-Fa-f]|5[0-9AaFf]|6[1-9A-Fa-f]|7[0-9Aa])")
+"""A character that tokens consist of, percent-encoded, which nobody does without need."""
 WITHHELD = "rosld-token-withheld"
 """What stands in place of a token; fit for URLs."""
 
@@ -21,7 +25,7 @@ def has_token(text: str) -> bool:
     """Whether a text holds a token of rosld, percent-encoded or not."""
     if PREFIX in text and _TOKEN.search(text):
         return True
-    return "%" in text and _TOKEN.search(unquote(text)) is not None
+    return _ENCODED.search(text) is not None and _TOKEN.search(unquote(text)) is not None
 
 
 def without_tokens(text: str) -> str:

@@ -23,6 +23,10 @@ class Together:
     def __getattr__(self, name: str) -> object:
         return getattr(self._transport, name)
 
+    def is_closing(self) -> bool:
+        """Whether the connection is being closed. It is asked for each answer, which `__getattr__` is slow at."""
+        return self._transport.is_closing()
+
     def write(self, data: bytes) -> None:
         """Send bytes; a head waits for what is written next, or for the loop's next turn."""
         if self._head:

@@ -121,7 +121,7 @@ class Exchange:
     @property
     def is_conditional(self) -> bool:
         """Whether it has If-Match or If-None-Match (RFC 9110 13.1)."""
-        return self.header("if-match") is not None or self.header("if-none-match") is not None
+        return "if-match" in self.headers or "if-none-match" in self.headers
 
     def become(self, method: str, media_type: str, body: bytes) -> None:
         """Turn into the request that a form meant."""
@@ -146,7 +146,7 @@ class Exchange:
 
         Raises a 415 Problem for a charset that is not read here, and a 400 Problem for bytes that are none of it.
         """
-        return self.as_utf8(await self.octets())
+        return self.as_utf8(await self.octets() if self._body is None else self._body)
 
     def as_utf8(self, data: bytes) -> bytes:
         """What was read of the body in UTF-8. Raises a 415 and a 400 Problem as `body`."""

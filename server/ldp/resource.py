@@ -15,8 +15,10 @@ from pyoxigraph import Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
+from rosld.adapters.model import RosError
 from rosld.ontology.serialize import Syntax
 from rosld.server.access.judge import Judge
+from rosld.server.errors import problem_of
 from rosld.server.html import Csrf, Form, Listing, Notice, Page, Site, Step
 from rosld.server.http.link import Link, uri
 from rosld.server.http.problem import Problem
@@ -26,6 +28,8 @@ from rosld.server.ldp.state import State
 from rosld.server.ldp.veiling import veiled_state
 
 READ = frozenset({"GET", "HEAD", "OPTIONS"})
+ABSENT = frozenset({"OPTIONS"})
+"""What is answered of what is not there, and is not made by a write to its URL."""
 LDP = "http://www.w3.org/ns/ldp#"
 RESOURCE = Link(f"{LDP}Resource", "type")
 RDF_SOURCE = Link(f"{LDP}RDFSource", "type")
@@ -75,12 +79,27 @@ class Resource:
     async def ready(self) -> None:
         """Learn what must be known before anything else can be told. Called first on each request."""
 
+    @property
+    def is_absent(self) -> bool:
+        """Whether there is nothing at its URL, and no write to it would make something, as far as is known unread."""
+        return False
+
     def methods(self) -> frozenset[str]:
-        """The verbs it answers now; what `Allow` says."""
+        """The verbs it answers now; what `Allow` says, unless it is absent."""
         return READ
 
     async def methods_now(self) -> frozenset[str]:
         """The verbs it answers in its present state, which may have to be read: what OPTIONS says."""
+        return ABSENT if self.is_absent else self.methods()
+
+    async def methods_if_there(self) -> frozenset[str]:
+        """Its methods, as its state tells, read now, whether there is anything to GET."""
+        try:
+            await self.state()
+        except (RosError, Problem) as error:  # another one may pass, and tells nothing of what is there
+            problem = problem_of(error) if isinstance(error, RosError) else error
+            if problem.status in (404, 410):
+                return self.methods() - {"GET", "HEAD"}
         return self.methods()
 
     def why_not(self, method: str) -> str:
@@ -243,4 +262,4 @@ def moved(url: str) -> Problem:
 
 def allow(resource: Resource) -> str:
     """The Allow field of a resource."""
-    return ", ".join(sorted(resource.methods()))
+    return ", ".join(sorted(ABSENT if resource.is_absent else resource.methods()))

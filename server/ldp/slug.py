@@ -91,5 +91,8 @@ def _split(name: str, suffix: str) -> tuple[str, str]:
 
 def _word() -> str:
     """A name by chance that can be read aloud: two words of three sounds, of 5 * 10^11 such names."""
-    sounds = [secrets.choice(_SOUNDS) for _ in range(6)]
+    number, sounds = secrets.randbelow(len(_SOUNDS) ** 6), []
+    for _ in range(6):
+        number, sound = divmod(number, len(_SOUNDS))
+        sounds.append(_SOUNDS[sound])
     return "".join(sounds[:3]) + "-" + "".join(sounds[3:])

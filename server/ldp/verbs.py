@@ -41,7 +41,8 @@ from rosld.server.records import StorageError
 HTML = "text/html"
 VARIANTS: Mapping[str, str] = {syntax.media_type: syntax.extension for syntax in Syntax} | {JSON: "json", HTML: "html"}
 FORMATS: Mapping[str, str] = {extension: media_type for media_type, extension in VARIANTS.items()} | {
-    "turtle": Syntax.TURTLE.media_type
+    "turtle": Syntax.TURTLE.media_type,
+    "rdfxml": Syntax.RDF_XML.media_type,
 }
 """What `?format=` may ask for."""
 OFFERS = (*RDF_BODIES, JSON, HTML)
@@ -224,7 +225,7 @@ class Verbs:
             return (await self.represented(resource, state, media_type, exchange.judge)).body
 
         await render(await resource.state())
-        self.feeds.require_room()
+        self.feeds.require_room(exchange.request.client)
         headers = _encoded(standing_headers(resource))
         if exchange.method == "HEAD":
             return Prepared(200, b"", [*HEADERS, *headers])
@@ -240,7 +241,7 @@ class Verbs:
         """Until the state is another than `?after=`, at most `?timeout=`."""
         after, seconds = exchange.query["after"], asked.timeout(exchange.query)
         if asked.is_state(after, self._name(state)):
-            await changed_since(self.feeds, resource, after, self._name, exchange.request.receive, seconds)
+            await changed_since(self.feeds, resource, after, self._name, exchange.request, seconds)
 
     async def _check_preconditions(self, exchange: Exchange, resource: Resource) -> None:
         """If-Match and If-None-Match of a write (RFC 9110 13.1), judged against the resource as it is now."""

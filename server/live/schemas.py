@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
-
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import ActionSchema, MessageSchema, Schema, ServiceSchema, TypeRef, UnknownType
+from rosld.server.loop_time import loop_time
 
 
 class Schemas:
@@ -38,7 +37,7 @@ class Schemas:
         """The schema of a type; raises UnknownType (and Unreachable, TimedOut of adapters that must ask)."""
         if (known := self._known.get(ref)) is not None:
             return known
-        deadline = asyncio.get_running_loop().time() + self._patience
+        deadline = loop_time() + self._patience
         schema = await self._adapter.schema(ref, deadline=deadline)
         self._known[schema.ref] = self._named[schema.ref.name] = schema
         if ref.hash is not None:

@@ -13,6 +13,7 @@ from rosld.adapters.model import Endpoint, Graph, Message, MessageSchema, RosErr
 from rosld.server.live.fold import DEPTH, FOLDS, Folded, decoder
 from rosld.server.live.schemas import Schemas
 from rosld.server.live.view import NOTHING, Rates, View
+from rosld.server.loop_time import loop_time
 
 _SWEEP = 0.5
 """Seconds between sweeps, which fold what came and give back what nobody looks at any more."""
@@ -68,7 +69,7 @@ class _TopicWatch:
         look, self._look = self._look, None
         if look is not None:
             look.watches -= 1
-            look.looked_at = asyncio.get_running_loop().time()
+            look.looked_at = loop_time()
             self._watch.close()
 
 
@@ -114,7 +115,7 @@ class LiveTopics:
         look = self._looks.get(topic)
         if look is None or topic not in self._adapter.graph.topics:
             return None
-        look.looked_at = asyncio.get_running_loop().time()
+        look.looked_at = loop_time()
         view = self._refresh(look)
         return view if view.samples else None
 
@@ -191,7 +192,7 @@ class LiveTopics:
         names = {ref.name for ref in entry.types} if entry else set()
         fold = next((FOLDS[name] for name in names if name in FOLDS), None)
         subscription = await self._adapter.subscribe(topic, depth=DEPTH if fold else 1)
-        now = asyncio.get_running_loop().time()
+        now = loop_time()
         return _Look(subscription, now, folded=Folded(fold) if fold else None)
 
     async def _know_types(self, look: _Look) -> None:
@@ -263,7 +264,7 @@ class LiveTopics:
     async def _sweep_for_ever(self) -> None:
         while True:
             await asyncio.sleep(_SWEEP)
-            horizon = asyncio.get_running_loop().time() - self._settings.idle
+            horizon = loop_time() - self._settings.idle
             for topic, look in list(self._looks.items()):
                 is_gone = topic not in self._adapter.graph.topics
                 if not look.is_kept and (look.looked_at < horizon or is_gone):

@@ -40,6 +40,7 @@ from rosld.server.resources.kept.sources import N3_PATCH
 from rosld.server.resources.namespaces import listed, namespaces
 from rosld.server.resources.nodes import TRANSITION
 from rosld.server.resources.sparql import FORMATS as RESULT_FORMATS
+from rosld.server.resources.sparql import formats_of
 from rosld.server.robot import Robot, used_types
 from rosld.server.sparql.protocol import DIRECT, UPDATE
 from rosld.server.sparql.results import GRAPHS, SOLUTIONS
@@ -101,6 +102,8 @@ _GRAPH = Query(
     {"type": "string", "format": "uri-reference"},
 )
 _DEFAULT = Query("default", "Instead of a graph: all of them together.")
+_ALL = Query("all", "Instead of a graph: all of them with their names, as N-Quads, TriG or JSON-LD.")
+_GRAPH_FORMAT = replace(_FORMAT, schema={"type": "string", "enum": [*{**FORMATS, **formats_of("CONSTRUCT")}]})
 _RESULT_FORMAT = replace(_FORMAT, schema={"type": "string", "enum": [*RESULT_FORMATS]})
 _TIMEOUT = Query("timeout", "The seconds that the query may take.", {"type": "number", "exclusiveMinimum": 0})
 _TYPES: Mapping[Type, DataSchema] = {
@@ -550,8 +553,8 @@ class Places:
         yield self._place("/shapes/limits", "shapes", "The limits in force")
         yield self._place("/shapes/query", "shapes", "The shape of stored queries")
         kept = self._place("/shapes/{name}", "shapes", "Limits that a client keeps in force", at="/shapes/any")
-        methods = READ if self.robot.settings.read_only else READ | {"PUT", "PATCH", "DELETE"}
-        accepts = {"PUT": RDF_BODIES, "PATCH": (SPARQL_UPDATE, N3_PATCH)}
+        methods = READ if self.robot.settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
+        accepts = {"PUT": RDF_BODIES, "POST": kept.accepts.get("POST", ()), "PATCH": (SPARQL_UPDATE, N3_PATCH)}
         yield replace(
             kept,
             methods=methods,
@@ -662,7 +665,8 @@ class Places:
             query=(
                 replace(_GRAPH, of=place.methods),
                 replace(_DEFAULT, of=frozenset()),
-                replace(_RESULT_FORMAT, of=place.methods),
+                replace(_ALL, of=frozenset()),
+                replace(_GRAPH_FORMAT, of=place.methods),
             ),
             also=_KEPT_ALSO,
         )
@@ -672,6 +676,7 @@ class Places:
         solid = self._place("/.well-known/solid", "channels", "Where the subscription services are")
         told = replace(solid, plain=OBJECT, query=(_FORMAT,))
         yield told
+        yield self._place("/.well-known/", "entry", "What is well known here")
         yield self._place("/channels/", "channels", "The subscription services")
         for kind in CHANNEL_TYPES:
             path = f"/channels/{kind}"

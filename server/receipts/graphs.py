@@ -37,17 +37,19 @@ class ReceiptGraphs:
         """Rises with each change."""
         return self._journal.version
 
+    def last_change(self, graph: str) -> int:
+        """When what this graph says last changed, at the latest."""
+        return self.version if graph.startswith(self._container) else 0
+
     def changes(self, after: int) -> Iterator[Changes]:
         """What changed after a version, in parts."""
         self._gone = [(version, id) for version, id in self._gone if version > after]
         if after == 0:
             head = serialize(container_document(self._container, (), TITLE), Syntax.N_TRIPLES).decode()
             yield Changes({self._container: lambda: head}, (), len(head))
-        while self._journal.version > after:
-            known, after = after, self._journal.version
-            fresh, gone = self._journal.after(known), [id for version, id in self._gone if version > known]
-            self._told = after
-            yield from self._parts(fresh, gone)
+        self._told = self._journal.version
+        gone = [id for version, id in self._gone if version > after]
+        yield from self._parts(self._journal.after(after), gone)
 
     def _parts(self, fresh: Sequence[Entry], gone: Sequence[str]) -> Iterator[Changes]:
         if gone:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import heapq
-import secrets
 import sqlite3
 import time
 from collections import deque
@@ -18,6 +17,7 @@ from pathlib import Path
 
 from rosld.ontology.describe_activities import Receipt
 from rosld.server.events.watches import Signal
+from rosld.server.identifiers import new_identifier
 from rosld.server.receipts.asked import Asked, receipt_of
 from rosld.server.receipts.disk import Disk
 
@@ -99,7 +99,7 @@ class Journal:
     def note(self, asked: Asked) -> str:
         """Keep a write; the id of its receipt. It is written to the disk soon, and by `close` at the latest."""
         self.version += 1
-        entry = Entry(self.version, secrets.token_urlsafe(9), asked, self._excerpt_bytes, None)
+        entry = Entry(self.version, new_identifier(), asked, self._excerpt_bytes, None)
         self._keep(entry)
         if self._disk is not None:
             self._unwritten[entry.number] = entry

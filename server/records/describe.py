@@ -21,6 +21,7 @@ MEMBERSHIP = frozenset(
 )
 """What a container says its membership triples are made of: a client says it once, the server from then on."""
 TIMES = (dcterms.created, dcterms.modified)
+_SPELT_TIMES = tuple(f"{predicate} ".encode() for predicate in TIMES)
 OF_FILES = frozenset({dcterms.format, ros.length})
 """What the server says of the bytes of a non-RDF source."""
 META = ".meta"
@@ -35,9 +36,10 @@ def record_document(record: Record, url: str, members: Sequence[str], membership
     Of a non-RDF source it is the description, at its URL and `.meta`.
     """
     document = url + META if record.model is Model.NON_RDF_SOURCE else url
-    contained = about(NamedNode(url), *each(ldp.contains, map(NamedNode, members)))
-    said = parsed(said_beside_times(record, url))
-    return Document(document, (*managed_triples(record, url), *contained, *said, *membership))
+    contained = about(NamedNode(url), *each(ldp.contains, map(NamedNode, members))) if members else ()
+    times = said_times(record, url)
+    said = parsed(_beside(times, record))
+    return Document(document, (*_managed(record, url, times), *contained, *said, *membership))
 
 
 def managed_triples(record: Record, url: str) -> tuple[Triple, ...]:
@@ -45,7 +47,10 @@ def managed_triples(record: Record, url: str) -> tuple[Triple, ...]:
 
     It was created when its first writer says; and modified then, too, for as long as nobody has written to it here.
     """
-    said = said_times(record, url)
+    return _managed(record, url, said_times(record, url))
+
+
+def _managed(record: Record, url: str, said: SaidTimes) -> tuple[Triple, ...]:
     times = said.created + (said.modified if _is_new(record) else b"")
     created = () if said.created else ((dcterms.created, moment(record.created_ns)),)
     modified = () if said.modified and _is_new(record) else ((dcterms.modified, moment(record.modified_ns)),)
@@ -67,12 +72,17 @@ class SaidTimes(NamedTuple):
     modified: bytes
 
 
+_UNSAID = SaidTimes(b"", b"")
+
+
 def said_times(record: Record, url: str) -> SaidTimes:
     """What the first writer of a record said of its times."""
     left = beginning(record.triples, len(TIMES) * (len(url) + LONGEST_TIME))
-    lines = []
-    for predicate in TIMES:
-        is_said = left.startswith(f"<{url}> {predicate} ".encode())
+    subject, lines = f"<{url}> ".encode(), []
+    if not left.startswith(subject):
+        return _UNSAID
+    for predicate in _SPELT_TIMES:
+        is_said = left.startswith(subject + predicate)
         line, left = (left[: left.index(b"\n") + 1], left[left.index(b"\n") + 1 :]) if is_said else (b"", left)
         lines.append(line)
     return SaidTimes(*lines)
@@ -80,7 +90,11 @@ def said_times(record: Record, url: str) -> SaidTimes:
 
 def said_beside_times(record: Record, url: str) -> bytes:
     """All else that clients say of a resource, as N-Triples."""
-    return unpack(record.triples)[sum(map(len, said_times(record, url))) :]
+    return _beside(said_times(record, url), record)
+
+
+def _beside(times: SaidTimes, record: Record) -> bytes:
+    return unpack(record.triples)[sum(map(len, times)) :]
 
 
 def bare(record: Record, url: str) -> Record:

@@ -16,10 +16,9 @@ class Model(Enum):
     DIRECT_CONTAINER = "DirectContainer"
     INDIRECT_CONTAINER = "IndirectContainer"
 
-    @property
-    def is_container(self) -> bool:
+    def __init__(self, name: str) -> None:
+        self.is_container = name.endswith("Container")
         """Whether resources are made in it."""
-        return self.value.endswith("Container")
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,7 +44,7 @@ from rosld.server.ldp.resource import (
 )
 from rosld.server.ldp.state import State
 from rosld.server.resources.limits import require_message
-from rosld.server.resources.namespaces import moved_to_namespace
+from rosld.server.resources.namespaces import is_absent, moved_to_namespace
 from rosld.server.resources.requests import message_in
 from rosld.server.robot import Robot, Same
 from rosld.server.writable import closed
@@ -72,6 +72,10 @@ class ActionResource(Resource):
             missing = Problem(404, f"There is no action {self.name}.")
             raise moved_to_namespace(self.robot, "actions", self.name) or missing
         return found
+
+    @property
+    def is_absent(self) -> bool:
+        return is_absent(self.robot, "actions", self.name)
 
     def methods(self) -> frozenset[str]:
         if self.robot.settings.read_only or self.robot.is_closed(self.name):
@@ -186,6 +190,14 @@ class GoalResource(Resource):
             raise Problem(410, f"The goal {self.id} was deleted or has become too old.") from error
         except KeyError as error:
             raise Problem(404, f"There is no goal {self.id}.") from error
+
+    @property
+    def is_absent(self) -> bool:
+        try:
+            _ = self.goal
+        except Problem:
+            return True
+        return False
 
     def methods(self) -> frozenset[str]:
         try:

@@ -49,6 +49,9 @@ class ActivityResource(Resource):
         self.robot = robot
         self.id = id
 
+    async def methods_now(self) -> frozenset[str]:
+        return await self.methods_if_there()
+
     async def state(self) -> State:
         try:
             entry = self.robot.receipts.find(self.id)

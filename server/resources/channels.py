@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TypeAlias
 from urllib.parse import quote, unquote, urlsplit
@@ -59,6 +59,7 @@ from rosld.server.robot import Robot
 
 WEBSOCKET, STREAMING_HTTP = CHANNEL_TYPES
 ROOM, SOURCE = "channels", "messages"
+WELL_KNOWN, THING = ".well-known", "wot"
 STORAGE_DESCRIPTION = "http://www.w3.org/ns/solid/terms#storageDescription"
 Resolve: TypeAlias = Callable[[Scope], Resource]
 Room: TypeAlias = Callable[[Robot, Location], Resource]
@@ -77,7 +78,7 @@ class Notifications:
         self._site = site
         self._resolve = resolve
         self.services = tuple(Service(robot.space.url(ROOM, (kind,)), kind) for kind in CHANNEL_TYPES)
-        self.description = f"{robot.space.base}.well-known/solid"
+        self.description = f"{robot.space.base}{WELL_KNOWN}/solid"
         self.link = Link(self.description, STORAGE_DESCRIPTION)
         """What every answer links to (2.1)."""
 
@@ -175,7 +176,7 @@ def prefers_json(exchange: Exchange, offers: tuple[str, ...] = OFFERS) -> bool:
     return negotiation.choose(exchange.accept, offers) in (JSON_LD, JSON)
 
 
-class _Described(Resource):
+class Described(Resource):
     """What all these have in common: a document, and the same as compact JSON-LD."""
 
     def __init__(self, notifications: Notifications, url: str) -> None:
@@ -210,7 +211,7 @@ def _content(body: bytes) -> list[tuple[bytes, bytes]]:
     return [(b"content-type", JSON_LD.encode()), (b"content-length", b"%d" % len(body))]
 
 
-class StorageDescription(_Described):
+class StorageDescription(Described):
     """`/.well-known/solid`: which subscription services there are."""
 
     kind = "Storage description"
@@ -223,7 +224,19 @@ class StorageDescription(_Described):
         return description_members(self.url, self.notifications.services)
 
 
-class ServiceContainer(_Described):
+class WellKnownContainer(Described):
+    """`/.well-known/`: what is served below it. RFC 8615 3 asks for nothing there; the URLs below it lead up to it."""
+
+    kind = "Well-known resources"
+    title = "Well-known resources"
+    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+
+    def document(self) -> Document:
+        described = self.notifications.description
+        return container_document(self.url, [described, f"{self.url}{THING}"], self.title)
+
+
+class ServiceContainer(Described):
     """`/channels/`: the subscription services. The channels are listed nowhere: who knows one may use it."""
 
     kind = "Subscription services"
@@ -234,7 +247,7 @@ class ServiceContainer(_Described):
         return container_document(self.url, [one.url for one in self.notifications.services], self.title)
 
 
-class SubscriptionService(_Described):
+class SubscriptionService(Described):
     """`/channels/TYPE`: makes channels of one type."""
 
     kind = "Subscription service"
@@ -268,7 +281,7 @@ class SubscriptionService(_Described):
         return Prepared(201, body, [*headers, *_content(body)])
 
 
-class ChannelResource(_Described):
+class ChannelResource(Described):
     """`/channels/TYPE/TOKEN`: one channel. Deleting it ends it."""
 
     kind = "Notification channel"
@@ -293,7 +306,7 @@ class ChannelResource(_Described):
         return Response(status_code=204)
 
 
-class SourceResource(_Described):
+class SourceResource(Described):
     """`/channels/TYPE/TOKEN/messages`: what is received from."""
 
     kind = "Notification source"
@@ -311,7 +324,7 @@ class SourceResource(_Described):
         headers = self._headers()
         if exchange.method == "HEAD":
             return Prepared(200, b"", [*headers_of(self._channel), *headers])
-        self.notifications.feeds.require_room()
+        self.notifications.feeds.require_room(exchange.request.client)
         return Source(self.notifications.channels, self.notifications.feeds, self._channel, headers)
 
 
@@ -343,12 +356,29 @@ def channel_of(notifications: Notifications, kind: str, token: str) -> Channel:
     return channel
 
 
+def fixed(notifications: Notifications) -> Sequence[Described]:
+    """The resources of notifications that never change."""
+    container = notifications.robot.space.container(ROOM)
+    services = (SubscriptionService(notifications, service) for service in notifications.services)
+    return (
+        WellKnownContainer(notifications, f"{notifications.robot.space.base}{WELL_KNOWN}/"),
+        StorageDescription(notifications, notifications.description),
+        ServiceContainer(notifications, container),
+        *services,
+    )
+
+
 def rooms(notifications: Notifications, well_known: Room) -> Mapping[str, Room]:
     """The rooms of notifications; `well_known` is the room of whatever else is well known."""
 
     def known(robot: Robot, location: Location) -> Resource:
+        if not location.segments:
+            url = f"{robot.space.base}{WELL_KNOWN}/"
+            if not location.is_container:
+                raise moved(url)
+            return WellKnownContainer(notifications, url)
         if location.segments == ("solid",) and not location.is_container:
             return StorageDescription(notifications, notifications.description)
         return well_known(robot, location)
 
-    return {ROOM: partial(channel_room, notifications=notifications), ".well-known": known}
+    return {ROOM: partial(channel_room, notifications=notifications), WELL_KNOWN: known}

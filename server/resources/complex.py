@@ -28,6 +28,7 @@ from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.patch import updated
 from rosld.server.ldp.plan import Move, Plan
 from rosld.server.ldp.resource import (
+    ABSENT,
     BASIC_CONTAINER,
     MERGE_PATCH,
     RDF_SOURCE,
@@ -44,9 +45,6 @@ from rosld.server.resources.changes import Change, carried_out, changes_in_graph
 from rosld.server.resources.guarding import seen_anew
 from rosld.server.resources.things import complex_thing, thing_response, wants_thing
 from rosld.server.robot import Robot
-
-ABSENT = frozenset({"OPTIONS"})
-"""What is answered of what does not exist now."""
 
 
 class ComplexResource(Resource):
@@ -195,4 +193,4 @@ class ComplexResource(Resource):
         if media_type == MERGE_PATCH:
             return changes_in_json(parse_json(data), plan, view)
         before = complex_document(view, robot.space, robot.whole)
-        return changes_in_graph(updated(data, before.all_triples(), self.url), plan, view, robot)
+        return changes_in_graph(updated(data, before.all_triples(), self.url, by_value=True), plan, view, robot)

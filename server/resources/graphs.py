@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -15,6 +16,7 @@ from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
 from starlette.types import Scope
 
+from rosld.ontology.body import parse_dataset
 from rosld.ontology.document import Document
 from rosld.ontology.triples import about, text
 from rosld.ontology.vocab import dcterms, rdf, rdfs, sd
@@ -23,40 +25,43 @@ from rosld.server.http.link import uri
 from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import RDF_BODIES, READ, SPARQL_UPDATE, Resource
+from rosld.server.ldp.resource import RDF_BODIES, READ, SPARQL_UPDATE, Answer, Resource
 from rosld.server.ldp.state import State
 from rosld.server.resources.kept.base import Kept
 from rosld.server.resources.kept.containers import ContainerResource
-from rosld.server.resources.kept.merging import unite
 from rosld.server.resources.kept.room import AbsentResource
 from rosld.server.resources.kept.sources import N3_PATCH
-from rosld.server.resources.sparql import told, wished
+from rosld.server.resources.sparql import answered, formats_of, wished
 from rosld.server.robot import Robot
 from rosld.server.sparql import results
 from rosld.server.sparql.endpoint import QueryService
 from rosld.server.sparql.protocol import QueryRequest, timeout_asked
+from rosld.server.sparql.update.base import Updates
+from rosld.server.sparql.update.copying import unmanaged_triples
+from rosld.server.sparql.update.operations import Manage, Modify, Operation, QuadTemplate, Verb
 
+DATASET_BODIES = ("application/n-quads", "application/trig")
 _DIRECTLY = "The name of a graph is its own URL, so GET, PUT, PATCH and DELETE there do the same."
 _MOST_PARAMETERS = 200
 _LONGEST_CACHED = 4096
-_EVERYTHING = QueryRequest("CONSTRUCT { ?s ?p ?o } WHERE { ?s ?p ?o }")
 
 
 class Named(NamedTuple):
-    """What a query string names: a graph by its absolute URI, the default graph, or neither.
+    """What a query string names: a graph by its absolute URI, the default graph, all graphs (`?all`), or nothing.
 
     `others` are the parameters that are not the protocol's, percent-encoded.
     """
 
     graph: str | None
     default: bool
+    all: bool
     others: str
 
 
 def named(query_string: bytes, base: str) -> Named:
     """The graph that a request names (Graph Store Protocol 4.2); relative IRIs are resolved against `base` (4.1).
 
-    Raises a 400 Problem for several graphs, for both a graph and the default graph, and for what is no IRI.
+    Raises a 400 Problem for several of them at once, and for what is no IRI.
     """
     return _remembered(query_string, base) if len(query_string) <= _LONGEST_CACHED else _named(query_string, base)
 
@@ -70,10 +75,13 @@ def _named(query_string: bytes, base: str) -> Named:
         raise Problem(400, f"The query string cannot be read: {error}.") from error
     graphs = [value for name, value in pairs if name == "graph"]
     defaults = sum(name == "default" for name, _ in pairs)
-    if len(graphs) + defaults > 1:
-        raise Problem(400, "Name one graph: one ?graph=IRI, or ?default (SPARQL 1.1 Graph Store Protocol 4.2).")
-    others = urlencode([(name, value) for name, value in pairs if name not in ("graph", "default")])
-    return Named(_resolved(graphs[0], base) if graphs else None, defaults == 1, others)
+    all = sum(name == "all" for name, _ in pairs)
+    if len(graphs) + defaults + all > 1:
+        raise Problem(
+            400, "Name one graph: one ?graph=IRI, or ?default (SPARQL 1.1 Graph Store Protocol 4.2); or ?all."
+        )
+    others = urlencode([(name, value) for name, value in pairs if name not in ("graph", "default", "all")])
+    return Named(_resolved(graphs[0], base) if graphs else None, defaults == 1, all == 1, others)
 
 
 _remembered = lru_cache(maxsize=256)(_named)
@@ -98,17 +106,28 @@ class GraphStore(Resource):
         "PATCH": (SPARQL_UPDATE, N3_PATCH),
     }
 
-    def __init__(self, robot: Robot, service: QueryService, resolve: Callable[[Scope], Resource]) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        service: QueryService,
+        resolve: Callable[[Scope], Resource],
+        updates: Updates | None = None,
+    ) -> None:
         super().__init__(f"{robot.space.base}graphs")
         self._robot = robot
         self._resolve = resolve
         self._default = DefaultGraph(f"{self.url}?default", service)
+        self._all = WholeDataset(f"{self.url}?all", service, robot.space.base, updates)
 
     def methods(self) -> frozenset[str]:
         return READ if self._robot.settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
 
     async def state(self) -> State:
-        return self._robot.states.get(self.url, 0, lambda: State(lambda: Document(self.url, self._description())))
+        return self._robot.states.get(self.url, 0, lambda: State(self.document))
+
+    def document(self) -> Document:
+        """What it says of itself."""
+        return Document(self.url, self._description())
 
     def _description(self) -> tuple[Triple, ...]:
         store, default = NamedNode(self.url), NamedNode(self._default.url)
@@ -120,8 +139,10 @@ class GraphStore(Resource):
                 (rdfs.comment, text(f"Every graph is here by its name: {self.url}?graph=URL. {_DIRECTLY}")),
                 (sd.defaultGraph, default),
                 (rdfs.seeAlso, NamedNode(f"{self._robot.space.base}sparql")),
+                (rdfs.seeAlso, NamedNode(self._all.url)),
             ),
             *about(default, (rdfs.label, text("The default graph: all graphs together"))),
+            *about(NamedNode(self._all.url), (rdfs.label, text("All graphs with their names, as N-Quads or TriG"))),
         )
 
     async def narrowed(self, exchange: Exchange) -> Resource:
@@ -129,6 +150,8 @@ class GraphStore(Resource):
         asked = named(exchange.request.scope["query_string"], self.url)
         if asked.default:
             return self._default
+        if asked.all:
+            return self._all
         if asked.graph is not None:
             return await self._graph(exchange, asked.graph, asked.others)
         if exchange.method == "POST":  # the server is to find a name (Graph Store Protocol 5.5)
@@ -186,38 +209,96 @@ async def _prepare(exchange: Exchange, resource: Resource) -> None:
             f"to be, as far as it can be written. What POST means at {resource.url} itself is to be asked for there.",
             headers={"Allow": ", ".join(sorted(resource.methods() - {"POST"}))},
         )
-    makes = isinstance(resource, AbsentResource | ContainerResource)
-    if exchange.method == "POST" and exchange.essence == MULTIPART and isinstance(resource, AbsentResource):
-        await unite(resource.robot, exchange, resource.url)
+    method, makes = exchange.method, isinstance(resource, AbsentResource | ContainerResource)
+    if method == "POST" and isinstance(resource, AbsentResource):
+        await resource.merge_into(exchange)
     if makes and exchange.essence is not None and exchange.essence not in RDF_BODIES:
         raise Problem(
             415,
             f"A graph comes as {', '.join(RDF_BODIES)}, not as {exchange.essence}.",
-            headers={f"Accept-{exchange.method.capitalize()}": ", ".join(RDF_BODIES)},
+            headers={f"Accept-{method.capitalize()}": ", ".join(RDF_BODIES)},
         )
-    if isinstance(resource, AbsentResource):
-        resource.merges = exchange.method == "POST"
-        exchange.method = "PUT"
 
 
-class DefaultGraph(Resource):
-    """The default graph: all graphs together, as a query has it. It is read, and never written itself."""
+class _Whole(Resource):
+    """All graphs, as a query tells them."""
 
-    kind = "Default graph"
     links = ()
+    form: str
+    asked: QueryRequest
 
     def __init__(self, url: str, service: QueryService) -> None:
         super().__init__(url)
         self._service = service
 
+    async def special(self, exchange: Exchange) -> Response:
+        accept = wished(exchange, formats_of(self.form))
+        if exchange.method == "HEAD":
+            content_type = results.content_type(results.choose(self.form, accept))
+            return Response(headers={"Content-Type": content_type, "Vary": "Accept", "Cache-Control": "no-cache"})
+        asked = replace(self.asked, timeout=timeout_asked(exchange.query.items()))
+        again = exchange.may_come_again
+        return await answered(self._service, asked, accept, judge=exchange.judge, again=again)
+
+
+class DefaultGraph(_Whole):
+    """The default graph: all graphs together, as a query has it. It is read, and never written itself."""
+
+    kind = "Default graph"
+    form = "CONSTRUCT"
+    asked = QueryRequest("CONSTRUCT { ?s ?p ?o } WHERE { ?s ?p ?o }")
+
     def why_not(self, method: str) -> str:
         return "The default graph is all graphs together: write to the one that is to say it, by ?graph="
 
-    async def special(self, exchange: Exchange) -> Response:
-        accept = wished(exchange)
-        if exchange.method == "HEAD":
-            content_type = results.content_type(results.choose("CONSTRUCT", accept))
-            return Response(headers={"Content-Type": content_type, "Vary": "Accept", "Cache-Control": "no-cache"})
-        asked = replace(_EVERYTHING, timeout=timeout_asked(exchange.query.items()))
-        again = exchange.may_come_again
-        return told(await self._service.answer(asked, accept, judge=exchange.judge, again=again))
+
+class WholeDataset(_Whole):
+    """The dataset: all graphs with their names. What it tells is taken back, as far as clients keep it."""
+
+    kind = "Dataset"
+    form = results.QUADS
+    asked = QueryRequest("SELECT ?g ?s ?p ?o WHERE { GRAPH ?g { ?s ?p ?o } }", quads=True)
+    accepts: Mapping[str, Sequence[str]] = {"PUT": DATASET_BODIES, "POST": DATASET_BODIES}
+    takes_forms = False
+
+    def __init__(self, url: str, service: QueryService, base: str, updates: Updates | None) -> None:
+        super().__init__(url, service)
+        self._base = base
+        self._updates = updates
+
+    def methods(self) -> frozenset[str]:
+        return READ if self._updates is None else READ | {"PUT", "POST"}
+
+    async def put(self, exchange: Exchange) -> Answer:
+        """Each graph that the body names, and that clients keep, says what it says there; all others stay."""
+        return await self._take(exchange, replaces=True)
+
+    async def post(self, exchange: Exchange) -> Answer:
+        """What the body says is merged into the graphs that it names, as far as clients keep them."""
+        return await self._take(exchange, replaces=False)
+
+    async def _take(self, exchange: Exchange, *, replaces: bool) -> Answer:
+        assert self._updates is not None
+        data, media_type = await exchange.body(), exchange.media_type
+        graphs = await asyncio.to_thread(parse_dataset, data, media_type, self.url)
+        strange = next((name for name in graphs if not name.startswith(self._base)), None)
+        if strange is not None:
+            room = f"{self._base}data/"
+            raise Problem(403, f"No graph <{strange[:200]}> can be here: choose names below {room}. Nothing was done.")
+        kept = {name: triples for name, triples in graphs.items() if self._updates.keeps(name)}
+        operations = await asyncio.to_thread(_operations, kept, replaces=replaces)
+        return await self._updates.carry_out(operations, dry_run=exchange.flag("dry-run"), judge=exchange.judge)
+
+
+def _operations(graphs: Mapping[str, Sequence[Triple]], *, replaces: bool) -> Sequence[Operation]:
+    """What has the graphs say this, but for what the server says of each itself."""
+    found: list[Operation] = []
+    for name, triples in graphs.items():
+        found.append(Manage(Verb.CREATE, name, silent=True))
+        if replaces:
+            found.append(Manage(Verb.CLEAR, name, silent=True))
+        said = unmanaged_triples(name, triples)
+        graph = NamedNode(name)
+        quads = (QuadTemplate(subject, predicate, object, graph) for subject, predicate, object in said)
+        found.append(Modify(inserts=tuple(quads)))
+    return found

@@ -92,6 +92,14 @@ class HoldResource(Resource):
         except KeyError as error:
             raise Problem(404, f"There is no hold {self.id}.") from error
 
+    @property
+    def is_absent(self) -> bool:
+        try:
+            _ = self.hold
+        except Problem:
+            return True
+        return False
+
     def methods(self) -> frozenset[str]:
         return READ if self.robot.settings.read_only else READ | {"PATCH", "DELETE"}
 

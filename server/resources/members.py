@@ -33,6 +33,7 @@ from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.patch import merge_patch, updated
 from rosld.server.ldp.plan import Move, Plan
 from rosld.server.ldp.resource import (
+    ABSENT,
     JSON,
     MERGE_PATCH,
     RDF_BODIES,
@@ -46,7 +47,7 @@ from rosld.server.ldp.resource import (
 from rosld.server.ldp.state import State
 from rosld.server.resources.actions import ActionResource
 from rosld.server.resources.changes import all_of, with_field
-from rosld.server.resources.complex import ABSENT, ComplexResource
+from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.guarding import require_offered, require_writable, seen_anew
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.requests import called, declined_by, failure, request_in
@@ -282,7 +283,7 @@ class MemberResource(Resource):
         if exchange.media_type == MERGE_PATCH:
             return merge_patch(parse_json(property_json(view, self.robot.whole)), parse_json(data))
         before = property_document(view, self.robot.space, self.robot.whole)
-        return self._stated(plan, updated(data, before.all_triples(), self.url))
+        return self._stated(plan, updated(data, before.all_triples(), self.url, by_value=True))
 
     async def post(self, exchange: Exchange) -> Answer:
         robot, layout = self.robot, await self.robot.offers.layout()

@@ -129,6 +129,12 @@ def members_named(ends: Sequence[str]) -> Members:
     return Members(leaves, tuple(sorted(decode_segment(end[:-1]) for end in ends if end.endswith("/"))))
 
 
+def is_absent(robot: Robot, room: str, name: str) -> bool:
+    """Whether nothing in the computation graph has this name, nor is it a namespace."""
+    things: Mapping[str, object] = getattr(robot.graph, room)
+    return name not in things and moved_to_namespace(robot, room, name) is None
+
+
 def moved_to_namespace(robot: Robot, room: str, name: str) -> Problem | None:
     """308 to the container where a name is a namespace and nothing else; None where it is none."""
     path = names.segments(name)
@@ -191,6 +197,9 @@ class NamespaceContainer(Resource):
         if place is None:
             send_to_first(exchange, self.url, count(asked._members()))
         return asked
+
+    async def methods_now(self) -> frozenset[str]:
+        return await self.methods_if_there()
 
     async def state(self) -> State:
         members = self._members()

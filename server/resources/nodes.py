@@ -22,7 +22,7 @@ from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import JSON, RDF_BODIES, READ, Answer, Resource
 from rosld.server.ldp.state import State
 from rosld.server.resources.limits import require_message
-from rosld.server.resources.namespaces import moved_to_namespace
+from rosld.server.resources.namespaces import is_absent, moved_to_namespace
 from rosld.server.robot import Robot
 from rosld.server.writable import closed
 
@@ -66,6 +66,10 @@ class NodeResource(Resource):
         return "POST" in self.methods() and Operation.CHANGE_STATE in self.robot.adapter.allows(
             Ref(Kind.NODE, self.name)
         )
+
+    @property
+    def is_absent(self) -> bool:
+        return is_absent(self.robot, "nodes", self.name)
 
     def methods(self) -> frozenset[str]:
         lifecycle = self.lifecycle

@@ -19,6 +19,7 @@ from rosld.ontology.lower import parse_json
 from rosld.ontology.namespaces import Members
 from rosld.ontology.parameters import (
     Json,
+    Outline,
     lower_json,
     lower_parameter,
     parameter_container_document,
@@ -60,7 +61,15 @@ from rosld.server.ldp.state import State, digest
 from rosld.server.ldp.veiling import veiled_state
 from rosld.server.ldp.verbs import OFFERS
 from rosld.server.resources.limits import require_parameter
-from rosld.server.resources.namespaces import HIDDEN, count, is_of_hidden, listed_members, ordered, with_hidden
+from rosld.server.resources.namespaces import (
+    HIDDEN,
+    count,
+    is_of_hidden,
+    listed_members,
+    namespaces,
+    ordered,
+    with_hidden,
+)
 from rosld.server.robot import Robot
 from rosld.server.writable import closed, kept
 from rosld.shapes.parameter import constraint_url, declared_shape, declared_triples
@@ -81,6 +90,9 @@ class _Parameters(Resource):
         self.title = name
         self.robot = robot
         self.name = name
+
+    async def methods_now(self) -> frozenset[str]:
+        return await self.methods_if_there()
 
     def why_not(self, method: str) -> str:
         if self.robot.settings.read_only:
@@ -300,7 +312,7 @@ class ParameterResource(_Parameters):
             value = lower_json(merge_patch(parse_json(parameter_json(before)), parse_json(data)))
         else:
             document = parameter_document(self.name, before, self.robot.space)
-            value = lower_parameter(updated(data, document.triples, self.url), self.url)
+            value = lower_parameter(updated(data, document.triples, self.url, by_value=True), self.url)
         _require_below(exchange, self.url, value)
         self._check_place(value, before)
         await self._set({self.name: value})
@@ -358,7 +370,10 @@ class ParameterTree(_Parameters):
         return Operation.SET_PARAMETER in allowed and not self.robot.settings.read_only
 
     async def state(self) -> State:
-        value = await self._value()
+        return self.shown(await self._value())
+
+    def shown(self, value: ParameterValue | None) -> State:
+        """The state with this value. Raises a 404 Problem where it is none of a tree."""
         if value is None and not self.namespace:
             value = {}
         if not isinstance(value, dict):
@@ -378,6 +393,25 @@ class ParameterTree(_Parameters):
                 weight=_TRIPLES_BYTES * len(plain),
             ),
         )
+
+    def outline(self) -> Document:
+        """What it says but for values."""
+        parameters = listed_members(self.robot, "parameters", self.namespace)
+        leaves_out = parameters != namespaces(self.robot.graph, "parameters").get(self.namespace)
+        return parameter_container_document(
+            self.namespace,
+            self._outline(self.namespace),
+            self.robot.space,
+            MOST,
+            whole=with_hidden(self.url) if leaves_out else None,
+        )
+
+    def _outline(self, namespace: tuple[str, ...]) -> Outline:
+        members = listed_members(self.robot, "parameters", namespace)
+        if members is None:
+            return {}
+        below = {inner: self._outline((*namespace, inner)) for inner in members.namespaces}
+        return {**dict.fromkeys(members.leaves), **below}
 
     def _listed(self, value: dict[str, ParameterValue]) -> dict[str, ParameterValue]:
         """The tree as it is listed; the same object where nothing is left out."""

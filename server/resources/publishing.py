@@ -13,7 +13,8 @@ from rosld.ontology.body import RdfBody, body_of, parse_body
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.lower import find_message, lowerer, parse_json
 from rosld.ontology.vocab import rdf, ros
-from rosld.server.http.problem import Problem, render
+from rosld.server.http.problem import Problem
+from rosld.server.http.problem_details import render
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.patch import merge_patch, updated
 from rosld.server.ldp.resource import JSON, MERGE_PATCH
@@ -103,7 +104,7 @@ class Publishing:
             message = lowerer(base.schema, self.robot.lifting).from_json(patched)
         else:
             before = [*description, *whole.triples(base.message, self.url, "#message")]
-            message = self._lower(base.schema, updated(data, before, self.url))
+            message = self._lower(base.schema, updated(data, before, self.url, by_value=True))
         return await self._publish(base.schema, message, exchange.flag("latch"))
 
     async def _publish(self, schema: MessageSchema, message: Message, latch: bool) -> Publish:

@@ -5,7 +5,7 @@ Those that rosld ships are there to be read; what clients put beside them are fi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
@@ -41,7 +41,16 @@ from rosld.server.resources.kept.files import KeptFile
 from rosld.server.resources.kept.room import AbsentResource, kept_room
 from rosld.server.resources.kept.showing import all_members, page_at, shown
 from rosld.server.resources.kept.sources import DescriptionResource
-from rosld.server.resources.sparql import HTML, OFFERS, results_of, told, wished
+from rosld.server.resources.sparql import (
+    FORMATS,
+    GRAPH_FORMS,
+    OFFERS,
+    answered,
+    formats_of,
+    prefers_page,
+    results_of,
+    wished,
+)
 from rosld.server.robot import Robot, Same
 from rosld.server.sparql import hangup
 from rosld.server.sparql.endpoint import QueryService
@@ -50,7 +59,6 @@ from rosld.server.sparql.stored import OTHERS, StoredQuery, bind
 
 _DESCRIPTIONS = frozenset(syntax.media_type for syntax in Syntax)
 _ANYTHING = {"iri": "/", "string": "", "integer": "0", "double": "0"}
-_GRAPH_FORMS = ("CONSTRUCT", "DESCRIBE")
 _TITLE = "Queries"
 
 
@@ -69,21 +77,20 @@ class Runner:
 
         `state` is the state part of the ETags of a query that may change; else it is a digest of the results.
         """
-        accept = wished(exchange)
         given = {name: value for name, value in exchange.query.items() if name not in OTHERS}
         timeout = timeout_asked((name, value) for name, value in exchange.query.items() if value)
-        chosen = negotiation.choose(accept, OFFERS)
-        if chosen == HTML:
+        if exchange.query.get("format") in (None, "", "html") and prefers_page(wished(exchange)):
             return await self._page(exchange, resource, query, given, timeout)
-        sample = bind(query, self._samples(query, given), self.base)
-        is_graph = self.service.check(sample).form in _GRAPH_FORMS
-        if chosen in _DESCRIPTIONS and not is_graph and not given:
+        form = self.service.check(bind(query, self._samples(query, given), self.base)).form
+        is_description = form not in GRAPH_FORMS and not given
+        formats = {"html", *formats_of(form), *(formats_of("DESCRIBE") if is_description else ())}
+        accept = wished(exchange, [name for name in FORMATS if name in formats])
+        if is_description and negotiation.choose(accept, OFFERS) in _DESCRIPTIONS:
             return None
         request = QueryRequest(bind(query, given, self.base), timeout=timeout)
         hung_up = hangup.of(exchange.request.receive)
-        answer = told(
-            await self.service.answer(request, accept, hung_up, exchange.judge, again=exchange.may_come_again)
-        )
+        again = exchange.may_come_again
+        answer = await answered(self.service, request, accept, hung_up, exchange.judge, again=again)
         return self._identified(exchange, resource, answer, state)
 
     def _identified(self, exchange: Exchange, resource: Resource, answer: Response, state: str | None) -> Response:
@@ -159,7 +166,7 @@ class ShippedQuery(Resource):
         return self.robot.states.get(self.url, 0, lambda: State(partial(shipped_document, self.url, self._query)))
 
     async def special(self, exchange: Exchange) -> Response | None:
-        if negotiation.choose(wished(exchange), (*OFFERS, DIRECT)) == DIRECT:
+        if not exchange.query.get("format") and negotiation.choose(exchange.accept, (*OFFERS, DIRECT)) == DIRECT:
             return Response(self._query.text, media_type=f"{DIRECT}; charset=utf-8")
         return await self._runner.answer(exchange, self, self._query)
 
@@ -191,7 +198,7 @@ class KeptQuery(KeptFile):
         return _described(self.robot, self.there())
 
     async def special(self, exchange: Exchange) -> Response | None:
-        if negotiation.choose(wished(exchange), (*OFFERS, DIRECT)) == DIRECT:
+        if not exchange.query.get("format") and negotiation.choose(exchange.accept, (*OFFERS, DIRECT)) == DIRECT:
             return await super().special(exchange)
         record = self.there()
         query = await self.robot.queries.usable(record)
@@ -205,10 +212,12 @@ class QueryDescription(DescriptionResource):
     async def state(self) -> State:
         return _described(self.robot, self.there())
 
-    async def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
+    async def with_triples(
+        self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
+    ) -> Put:
         require_small(triples)
         own = set(self.robot.queries.said(record))
-        return await super().with_triples(record, [one for one in triples if one not in own])
+        return await super().with_triples(record, [one for one in triples if one not in own], expected, said)
 
 
 class AbsentQuery(AbsentResource):
@@ -248,13 +257,14 @@ class QueryContainer(ContainerResource):
             ),
         )
 
-    async def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
+    async def with_triples(
+        self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
+    ) -> Put:
         require_small(triples)
         own = set(self._with_shipped(Document(self.url, ())).triples)
         about_members = {one for one in triples if one.predicate == rdfs.comment and one.subject != NamedNode(self.url)}
-        return await super().with_triples(
-            record, [one for one in triples if one not in own and one not in about_members]
-        )
+        clients = [one for one in triples if one not in own and one not in about_members]
+        return await super().with_triples(record, clients, expected, said)
 
     def listing(self) -> Listing:
         listed = self._shipped() | {url: query.purpose for url, query in self._kept()}

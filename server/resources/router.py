@@ -86,7 +86,7 @@ def _resources(robot: Robot, location: Location) -> Resource:
 
 def _well_known(robot: Robot, location: Location) -> Resource:
     if location.segments != ("wot",) or location.is_container:
-        raise Problem(404, f"Nothing else is well known here than {robot.space.base}.well-known/wot")
+        raise Problem(404, f"It is not among what is well known here: {robot.space.base}.well-known/ lists that.")
     return RobotThing(robot)
 
 
@@ -149,16 +149,6 @@ def _holding(at: Callable[[str], Resource]) -> Mapping[str, Room]:
     }
 
 
-def _sparql_rooms(robot: Robot, service: QueryService, pages: Pages, updates: Updates | None) -> Mapping[str, Room]:
-    """The rooms that ask queries."""
-    endpoint = SparqlResource(robot, service, pages, partial(_examples, robot), updates)
-    runner = Runner(service, pages, robot.space.base)
-    return {
-        "sparql": _single(lambda robot: endpoint),
-        "queries": partial(query_room, runner=runner),
-    }
-
-
 def _examples(robot: Robot) -> list[StoredQuery]:
     """Questions to start from: all that come with rosld, and some of those that clients keep."""
     found = robot.queries.all(most=_EXAMPLES)
@@ -178,13 +168,17 @@ class Router:
         """`updates` makes what carries updates out, given what finds resources by their paths (`at`)."""
         self._robot = robot
         described = OpenApiResource(robot, self.at)
-        graphs = GraphStore(robot, service, self.resolve)
-        self._rooms = {
+        changes = None if updates is None or robot.settings.read_only else updates(self.at)
+        self.graphs = GraphStore(robot, service, self.resolve, changes)
+        self.endpoint = SparqlResource(robot, service, pages, partial(_examples, robot), changes)
+        runner = Runner(service, pages, robot.space.base)
+        self._rooms: dict[str, Room] = {
             **ROOMS,
             **_holding(self.at),
-            **_sparql_rooms(robot, service, pages, None if updates is None else updates(self.at)),
+            "sparql": _single(lambda robot: self.endpoint),
+            "queries": partial(query_room, runner=runner),
             "openapi.json": _single(lambda robot: described),
-            "graphs": _single(lambda robot: graphs),
+            "graphs": _single(lambda robot: self.graphs),
         }
         self._base = robot.space.path.rstrip("/")
         self._kept: dict[bytes, Resource] = {}

@@ -18,7 +18,7 @@ from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import JSON, RDF_BODIES, READ, Answer, Created, Resource
 from rosld.server.ldp.state import State
 from rosld.server.resources.limits import require_message
-from rosld.server.resources.namespaces import moved_to_namespace
+from rosld.server.resources.namespaces import is_absent, moved_to_namespace
 from rosld.server.resources.requests import called, failure, request_in
 from rosld.server.robot import Robot, Same
 from rosld.server.writable import closed
@@ -44,6 +44,10 @@ class ServiceResource(Resource):
             missing = Problem(404, f"There is no service {self.name}.")
             raise moved_to_namespace(self.robot, "services", self.name) or missing
         return found
+
+    @property
+    def is_absent(self) -> bool:
+        return is_absent(self.robot, "services", self.name)
 
     def methods(self) -> frozenset[str]:
         if self.robot.settings.read_only or self.robot.is_closed(self.name):
@@ -112,6 +116,14 @@ class CallResource(Resource):
         self.title = id
         self.robot = robot
         self.id = id
+
+    @property
+    def is_absent(self) -> bool:
+        try:
+            _ = self.call
+        except Problem:
+            return True
+        return False
 
     def methods(self) -> frozenset[str]:
         return READ if self.robot.settings.read_only else READ | {"DELETE"}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Iterable, Mapping, Sequence
 
 from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response, StreamingResponse
@@ -29,8 +29,9 @@ from rosld.server.sparql.functions import functions
 from rosld.server.sparql.hangup import HangUp
 from rosld.server.sparql.limits import described
 from rosld.server.sparql.protocol import DIRECT, UPDATE, QueryRequest, UpdateRequest, posted, query_request
-from rosld.server.sparql.results import GRAPHS, SOLUTIONS
+from rosld.server.sparql.results import GRAPHS, SOLUTIONS, offers_of, without_xml
 from rosld.server.sparql.update.base import Updates
+from rosld.server.sparql.xml_output import REASON
 
 HTML = "text/html"
 ROWS = 500
@@ -56,18 +57,30 @@ _ALSO: Mapping[str, str] = {"turtle": "ttl", "json-ld": "jsonld", "rdf+xml": "rd
 """Names of formats that clients of other endpoints send on their own (SPARQLWrapper does, with every query)."""
 OFFERS = (*SOLUTIONS, *(media_type for media_type in GRAPHS if media_type not in SOLUTIONS), HTML)
 
+GRAPH_FORMS = ("CONSTRUCT", "DESCRIBE")
+"""The forms of queries whose results are graphs."""
 _PROTOCOL = frozenset({"query", "update", "default-graph-uri", "named-graph-uri"})
 """The parameters that make a GET a query, or an attempt at one."""
 
 
-def wished(exchange: Exchange) -> str | None:
-    """The Accept field of a request, which `?format=` replaces; a 406 Problem for a format that is unknown."""
+def formats_of(form: str | None) -> Mapping[str, str]:
+    """Those of `FORMATS` that the results of a query of this form can be had in, pages aside."""
+    offers = offers_of(form)
+    return {name: accept for name, accept in FORMATS.items() if negotiation.choose(accept, offers) is not None}
+
+
+_OF_GRAPHS = frozenset({"graph", "default", "all"})
+"""Parameters of the graph store."""
+
+
+def wished(exchange: Exchange, formats: Collection[str] = FORMATS.keys()) -> str | None:
+    """The Accept field of a request, which `?format=` replaces; a 406 Problem for one that is not of these formats."""
     wanted = exchange.query.get("format")
     if not wanted:
         return exchange.accept
     wanted = _ALSO.get(wanted, wanted)
-    if wanted not in FORMATS:
-        raise Problem(406, f"?format={wanted} is unknown; there are {', '.join(FORMATS)}.")
+    if wanted not in formats:
+        raise Problem(406, f"?format={wanted} is unknown here; there are {', '.join(formats)}.")
     return FORMATS[wanted]
 
 
@@ -76,18 +89,53 @@ def prefers_page(accept: str | None) -> bool:
     return negotiation.choose(accept, OFFERS) == HTML
 
 
+async def answered(
+    service: QueryService,
+    request: QueryRequest,
+    accept: str | None,
+    hung_up: HangUp | None = None,
+    judge: Judge = EVERYTHING,
+    *,
+    again: bool = False,
+) -> Response:
+    """The response with the results of a query: where XML cannot carry them, in what else the client takes."""
+    try:
+        answer = await service.answer(request, accept, hung_up, judge, again=again)
+    except Problem as problem:
+        other = without_xml(service.check(request.text).form, accept) if problem.extra == REASON else None
+        if other is None:
+            raise
+        answer = await service.answer(request, other, hung_up, judge, again=again)
+    return told(answer)
+
+
 def told(answer: QueryAnswer) -> Response:
-    """The response with the results of a query; streamed ones break off where they cannot be finished."""
+    """The response with the results of a query; streamed ones break off where they cannot be finished.
+
+    The field `Unread-Graphs` tells what it was not asked over: a list of containers, each with the number of graphs
+    (RFC 9651 3.1).
+    """
+    standing = _STANDING
+    if answer.unread:
+        unread = ", ".join(f"{container};count={count}" for container, count in answer.unread.items())
+        standing = (*_STANDING, (b"unread-graphs", unread.encode("ascii")))
     if isinstance(answer.body, bytes):
         length = (b"content-length", b"%d" % len(answer.body))
         kind = (b"content-type", answer.content_type.encode("ascii"))
-        return Prepared(200, answer.body, [kind, length, *_STANDING], answer.still)
+        return Prepared(200, answer.body, [kind, length, *standing], answer.still)
     stream: AsyncIterator[bytes] = answer.body
-    headers = {name.decode(): value.decode() for name, value in _STANDING}
+    headers = {name.decode(): value.decode() for name, value in standing}
     return StreamingResponse(stream, headers={**headers, "Content-Type": answer.content_type})
 
 
-_STANDING = ((b"vary", b"Accept"), (b"cache-control", b"no-cache"))
+_STANDING: tuple[tuple[bytes, bytes], ...] = ((b"vary", b"Accept"), (b"cache-control", b"no-cache"))
+_UNREAD = {
+    "topics": "{} topics that nobody subscribes to",
+    "resources": "{} resources below /resources/",
+    "parameters": "{} trees of parameters",
+    "bags": "{} recorded messages",
+}
+"""What graphs are by their container; all others are a document each."""
 
 
 async def results_of(
@@ -95,7 +143,9 @@ async def results_of(
 ) -> Results:
     """The first rows of the answer to a query, for a page."""
     table = await service.table(request, ROWS + 1, hung_up, judge)
-    return Results(table.variables, table.rows, table.boolean, ROWS)
+    left = "; ".join(_UNREAD.get(name, f"/{name}").format(count) for name, count in table.unread.items())
+    note = f"Not looked at, as the query does not name them: {left}." if left else ""
+    return Results(table.variables, table.rows, table.boolean, ROWS, note)
 
 
 _FORMATS: Mapping[str, str] = {
@@ -162,7 +212,11 @@ class SparqlResource(Resource):
         return READ | {"POST"}
 
     async def state(self) -> State:
-        return self.robot.states.get(self.url, 0, lambda: State(lambda: Document(self.url, self._description())))
+        return self.robot.states.get(self.url, 0, lambda: State(self.document))
+
+    def document(self) -> Document:
+        """What it says of itself."""
+        return Document(self.url, self._description())
 
     def _description(self) -> tuple[Triple, ...]:
         """SPARQL 1.1 Service Description: what this endpoint speaks, and what a query may take."""
@@ -207,6 +261,9 @@ class SparqlResource(Resource):
     async def special(self, exchange: Exchange) -> Response | None:
         accept = wished(exchange)
         if exchange.query.keys().isdisjoint(_PROTOCOL):
+            if not exchange.query.keys().isdisjoint(_OF_GRAPHS):
+                store = f"{self.robot.space.base}graphs"
+                raise Problem(400, f"Graphs are read and written at {store}?graph=URL; here queries are answered.")
             return self._page(exchange.judge) if prefers_page(accept) else None
         request = query_request("GET", exchange.request.scope["query_string"])
         return await self._answer(request, accept, exchange)
@@ -232,7 +289,7 @@ class SparqlResource(Resource):
         hung_up, judge = hangup.of(exchange.request.receive), exchange.judge
         if not prefers_page(accept):
             again = exchange.may_come_again
-            return told(await self._service.answer(request, accept, hung_up, judge, again=again))
+            return await answered(self._service, request, accept, hung_up, judge, again=again)
         try:
             return self._page(judge, request.text, await results_of(self._service, request, hung_up, judge))
         except Problem as problem:

@@ -62,11 +62,7 @@ class TopicResource(Resource):
         return self._publishing.topic
 
     def methods(self) -> frozenset[str]:
-        """The verbs of a topic that is there; of one that is not, what makes it: nothing can be read of it."""
-        methods = self._allowance()[1]
-        if self.topic is None and moved_to_namespace(self.robot, "topics", self.name) is None:
-            return methods - {"GET", "HEAD"}
-        return methods
+        return self._allowance()[1]
 
     def why_unwritable(self) -> str | None:
         """Why nothing may be published here, in a sentence; None where it may."""
@@ -77,8 +73,14 @@ class TopicResource(Resource):
         graph = self.robot.graph
         if self._allowed is None or self._allowed[0] is not graph:
             refusal = self._refusal()
-            self._allowed = (graph, READ if refusal else self._writing(), refusal)
+            self._allowed = (graph, self._verbs(refusal), refusal)
         return self._allowed
+
+    def _verbs(self, refusal: str | None) -> frozenset[str]:
+        """The verbs of a topic that is there; of one that is not, what makes it: nothing can be read of it."""
+        verbs = READ if refusal else self._writing()
+        is_there = self.topic is not None or moved_to_namespace(self.robot, "topics", self.name) is not None
+        return verbs if is_there else verbs - {"GET", "HEAD"}
 
     def _writing(self) -> frozenset[str]:
         topic = self.topic
@@ -127,8 +129,8 @@ class TopicResource(Resource):
     async def shown(self, view: View) -> State:
         """The state with these values; at once where the types of their messages are at hand."""
         robot = self.robot
-        topic = robot.graph.topics.get(self.name) or Topic(self.name)
         graph = robot.graph
+        topic = graph.topics.get(self.name) or Topic(self.name)
         hold, methods = robot.holds.on(self.name), self.methods()
         version = (Same(topic), Same(view), graph.simulated_time, hold and hold.id, "POST" in methods)
         known = robot.states.known(self.url, version)

@@ -5,7 +5,7 @@ Beside the packages of `/shapes/` lie `/shapes/mapping` and the like, and the li
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
 
 from pyoxigraph import Triple
@@ -53,6 +53,9 @@ class TypeResource(Resource):
         hash = exchange.query.get("hash")
         return self if hash is None else TypeResource(self.robot, self.ref.name, hash)
 
+    async def methods_now(self) -> frozenset[str]:
+        return await self.methods_if_there()
+
     async def state(self) -> State:
         schema = await schema_of(self.robot, self.ref)
         variants = tuple(ref for ref in known_types(self.robot) if ref.name == self.ref.name)
@@ -73,6 +76,9 @@ class ShapeResource(Resource):
         self.robot = robot
         self.name = name
 
+    async def methods_now(self) -> frozenset[str]:
+        return await self.methods_if_there()
+
     async def state(self) -> State:
         schema = await schema_of(self.robot, TypeRef(self.name))
         return self.robot.states.get(
@@ -92,6 +98,9 @@ class WholeShapeResource(Resource):
 
     def why_not(self, method: str) -> str:
         return _why_not(self.robot, self.url, method)
+
+    async def methods_now(self) -> frozenset[str]:
+        return await self.methods_if_there()
 
     async def state(self) -> State:
         return self.robot.states.get(
@@ -230,10 +239,12 @@ class LimitsContainer(ContainerResource):
             lambda: replace(kept, describe=describe, token=f"{kept.tag}-{digest(repr(more).encode())}", renderings={}),
         )
 
-    async def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
+    async def with_triples(
+        self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
+    ) -> Put:
         require_small(triples)
         own = set(_generated(self.robot).triples)
-        return await super().with_triples(record, [one for one in triples if one not in own])
+        return await super().with_triples(record, [one for one in triples if one not in own], expected, said)
 
 
 def _is_of(triple: Triple, *, containment: bool, minimal: bool) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from starlette.responses import Response
 
 from rosld.adapters.model import Kind
-from rosld.server.http.problem import render
+from rosld.server.http.problem_details import render
 from rosld.server.hypermedia.catalogue import Property, Setter
 from rosld.server.hypermedia.value import MessageValue
 from rosld.server.hypermedia.writing import PlannedWrite, Written, plan_write

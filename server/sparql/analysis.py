@@ -12,19 +12,21 @@ from rosld.server.sparql.cursor import Unrecognised
 from rosld.server.sparql.functions import AGE
 from rosld.server.sparql.grammar import ELSEWHERE, read
 from rosld.server.sparql.lexer import BOUNDS, NOWHERE, Bounds, Checked, Kind, Reach, Token, check, place, update_keyword
-from rosld.server.sparql.modest import is_modest
 from rosld.server.sparql.narrowing import needs
 from rosld.server.sparql.needs import EVERYTHING, Needs
-from rosld.server.sparql.patterns import graphs_around
-from rosld.server.sparql.small import Plan, plan
+from rosld.server.sparql.patterns import Group, Reading, Variable, graphs_around
+from rosld.server.sparql.process.cost import Plan, plan
+from rosld.server.sparql.rewriting import rewrite
+from rosld.server.sparql.syntax import refusal, syntax_error
 from rosld.server.sparql.terms import Terms
+from rosld.server.store import QueryError
+from rosld.server.store.encoding import NAMESPACE
 
 _CHANGING = frozenset({"NOW", "RAND", "UUID", "STRUUID", "BNODE", AGE, ELSEWHERE})
 _FORMS = ("SELECT", "ASK", "CONSTRUCT", "DESCRIBE")
 _MOST_UNREAD = 60
-_SHORT = 512
-"""Characters of a CONSTRUCT whose template makes few triples of each solution."""
 _KEPT = 512
+_NO_RELATIONS = frozenset[str]()
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,27 +35,23 @@ class Analysis:
 
     `form` is SELECT, ASK, CONSTRUCT or DESCRIBE, None where only the store can tell. `needs` are over all graphs, its
     FROM and FROM NAMED being `default_graphs` and `named_graphs`. `lasting`: the answer is the same for as long as the
-    dataset is. `modest`: its form keeps it small where no resource has many values. `prefixes`: those of the server
-    that its names use. `enclosed` are the graphs that all its patterns stand in (GRAPH), None where one may match in
-    others. `plan` is how to find out whether it is small over a dataset, None where it may be anything. `streams`:
-    every statement that is looked at is told. `plain`: it is nothing but patterns, each in one graph. `filters`: the
-    store may scan what a constraint leaves nothing of. `elsewhere`: it asks other endpoints (SERVICE).
+    dataset is. `prefixes`: those of the server that its names use. `enclosed` are the graphs that all its patterns
+    stand in (GRAPH), None where one may match in others. `plan` is how to find out whether it takes long over a
+    dataset, None where it may. `asks_age`: it calls ros:age, as far as is known. `functions` are those that it calls by
+    IRI.
     """
 
     text: str
     form: str | None
     needs: Needs
     lasting: bool
-    modest: bool
     prefixes: Mapping[str, str]
     default_graphs: tuple[str, ...] = ()
     named_graphs: tuple[str, ...] = ()
     enclosed: frozenset[str] | None = None
     plan: Plan | None = None
-    streams: bool = False
-    plain: bool = False
-    filters: bool = True
-    elsewhere: bool = False
+    asks_age: bool = True
+    functions: frozenset[str] = frozenset()
 
 
 class Analyser:
@@ -71,7 +69,7 @@ class Analyser:
         prefixes: Mapping[str, str] = PREFIXES,
         bounds: Bounds = BOUNDS,
         reach: Reach = NOWHERE,
-        relations: Callable[[], frozenset[str]] = frozenset,
+        relations: Callable[[], frozenset[str]] = lambda: _NO_RELATIONS,
     ) -> None:
         self.base = base
         self.prefixes = dict(prefixes)
@@ -100,32 +98,32 @@ class Analyser:
             raise Problem(400, f"{keyword} is an update, and this is the endpoint for queries: it only reads.")
         try:
             reading = read(checked, self.prefixes, self.base, AGE, self._bounds)
-        except (Unrecognised, RecursionError):
+        except (Unrecognised, RecursionError) as error:
+            if wrong := syntax_error(text, self.prefixes):
+                raise Problem(400, wrong) from error
             return self._unread(checked)
         lasting = not reading.functions & _CHANGING
-        terms = Terms(self._types, self._known)
+        terms = Terms(self._types, self.base, self._known)
         words = [token.text.upper() for token in checked.tokens if token.kind is Kind.WORD]
-        steps = sum(token.kind in (Kind.WORD, Kind.MARK) for token in checked.tokens)
-        found = None
-        if reading.form != "DESCRIBE" and (reading.form != "CONSTRUCT" or len(text) <= _SHORT):
-            found = plan(reading.where, words, steps, len(reading.default) + len(reading.named))
-        single = found is not None and len(found) == len(found[0]) == 1
         return Analysis(
-            checked.text,
+            rewrite(checked, self.prefixes, self.base),
             reading.form,
             needs(reading, terms),
             lasting,
-            is_modest(reading.where, words, terms),
             self._used_prefixes(checked),
             reading.default,
             reading.named,
-            graphs_around(reading.where),
-            found,
-            single and reading.plain and "OFFSET" not in words,
-            reading.plain,
-            any("FILTER" in word or "HAVING" in word for word in words),
-            ELSEWHERE in words,
+            _enclosed(reading),
+            plan(reading.where, words, len(checked.tokens)),
+            AGE in reading.functions,
+            frozenset(name for name in reading.functions if ":" in name),
         )
+
+    def refusal(self, text: str, error: QueryError) -> Problem:
+        """Why the store does not take a query that was analysed, in words for people."""
+        if NAMESPACE in self.analyse(text).text:  # it was rewritten, and the parser tells another place
+            return Problem(400, syntax_error(text, self.prefixes) or "The query is not understood.")
+        return refusal(error, text, self.prefixes)
 
     def _used_prefixes(self, checked: Checked) -> Mapping[str, str]:
         """Only what a query uses: the store's parser copies all that it is given."""
@@ -139,8 +137,21 @@ class Analyser:
         if len(terms) > _MOST_UNREAD:
             raise Problem(400, "The query is no SPARQL 1.1, or begins to be none, somewhere: cut it to find the place.")
         form = next((token.text.upper() for token in checked.tokens if token.is_word(*_FORMS)), None)
-        elsewhere = any(token.is_word(ELSEWHERE) for token in checked.tokens)
-        return Analysis(checked.text, form, EVERYTHING, False, False, self.prefixes, elsewhere=elsewhere)
+        text = rewrite(checked, self.prefixes, self.base)
+        return Analysis(text, form, EVERYTHING, False, self.prefixes)
+
+
+def _enclosed(reading: Reading) -> frozenset[str] | None:
+    """The graphs that it can look at, where all that it looks at stands in GRAPH; None where it may be any."""
+    if reading.form == "DESCRIBE" or _names_any(reading.where):
+        return None
+    return graphs_around(reading.where) or None
+
+
+def _names_any(group: Group) -> bool:
+    """Whether there is a GRAPH with a variable, which may stand for any graph even with no pattern in it."""
+    inner = (*group.children, *group.filters)
+    return isinstance(group.graph, Variable) or any(map(_names_any, inner))
 
 
 def _check_comparisons(checked: Checked) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from pyoxigraph import NamedNode, RdfFormat, parse
 
@@ -35,6 +35,15 @@ class Cursor:
     def skip(self) -> None:
         """Pass over the next token."""
         self._at += 1
+
+    @property
+    def position(self) -> int:
+        """The number of tokens that have been taken."""
+        return self._at
+
+    def taken_since(self, position: int) -> Sequence[Token]:
+        """The tokens that have been taken since a position."""
+        return self._tokens[position : self._at]
 
     def peek(self, ahead: int = 0) -> Token | None:
         """The next token, or one after it; None behind the last."""
@@ -74,6 +83,27 @@ class Cursor:
         """Take this mark."""
         if not self.take(mark):
             raise Unrecognised
+
+    def prologue(self) -> None:
+        """Take the declarations before a query or an operation."""
+        while True:
+            if self.take_word("PREFIX"):
+                name, iri = self.next(), self.next()
+                if name.kind is not Kind.NAME or name.text[-1] != ":" or iri.kind is not Kind.IRI:
+                    raise Unrecognised
+                self.prefix(name.text[:-1], self.iri(iri))
+            elif self.take_word("BASE"):
+                self.base(self.iri(self.next()))
+            else:
+                return
+
+    def skip_group(self) -> None:
+        """Pass over a group, whatever is in it."""
+        self.expect("{")
+        depth = 1
+        while depth:
+            token = self.next()
+            depth += token.is_mark("{") - token.is_mark("}")
 
     def iri(self, token: Token) -> str:
         """The IRI that a token stands for."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache, wraps
 from typing import TypeAlias
 
 import orjson
-from pyoxigraph import Literal, NamedNode
+from pyoxigraph import Literal, NamedNode, Store
 
 from rosld.ontology.vocab import rdf, ros, xsd
 from rosld.server.store import Function
@@ -42,6 +42,27 @@ def functions(seconds_since: Callable[[str], float | None]) -> Mapping[str, Func
         return Literal(seconds)
 
     return {**_LASTING, AGE: _guarded(age)}
+
+
+def unknown(iris: Iterable[str]) -> Mapping[str, Function]:
+    """What stands for the functions that neither the store knows nor `functions`: calling one is an error (17.2)."""
+    return {iri: _error for iri in iris if not _is_known(iri)}
+
+
+def _error(*arguments: Term) -> None:
+    """No answer."""
+
+
+@lru_cache(maxsize=1024)
+def _is_known(iri: str) -> bool:
+    """Whether it is a function of ours or the store's, which tells that only when it is to call it."""
+    if iri in _LASTING or iri == AGE:
+        return True
+    try:
+        Store().query(f"SELECT ({NamedNode(iri)}(1) AS ?x) {{}}")
+    except RuntimeError:
+        return False
+    return True
 
 
 def at(array: Term, index: Term) -> Term:

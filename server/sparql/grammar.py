@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.cursor import Unrecognised
 from rosld.server.sparql.lexer import Bounds, Checked, Kind, Token, place
-from rosld.server.sparql.patterns import Child, Group, Iri, Pattern, Reading, Term, Variable, variables
+from rosld.server.sparql.patterns import Group, Iri, Pattern, Reading, Term, Variable, variables
 from rosld.server.sparql.triples import TripleReader
 
 ELSEWHERE = "SERVICE"
@@ -34,13 +34,13 @@ class _Reader(TripleReader):
         super().__init__(query, prefixes, base, bounds.joins)
         self._age = age
         self._functions: set[str] = set()
-        self._plain = True
+        self._constants: set[str] = set()
         self._assigned: set[int] = set()
 
     # --- the query
 
     def query(self) -> Reading:
-        self._prologue()
+        self.prologue()
         form = self.next()
         if not form.is_word(*_FORMS):
             raise Unrecognised
@@ -64,23 +64,11 @@ class _Reader(TripleReader):
         for term in described:
             self.join()
             group.filters.append(Group(patterns=[Pattern(term, None, self.new())]))
-        return Reading(name, group, default, named, frozenset(self._functions), self._plain)
-
-    def _prologue(self) -> None:
-        while True:
-            if self.take_word("PREFIX"):
-                name, iri = self.next(), self.next()
-                if name.kind is not Kind.NAME or name.text[-1] != ":" or iri.kind is not Kind.IRI:
-                    raise Unrecognised
-                self.prefix(name.text[:-1], self.iri(iri))
-            elif self.take_word("BASE"):
-                self.base(self.iri(self.next()))
-            else:
-                return
+        constants = frozenset(self._constants)
+        return Reading(name, group, default, named, frozenset(self._functions), constants)
 
     def _projection(self, asked: Group) -> None:
-        if self.take_word("DISTINCT", "REDUCED"):
-            self._plain = False
+        self.take_word("DISTINCT", "REDUCED")
         if self.take("*"):
             return
         while not self.is_word("FROM", "WHERE") and not self.is_next("{"):
@@ -131,7 +119,6 @@ class _Reader(TripleReader):
                 self.skip()
                 self._values(Group())
             elif token.is_word(*_MODIFIERS) or token.kind in (Kind.VARIABLE, Kind.NUMBER):
-                self._plain = self._plain and (token.is_word("LIMIT", "OFFSET") or token.kind is Kind.NUMBER)
                 self.skip()
             else:
                 self._call(asked)
@@ -157,13 +144,12 @@ class _Reader(TripleReader):
         self._modifiers(asked)
         group.filters.extend(asked.filters)
         group.scoped = True
-        return Group(graph, children=[Child(group, 0, {})])
+        return Group(graph, children=[group])
 
     def _member(self, group: Group) -> None:
         token = self.peek()
         if token is None:
             raise Unrecognised
-        self._plain = self._plain and not token.is_word("OPTIONAL", "MINUS", "VALUES")
         if token.is_mark("{"):
             self._union(group)
         elif token.is_word("OPTIONAL", "MINUS"):
@@ -199,10 +185,9 @@ class _Reader(TripleReader):
         self.join()
         self._group(None)
         self._functions.add(ELSEWHERE)
-        self._plain = False
 
     def _child(self, group: Group, graph: Term | None) -> None:
-        group.children.append(Child(self._group(graph), len(group.patterns), dict(group.bound)))
+        group.children.append(self._group(graph))
 
     def _union(self, group: Group) -> None:
         """One group or several alternatives, of which the largest counts."""
@@ -253,7 +238,10 @@ class _Reader(TripleReader):
         term = self.term()
         if isinstance(term, Variable):
             raise Unrecognised
-        return term.value if isinstance(term, Iri) else None
+        if not isinstance(term, Iri):
+            return None
+        self._constants.add(term.value)
+        return term.value
 
     # --- expressions
 
@@ -271,7 +259,6 @@ class _Reader(TripleReader):
 
     def _brackets(self, group: Group) -> None:
         """An expression from its opening to its closing bracket."""
-        self._plain = False
         self.expect("(")
         operand = False
         while not self.take(")"):
@@ -298,6 +285,8 @@ class _Reader(TripleReader):
         self.skip()
         if self.is_next("("):
             self._function(token, group)
+        elif token.kind in (Kind.IRI, Kind.NAME):
+            self._constants.add(self.iri(token))
         return token.kind in _OPERANDS or token.text.upper().endswith(("TRUE", "FALSE"))
 
     def _function(self, token: Token, group: Group) -> None:

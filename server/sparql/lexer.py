@@ -15,6 +15,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
+from string import ascii_letters
 from typing import NamedTuple
 
 from rosld.server.http.problem import Problem
@@ -114,14 +115,17 @@ _TOKEN = re.compile(
 )
 _KINDS = {**Kind.__members__, "STRING1": Kind.STRING}
 _ESCAPE = re.compile(r"\\u([0-9A-Fa-f]{4})|\\U([0-9A-Fa-f]{8})")
+_ESCAPED = re.compile(r"\\(?:u([0-9A-Fa-f]{4})|U([0-9A-Fa-f]{8})|.)", re.DOTALL)
+_OF_NAMES = re.compile(f"[{_BASE}{_MORE}_:.-]")
+_SERVICE = re.compile("service", re.IGNORECASE)
 _UPDATES = frozenset({"INSERT", "DELETE", "LOAD", "CLEAR", "DROP", "CREATE", "ADD", "MOVE", "COPY", "WITH"})
 _OPEN, _CLOSE = frozenset("([{"), frozenset(")]}")
 _NO_STEPS = frozenset({".", ",", ";", "^^"})
 
 
-def tokens(text: str) -> Iterator[Token]:
-    """All tokens in order, space and comments included: their texts, joined, are `text`, whatever it is."""
-    at = seen = 0
+def tokens(text: str, at: int = 0) -> Iterator[Token]:
+    """All tokens from `at` on, space and comments included: their texts, joined, are the text, whatever it is."""
+    seen = 0
     while at < len(text):
         if word := _WORD.match(text, at):
             # A prefix may hold dots, so a run must be read to its end to know whether a colon follows. A run that is
@@ -176,11 +180,14 @@ class Checked(NamedTuple):
 def check(text: str, bounds: Bounds = BOUNDS, *, what: str = "query", reach: Reach = NOWHERE) -> Checked:
     """The text, if it may be shown to the store's parser at all.
 
-    Raises Problems: 413 too long, 400 for characters that cannot be there, nesting or length beyond the bounds, escapes
-    outside strings and IRIs, triple terms, and SERVICE beyond the reach.
+    Escapes in names are replaced, and prefixes in which that parser might find SERVICE have other names. Raises
+    Problems: 413 too long, 400 for characters that cannot be there, nesting or length beyond the bounds, triple terms,
+    and SERVICE beyond the reach.
     """
     if len(text) > bounds.size:
         raise Problem(413, f"The {what} has {len(text)} characters; at most {bounds.size} are read.")
+    if "\\" in text:
+        text = names_unescaped(text)
     meaning: list[Token] = []
     pieces: list[str] = []
     for token in tokens(text):
@@ -191,7 +198,56 @@ def check(text: str, bounds: Bounds = BOUNDS, *, what: str = "query", reach: Rea
     found = tuple(meaning)
     _check_targets(found, text, "SERVICE", reach.services)
     _check_shape(found, text, bounds, what)
-    return Checked("".join(pieces), found)
+    return _renamed(Checked("".join(pieces), found), _SERVICE)
+
+
+def names_unescaped(text: str) -> str:
+    """The text without the escapes that stand outside of strings and IRIs (19.2), where characters of names may."""
+    pieces: list[str] = []
+    at = 0
+    while at < len(text):
+        for token in tokens(text, at):
+            at = token.end
+            escape = _ESCAPE.match(text, token.start) if token.kind is Kind.ERROR else None
+            if escape is not None and _OF_NAMES.match(_character(escape)):
+                pieces.append(_character(escape))
+                at = escape.end()
+                break
+            pieces.append(token.text)
+    return "".join(pieces)
+
+
+def _blotted(name: str, keywords: re.Pattern[str], letter: str) -> Iterator[str]:
+    """The name with a letter in place of each of the keywords'."""
+    at = 0
+    for match in keywords.finditer(name):
+        yield name[at : match.start()] + letter * len(match[0])
+        at = match.end()
+    yield name[at:]
+
+
+def _renamed(checked: Checked, keywords: re.Pattern[str]) -> Checked:
+    """The same, with other names of the same length for prefixes that hold a keyword: it might be cut from them."""
+    if not keywords.search(checked.text):
+        return checked
+    used = {token.text.partition(":")[0] for token in checked.tokens if token.kind is Kind.NAME}
+    names: dict[str, str] = {}
+    for name in sorted(used):
+        if keywords.search(name):
+            others = ("".join(_blotted(name, keywords, letter)) for letter in ascii_letters)
+            names[name] = next(other for other in others if other not in used and not keywords.search(other))
+            used.add(names[name])
+    if not names:
+        return checked
+    text = [*checked.text]
+    found: list[Token] = []
+    for token in checked.tokens:
+        prefix = token.text.partition(":")[0]
+        if token.kind is Kind.NAME and prefix in names:
+            token = token._replace(text=names[prefix] + token.text[len(prefix) :])
+            text[token.start : token.end] = token.text
+        found.append(token)
+    return Checked("".join(text), tuple(found))
 
 
 def _check_targets(found: tuple[Token, ...], text: str, keyword: str, allowed: frozenset[str]) -> None:
@@ -210,39 +266,47 @@ def _check_targets(found: tuple[Token, ...], text: str, keyword: str, allowed: f
 
 
 def _check_token(token: Token, text: str, reach: Reach) -> None:
-    if token.kind is Kind.ERROR:
-        raise Problem(400, f"{_unread(token, text)} at {place(text, token.start)} begins nothing of SPARQL.")
-    if token.kind in (Kind.WORD, Kind.NAME):
-        word = token.text.partition(":")[0]
-        if reach.services and token.is_word("SERVICE"):
-            return
-        if "SERVICE" in word.upper() or "service" in word.casefold():
-            raise Problem(
-                400,
-                f"SERVICE at {place(text, token.start)} is refused: this server asks no other. "
-                "(A prefix cannot have this name either.)",
-            )
-    elif token.kind in (Kind.STRING, Kind.IRI) and "\\" in token.text:
-        _check_escapes(token, text)
-    elif token.is_mark("<<", ">>", "{|", "|}", "~"):
+    if wrong := lexical_error(token, text):
+        raise Problem(400, wrong)
+    if token.kind is Kind.WORD and _SERVICE.search(token.text) and not (reach.services and token.is_word("SERVICE")):
+        raise Problem(400, f"SERVICE at {place(text, token.start)} is refused: this server asks no other.")
+    if token.is_mark("<<", ">>", "{|", "|}", "~"):
         raise Problem(400, f"{token.text} at {place(text, token.start)}: triple terms and reifiers are not known here.")
 
 
-def _unread(token: Token, text: str) -> str:
-    if token.text[0] in "\"'":
-        return "The string without an end"
-    if token.text == "\\":
-        return "An escape outside strings and IRIs"
-    return repr(token.text)
+def lexical_error(token: Token, text: str) -> str | None:
+    """One sentence that says why a piece of the text is no token of SPARQL, None for one that is."""
+    wrong: str | None = None
+    if token.kind is Kind.ERROR:
+        wrong = _unread(token.text)
+    elif "\\" in token.text and token.kind is Kind.STRING:
+        wrong = next((words for each in _ESCAPED.finditer(token.text) if (words := _wrong_escape(each))), None)
+    elif "\\" in token.text and token.kind is Kind.IRI:
+        wrong = _wrong_iri(token.text)
+    return wrong and wrong.format(where=place(text, token.start))
 
 
-def _check_escapes(token: Token, text: str) -> None:
-    """An escaped character must not be one that would end the token, were escapes replaced before all else (19.2)."""
-    for match in _ESCAPE.finditer(token.text):
-        if _character(match) in "\"'\\<>{}|^`" or ord(_character(match)) <= 0x20:
-            raise Problem(400, f"Write the character {match[0]} at {place(text, token.start)} in another way.")
-    if token.kind is Kind.IRI and "\\" in _ESCAPE.sub("", token.text):
-        raise Problem(400, f"The IRI at {place(text, token.start)} holds a backslash.")
+def _unread(token: str) -> str:
+    if token[0] in "\"'":
+        return "The string that begins at {where} has no end."
+    if token == "\\":
+        return "The backslash at {where} escapes nothing that can stand there."
+    return f"{token!a} at {{where}} is no part of SPARQL."
+
+
+def _wrong_escape(escape: re.Match[str]) -> str | None:
+    if len(escape[0]) == 2:
+        known = escape[0][1] in "tbnrf\"'\\"
+        return None if known else "A backslash in the string at {where} escapes nothing: write it as two."
+    _character(escape)
+    return None
+
+
+def _wrong_iri(iri: str) -> str | None:
+    escaped = (_character(match) for match in _ESCAPE.finditer(iri))
+    if any(each in '"\\<>{}|^`' or ord(each) <= 0x20 for each in escaped):
+        return "The IRI at {where} has an escape of a character that no IRI has."
+    return "The IRI at {where} has a backslash, which no IRI has." if "\\" in _ESCAPE.sub("", iri) else None
 
 
 def _check_shape(found: tuple[Token, ...], text: str, bounds: Bounds, what: str) -> None:
@@ -276,31 +340,26 @@ def place(text: str, at: int) -> str:
     return f"{before.count(chr(10)) + 1}:{at - (before.rfind(chr(10)) + 1) + 1}"
 
 
-def check_update_of_one_graph(text: str, bounds: Bounds = BOUNDS) -> None:
-    """Let pass only a SPARQL Update of its default graph and nothing else.
+def check_update_of_one_graph(text: str, bounds: Bounds = BOUNDS) -> Checked:
+    """The text, fit to be carried out, of a SPARQL Update of its default graph and nothing else.
 
     Raises Problems: as `check`, and 422 for what reaches beyond: GRAPH, WITH, USING, LOAD, FROM, and operations on
     whole graphs. The check is on letters, wherever a keyword could be cut from them.
     """
-    for token in check(text, bounds, what="update").tokens:
-        if token.kind in (Kind.WORD, Kind.NAME) and (keyword := _beyond(token)):
+    checked = _renamed(check(text, bounds, what="update"), _KEYWORDS_BEYOND)
+    for token in checked.tokens:
+        if token.kind is Kind.WORD and (keyword := _beyond(token.text.upper())):
             where = place(text, token.start)
             raise Problem(422, f"{keyword} at {where}: an update here concerns this one resource only.")
+    return checked
 
 
-def _beyond(token: Token) -> str | None:
-    word = token.text.partition(":")[0].upper()
-    for keyword in _BEYOND:
-        if word == keyword or (len(keyword) > 3 and (word.startswith(keyword) or _within(keyword, token))):
-            return keyword
-    return None
-
-
-def _within(keyword: str, token: Token) -> bool:
-    return token.kind is Kind.WORD and keyword in token.text.upper()
+def _beyond(word: str) -> str | None:
+    return next((each for each in _BEYOND if word == each or (len(each) > 3 and each in word)), None)
 
 
 _BEYOND = ("GRAPH", "WITH", "USING", "LOAD", "CLEAR", "DROP", "CREATE", "ADD", "MOVE", "COPY", "FROM")
+_KEYWORDS_BEYOND = re.compile("|".join(_BEYOND), re.IGNORECASE)
 
 
 def update_keyword(found: tuple[Token, ...]) -> str | None:

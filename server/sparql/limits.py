@@ -87,5 +87,13 @@ def crashed(how: str) -> Problem:
     return Problem(500, f"The process that answered the query ended before it was done ({how}); the server goes on.")
 
 
+def restarting(seconds: int, progress: str = "") -> Problem:
+    """The query process has to be started and filled again; `progress` is a sentence on how far that is."""
+    words = "The process that answers queries is being started: try again in a moment."
+    if progress:
+        words = f"{progress} Try again then."
+    return Problem(503, words, headers={"Retry-After": str(seconds)}, extra={"reason": "starting"})
+
+
 def _stopped(reason: Reason, detail: str) -> Problem:
     return Problem(503, detail, extra={"reason": reason.value})

@@ -1,246 +1,253 @@
 """From the patterns of a query to what it needs, as narrow as is safe. Pure.
 
-It rests on how live values stand in the dataset:
+What is not always in the dataset are the *live* graphs: of topics and parameters with their values, of resources whose
+getters are called, of recorded messages. A query needs those live triples that take part in a match of one of its
+groups: the value of a group (its solutions) is determined by the matches of its own triple patterns and by the values
+of the groups within it (SPARQL 1.1, 18.6), so if for every group, however deep, all its matches are there, every answer
+is the same as over everything. So groups are looked at one by one, and nothing passes from one to another: what stands
+in OPTIONAL, MINUS, EXISTS, UNION or a subquery is narrowed by its own patterns alone. VALUES, BIND and FILTER narrow
+nothing; what they name is looked at in addition, as if a pattern had named it.
 
-- the graph of a live resource is named by its URL, and the subjects of its triples are that URL, fragments of it, or
-  blank nodes of its own; so what is said of one node, and of the nodes its fields lead to, stands in one graph;
-- the predicates of fields, and the classes of messages, belong to one message type each.
+Within one group patterns narrow each other where they must match in one graph. GRAPH says so outright. Without it,
+`Terms` tells what holds of the graphs that the server itself makes, each of a resource D:
 
-So the patterns about one node, and about the nodes it leads to, narrow each other: a topic matters where it fits all.
-Values that are left out because they do not would have been dropped by the query's joins. What stands within OPTIONAL,
-MINUS, EXISTS or another group is narrowed only by what certainly holds of the variables that occur there too, whenever
-that group is looked at; a subquery is narrowed by nothing around it.
+1. the subject of a live triple of D's graph is D, a fragment of it, or a blank node of its own;
+2. no other graph has triples about such nodes;
+3. some predicates (`ros:latest`, fields, lists) *stay*: the object, if it is a node that has triples, is D's as well.
+
+Let a pattern match a live triple of D. Every pattern with the same subject then matches in D's graph too (1, 2), and by
+3 so does every pattern whose subject a predicate that stays leads to or comes from. Patterns so connected are a `Part`,
+and whatever any of them says of its graph (its resource by a constant, the message type by a field or a class, the kind
+by a class or predicate) holds for D. Where a part's patterns exclude D, nothing of D is needed for that part.
+
+Clients may break 2 and 3 in graphs of their own: with a triple about a node of D, or that leads to one. Such a match
+matters only where it is of a pattern that the narrowing rests on, so `Needs.rests_on` tells the predicates and classes
+of these, and `mentions.py` finds the resources of which clients say so: these are needed in addition.
+
+A path is a chain of patterns with variables between; what it repeats is a pattern that may match along any of its
+predicates. It connects where all of these stay, and else stands alone. A path that may be empty matches every node
+there is, unless another pattern says what its ends are: such a query needs everything.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property, reduce
 
+from rosld.ontology.vocab import rdf
 from rosld.server.sparql.needs import Demand, Needs, largest
 from rosld.server.sparql.patterns import Group, Iri, Pattern, Reading, Term, Variable
-from rosld.server.sparql.terms import BOTH, NEITHER, UNKNOWN, Said, Terms, document
+from rosld.server.sparql.terms import ANY, COMPLEX, NEITHER, UNKNOWN, Live, Said, Terms, document
 
 
 def needs(reading: Reading, terms: Terms) -> Needs:
     """What a query needs, its FROM aside."""
-    search = _Search(terms)
-    search.group(reading.where, {})
-    return Needs(tuple(largest(search.demands)), frozenset(search.documents), frozenset(search.terms))
+    parts = [part for group in _groups(reading.where) for part in _parts(group, terms)]
+    demands = [demand for part in parts if (demand := part.demand)]
+    if any(demand.anything for demand in demands):
+        demands.extend(_named(reading.constants, terms))
+    unread = reduce(Live.__or__, (part.unread for part in parts), NEITHER)
+    return Needs(
+        tuple(largest(demands)),
+        frozenset(document(iri) for iri in _documents(reading) if terms.is_here(iri)),
+        frozenset().union(terms.of_constants(reading.constants), *(part.terms for part in parts)),
+        frozenset().union(*(part.rests_on for part in parts)),
+        unread.resources,
+        unread.records,
+        unread.parameters,
+        frozenset(group.graph.value for group in _groups(reading.where) if isinstance(group.graph, Iri)),
+    )
 
 
-class _Search:
-    """Collects the demands of a query, group by group."""
+def _groups(group: Group) -> Iterator[Group]:
+    """A group and all within it. Those of filters are matched in the graph around them."""
+    yield group
+    for child in group.children:
+        yield from _groups(child)
+    for inner in group.filters:
+        yield from _groups(inner if inner.graph is not None else replace(inner, graph=group.graph))
 
-    def __init__(self, terms: Terms) -> None:
-        self._terms = terms
-        self.demands: list[Demand] = []
-        self.documents: set[str] = set()
-        self.terms: set[str] = set()
 
-    def group(self, group: Group, around: Mapping[str, Said]) -> None:
-        """The demands of a group and of those within; `around` is what certainly holds of variables outside."""
-        if group.scoped:
-            around = {}
-        facts = Facts(self._terms, group.graph, group.patterns, group.bound, around)
-        self._mention(group)
-        for part in facts.parts:
-            self._demand(part, facts)
-        for pattern in group.patterns:
-            self._demand_apart(pattern, group)
-            self._name(pattern, group, facts)
-        for child in group.children:
-            before = Facts(self._terms, group.graph, group.patterns[: child.after], child.bound, around)
-            self.group(child.group, before.variables)
-        for inner in group.filters:
-            placed = inner if inner.graph is not None else replace(inner, graph=group.graph)
-            self.group(placed, facts.variables)
-
-    def _mention(self, group: Group) -> None:
-        for term in (group.graph, *(pattern.subject for pattern in group.patterns)):
+def _documents(reading: Reading) -> Iterator[str]:
+    """All IRIs that may be those of resources."""
+    yield from reading.constants
+    for group in _groups(reading.where):
+        for term in (group.graph, *(term for each in group.patterns for term in (each.subject, each.object))):
             if isinstance(term, Iri):
-                self.documents.add(document(term.value))
-        for values in group.bound.values():
-            self.documents.update(map(document, values))
-
-    def _name(self, pattern: Pattern, group: Group, facts: Facts) -> None:
-        """The terms that name resources, unless the one that is meant is named itself."""
-        said = facts.subject(pattern.subject)
-        if not isinstance(group.graph, Iri) and not isinstance(pattern.subject, Iri) and said.graphs is None:
-            self.terms |= self._terms.of_resources(pattern, said)
-
-    def _demand(self, part: Part, facts: Facts) -> None:
-        live = NEITHER
-        for pattern in part.patterns:
-            live = live | self._terms.live(pattern, facts.subject(pattern.subject))
-        if any(self._terms.only_live(pattern) for pattern in part.patterns):
-            live = live._replace(parameters=False)
-        if any(live):
-            types = frozenset() if live.parameters else part.said.types
-            self.demands.append(Demand(part.said.graphs, types, live.messages, live.parameters))
-
-    def _demand_apart(self, pattern: Pattern, group: Group) -> None:
-        """The demands of a path whose matches stand in no one graph, or that may be empty between any nodes."""
-        live = NEITHER
-        graphs = frozenset({group.graph.value}) if isinstance(group.graph, Iri) else None
-        if _is_free(pattern, group):
-            live = BOTH
-            if group.graph is None:
-                graphs = _found_in(pattern, group, self._terms)
-        elif is_loose(pattern, self._terms):
-            live = self._terms.live(pattern, UNKNOWN)
-        if any(live):
-            self.demands.append(Demand(graphs, frozenset(), *live))
+                yield term.value
 
 
-def is_loose(pattern: Pattern, terms: Terms) -> bool:
-    """Whether it may match along several graphs, so that its ends say nothing of each other."""
-    return pattern.repeated and (pattern.predicates is None or not all(map(terms.stays, pattern.predicates)))
-
-
-def _is_free(pattern: Pattern, group: Group) -> bool:
-    """Whether it may be empty between what no other pattern binds: the store matches any term that it finds in a graph.
-
-    (With every node, between two variables; SPARQL 1.1, 18.4, would match a constant that is nowhere, too.)
-    """
-    if not pattern.empty:
-        return False
-    ends = {term.name for term in (pattern.subject, pattern.object) if isinstance(term, Variable)}
-    others = {
-        term.name
-        for other in group.patterns
-        if not other.empty
-        for term in (other.subject, other.object)
-        if isinstance(term, Variable)
-    }
-    return not ends & others
-
-
-def _found_in(pattern: Pattern, group: Group, terms: Terms) -> frozenset[str] | None:
-    """The only live documents that an end of the path can be found in; None where it can be any."""
-    for term in (pattern.subject, pattern.object):
-        iris = group.bound.get(term.name) if isinstance(term, Variable) else None
-        if isinstance(term, Iri):
-            iris = frozenset({term.value})
-        if iris is not None and not any(map(terms.is_everywhere, iris)):
-            return frozenset(map(document, iris))
-    return None
+def _named(constants: Iterable[str], terms: Terms) -> Iterator[Demand]:
+    """The demands for what is named outside of patterns: where nothing else says so, it is looked at all the same."""
+    for iri in constants:
+        named = terms.type_named(iri)
+        if named is not None:
+            yield Demand(types=frozenset({named}))
+        elif terms.is_here(iri):
+            yield Demand(frozenset({document(iri)}), parameters=True)
 
 
 @dataclass(eq=False)
 class Part:
-    """Patterns whose live matches all stand in one graph, and what is known of it."""
+    """Patterns that match in one graph if any of them matches live values; `graphs` are the only ones it can be.
 
-    said: Said = UNKNOWN
-    patterns: list[Pattern] = field(default_factory=list)
-
-
-class Facts:
-    """What patterns that hold together say of their nodes.
-
-    Nodes are known by keys: `?x` for a variable, `<D` for all constants of document D. Nodes that must stand in one
-    graph have one leader (a union-find), and one `Part`.
+    `links` are those that connect it. `free`: it matches any node. `in_one`: it matches within one graph in any case;
+    `is_named`: that is a constant.
     """
 
-    def __init__(
-        self,
-        terms: Terms,
-        graph: Term | None,
-        patterns: Iterable[Pattern],
-        bound: Mapping[str, frozenset[str]],
-        around: Mapping[str, Said],
-    ) -> None:
-        self._terms = terms
-        self._graph = _key(graph)
-        self._leaders: dict[str, str] = {}
-        self._subjects: dict[str, Said] = {}
-        self._rooted: set[str | None] = set()
-        held = [pattern for pattern in patterns if not is_loose(pattern, terms)]
-        self._note_nodes(held, bound)
-        for pattern in held:
-            self._link(pattern)
-        self._parts: dict[str, Part] = {}
-        self._gather(held, bound, around)
+    terms_of: Terms
+    graphs: frozenset[str] | None = None
+    patterns: list[Pattern] = field(default_factory=list)
+    links: list[Pattern] = field(default_factory=list)
+    free: bool = False
+    in_one: bool = False
+    is_named: bool = False
+
+    @cached_property
+    def said(self) -> Said:
+        """What its patterns say of the graph."""
+        return reduce(Said.also, map(self.terms_of.says, self.patterns), UNKNOWN)
+
+    @cached_property
+    def live(self) -> Live:
+        """The kinds of live values that its patterns can match."""
+        if self.free:
+            return ANY
+        resources = {each.subject for each in self.patterns if self.terms_of.is_of_resource(each)}
+        return self._live(resources) & self.said.live
+
+    def _live(self, resources: Collection[Term]) -> Live:
+        found = (self.terms_of.live(each, each.subject in resources) for each in self.patterns)
+        return reduce(Live.__or__, found, NEITHER)
+
+    @cached_property
+    def demand(self) -> Demand | None:
+        """The values of topics and parameters that it needs."""
+        live = self.live
+        if self.is_named and any(map(self.terms_of.is_of_parameters, self.graphs or ())):
+            return Demand(self.graphs, parameters=True, messages=False)  # trees say of their members what those say
+        if not (live.messages or live.parameters):
+            return None
+        return Demand(self.graphs, self.said.types, live.messages, live.parameters)
+
+    @cached_property
+    def terms(self) -> frozenset[str]:
+        """The classes and predicates by which it names resources whose getters are called."""
+        if self.graphs is not None or not self.live.resources:
+            return frozenset()
+        return frozenset().union(*(self.terms_of.of_constants(self.terms_of.spoken(each)) for each in self.patterns))
+
+    @cached_property
+    def unread(self) -> Live:
+        """What it could match though it names none of it."""
+        if self.is_named:
+            return NEITHER
+        # A complex resource tells the values of its members, too: who names a member has not named that.
+        tells = any(each.predicates is None or rdf.value.value in each.predicates for each in self.patterns)
+        is_left = tells and self.terms.isdisjoint(COMPLEX)
+        if self.graphs is not None:
+            of_resources = is_left and any(map(self.terms_of.is_of_resources, self.graphs))
+            of_parameters = self.in_one and any(map(self.terms_of.is_of_parameters, self.graphs))
+            return Live(resources=of_resources, parameters=of_parameters)
+        is_covered = not self.free and any(map(self.terms_of.names_resources, self.patterns))
+        resources = self.live.resources and (is_left or not is_covered)
+        return self.live._replace(resources=resources, parameters=self.in_one and self._is_of_trees)
 
     @property
-    def parts(self) -> Iterable[Part]:
-        """The patterns, by the graph they must stand in."""
-        return self._parts.values()
+    def _is_of_trees(self) -> bool:
+        """Whether it can match what trees of parameters say of their members."""
+        return self.said.live.parameters and all(map(self.terms_of.is_of_server, self.patterns))
 
-    @property
-    def variables(self) -> Mapping[str, Said]:
-        """What certainly holds of each variable that stands for a node."""
-        return {key[1:]: self._all(key) for key in self._leaders if key[0] == "?"}
-
-    def subject(self, term: Term) -> Said:
-        """What is known of a term as the subject of a pattern."""
-        if isinstance(term, Iri):
-            return UNKNOWN if "#" in term.value else Said(resource=True)
-        return self._subjects.get(_key(term) or "", UNKNOWN)
-
-    def _note_nodes(self, patterns: Sequence[Pattern], bound: Mapping[str, frozenset[str]]) -> None:
-        """The nodes; those with triples of their own are `rooted`: no literals, nor the empty list that all share."""
-        keys = [self._graph, *(_key(one.subject) for one in patterns), *("?" + name for name in bound)]
-        self._leaders.update((key, key) for key in keys if key)
-        self._rooted.update(_key(one.subject) for one in patterns if not one.empty)
-        empties = [one for one in patterns if one.empty]
-        for _ in empties:  # from a node without triples no path, empty or not, leads to one with triples
-            self._rooted.update(_key(one.subject) for one in empties if _key(one.object) in self._rooted)
-
-    def _link(self, pattern: Pattern) -> None:
-        """Nodes that a live match of the pattern puts into one graph."""
-        subject, place, object = _key(pattern.subject), self._place(pattern), _key(pattern.object)
-        if subject and self._terms.only_live(pattern):
-            self._leaders[self._leader(subject)] = self._leader(place)
-        if object is None or pattern.predicates is None or not all(map(self._terms.stays, pattern.predicates)):
-            return
-        if object in self._rooted or self._terms.owns_object(pattern):
-            self._leaders[self._leader(object)] = self._leader(place)
-
-    def _place(self, pattern: Pattern) -> str:
-        """The node whose graph a match stands in: the GRAPH around it, or else its subject."""
-        return self._graph or _key(pattern.subject) or _LITERAL
-
-    def _leader(self, key: str) -> str:
-        leader = self._leaders.setdefault(key, key)
-        while leader != self._leaders[leader]:
-            leader = self._leaders[leader]
-        return leader
-
-    def _part(self, key: str) -> Part:
-        return self._parts.setdefault(self._leader(key), Part())
-
-    def _gather(
-        self, patterns: Iterable[Pattern], bound: Mapping[str, frozenset[str]], around: Mapping[str, Said]
-    ) -> None:
-        for key in tuple(self._leaders):
-            said = Said(graphs=frozenset({key[1:]})) if key[0] == "<" else around.get(key[1:], UNKNOWN)
-            if key[0] == "?" and key[1:] in bound:
-                said = said.also(Said(graphs=frozenset(map(document, bound[key[1:]]))))
-            self._subjects[key] = said
-            self._tell(self._part(key), said)
-        for pattern in patterns:
-            said, key, part = (
-                self._terms.says(pattern),
-                _key(pattern.subject) or _LITERAL,
-                self._part(self._place(pattern)),
-            )
-            self._subjects[key] = self._subjects.get(key, UNKNOWN).also(said)
-            part.patterns.append(pattern)
-            self._tell(part, said)
-
-    def _tell(self, part: Part, said: Said) -> None:
-        """Of what is said of a node, only where it stands holds for all that stands there."""
-        part.said = part.said.also(Said(graphs=said.graphs, types=said.types))
-
-    def _all(self, key: str) -> Said:
-        return self._subjects.get(key, UNKNOWN).also(self._part(key).said)
+    @cached_property
+    def rests_on(self) -> frozenset[str]:
+        """The predicates and classes that narrow it, if they are said by the server alone."""
+        if self.in_one or len(self.patterns) < 2 or not any(self._live(())):
+            return frozenset()
+        saying = (each for each in self.patterns if self.terms_of.says(each) != UNKNOWN)
+        return frozenset().union(*map(self.terms_of.spoken, (*saying, *self.links)))
 
 
-_LITERAL = "!"
+def _parts(group: Group, terms: Terms) -> Iterator[Part]:
+    """The patterns of a group, by the graphs they must match in."""
+    free = [each for each in group.patterns if _is_free(each, group.patterns)]
+    bound = [each for each in group.patterns if each not in free]
+    if group.graph is not None:
+        names = frozenset({group.graph.value}) if isinstance(group.graph, Iri) else None
+        for pattern in free:
+            yield Part(terms, names, [pattern], free=True, in_one=True, is_named=names is not None)
+        subjects = (frozenset({document(each.subject.value)}) for each in bound if isinstance(each.subject, Iri))
+        yield Part(terms, _common((names, *subjects)), bound, in_one=True, is_named=names is not None)
+        return
+    for pattern in free:
+        yield Part(terms, None, [pattern], free=True)
+    staying = [each for each in bound if not each.repeated or terms.stays(each)]
+    for pattern in bound:
+        if pattern not in staying:
+            yield Part(terms, None, [pattern])
+    yield from _connected(staying, terms)
 
 
-def _key(term: Term | None) -> str | None:
+def _connected(patterns: Sequence[Pattern], terms: Terms) -> Iterator[Part]:
+    """The patterns by what they are about: a union-find over their subjects, constants going by their documents."""
+    rooted = _rooted(patterns)
+    leaders: dict[str, str] = {}
+
+    def leader(key: str) -> str:
+        above = leaders.setdefault(key, key)
+        return key if above == key else leader(above)
+
+    links = [each for each in patterns if terms.stays(each) and (each.object in rooted or _is_node(each.object))]
+    for pattern in links:
+        leaders[leader(_key(pattern.object))] = leader(_key(pattern.subject))
+    parts: dict[str, Part] = {}
+    for pattern in patterns:
+        part = parts.setdefault(leader(_key(pattern.subject)), Part(terms))
+        part.patterns.append(pattern)
+        if pattern in links:
+            part.links.append(pattern)
+    for key in leaders:
+        if key[0] == "<":
+            part = parts[leader(key)]
+            part.graphs = _common((part.graphs, frozenset({key[1:]})))
+    yield from parts.values()
+
+
+def _rooted(patterns: Sequence[Pattern]) -> set[Term]:
+    """The variables for nodes that have triples of their own: no literals, nor the empty list that all graphs share."""
+    rooted: set[Term] = {each.subject for each in patterns if not each.empty and isinstance(each.subject, Variable)}
+    empties = [each for each in patterns if each.empty and isinstance(each.subject, Variable)]
+    for _ in empties:  # from a node without triples no path, empty or not, leads to one with triples
+        rooted.update(each.subject for each in empties if each.object in rooted)
+    return rooted
+
+
+def _is_free(pattern: Pattern, patterns: Sequence[Pattern]) -> bool:
+    """Whether it may be empty between what no other pattern binds, and so match any node that there is."""
+    if not pattern.empty:
+        return False
+    bound = {term for each in patterns if not each.empty for term in (each.subject, each.object)}
+    return not any(isinstance(end, Variable) and end in bound for end in (pattern.subject, pattern.object))
+
+
+def _common(graphs: Iterable[frozenset[str] | None]) -> frozenset[str] | None:
+    """The graphs that all allow. Where they exclude each other nothing live matches: to be safe, those of either."""
+    found: frozenset[str] | None = None
+    for each in graphs:
+        if each is not None:
+            found = each if found is None else (found & each) or (found | each)
+    return found
+
+
+def _is_node(term: Term) -> bool:
+    """Whether it is a constant that names a node of one document."""
+    return isinstance(term, Iri) and term.value != _NIL
+
+
+_NIL = rdf.nil.value
+
+
+def _key(term: Term) -> str:
     if isinstance(term, Variable):
         return "?" + term.name
-    return "<" + document(term.value) if isinstance(term, Iri) else None
+    return "<" + document(term.value) if isinstance(term, Iri) and term.value != _NIL else "!"

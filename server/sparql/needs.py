@@ -43,12 +43,20 @@ class Needs:
 
     `documents` are the IRIs (without fragment) of resources that the query names, live or not: what is in the dataset
     only when it is named (a recorded message, say) is to be put there. `terms` are the classes and predicates by which
-    it names resources below `resources/`, whose URLs become documents (`GraphSource.documents_of`).
+    it names resources below `resources/`, whose URLs become documents (`GraphSource.documents_of`). `rests_on` are the
+    predicates and classes that make the demands too little where clients say them of live values (`mentions.py`).
+    `resources` and `records`: it can match what lies below `resources/`, or recorded messages, without naming them;
+    `trees`: what trees of parameters say of their members. `graph_names` are the constants of GRAPH and FROM.
     """
 
     demands: tuple[Demand, ...] = ()
     documents: frozenset[str] = frozenset()
     terms: frozenset[str] = frozenset()
+    rests_on: frozenset[str] = frozenset()
+    resources: bool = False
+    records: bool = False
+    trees: bool = False
+    graph_names: frozenset[str] = frozenset()
 
     @cached_property
     def nothing(self) -> bool:
@@ -97,7 +105,7 @@ class Needs:
 
     def covers(self, other: Needs) -> bool:
         """Whether whoever brings all of this has brought all of the other, documents aside."""
-        return all(any(mine.covers(one) for mine in self.demands) for one in other.demands)
+        return all(any(_is_for(mine, one) for mine in self.demands) for one in other.demands)
 
     def within(self, graphs: Collection[str]) -> Needs:
         """The same query over these graphs alone (FROM, `default-graph-uri`), which it thereby names, and no others."""
@@ -105,22 +113,38 @@ class Needs:
         narrowed = (
             replace(one, graphs=allowed if one.graphs is None else one.graphs & allowed) for one in self.demands
         )
-        return Needs(tuple(one for one in narrowed if one.graphs), self.documents | allowed)
+        trees = frozenset(graph for graph in allowed if "/parameters/" in graph)
+        of_trees = (Demand(trees, messages=False, parameters=True),) if trees else ()
+        demands = (*(one for one in narrowed if one.graphs), *of_trees)
+        documents = self.documents | allowed
+        return Needs(tuple(largest(demands)), documents, rests_on=self.rests_on, graph_names=self.graph_names | allowed)
 
     def resolved(self, documents: Collection[str]) -> Needs:
         """The same with the documents that its terms stand for."""
-        return Needs(self.demands, self.documents.union(documents))
+        return replace(self, documents=self.documents.union(documents), terms=frozenset())
+
+    def mentioning(self, documents: frozenset[str] | None) -> Needs:
+        """The same with the resources of which clients say what it rests on; None: of any."""
+        demands = tuple(largest((*self.demands, Demand(documents, parameters=True))))
+        if documents is None:
+            return replace(self, demands=demands, rests_on=frozenset(), resources=True, records=True)
+        return replace(self, demands=demands, rests_on=frozenset(), documents=self.documents | documents)
 
 
-EVERYTHING = Needs((Demand(parameters=True),))
+EVERYTHING = Needs((Demand(parameters=True),), resources=True, records=True, trees=True)
 """The needs of a query that nothing is known of."""
 
 
 def largest(demands: Iterable[Demand]) -> Iterator[Demand]:
-    """The demands that no other covers."""
+    """The demands that no other stands for."""
     kept: list[Demand] = []
     for one in dict.fromkeys(demands):
-        if not any(other.covers(one) for other in kept):
-            kept = [other for other in kept if not one.covers(other)]
+        if not any(_is_for(other, one) for other in kept):
+            kept = [other for other in kept if not _is_for(one, other)]
             kept.append(one)
     yield from kept
+
+
+def _is_for(one: Demand, other: Demand) -> bool:
+    """Whether a demand covers another. What names something has it subscribed to, which one for anything has not."""
+    return one.covers(other) and (one.anything == other.anything or not other.messages)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
 
@@ -41,14 +41,6 @@ class Pattern(NamedTuple):
     empty: bool = False
 
 
-class Child(NamedTuple):
-    """A group within a group: before it stand `after` of the outer group's patterns, and what was `bound` by then."""
-
-    group: Group
-    after: int
-    bound: Mapping[str, frozenset[str]]
-
-
 @dataclass(eq=False)
 class Group:
     """What must hold together: `patterns`, and variables `bound` to constants (VALUES, BIND).
@@ -62,7 +54,7 @@ class Group:
     mixed: bool = False
     patterns: list[Pattern] = field(default_factory=list)
     bound: dict[str, frozenset[str]] = field(default_factory=dict)
-    children: list[Child] = field(default_factory=list)
+    children: list[Group] = field(default_factory=list)
     filters: list[Group] = field(default_factory=list)
 
 
@@ -70,7 +62,7 @@ class Group:
 class Reading:
     """A query as read: its form, the group of its WHERE, its FROM and FROM NAMED, and the functions it calls.
 
-    `plain`: there is nothing in it but triple patterns, GRAPH, LIMIT and OFFSET.
+    `constants` are the IRIs in VALUES and expressions.
     """
 
     form: str
@@ -78,7 +70,7 @@ class Reading:
     default: tuple[str, ...]
     named: tuple[str, ...]
     functions: frozenset[str]
-    plain: bool
+    constants: frozenset[str] = frozenset()
 
 
 class Step(NamedTuple):
@@ -140,7 +132,7 @@ def may_be_empty(path: Path) -> bool:
 
 def graphs_around(group: Group) -> frozenset[str] | None:
     """The graphs that all patterns stand in, by their names; None where one stands in any other or in none."""
-    inner = [child.group for child in group.children] + group.filters
+    inner = group.children + group.filters
     found = [graphs_around(each) for each in inner]
     if group.patterns:
         found.append(frozenset({group.graph.value}) if isinstance(group.graph, Iri) else None)
@@ -156,5 +148,5 @@ def variables(group: Group) -> Iterator[Variable]:
             if isinstance(term, Variable) and term.name[0] not in "[_":
                 yield term
     yield from map(Variable, group.bound)
-    for inner in (*(child.group for child in group.children), *group.filters):
+    for inner in (*group.children, *group.filters):
         yield from variables(inner)

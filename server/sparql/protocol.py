@@ -29,13 +29,15 @@ class QueryRequest:
     """A query and its dataset: the graphs to merge into the default graph, and those to be named graphs.
 
     Without either the dataset is all there is: every graph under its name, and their union as the default graph.
-    `timeout` in seconds, where the client wants to wait no longer (`?timeout=`).
+    `timeout` in seconds, where the client wants to wait no longer (`?timeout=`). `quads`: its solutions are a graph, a
+    subject, a predicate and an object each, to be told as a dataset.
     """
 
     text: str
     default_graphs: tuple[str, ...] = ()
     named_graphs: tuple[str, ...] = ()
     timeout: float | None = None
+    quads: bool = False
 
 
 @dataclass(frozen=True, slots=True)

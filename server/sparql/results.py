@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
-import io
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from itertools import islice
+from itertools import chain, islice
 from typing import BinaryIO, NamedTuple, TypeAlias, cast
 
-from pyoxigraph import QueryBoolean, QueryResultsFormat, QuerySolutions, QueryTriples, RdfFormat, Triple, serialize
+from pyoxigraph import (
+    Quad,
+    QueryBoolean,
+    QueryResultsFormat,
+    QuerySolutions,
+    QueryTriples,
+    RdfFormat,
+    Triple,
+    serialize,
+)
 
 from rosld.ontology.rdfxml import rdfxml
 from rosld.ontology.syntax import CannotCarry
 from rosld.ontology.vocab import PREFIXES
 from rosld.server.http import negotiation
 from rosld.server.http.problem import Problem
+from rosld.server.sparql.xml_output import HELD, XmlOutput, not_in_xml
 from rosld.server.store import Results
 from rosld.server.store.base import Term
+from rosld.server.store.encoding import Decoder, decode_term, decode_triple
 
 Check: TypeAlias = Callable[[], None]
 """Raises once the time is over."""
@@ -42,6 +53,14 @@ GRAPHS: Mapping[str, RdfFormat] = {
     "application/json": RdfFormat.JSON_LD,
 }
 """The media types of CONSTRUCT and DESCRIBE, the favourite first."""
+DATASETS: Mapping[str, RdfFormat] = {
+    "application/n-quads": RdfFormat.N_QUADS,
+    "application/trig": RdfFormat.TRIG,
+    "application/ld+json": RdfFormat.JSON_LD,
+}
+"""The media types of graphs with their names, the favourite first."""
+QUADS = "QUADS"
+"""The form of a query whose solutions are told as a dataset."""
 _CHARSET = frozenset({"text/csv", "text/tab-separated-values", "text/turtle", "text/n3", "text/xml"})
 _PREFIXED = frozenset({RdfFormat.TURTLE, RdfFormat.TRIG, RdfFormat.N3})
 _PREFIXES = dict(PREFIXES)
@@ -49,14 +68,27 @@ _PREFIXES = dict(PREFIXES)
 
 def choose(form: str | None, accept: str | None) -> str:
     """The media type of the answer to a query of this form; Problem 406 where none is acceptable."""
-    offers = GRAPHS if form in ("CONSTRUCT", "DESCRIBE") else SOLUTIONS
-    chosen = negotiation.choose(accept, _OFFERS[offers is GRAPHS])
+    offers = offers_of(form)
+    chosen = negotiation.choose(accept, offers)
     if chosen is None:
-        raise Problem(406, f"The results of {form or 'a query'} can be had as {', '.join(offers)}.")
+        of = "A dataset" if form == QUADS else f"The results of {form or 'a query'}"
+        raise Problem(406, f"{of} can be had as {', '.join(offers)}.")
     return chosen
 
 
-_OFFERS = {True: tuple(GRAPHS), False: tuple(SOLUTIONS)}
+def offers_of(form: str | None) -> tuple[str, ...]:
+    """The media types that the answer to a query of this form can be had in, the favourite first."""
+    if form == QUADS:
+        return _DATASETS
+    return _GRAPHS if form in ("CONSTRUCT", "DESCRIBE") else _SOLUTIONS
+
+
+_SOLUTIONS, _GRAPHS, _DATASETS = tuple(SOLUTIONS), tuple(GRAPHS), tuple(DATASETS)
+
+
+def without_xml(form: str | None, accept: str | None) -> str | None:
+    """The media type of the answer to a query of this form that is not XML, None where none is acceptable."""
+    return negotiation.choose(accept, tuple(offer for offer in offers_of(form) if not offer.endswith("xml")))
 
 
 def content_type(media_type: str) -> str:
@@ -68,56 +100,68 @@ def write(results: Results, media_type: str, output: BinaryIO, check: Check, bas
     """Write results as they come. Raises what `check` and `output` raise, and Problem 406 for what XML cannot carry."""
     if isinstance(results, QueryTriples):
         _write_graph(results, GRAPHS[media_type], output, check, base)
+    elif media_type in DATASETS:
+        assert isinstance(results, QuerySolutions)
+        _write_prefixed(_quads(results, check), output, DATASETS[media_type])
     else:
-        results.serialize(output, SOLUTIONS[media_type])
+        decoder = Decoder(output)
+        _write_solutions(results, media_type, cast("BinaryIO", decoder))
+        decoder.finish()
 
 
-class _Few(io.RawIOBase):
-    """Takes a few bytes, and raises rather than take many."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.parts: list[bytes] = []
-        self._left = _FEW
-
-    def writable(self) -> bool:
-        return True
-
-    def write(self, data: bytes) -> int:  # type: ignore[override]
-        self._left -= len(data)
-        if self._left < 0:
-            raise _TooMany
-        self.parts.append(bytes(data))
-        return len(data)
+def _write_decoded(results: QueryTriples, syntax: RdfFormat, output: BinaryIO) -> None:
+    """Write a graph with the store's own writer."""
+    decoder = Decoder(output)
+    results.serialize(cast("BinaryIO", decoder), syntax)
+    decoder.finish()
 
 
-class _TooMany(Exception):
-    """The results are not small."""
+def _write_solutions(results: QuerySolutions | QueryBoolean, media_type: str, output: BinaryIO) -> None:
+    syntax = SOLUTIONS[media_type]
+    if isinstance(results, QueryBoolean) and media_type in _BOOLEANS:
+        output.write(_BOOLEANS[media_type] % (b"true" if results else b"false"))
+    elif syntax == QueryResultsFormat.XML:
+        xml = XmlOutput(output, HELD)
+        results.serialize(cast("BinaryIO", xml), syntax)
+        xml.end()
+    else:
+        results.serialize(output, syntax)
 
 
-_FEW = 64 * 1024
-
-
-def few(results: Results, media_type: str) -> bytes | None:
-    """The results of a SELECT or ASK as bytes, None where they turn out to be many."""
-    assert not isinstance(results, QueryTriples)
-    output = _Few()
-    try:
-        results.serialize(cast("BinaryIO", output), SOLUTIONS[media_type])
-    except _TooMany:
-        return None
-    return b"".join(output.parts)
+_BOOLEANS: Mapping[str, bytes] = {
+    "text/csv": b"_askResult\r\n%s\r\n",
+    "text/tab-separated-values": b"?_askResult\n%s\n",
+}
+"""ASK in the formats that have no booleans: a table with the column that Jena reads and writes."""
 
 
 def _write_graph(results: QueryTriples, syntax: RdfFormat, output: BinaryIO, check: Check, base: str) -> None:
     if syntax is RdfFormat.RDF_XML:
         _write_xml(results, output, check, base)
     elif syntax in _PREFIXED:
-        serialize(_checked(results, check), output, syntax, prefixes=_PREFIXES)
+        _write_prefixed(_checked(results, check), output, syntax)
     elif syntax is RdfFormat.JSON_LD:
         serialize(_checked(results, check), output, syntax)
     else:
-        results.serialize(output, syntax)
+        _write_decoded(results, syntax, output)
+
+
+def _write_prefixed(statements: Iterator[Triple] | Iterator[Quad], output: BinaryIO, syntax: RdfFormat) -> None:
+    """Declare the prefixes that the first triples use, if the syntax has any; later ones are written with these."""
+    if syntax not in _PREFIXED:
+        serialize(statements, output, syntax)
+        return
+    triples = cast("Iterator[Triple]", statements)  # quads are taken and serialised alike
+    first = [*islice(triples, _FIRST)]
+    text = serialize(first, None, syntax, prefixes=_PREFIXES)
+    assert text is not None
+    used = {name.decode() for name in _PREFIX.findall(text) if name}
+    prefixes = {name: iri for name, iri in _PREFIXES.items() if name in used}
+    serialize(chain(first, triples), output, syntax, prefixes=prefixes)
+
+
+_FIRST = 10_000
+_PREFIX = re.compile(rb'"(?:[^"\\]|\\.)*"|<[^>]*>|@prefix [^\n]*|([A-Za-z][A-Za-z0-9_-]*):')
 
 
 def _write_xml(results: QueryTriples, output: BinaryIO, check: Check, base: str) -> None:
@@ -125,21 +169,33 @@ def _write_xml(results: QueryTriples, output: BinaryIO, check: Check, base: str)
     try:
         output.write(rdfxml(_checked(results, check), base).encode("utf-8"))
     except CannotCarry as error:
-        raise Problem(406, f"{error}.") from error
+        raise not_in_xml(f"{error}.") from error
+
+
+def _quads(solutions: QuerySolutions, check: Check) -> Iterator[Quad]:
+    """The quads that solutions are: a graph, a subject, a predicate and an object each."""
+    for graph, subject, predicate, object in solutions:
+        check()
+        triple = decode_triple(Triple(subject, predicate, object))
+        yield Quad(triple.subject, triple.predicate, triple.object, graph)
 
 
 def _checked(triples: Iterable[Triple], check: Check) -> Iterator[Triple]:
     for triple in triples:
         check()
-        yield triple
+        yield decode_triple(triple)
 
 
 class Table(NamedTuple):
-    """The first rows of results, for a page: of a graph, subject, predicate and object; `boolean` is ASK's answer."""
+    """The first rows of results, for a page: of a graph, subject, predicate and object; `boolean` is ASK's answer.
+
+    `unread` is how many graphs the query could match that are not looked at unless it names them, by container.
+    """
 
     variables: tuple[str, ...] = ()
     rows: tuple[tuple[Term | None, ...], ...] = ()
     boolean: bool | None = None
+    unread: Mapping[str, int] = {}
 
 
 def table(results: Results, limit: int, check: Check) -> Table:
@@ -149,11 +205,13 @@ def table(results: Results, limit: int, check: Check) -> Table:
     if isinstance(results, QuerySolutions):
         names = tuple(variable.value for variable in results.variables)
         return Table(names, tuple(_rows((tuple(row) for row in results), limit, check)))
-    triples = ((triple.subject, triple.predicate, triple.object) for triple in results)
+    triples: Iterator[tuple[Term | None, ...]] = (
+        (triple.subject, triple.predicate, triple.object) for triple in results
+    )
     return Table(("subject", "predicate", "object"), tuple(_rows(triples, limit, check)))
 
 
 def _rows(rows: Iterator[tuple[Term | None, ...]], limit: int, check: Check) -> Iterator[tuple[Term | None, ...]]:
     for row in islice(rows, limit):
         check()
-        yield row
+        yield tuple(None if term is None else decode_term(term) for term in row)

@@ -26,6 +26,7 @@ from rosld.ontology.vocab import xsd
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.lexer import BOUNDS, Bounds, Kind, check, place, tokens, update_keyword
+from rosld.server.store import QueryError
 
 _SUFFIX = ".rq"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
@@ -39,7 +40,7 @@ _MOST_PARAMETERS = 50
 _MOST_BOUND = 4 * 1024 * 1024
 """Characters of a query with its parameters bound, one of which may stand in many places."""
 _LINE_END = re.compile(r"\r\n?|\n")
-_PLACE = re.compile(r"error at (\d+):")
+_PLACE = re.compile(r" at (\d+):\d+")
 
 
 class Type(Enum):
@@ -162,17 +163,27 @@ def _check(query: StoredQuery, lines: Mapping[str, int], bounds: Bounds) -> None
                 f"{name}:{lines[unused[0]]}: no ?{unused[0]} is in the query, though it is told of as a parameter"
             )
         samples = {one.name: _SAMPLES[one.type] for one in query.parameters if one.default is None}
-        analysis = Analyser(_ANYWHERE, TYPES, bounds=bounds).analyse(bind(query, samples, _ANYWHERE))
-        nobodys = next(variable for number in count() if (variable := f"nobodys{number}") not in there)
-        # A value for a variable that is not there is refused after the text was parsed, and before it is evaluated.
-        values: dict[Variable, NamedNode | BlankNode | Literal | Triple] = {Variable(nobodys): Literal("")}
-        Store().query(analysis.text, base_iri=_ANYWHERE, prefixes=dict(analysis.prefixes), substitutions=values)
+        bound = bind(query, samples, _ANYWHERE)
     except Problem as problem:
         raise ValueError(f"{name}: {problem.detail}") from problem
-    except SyntaxError as error:
-        found = _PLACE.match(str(error))
+    try:
+        _parse(bound, bounds, next(f"nobodys{number}" for number in count() if f"nobodys{number}" not in there))
+    except Problem as problem:
+        found = _PLACE.search(problem.detail)
         where = f"{name}:{found[1]}" if found else name
-        raise ValueError(f"{where}: with its parameters bound it is no query: {error}") from error
+        raise ValueError(f"{where}: with its parameters bound it is no query. {problem.detail}") from problem
+
+
+def _parse(text: str, bounds: Bounds, nobodys: str) -> None:
+    """Hold that a text is a query, in which there is no variable of that name. Raises Problem 400."""
+    analyser = Analyser(_ANYWHERE, TYPES, bounds=bounds)
+    analysis = analyser.analyse(text)
+    # A value for a variable that is not there is refused after the text was parsed, and before it is evaluated.
+    values: dict[Variable, NamedNode | BlankNode | Literal | Triple] = {Variable(nobodys): Literal("")}
+    try:
+        Store().query(analysis.text, base_iri=_ANYWHERE, prefixes=dict(analysis.prefixes), substitutions=values)
+    except SyntaxError as error:
+        raise analyser.refusal(text, QueryError(str(error))) from error
     except RuntimeError:
         pass  # it parsed
 

@@ -1,8 +1,10 @@
-"""Synchronising: before a query is asked, the store holds what it needs as of now, and only that is paid for.
+"""Synchronising: before a query is sent, the query process is sent what the query needs, and only that is paid for.
 
 The source tells what there is by tokens: a graph whose token is as before is left alone, the others are rendered and
 replaced in one transaction, so that no query sees a graph missing or two graphs of different moments. Of what clients
-keep only the changes are told, before every query: as long as there are none, they cost the comparison of two numbers.
+keep only the changes are told, before every query that may look at them: as long as there are none, they cost the
+comparison of two numbers. Where there are very many they are told in the background, part by part, and queries that
+need them are told to come again.
 """
 
 from __future__ import annotations
@@ -14,21 +16,26 @@ from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from itertools import count, islice
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeAlias
 
 from pyoxigraph import Triple
 
-from rosld.server.memory import DATASET_PER_CHARACTER, MEMORY
-from rosld.server.sparql.kept import NOTHING, Backlog, KeptSource
+from rosld.server.http.problem import Problem
+from rosld.server.memory import MEMORY, SENT_PER_CHARACTER
+from rosld.server.sparql.kept import NOTHING, Changes, KeptSource
+from rosld.server.sparql.limits import restarting
 from rosld.server.sparql.needs import Needs
-from rosld.server.store import Edit, MemoryStore, Store
+from rosld.server.store import Edit
 
 _log = logging.getLogger("rosld.sparql")
 
 WILDCARD_INTERVAL = 0.2
-"""Seconds for which one look at everything is good enough for the next query that looks at everything."""
+"""Seconds for which a look at everything is good enough for the next query that looks at everything.
+
+They count for what the robot did by itself: after a write through the server everything is looked at again.
+"""
 _INLINE = 64 * 1024
-"""Characters of N-Triples up to which a change is made on the loop: a thread would cost more than the change."""
+"""Characters of N-Triples up to which a change is rendered on the loop: a thread would cost more."""
 _MUCH = 1000
 """Changes of what clients keep that are not left for a query to find."""
 _GLANCE = 1.0
@@ -37,18 +44,22 @@ _SHORT_OF_MEMORY = 30.0
 """Seconds until what there was no memory for is tried again, unless a query asks for it."""
 _SLICE = 0.002
 """Seconds of rendering after which the loop gets its turn."""
+_PATIENCE = 5.0
+"""Seconds that a query waits for what clients keep."""
+_LONGEST_RETRY = 60
 
 
 class GraphEntry(NamedTuple):
     """A named graph as its source has it: `token` changes whenever `ntriples()` would (called in any thread).
 
-    `triples` are the same as terms, where these are at hand.
+    `triples` are the same as terms, where these are at hand. `passing`: it is so for the query that names it alone.
     """
 
     iri: str
     token: Hashable
     ntriples: Callable[[], str]
     triples: Callable[[], Iterable[Triple]] | None = None
+    passing: bool = False
 
 
 class GraphSource(Protocol):
@@ -57,6 +68,11 @@ class GraphSource(Protocol):
     @property
     def revision(self) -> Hashable:
         """Of the set of description graphs: while it is the same, none of them has changed."""
+        ...
+
+    @property
+    def writes(self) -> int:
+        """A number that rises with each write that the server carries out on the robot, before it is answered."""
         ...
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
@@ -86,6 +102,27 @@ class GraphSource(Protocol):
         ...
 
 
+Mentioned: TypeAlias = Callable[[Collection[str]], frozenset[str] | None]
+"""The live documents of which clients say any of these predicates or classes, None for all: of what was synced."""
+
+
+class Target(Protocol):
+    """Where the graphs go: what was sent is seen by all that is asked afterwards. Called on the loop."""
+
+    @property
+    def generation(self) -> int:
+        """Another number whenever it holds nothing any more."""
+        ...
+
+    async def drained(self) -> None:
+        """Return when little is on its way that was not taken yet."""
+        ...
+
+    def change(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
+        """Replace graphs, then do edits, as `Store.replace`. Raises Problem 503 and NotEnoughMemory."""
+        ...
+
+
 class _Held(NamedTuple):
     """A graph as the store holds it: its token, that of the description it was made with, and the `look` it is of."""
 
@@ -106,7 +143,10 @@ class _Change(NamedTuple):
 
 
 class _Look(NamedTuple):
-    """What the source said at one moment: `number` orders looks, `asked` is whether it was asked for live values."""
+    """What the source said at one moment: `number` orders looks, `asked` is whether it was asked for live values.
+
+    `writes` is how many writes had ended before it began, `ended` is when it had been told all (monotonic).
+    """
 
     number: int
     revision: Hashable
@@ -114,11 +154,13 @@ class _Look(NamedTuple):
     asked: bool
     entries: Sequence[GraphEntry]
     needs: Needs
+    writes: int
+    ended: float
 
     @property
     def extras(self) -> list[str]:
         """Graphs that are there only because they were named."""
-        return [entry.iri for entry in self.entries if entry.iri not in self.described]
+        return [entry.iri for entry in self.entries if entry.passing or entry.iri not in self.described]
 
 
 class Seen(NamedTuple):
@@ -129,61 +171,124 @@ class Seen(NamedTuple):
 
 
 class _Synced:
-    """One query's use of the store."""
+    """One query's use of the dataset."""
 
-    __slots__ = ("_deadline", "_extras", "_needs", "_synchroniser")
+    __slots__ = ("_deadline", "_extras", "_needs", "_scope", "_synchroniser")
 
-    def __init__(self, synchroniser: Synchroniser, needs: Needs, deadline: float) -> None:
+    def __init__(self, synchroniser: Synchroniser, needs: Needs, scope: frozenset[str] | None, deadline: float) -> None:
         self._synchroniser = synchroniser
         self._needs = needs
+        self._scope = scope
         self._deadline = deadline
         self._extras: Sequence[str] = ()
 
     async def __aenter__(self) -> None:
-        self._extras = await self._synchroniser.enter(self._needs, self._deadline)
+        self._extras = await self._synchroniser.enter(self._needs, self._scope, self._deadline)
 
     async def __aexit__(self, *error: object) -> None:
         self._synchroniser.leave(self._extras)
 
 
+class _Filling:
+    """What clients keep, on its way to the process. `total` counts changes."""
+
+    def __init__(self, total: int) -> None:
+        self.task: asyncio.Future[None] | None = None
+        self.total = max(1, total)
+        self.done = 0
+        self.begun = time.monotonic()
+
+    @property
+    def seconds_left(self) -> float:
+        """About how long it will take."""
+        passed = time.monotonic() - self.begun
+        return passed * (self.total - self.done) / self.done if self.done else 0.0
+
+    def __str__(self) -> str:
+        share = min(99, 100 * self.done // self.total)
+        return f"What clients keep is being read into the dataset: {share} % of it is there."
+
+
 class Synchroniser:
-    """Keeps a store in step with a source, as far as queries look. Belongs to one loop."""
+    """Keeps a dataset in step with a source, as far as queries look. Belongs to one loop."""
 
     def __init__(
         self,
-        store: Store,
+        target: Target,
         source: GraphSource,
         kept: KeptSource = NOTHING,
         *more: KeptSource,
         interval: float = WILDCARD_INTERVAL,
+        mentioned: Mentioned | None = None,
     ) -> None:
-        self._store = store
+        self._target = target
         self._source = source
         self._kept = (kept, *more)
-        self._versions = [0] * len(self._kept)
         self._interval = interval
+        self._mentioned = mentioned
+        self._numbers = count(1)
+        self._described: tuple[Hashable, Mapping[str, GraphEntry]] = (object(), {})
+        self._pinned: Counter[str] = Counter()
+        self._applying = asyncio.Lock()
+        self._filling: _Filling | None = None
+        self._forget()
+
+    def _forget(self) -> None:
+        """The target holds nothing."""
+        self._generation = self._target.generation
+        self._versions = [0] * len(self._kept)
+        self._ahead: dict[str, int] = {}  # graphs of what is kept that are newer than the versions say
         self._held: dict[str, _Held] = {}
         self._live: set[str] = set()
         self._extras: set[str] = set()
-        self._pinned: Counter[str] = Counter()
-        self._numbers = count(1)
-        self._described: tuple[Hashable, Mapping[str, GraphEntry]] = (object(), {})
         self._applied: Hashable = object()
-        self._everything: tuple[float, Needs] = (float("-inf"), Needs())
-        self._changing = asyncio.Lock()
+        self._everything: _Look | None = None
+
+    def _require(self, generation: int) -> None:
+        """Raise Problem 503 where the target holds nothing any more that it was told in this generation."""
+        if not generation == self._generation == self._target.generation:
+            raise restarting(1)
 
     @property
     def held(self) -> Sequence[str]:
-        """The graphs in the store that come from the source: all but those that clients keep."""
+        """The graphs in the dataset that come from the source: all but those that clients keep."""
         return list(self._held)
 
-    async def resolved(self, needs: Needs) -> Needs:
-        """The needs with all documents that they name, be it by terms: to be `synced`."""
-        return needs.resolved(await self._source.documents_of(needs.terms)) if needs.terms else needs
+    @property
+    def progress(self) -> str | None:
+        """How far what clients keep is on its way to the dataset, None where little is missing; from any thread."""
+        if self._filling is not None:
+            return str(self._filling)
+        is_new = self._generation != self._target.generation
+        missing = self._kept[0].version - (0 if is_new else self._versions[0])
+        return str(_Filling(missing)) if missing >= _MUCH else None
 
-    def synced(self, needs: Needs, *, deadline: float) -> AbstractAsyncContextManager[None]:
-        """Within it the store holds what the needs ask for: begin the query there. Raises what the source raises."""
-        return _Synced(self, needs, deadline)
+    async def resolved(self, needs: Needs) -> Needs:
+        """The needs with the documents that their terms name, and those that clients mention: to be `synced`.
+
+        Raises Problem 503 where what clients keep is to be read first.
+        """
+        if needs.terms:
+            needs = needs.resolved(await self._source.documents_of(needs.terms))
+        if needs.rests_on and self._mentioned is not None:
+            if self._generation != self._target.generation:
+                self._forget()
+            wanted = self._wanted
+            if not self._is_current(None, wanted):
+                await self._caught_up(None, wanted, float("inf"))
+            mentioned = self._mentioned(needs.rests_on)
+            needs = needs if mentioned == frozenset() else needs.mentioning(mentioned)
+        return needs
+
+    def synced(
+        self, needs: Needs, *, deadline: float, scope: frozenset[str] | None = None
+    ) -> AbstractAsyncContextManager[None]:
+        """Within it the dataset holds what the needs ask for: send the query there, at once.
+
+        `scope` are the only graphs that are looked at, None for all. Raises what the source raises, Problem 503 where
+        too much is to be brought first, and TimeoutError.
+        """
+        return _Synced(self, needs, scope, deadline)
 
     def glance(self, needs: Needs) -> Hashable | None:
         """What stays equal for as long as `synced` would bring nothing new, told at once; None where none can tell."""
@@ -193,42 +298,33 @@ class Synchroniser:
             live = self._source.glance(needs)
         return None if live is None else (self._source.revision, *(each.version for each in self._kept), live)
 
-    async def enter(self, needs: Needs, deadline: float) -> Sequence[str]:
-        """Bring the store to what the needs ask for. What is returned is kept until it is given to `leave`."""
+    async def enter(self, needs: Needs, scope: frozenset[str] | None, deadline: float) -> Sequence[str]:
+        """Bring the dataset to what the needs ask for. What is returned is kept until it is given to `leave`."""
+        if self._generation != self._target.generation:
+            self._forget()
         look = await self._look(needs, deadline)
         extras = look.extras
         self._pinned.update(extras)
         try:
+            wanted = self._wanted
+            if not self._is_current(scope, wanted):
+                await self._caught_up(scope, wanted, deadline)
             if not self._at_once(look):  # it goes on even where the query is given up
                 await asyncio.shield(asyncio.ensure_future(self._apply(look)))
+            self._require(self._generation)
             if needs.everything and look.asked:
-                self._everything = (time.monotonic(), needs)
+                self._everything = look
         except BaseException:
             self.leave(extras)
             raise
         return extras
 
-    async def catch_up(self) -> None:
-        """Bring to the store what clients keep, before a query asks for it: whoever asks meanwhile waits for it."""
-        await asyncio.shield(asyncio.ensure_future(self._apply(None)))
-
-    async def keep_up(self) -> None:
-        """Catch up whenever much has changed since a query asked, at once and then for ever: to be cancelled."""
-        while True:
-            if self._kept[0].version - self._versions[0] >= _MUCH:
-                try:
-                    await self.catch_up()
-                except MemoryError as error:
-                    _log.error("what clients keep cannot be brought to the dataset now: %s", error)
-                    await asyncio.sleep(_SHORT_OF_MEMORY)
-                except Exception:  # the next query, or the next time, may have more luck
-                    _log.exception("what clients keep cannot be brought to the dataset now")
-            await asyncio.sleep(_GLANCE)
-
-    @property
-    def seen(self) -> Seen:
-        """What the store holds now of values that change by themselves, and of what clients keep."""
-        return Seen({iri: self._held[iri].token for iri in self._live}, self._versions[0])
+    def seen(self, graphs: frozenset[str] | None) -> Seen:
+        """What the dataset holds now of values that change by themselves (None: of all), and of what clients keep."""
+        live = self._live if graphs is None else self._live & graphs
+        wanted = self._wanted
+        kept = wanted[0] if self._is_current(graphs, wanted) else self._versions[0]
+        return Seen({iri: self._held[iri].token for iri in live}, kept)
 
     def leave(self, extras: Sequence[str]) -> None:
         """The query has begun: graphs that were there for it alone may go."""
@@ -237,13 +333,14 @@ class Synchroniser:
             self._pinned = +self._pinned
 
     async def _look(self, needs: Needs, deadline: float) -> _Look:
+        writes = self._source.writes
         revision, described = self._descriptions()
         entries: Sequence[GraphEntry] = ()
         asked = self._must_ask(needs, described)
         if asked:
             entries = await self._source.live(needs, deadline=deadline)
             revision, described = self._descriptions()
-        return _Look(next(self._numbers), revision, described, asked, entries, needs)
+        return _Look(next(self._numbers), revision, described, asked, entries, needs, writes, time.monotonic())
 
     def _descriptions(self) -> tuple[Hashable, Mapping[str, GraphEntry]]:
         revision = self._source.revision
@@ -256,9 +353,10 @@ class Synchroniser:
             return True
         if not needs.demands:
             return False
-        when, seen = self._everything
-        recently = time.monotonic() - when < self._interval
-        return not (needs.everything and recently and seen.covers(needs))
+        last = self._everything
+        if last is None or not needs.everything or not last.needs.covers(needs):
+            return True
+        return last.writes != self._source.writes or time.monotonic() - last.ended >= self._interval
 
     # --- what differs
 
@@ -294,62 +392,166 @@ class Synchroniser:
         found = {entry.iri for entry in look.entries}
         for iri in self._extras - found:
             if iri not in self._pinned and self._held[iri].look < look.number:
-                yield iri, _Change(look.described.get(iri), None, False, 0)
+                entry = look.described.get(iri)
+                yield iri, _Change(entry, entry and entry.token, False, 0)
         if look.needs.everything and look.asked:
             for iri in self._live - found - self._extras:
                 entry = look.described.get(iri)
                 if entry is not None and self._held[iri].look < look.number:
                     yield iri, _Change(entry, entry.token, False, self._held[iri].size)
 
-    # --- telling the store
+    # --- what the source says
 
     def _at_once(self, look: _Look) -> bool:
         """Make small changes here and now. False, with nothing changed, where they are not or others are being made."""
-        if self._changing.locked():
+        if self._applying.locked():
             return False
         changes = self._changes(look)
-        backlog, versions = self._first_part()
-        if backlog is None or backlog.size > _INLINE or not _is_small(changes):
+        if not _is_small(changes):
             return False
-        self._carried_out(look, changes, _replace(self._store, changes, backlog))
-        self._versions = versions
+        self._tell(look, changes, _rendered(_renderings(changes)))
         return True
 
-    def _first_part(self) -> tuple[Backlog | None, list[int]]:
-        """What changed of what is kept, if the first part of each is all, and of which versions this is."""
-        backlog, versions = Backlog(), [kept.version for kept in self._kept]
-        for kept, version, before in zip(self._kept, versions, self._versions, strict=True):
-            if version != before:
-                parts = kept.changes(before)
-                for part in islice(parts, 1):
-                    backlog.add(part)
-                if next(parts, None) is not None:
-                    return None, versions
-        return backlog, versions
-
-    async def _all_parts(self, sources: Sequence[KeptSource]) -> tuple[Backlog, list[int]]:
-        """All of it of these sources, whatever changes while it is being found."""
-        backlog, versions = Backlog(), [*self._versions]
-        for place, kept in enumerate(sources):
-            version = kept.version
-            if version != versions[place]:
-                for part in kept.changes(versions[place]):
-                    backlog.add(part)
-                    await asyncio.sleep(0)
-                    version = kept.version  # of before the search for the next part: there may be none
-            versions[place] = version
-        return backlog, versions
-
-    async def _apply(self, look: _Look | None) -> None:
+    async def _apply(self, look: _Look) -> None:
         """One change at a time; what another query has brought meanwhile is not brought again."""
-        async with self._changing:
-            sources = self._kept[:1] if look is None else self._kept  # the others only where a query asks
-            backlog, versions = await self._all_parts(sources)
-            changes = self._changes(look) if look is not None else {}
-            sizes = await asyncio.to_thread(_replace, self._store, changes, backlog)
-            if look is not None:
-                self._carried_out(look, changes, sizes)
-            self._versions = versions
+        async with self._applying:
+            changes = self._changes(look)
+            generation = self._generation
+            texts = await asyncio.to_thread(_rendered, _renderings(changes), _SLICE)
+            self._require(generation)
+            self._tell(look, changes, texts)
+
+    def _tell(self, look: _Look, changes: Mapping[str, _Change], texts: Mapping[str, str | None]) -> None:
+        self._require(self._generation)
+        self._target.change(texts)
+        self._carried_out(look, changes, {iri: len(text or "") for iri, text in texts.items()})
+
+    # --- what clients keep
+
+    async def catch_up(self) -> None:
+        """Bring to the dataset what clients keep, before a query asks for it."""
+        if self._generation != self._target.generation:
+            self._forget()
+        filling = self._filling or self._fill(self._kept[:1])
+        assert filling.task is not None
+        await asyncio.shield(filling.task)
+
+    async def keep_up(self) -> None:
+        """Catch up whenever much has changed since a query asked, at once and then for ever: to be cancelled."""
+        while True:
+            is_new = self._generation != self._target.generation
+            if self._kept[0].version - (0 if is_new else self._versions[0]) >= _MUCH:
+                try:
+                    await self.catch_up()
+                except MemoryError as error:
+                    _log.error("what clients keep cannot be brought to the dataset now: %s", error)
+                    await asyncio.sleep(_SHORT_OF_MEMORY)
+                except Problem:  # the process is being started
+                    pass
+                except Exception:  # the next query, or the next time, may have more luck
+                    _log.exception("what clients keep cannot be brought to the dataset now")
+            await asyncio.sleep(_GLANCE)
+
+    @property
+    def _wanted(self) -> Sequence[int]:
+        """What whoever asks now is to see of what clients keep: all that was written before."""
+        return [kept.version for kept in self._kept]
+
+    def _is_current(self, scope: frozenset[str] | None, wanted: Sequence[int]) -> bool:
+        """Whether the dataset holds what these graphs (None: all) said of what clients keep in the versions wanted."""
+        for kept, version, least in zip(self._kept, self._versions, wanted, strict=True):
+            if version >= least:
+                continue
+            if scope is None or any(kept.last_change(iri) > self._ahead.get(iri, version) for iri in scope):
+                return False
+        return True
+
+    async def _caught_up(self, scope: frozenset[str] | None, wanted: Sequence[int], deadline: float) -> None:
+        """Wait until these graphs are current. Raises Problem 503 where that takes too long, TimeoutError."""
+        if self._filling is None and self._bring_at_once():
+            return
+        loop = asyncio.get_running_loop()
+        until = loop.time() + _PATIENCE
+        while not self._is_current(scope, wanted):
+            filling = self._filling or self._fill(self._kept)
+            assert filling.task is not None
+            if not filling.task.done():
+                now = loop.time()
+                if now > deadline:
+                    raise asyncio.TimeoutError
+                if now < until and filling.seconds_left < _PATIENCE:
+                    await asyncio.wait([filling.task], timeout=max(0.0, min(until, deadline, now + _GLANCE) - now))
+                else:
+                    raise restarting(min(_LONGEST_RETRY, 1 + int(filling.seconds_left)), str(filling))
+            if filling.task.done():
+                filling.task.result()
+                await asyncio.sleep(0)  # it is put away by a callback, which may not have had its turn
+
+    def _bring_at_once(self) -> bool:
+        """Bring here and now what changed, if that is little. False, with nothing changed, where it is not."""
+        parts: list[Changes] = []
+        versions = [kept.version for kept in self._kept]
+        for kept, before, version in zip(self._kept, self._versions, versions, strict=True):
+            found = kept.changes(before) if version != before else iter(())
+            parts += islice(found, 1)
+            if next(found, None) is not None:
+                return False
+        if sum(part.size for part in parts) > _INLINE:
+            return False
+        self._require(self._generation)
+        for part in parts:
+            self._target.change(_rendered(part.graphs), part.edits)
+        self._versions = versions
+        self._ahead.clear()
+        return True
+
+    def _fill(self, sources: Sequence[KeptSource]) -> _Filling:
+        """Begin to bring what changed in these sources."""
+        total = sum(kept.version - before for kept, before in zip(sources, self._versions, strict=False))
+        filling = self._filling = _Filling(total)
+        task = asyncio.ensure_future(self._bring(sources, filling))
+        task.add_done_callback(self._filled)
+        filling.task = task
+        return filling
+
+    def _filled(self, task: asyncio.Future[None]) -> None:
+        self._filling = None
+        if not task.cancelled():
+            task.exception()  # whoever waits for it sees it too
+
+    async def _bring(self, sources: Sequence[KeptSource], filling: _Filling) -> None:
+        """Bring what changed in these sources by now, part by part."""
+        generation, done = self._generation, 0
+        for place, kept in enumerate(sources):
+            before, version = self._versions[place], kept.version
+            if version != before:
+                now = version
+                for part in kept.changes(before):
+                    await self._bring_part(part, now, generation)
+                    version = max(version, part.reached)
+                    filling.done = done + max(0, part.reached - before)
+                    now = kept.version  # of before the search for the next part
+                    await asyncio.sleep(0)
+            self._require(generation)
+            done += version - before
+            self._versions[place] = version
+        if len(sources) == len(self._kept):
+            self._ahead.clear()
+
+    async def _bring_part(self, part: Changes, version: int, generation: int) -> None:
+        MEMORY.require(part.size * SENT_PER_CHARACTER, f"a part of {part.size} characters for the dataset")
+        if part.size <= _INLINE:
+            texts = _rendered(part.graphs)
+        else:
+            texts = await asyncio.to_thread(_rendered, part.graphs, _SLICE)
+        await self._target.drained()
+        self._require(generation)
+        self._target.change(texts, part.edits)
+        for iri in part.graphs:
+            if iri != part.unfinished:
+                self._ahead[iri] = version
+
+    # --- what is held
 
     def _carried_out(self, look: _Look, changes: Mapping[str, _Change], sizes: Mapping[str, int]) -> None:
         for iri, change in changes.items():
@@ -365,7 +567,7 @@ class Synchroniser:
         self._held[iri] = _Held(change.entry.token, change.description, change.live, look.number, size)
         if change.live:
             self._live.add(iri)
-            if iri not in look.described:
+            if change.entry.passing or iri not in look.described:
                 self._extras.add(iri)
 
 
@@ -378,32 +580,19 @@ def _size(held: _Held | None) -> int:
     return _INLINE + 1 if held is None else held.size
 
 
-def _replace(store: Store, changes: Mapping[str, _Change], backlog: Backlog) -> dict[str, int]:
-    """Render what changed and replace it; the number of characters of each of `changes`. Runs in any thread."""
-    edits: Sequence[Edit] = backlog.edits
-    if not changes and not backlog.graphs and not edits:
-        return {}
-    # What the robot itself says is not asked about: the sizes of its graphs are not known, and they are small.
-    MEMORY.require(backlog.size * DATASET_PER_CHARACTER, f"the dataset, for changes of {backlog.size} characters,")
-    texts = _rendered(backlog.graphs)
-    texts |= _rendered({iri: change.entry and change.entry.ntriples for iri, change in changes.items()})
-    try:
-        store.replace(texts, edits)
-    except ValueError:
-        # One graph that cannot be stored must not hide all others from every query.
-        texts = {iri: text if text is None or _is_ntriples(iri, text) else None for iri, text in texts.items()}
-        store.replace(texts, [edit for edit in edits if _is_possible(edit)])
-    return {iri: len(texts[iri] or "") for iri in changes}
+def _renderings(changes: Mapping[str, _Change]) -> dict[str, Callable[[], str] | None]:
+    return {iri: None if change.entry is None else change.entry.ntriples for iri, change in changes.items()}
 
 
-def _rendered(graphs: Mapping[str, Callable[[], str] | None]) -> dict[str, str | None]:
+def _rendered(graphs: Mapping[str, Callable[[], str] | None], slice: float | None = None) -> dict[str, str | None]:
+    """The texts of graphs. Whoever renders for longer than a `slice` lets others have their turn, in any thread."""
     texts: dict[str, str | None] = {}
-    pause = time.monotonic() + _SLICE
+    pause = None if slice is None else time.monotonic() + slice
     for iri, ntriples in graphs.items():
         texts[iri] = None if ntriples is None else _render(iri, ntriples)
-        if time.monotonic() > pause:
-            time.sleep(_SLICE / 10)
-            pause = time.monotonic() + _SLICE
+        if slice is not None and pause is not None and time.monotonic() > pause:
+            time.sleep(slice / 10)
+            pause = time.monotonic() + slice
     return texts
 
 
@@ -415,20 +604,3 @@ def _render(iri: str, ntriples: Callable[[], str]) -> str | None:
     except Exception:  # a source's failure concerns one graph only
         _log.exception("%s cannot be rendered and is left out of the dataset", iri)
         return None
-
-
-def _is_ntriples(iri: str, text: str) -> bool:
-    return _is_stored({iri: text}, ())
-
-
-def _is_possible(edit: Edit) -> bool:
-    return _is_stored({}, (edit,))
-
-
-def _is_stored(graphs: Mapping[str, str], edits: Sequence[Edit]) -> bool:
-    try:
-        MemoryStore().replace(graphs, edits)
-    except ValueError as error:
-        _log.error("%s is left out of the dataset: %s", next(iter(graphs), edits and edits[0].graph), error)
-        return False
-    return True

@@ -2,64 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import NamedTuple
 from urllib.parse import unquote
 
-from rosld.ontology.vocab import rdf, ros, td
+from rosld.ontology.vocab import PREFIXES, rdf, ros, td
 from rosld.server.sparql.patterns import Iri, Pattern, Term, Variable
 
 
 class Live(NamedTuple):
-    """Which live values a pattern can match: those of topics (`messages`), those of parameters."""
+    """Kinds of what is not always in the dataset: values of topics (`messages`) and of parameters, what lies below
 
-    messages: bool
-    parameters: bool
+    `/resources/`, and recorded messages.
+    """
+
+    messages: bool = False
+    parameters: bool = False
+    resources: bool = False
+    records: bool = False
 
     def __or__(self, other: Live) -> Live:
-        return Live(self.messages or other.messages, self.parameters or other.parameters)
+        return Live(self[0] or other[0], self[1] or other[1], self[2] or other[2], self[3] or other[3])
 
     def __and__(self, other: Live) -> Live:
-        return Live(self.messages and other.messages, self.parameters and other.parameters)
+        return Live(self[0] and other[0], self[1] and other[1], self[2] and other[2], self[3] and other[3])
 
 
-NEITHER, BOTH, MESSAGES, PARAMETERS = Live(False, False), Live(True, True), Live(True, False), Live(False, True)
+ANY, NEITHER = Live(True, True, True, True), Live()
+_OF_MESSAGES = Live(messages=True, resources=True, records=True)
+"""Of any message, wherever it is shown: as a topic's, as the value of a resource, as a recorded one."""
+_BESIDE = Live(resources=True, records=True)
 
 
 @dataclass(frozen=True, slots=True)
 class Said:
     """What is known of a node.
 
-    `resource`: it is a resource itself, no message within one; `live`: the live values that can be said of it;
-    `graphs`: where it can stand (None: anywhere); `types`: message types that the topic it belongs to must use.
+    `resource`: it is a resource itself, no message within one; `live`: the kinds of graphs it can be of; `types`: the
+    message types that the topic it belongs to must use.
     """
 
     resource: bool = False
-    live: Live = BOTH
-    graphs: frozenset[str] | None = None
+    live: Live = ANY
     types: frozenset[str] = frozenset()
 
     def also(self, other: Said) -> Said:
         """Both at once."""
-        return Said(
-            self.resource or other.resource,
-            self.live & other.live,
-            _common(self.graphs, other.graphs),
-            self.types | other.types,
-        )
+        return Said(self.resource or other.resource, self.live & other.live, self.types | other.types)
 
 
 UNKNOWN = Said()
-_TOPIC, _PARAMETER, _MESSAGE = Said(True, MESSAGES), Said(True, PARAMETERS), Said(False, MESSAGES)
+_TOPIC, _PARAMETER = Said(True, Live(messages=True)), Said(True, Live(parameters=True))
+_MESSAGE, _BELOW = Said(False, _OF_MESSAGES), Said(True, Live(resources=True))
 _RESOURCE, _OTHER = Said(True), Said(True, NEITHER)
-
-
-def _common(one: frozenset[str] | None, other: frozenset[str] | None) -> frozenset[str] | None:
-    """What both allow. Where they exclude each other nothing can match; to be safe, what either allows."""
-    if one is None or other is None:
-        return other if one is None else one
-    return (one & other) or (one | other)
 
 
 _LIVE = frozenset(
@@ -69,8 +66,16 @@ _LIVE = frozenset(
         ros.bytes, ros.unreadable, ros.age, rdf.first, rdf.rest,
     )
 )  # fmt: skip
-_WITHIN = frozenset({ros.latest.value, ros.latestFrom.value})
-_STAYS = frozenset({ros.elided.value, rdf.first.value, rdf.rest.value}) | _WITHIN
+_STAYS = frozenset(one.value for one in (ros.elided, rdf.first, rdf.rest, ros.latest, ros.latestFrom, ros.message))
+_BELOW_RESOURCES = frozenset(
+    one.value
+    for one in (ros.name, ros.shape, ros.requestShape, ros.readsFrom, ros.writesTo, ros.invokes, ros.reason, ros.state)
+)
+"""Described, and said of what lies below `/resources/`, too."""
+_OF_RECORDS = frozenset(one.value for one in (ros.bag, ros.index, ros.topic, ros.recordedAt, ros.message))
+"""Described, and said of recorded messages, too."""
+_VOCABULARIES = tuple(iri for iri in PREFIXES.values() if not iri.startswith(ros.iri))
+"""The namespaces of other terms that the server uses."""
 _DESCRIBED = frozenset(
     term.value
     for term in (
@@ -107,9 +112,11 @@ _CLASSES: Mapping[str, Said] = {
         for term in (
             ros.Graph, ros.Master, ros.Node, ros.Service, ros.Action, ros.Bag, ros.MessageType, ros.ServiceType,
             ros.ActionType, ros.Field, ros.Constant, ros.Query, ros.Write, ros.Qos, ros.QosMismatch, ros.ManagedNode,
-            ros.ComplexResource, ros.Property, ros.Goal, ros.Hold, ros.Stop,
+            ros.Goal, ros.Hold, ros.Stop,
         )
     },
+    ros.ComplexResource.value: _BELOW,
+    ros.Property.value: _BELOW,
 }  # fmt: skip
 
 COMPLEX = frozenset(
@@ -125,37 +132,38 @@ PROPERTIES = frozenset(one.value for one in (ros.Property, ros.readsFrom, ros.wr
 ACTIONS = frozenset({ros.invokes.value})
 """Said of every action."""
 _OF_RESOURCES = COMPLEX | PROPERTIES | ACTIONS
+_OF_ONE_KIND = (
+    frozenset(one.value for one in (ros.ComplexResource, ros.Property, ros.readsFrom, ros.writesTo)) | ACTIONS
+)
+"""Said of no other kind of what lies below `/resources/` than the one that they name."""
 
 
 @dataclass(frozen=True, slots=True)
 class Terms:
     """The vocabulary as seen by a query.
 
-    `types` is the namespace of message types, `relations` are the predicates that mappings give complex resources.
+    `types` is the namespace of message types, `relations` are the predicates that mappings give complex resources,
+    `base` is what the IRIs of this server's resources begin with.
     """
 
     types: str
+    base: str
     relations: frozenset[str] = frozenset()
 
     def type_named(self, iri: str) -> str | None:
         """The message type (`geometry_msgs/msg/Twist`) that an IRI is the class, or a property, of."""
         return unquote(document(iri[len(self.types) :])) if iri.startswith(self.types) else None
 
-    def is_everywhere(self, iri: str) -> bool:
-        """Whether live values of any graph can hold this IRI, of those that no description needs to hold."""
-        return iri == rdf.nil.value or iri.startswith(self.types)
+    def is_here(self, iri: str) -> bool:
+        """Whether an IRI is one of this server's resources, or a fragment of one."""
+        return iri.startswith(self.base)
 
-    def stays(self, predicate: str) -> bool:
-        """Whether the object of a live triple with this predicate, if it is a node, stands in the same graph."""
+    def stays(self, pattern: Pattern) -> bool:
+        """Whether a live match leads to a node of the graph it stands in, if it leads to a node that has triples."""
+        return pattern.predicates is not None and all(map(self._stays, pattern.predicates))
+
+    def _stays(self, predicate: str) -> bool:
         return predicate in _STAYS or predicate.startswith(self.types)
-
-    def owns_object(self, pattern: Pattern) -> bool:
-        """Whether the object is always a node of the graph that the pattern's match stands in."""
-        return pattern.predicates is not None and not pattern.empty and pattern.predicates <= _WITHIN
-
-    def only_live(self, pattern: Pattern) -> bool:
-        """Whether only messages (of topics, calls, goals) are spoken of so, or topics of their messages."""
-        return bool(self._field_of(pattern) or self._instance_of(pattern)) or self.owns_object(pattern)
 
     def says(self, pattern: Pattern) -> Said:
         """What a pattern tells of its subject."""
@@ -180,44 +188,80 @@ class Terms:
         is_type = pattern.predicates == frozenset({rdf.type.value}) and not pattern.repeated
         return self.type_named(pattern.object.value) if is_type and isinstance(pattern.object, Iri) else None
 
-    def live(self, pattern: Pattern, subject: Said) -> Live:
-        """The live values that the pattern can match, its subject being what it is."""
-        found = NEITHER
-        for predicate in pattern.predicates or (None,):
-            found = found | self._live(predicate, pattern.object, subject.resource)
-        return found & subject.live
+    def is_of_resource(self, pattern: Pattern) -> bool:
+        """Whether the subject is a resource itself, no message within one."""
+        if pattern.repeated:
+            return False
+        return self.says(pattern).resource or (isinstance(pattern.subject, Iri) and "#" not in pattern.subject.value)
 
-    def _live(self, predicate: str | None, object: Term, resource: bool) -> Live:
-        if predicate is None:
-            return BOTH
+    def live(self, pattern: Pattern, resource: bool) -> Live:
+        """The kinds of live values that the pattern can match; `resource`: its subject is a resource itself."""
+        if pattern.predicates is None:
+            return ANY
+        object = _UNKNOWN if pattern.repeated else pattern.object
+        found = (self._live(each, object, resource and not pattern.repeated) for each in pattern.predicates)
+        return reduce(Live.__or__, found, NEITHER)
+
+    def _live(self, predicate: str, object: Term, resource: bool) -> Live:
         if predicate == rdf.type.value:
-            return MESSAGES if self._live_class(object, resource) else NEITHER
+            return self._live_class(object, resource)
         if predicate in _LIVE or predicate.startswith(self.types):
-            return MESSAGES
+            return _OF_MESSAGES
         if predicate == ros.value.value:
-            return PARAMETERS
+            return Live(parameters=True)
         if predicate == ros.publisher.value:  # of a topic it is description, of a message not
-            return NEITHER if resource else MESSAGES
-        return BOTH if predicate.startswith(ros.iri) and predicate not in _DESCRIBED else NEITHER
+            return NEITHER if resource else _OF_MESSAGES
+        if predicate in _BELOW_RESOURCES or predicate in _OF_RECORDS:
+            return Live(resources=predicate in _BELOW_RESOURCES, records=predicate in _OF_RECORDS)
+        if predicate.startswith(ros.iri):
+            return NEITHER if predicate in _DESCRIBED else ANY
+        return _BESIDE if predicate in self.relations or predicate.startswith(_VOCABULARIES) else NEITHER
 
-    def of_resources(self, pattern: Pattern, subject: Said) -> frozenset[str]:
-        """The terms of a pattern by which it names resources below `resources/`, its subject being what it is.
-
-        A class names them whatever else is said of the subject; a predicate only where that can be one of them.
-        """
-        if pattern.predicates == frozenset({rdf.type.value}):
-            named = frozenset({pattern.object.value}) if isinstance(pattern.object, Iri) else frozenset()
-            return named & _OF_RESOURCES
-        if subject.live != BOTH or pattern.predicates is None:
-            return frozenset()
-        return pattern.predicates & (_OF_RESOURCES | self.relations)
-
-    def _live_class(self, object: Term, resource: bool) -> bool:
+    def _live_class(self, object: Term, resource: bool) -> Live:
         if isinstance(object, Variable):
-            return not resource
-        return isinstance(object, Iri) and (
-            object.value in (ros.Message.value, ros.Elided.value) or object.value.startswith(self.types)
+            return _BESIDE._replace(messages=not resource)
+        if not isinstance(object, Iri):
+            return NEITHER
+        if object.value in (ros.Message.value, ros.Elided.value) or object.value.startswith(self.types):
+            return _OF_MESSAGES
+        if object.value in (ros.ServerStatus.value, ros.Mirror.value):
+            return ANY
+        if object.value.startswith(ros.iri):
+            return Live(resources=object.value in _OF_RESOURCES)
+        return _BESIDE if object.value.startswith(_VOCABULARIES) else NEITHER
+
+    def names_resources(self, pattern: Pattern) -> bool:
+        """Whether what it can match below `resources/` is all named by its class or its predicates."""
+        spoken = self.spoken(pattern)
+        return bool(spoken) and spoken <= _OF_ONE_KIND | self.relations
+
+    def is_of_resources(self, iri: str) -> bool:
+        """Whether an IRI lies below `resources/`."""
+        return iri.startswith(self.base + "resources/")
+
+    def is_of_server(self, pattern: Pattern) -> bool:
+        """Whether it can match what the server says in its own vocabulary and others."""
+        return pattern.predicates is None or any(
+            each.startswith((ros.iri, *_VOCABULARIES)) for each in pattern.predicates
         )
+
+    def is_of_parameters(self, iri: str) -> bool:
+        """Whether an IRI is that of a parameter or of a tree of them."""
+        return iri.startswith(self.base + "parameters/")
+
+    def of_constants(self, iris: Iterable[str]) -> frozenset[str]:
+        """Those of the terms that name resources below `resources/`."""
+        return frozenset(iris) & (_OF_RESOURCES | self.relations)
+
+    def spoken(self, pattern: Pattern) -> frozenset[str]:
+        """By what a client would have to say it: the class, or else the predicates."""
+        is_class = pattern.predicates == frozenset({rdf.type.value}) and not pattern.repeated
+        if is_class and isinstance(pattern.object, Iri):
+            return frozenset({pattern.object.value})
+        return pattern.predicates or frozenset()
+
+
+_UNKNOWN = Variable("")
 
 
 def document(iri: str) -> str:

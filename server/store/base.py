@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import AbstractContextManager
 from typing import NamedTuple, Protocol, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, QueryBoolean, QuerySolutions, QueryTriples, Triple
@@ -30,7 +29,7 @@ class Edit(NamedTuple):
 
 
 class Store(Protocol):
-    """A dataset of named graphs; its default graph is their union. Thread-safe.
+    """A dataset of named graphs; its default graph is their union. One `in_memory` belongs to one thread.
 
     Queries see the dataset as it was when `query` returned, whatever is replaced while their results are read.
     """
@@ -42,16 +41,12 @@ class Store(Protocol):
 
     @property
     def in_memory(self) -> bool:
-        """Whether the whole dataset is in this process, so that a fork of it holds the dataset too."""
+        """Whether the whole dataset is in this process."""
         ...
 
     @property
     def takes_functions(self) -> bool:
         """Whether queries may be given functions of this process; a store elsewhere refuses them (QueryError)."""
-        ...
-
-    def still(self) -> AbstractContextManager[None]:
-        """Within it nothing is replaced."""
         ...
 
     def graphs(self) -> Collection[str]:

@@ -1,142 +1,160 @@
-"""The store on pyoxigraph, in memory."""
+"""The store on pyoxigraph, in memory, for one thread."""
 
 from __future__ import annotations
 
-import ctypes
-import logging
 import re
-import sys
-import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from itertools import count, islice
-from typing import IO, TypeAlias, cast
+from typing import NamedTuple, cast
 
-import pyoxigraph
+from pyoxigraph import NamedNode, Quad, RdfFormat, Store, parse
 
-from rosld.server.memory import MEMORY, resident
+from rosld.server.memory import trim
 from rosld.server.store.base import Edit, Function, QueryError, Results, Term
-from rosld.server.store.update import operations
+from rosld.server.store.encoding import decode_ntriples, encode_ntriples
+from rosld.server.store.functions import FUNCTIONS
 from rosld.server.store.wear import Wear
 
-_log = logging.getLogger("rosld.sparql")
-
 _LARGE = 1024 * 1024
-"""Characters from which on new graphs are loaded, in half the time and memory that an update takes."""
-_ROUNDS = 3
-"""Times that a new store takes over what changed meanwhile, each time less, before nothing may change until it has."""
-_LABEL = re.compile(r'"(?:[^"\\]|\\.)*"|<[^>]*>|_:')
+"""Characters from which on a text is read twice rather than held as quads, which take ten times its memory."""
+_REMEMBERED_GRAPH = 8 * 1024 * 1024
+"""Characters of a graph whose lines are remembered, so that the next text of it costs what differs."""
+_REMEMBERED = 32 * 1024 * 1024
+"""Characters of all graphs that are remembered; the one that was replaced longest ago goes first."""
+_SLICE = 1000
+"""Quads copied at a time to a new store: about two milliseconds."""
+_LABEL = re.compile(r'"(?:[^"\\]|\\.)*"|<[^>]*>|_:(?![a-f][0-9a-f]{23,31}(?:[\s.]|$))')
+"""Where a label begins that other graphs may have for other nodes. Those drawn at random, as hexadecimal numbers of 128
 
-_Change: TypeAlias = tuple[Mapping[str, str | None], Sequence[Edit]]
+bits, stand for one node in all graphs: that is how a copy of a graph shares its blank nodes with it.
+"""
+
+
+class _Step(NamedTuple):
+    """What is done to one graph: it is dropped, then some quads go, then others come."""
+
+    graph: NamedNode
+    drop: bool
+    removed: Sequence[Quad]
+    added: Callable[[], Iterable[Quad]]
+    lost: int
+    gained: int
 
 
 class MemoryStore:
-    """The `Store` that rosld brings along. It renews itself whenever it is worn (`wear.py`)."""
+    """The `Store` that rosld brings along. It copies itself, in slices, whenever it carries too much of what is gone.
+
+    A graph that is replaced is changed by the lines that differ. Blank nodes keep their labels within a graph, so that
+    edits may name them.
+    """
 
     in_memory = True
     takes_functions = True
 
-    def __init__(self, dataset: pyoxigraph.Store | None = None) -> None:
-        self._store = pyoxigraph.Store() if dataset is None else dataset
-        self._changing = threading.Lock()
+    def __init__(self) -> None:
+        self._store = Store()
         self._versions = count(1)
         self._version = 0
         self._wear = Wear()
-        self._renewal: threading.Thread | None = None
-        self._meanwhile: list[_Change] = []  # what changed since the renewal began
-        self._told: list[Callable[[Collection[str], Sequence[Edit]], None]] = []
-        self._functions: tuple[Mapping[str, Function], dict[pyoxigraph.NamedNode, Function]] = ({}, {})
+        self._lines: dict[str, frozenset[str]] = {}
+        self._new_lines: dict[str, frozenset[str]] = {}
+        self._size = 0
+        self._numbers: dict[str, int] = {}
+        self._renewal: _Renewal | None = None
+        self._functions: tuple[Mapping[str, Function] | None, dict[NamedNode, Function]] = (None, {})
 
     @property
     def version(self) -> int:
         return self._version
 
-    @contextmanager
-    def still(self) -> Iterator[None]:
-        with self._changing:
-            yield
+    @property
+    def is_half_gone(self) -> bool:
+        """Whether the same graphs in a new store would take less than half the memory."""
+        return self._wear.is_half_gone
+
+    @property
+    def dataset(self) -> Store:
+        """The dataset itself. Whoever changes it must be a process that ends afterwards."""
+        return self._store
 
     def lookup(
-        self, subject: Term | None, predicate: pyoxigraph.NamedNode | None, object: Term | None, most: int
-    ) -> Sequence[pyoxigraph.Quad]:
-        """At most so many statements, of all graphs, with this subject, predicate and object (None: any)."""
-        place = cast("pyoxigraph.NamedNode | None", subject)
-        return [*islice(self._store.quads_for_pattern(place, predicate, object, None), most)]
+        self,
+        subject: Term | None,
+        predicate: NamedNode | None,
+        object: Term | None,
+        most: int,
+        graph: NamedNode | None = None,
+    ) -> list[Quad]:
+        """At most so many statements with this subject, predicate and object, in this graph (None: any)."""
+        place = cast("NamedNode | None", subject)
+        return [*islice(self._store.quads_for_pattern(place, predicate, object, graph), most)]
 
     def graphs(self) -> Collection[str]:
-        return [graph.value for graph in self._store.named_graphs() if isinstance(graph, pyoxigraph.NamedNode)]
+        return [graph.value for graph in self._store.named_graphs() if isinstance(graph, NamedNode)]
 
     def replace(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
         if not graphs and not edits:
             return
-        try:
-            self._carry_out(graphs, edits)
-        except SyntaxError:
-            # Most likely two texts use one label for a blank node, which one update cannot.
-            try:
-                self._carry_out(_relabelled(graphs), edits)
-            except SyntaxError as error:
-                raise ValueError(f"no N-Triples for {_first(graphs, edits)}: {error}") from error
-        # Drawn after the change: a version read before a query begins is never newer than what the query sees.
+        self._new_lines.clear()
+        steps = [*(self._replacement(*each) for each in graphs.items()), *map(self._edit, edits)]
+        for step in steps:
+            self._carry_out(step)
+        for name, text in graphs.items():
+            self._remember(name, text)
+        for edit in edits:
+            self._forget(edit.graph)
         self._version = next(self._versions)
-        for told in self._told:
-            told(graphs, edits)
+        if self._wear.is_due and self._renewal is None:
+            self._renewal = _Renewal(self._store)
+        self.renew()
 
-    def laid_open(self) -> pyoxigraph.Store:
-        """The dataset itself, for whoever may change it: a process of its own, which takes it along when it ends."""
-        return self._store
+    def replace_all(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> list[tuple[str, str]]:
+        """As `replace`, but a graph that cannot be stored hides no other: it is left out. These graphs, and why."""
+        try:
+            self.replace(graphs, edits)
+        except ValueError:
+            return [*self._refused(graphs, edits)]
+        return []
 
-    def watch(self, told: Callable[[Collection[str], Sequence[Edit]], None]) -> None:
-        """Call `told` after each change from now on, with the graphs replaced and the edits; in any thread."""
-        self._told.append(told)
+    def _refused(self, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> Iterator[tuple[str, str]]:
+        for name, text in graphs.items():
+            try:
+                self.replace({name: text})
+            except ValueError as error:
+                with suppress(ValueError):
+                    self.replace({name: None})
+                yield name, str(error)
+        for edit in edits:
+            try:
+                self.replace({}, [edit])
+            except ValueError as error:
+                yield edit.graph, str(error)
+
+    def renew(self) -> bool:
+        """Copy a slice of this store to the one that takes its place; whether there is more to copy."""
+        if self._renewal is None:
+            return False
+        if self._renewal.advance():
+            return True
+        self._store, self._renewal = self._renewal.store, None
+        self._wear.reset()
+        trim()
+        return False
 
     def ntriples(self, graph: str) -> str | None:
         """What a graph holds now, None where there is none of that name."""
-        node, store = pyoxigraph.NamedNode(graph), self._store
+        node, store = NamedNode(graph), self._store
         if not store.contains_named_graph(node):
             return None
-        held = store.dump(format=pyoxigraph.RdfFormat.N_TRIPLES, from_graph=node)
+        held = store.dump(format=RdfFormat.N_TRIPLES, from_graph=node)
         assert held is not None
-        return held.decode()
+        return decode_ntriples(held).decode()
 
-    def _carry_out(self, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> None:
-        with self._changing:
-            _change(self._store, graphs, edits)
-            if self._renewal is not None:
-                self._meanwhile.append((graphs, edits))
-            self._wear.replaced(graphs, edits)
-            if self._wear.worn and self._renewal is None:
-                self._renewal = threading.Thread(target=self._renew, name="store-renewal", daemon=True)
-                self._renewal.start()
-
-    def _renew(self) -> None:
-        """Have another store take over, with the same in it. Queries that have begun go on with the old one."""
-        try:
-            MEMORY.require(resident(), "a new dataset in place of one with many gaps")
-            new = pyoxigraph.Store()
-            new.load(self._store.dump(format=pyoxigraph.RdfFormat.N_QUADS), pyoxigraph.RdfFormat.N_QUADS)
-            for _ in range(_ROUNDS):
-                self._repeat(new)
-            with self._changing:
-                self._repeat(new)
-                self._store = new
-        except MemoryError as error:
-            _log.warning("the dataset goes on as it is: %s", error)
-        except Exception:  # what is there stays in use
-            _log.exception("the dataset cannot be renewed, and goes on as it is")
-        finally:
-            with self._changing:
-                self._wear.renewed()
-                self._meanwhile.clear()
-                self._renewal = None
-        _give_back()
-
-    def _repeat(self, new: pyoxigraph.Store) -> None:
-        """Carry out on the new store what was done to the old. What the copy had already is done once more: no harm."""
-        number = len(self._meanwhile)
-        for graphs, edits in self._meanwhile[:number]:
-            _change(new, graphs, edits)
-        del self._meanwhile[:number]
+    def count(self, graph: str, most: int) -> int:
+        """The number of triples of a graph, at most so many."""
+        return sum(1 for _ in islice(self._store.quads_for_pattern(None, None, None, NamedNode(graph)), most))
 
     def query(
         self,
@@ -155,84 +173,132 @@ class MemoryStore:
                 base_iri=base,
                 prefixes=dict(prefixes),
                 use_default_graph_as_union=not chosen,
-                default_graph=[*map(pyoxigraph.NamedNode, default_graphs)] if chosen else None,
-                named_graphs=[*map(pyoxigraph.NamedNode, named_graphs)] if chosen else None,
+                default_graph=[*map(NamedNode, default_graphs)] if chosen else None,
+                named_graphs=[*map(NamedNode, named_graphs)] if chosen else None,
                 custom_functions=self._named(functions),
             )
         except (SyntaxError, ValueError, RuntimeError) as error:
             raise QueryError(str(error)) from error
 
-    def _named(self, functions: Mapping[str, Function]) -> dict[pyoxigraph.NamedNode, Function]:
+    def _named(self, functions: Mapping[str, Function]) -> dict[NamedNode, Function]:
         """The functions by node; the last mapping asked for is kept, as it is nearly always the same."""
         known, named = self._functions
         if known is not functions:
-            named = {pyoxigraph.NamedNode(name): function for name, function in functions.items()}
+            both = {**functions, **FUNCTIONS}
+            named = {NamedNode(name): function for name, function in both.items()}
             self._functions = (functions, named)
         return named
 
+    # --- changes
 
-def _give_back() -> None:
-    """Let the system have the memory of what is no more.
+    def _replacement(self, name: str, text: str | None) -> _Step:
+        """What makes a graph say what a text says. Raises ValueError."""
+        graph = NamedNode(name)
+        if not text:
+            return _Step(graph, True, (), tuple, self._wear.size(name), 0)
+        before = self._lines.get(name)
+        if before is None:
+            added = self._reader(graph, text)
+            return _Step(graph, True, (), added, self._wear.size(name), text.count("\n"))
+        now = self._new_lines[name] = _lines(text)
+        gone, come = before - now, now - before
+        removed = [*self._read(graph, "".join(gone))]
+        quads = [*self._read(graph, "".join(come))]
+        return _Step(graph, False, removed, lambda: quads, len(gone), len(come))
 
-    The allocator keeps it for the thread that asked for it, and the next store is made by another thread.
-    """
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
-    if trim is not None:
-        trim(0)
+    def _edit(self, edit: Edit) -> _Step:
+        """Raises ValueError."""
+        graph = NamedNode(edit.graph)
+        removed = [*self._read(graph, edit.removed)]
+        added = self._reader(graph, edit.added)
+        return _Step(graph, False, removed, added, len(removed), edit.added.count("\n"))
+
+    def _reader(self, graph: NamedNode, text: str) -> Callable[[], Iterable[Quad]]:
+        """What reads a text that has been checked. Raises ValueError."""
+        if len(text) < _LARGE:
+            quads = [*self._read(graph, text)]
+            return lambda: quads
+        deque(self._read(graph, text), maxlen=0)
+        return lambda: self._read(graph, text)
+
+    def _read(self, graph: NamedNode, text: str) -> Iterator[Quad]:
+        """The quads of N-Triples within a graph. Raises ValueError."""
+        if not text:
+            return
+        if "_:" in text:
+            label = f"_:g{self._numbers.setdefault(graph.value, len(self._numbers))}-"
+            text = _LABEL.sub(lambda match: label if match[0] == "_:" else match[0], text)
+        try:
+            for subject, predicate, object, _ in parse(encode_ntriples(text).encode(), RdfFormat.N_TRIPLES):
+                yield Quad(subject, predicate, object, graph)
+        except (SyntaxError, UnicodeEncodeError) as error:
+            raise ValueError(f"no N-Triples for {graph.value!r}: {error}") from error
+
+    def _carry_out(self, step: _Step) -> None:
+        _apply(self._store, step)
+        self._wear.note(step.graph.value, step.lost, step.gained)
+        if self._renewal is not None:
+            self._renewal.note(step)
+
+    def _remember(self, name: str, text: str | None) -> None:
+        self._forget(name)
+        if not text or len(text) > _REMEMBERED_GRAPH:
+            return
+        self._lines[name] = self._new_lines.pop(name, frozenset()) or _lines(text)
+        self._size += len(text)
+        while self._size > _REMEMBERED:
+            self._forget(next(iter(self._lines)))
+
+    def _forget(self, name: str) -> None:
+        self._size -= sum(map(len, self._lines.pop(name, ())))
 
 
-class _Text:
-    """A file to be read, of pieces that are made as they are read."""
+class _Renewal:
+    """A new store that comes to hold what another holds, while that one changes."""
 
-    def __init__(self, pieces: Iterator[str]) -> None:
-        self._pieces = pieces
-        self._rest = b""
+    def __init__(self, old: Store) -> None:
+        self.store = Store()
+        self._old = old
+        self._left = dict.fromkeys(graph for graph in old.named_graphs() if isinstance(graph, NamedNode))
+        self._copied: Iterator[Quad] | None = None
+        self._later: list[_Step] = []
 
-    def read(self, size: int) -> bytes:
-        """Up to so many bytes; none at the end."""
-        while len(self._rest) < size:
-            found = [*islice(self._pieces, 64)]
-            if not found:
-                break
-            self._rest += "".join(found).encode()
-        taken, self._rest = self._rest[:size], self._rest[size:]
-        return taken
+    def advance(self) -> bool:
+        """Copy a slice; whether there is more."""
+        copied = 0
+        while self._left and copied < _SLICE:
+            graph = next(iter(self._left))
+            if self._copied is None:  # it sees the graph as it is now, whatever changes while it is copied
+                self._copied = self._old.quads_for_pattern(None, None, None, graph)
+                if self._old.contains_named_graph(graph):
+                    self.store.add_graph(graph)
+            part = [*islice(self._copied, _SLICE)]
+            self.store.extend(part)
+            copied += len(part) + 1
+            if len(part) < _SLICE:
+                for step in self._later:
+                    _apply(self.store, step)
+                self._later.clear()
+                self._copied = None
+                del self._left[graph]
+        return bool(self._left)
 
-
-def _change(store: pyoxigraph.Store, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> None:
-    """In one transaction, which the text of one update is, and one load."""
-    size = sum(len(text) for text in graphs.values() if text) + sum(len(edit.added) for edit in edits)
-    if size > _LARGE and _only_adds(store, graphs, edits):
-        source = cast("IO[bytes]", _Text(_blocks(_relabelled(graphs), edits)))
-        store.load(source, pyoxigraph.RdfFormat.TRIG)
-    else:
-        store.update("\n".join(operations(graphs, edits)))
-
-
-def _only_adds(store: pyoxigraph.Store, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> bool:
-    there = (store.contains_named_graph(pyoxigraph.NamedNode(name)) for name in graphs)
-    return not any(edit.removed for edit in edits) and not any(there)
-
-
-def _first(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> str:
-    names = [repr(name) for name in dict.fromkeys((*graphs, *(edit.graph for edit in edits)))]
-    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
-
-
-def _blocks(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> Iterator[str]:
-    """The same as TriG, where there is nothing but additions."""
-    for name, ntriples in (*graphs.items(), *((edit.graph, edit.added) for edit in edits)):
-        if ntriples:
-            yield f"{pyoxigraph.NamedNode(name)}{{{ntriples}}}\n"
+    def note(self, step: _Step) -> None:
+        """This was done to the old store."""
+        if step.graph not in self._left:
+            _apply(self.store, step)
+        elif self._copied is not None and step.graph == next(iter(self._left)):
+            self._later.append(step)
 
 
-def _relabelled(graphs: Mapping[str, str | None]) -> dict[str, str | None]:
-    """The same graphs with labels of blank nodes that no two of them share."""
-    return {
-        name: _with_label(text, f"_:g{at}-") if text and "_:" in text else text
-        for at, (name, text) in enumerate(graphs.items())
-    }
+def _apply(store: Store, step: _Step) -> None:
+    if step.drop:
+        store.remove_graph(step.graph)
+    for quad in step.removed:
+        store.remove(quad)
+    store.extend(step.added())
 
 
-def _with_label(text: str, label: str) -> str:
-    return _LABEL.sub(lambda match: label if match[0] == "_:" else match[0], text)
+def _lines(text: str) -> frozenset[str]:
+    """Each with its end. Only a line feed ends one (RDF 1.1 N-Triples, 2): Python knows more."""
+    return frozenset(f"{line}\n" for line in text.split("\n") if line)

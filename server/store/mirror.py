@@ -27,7 +27,6 @@ from rosld.ontology.triples import moment as instant
 from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.store.base import Edit
 from rosld.server.store.endpoint import Refused, StoreError
-from rosld.server.store.memory import MemoryStore
 from rosld.server.store.ntriples import parts
 from rosld.server.store.pending import Pending, Taken
 from rosld.server.store.remote import RemoteStore
@@ -77,6 +76,22 @@ class Territory(Protocol):
         ...
 
 
+class Source(Protocol):
+    """The dataset that is told. `graphs` and `ntriples` are called in any thread, and raise StoreError."""
+
+    def watch(self, told: Callable[[Collection[str], Sequence[Edit]], None], begun: Callable[[], None]) -> None:
+        """Call `told` with the names of graphs that are replaced and with edits, `begun` when all begins anew."""
+        ...
+
+    def graphs(self) -> Collection[str]:
+        """The names of all graphs."""
+        ...
+
+    def ntriples(self, graph: str) -> str | None:
+        """What a graph holds now, None where there is none of that name."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Status:
     """How far a mirror is. `lag` is the age, in seconds, of the oldest change that is not there yet; 0 for none.
@@ -114,7 +129,7 @@ class Mirror:
 
     def __init__(
         self,
-        source: MemoryStore,
+        source: Source,
         target: RemoteStore,
         territory: Territory,
         refresh: Callable[[], Awaitable[None]],
@@ -145,7 +160,11 @@ class Mirror:
         self._ending = False
         self._unrefreshed = False
         self._round: asyncio.Future[bool] | None = None
-        source.watch(self._pending.note)
+        source.watch(self._pending.note, self._forget)
+
+    def _forget(self) -> None:
+        """The dataset begins anew: what goes is not told any more, so everything is."""
+        self._whole = False
 
     @property
     def status(self) -> Status:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping, Sequence
 from itertools import count
 from urllib.parse import urlencode
 
@@ -24,7 +23,7 @@ _UPDATE = "application/sparql-update"
 class RemoteStore:
     """A `Store` that others may use too. Raises StoreError where its endpoints do not do what they are asked.
 
-    `version` and `still` concern what is changed through this object alone. A replacement is one request, which is one
+    `version` concerns what is changed through this object alone. A replacement is one request, which is one
     transaction where the server makes it one (SPARQL 1.1 Update 2.2); Oxigraph does. Asking Oxigraph, the default graph
     is the union of all graphs, as the contract has it; other servers have a setting for that.
     """
@@ -61,11 +60,6 @@ class RemoteStore:
         """End the requests that are under way, from another thread: they raise Unreachable."""
         self._query.interrupt()
         self._update.interrupt()
-
-    @contextmanager
-    def still(self) -> Iterator[None]:
-        with self._changing:
-            yield
 
     def graphs(self) -> Collection[str]:
         return self.graphs_below("")

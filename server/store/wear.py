@@ -1,4 +1,4 @@
-"""Wear: what a store in memory still carries of what was replaced.
+"""What a store in memory still carries of triples that are gone.
 
 Oxigraph frees nothing in memory. A triple that goes stays in the lists of its graph, its subject and so on, and whoever
 looks through one of these walks past it: a graph that is replaced ten thousand times takes milliseconds to look at. The
@@ -8,9 +8,6 @@ one remedy is a new store, which costs as much as all that is there.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-
-from rosld.server.store.base import Edit
 
 _FREE = 4000
 """Triples that a store may have without anything being worth a thought."""
@@ -31,32 +28,32 @@ class Wear:
         self._walked = 0
 
     @property
-    def worn(self) -> bool:
+    def is_due(self) -> bool:
         """Whether walking past what is no more has cost as much as a new store would, or it takes too much memory."""
         size = max(self._size, _FREE)
         return self._walked > _STEPS * size or self._lost > _MOST * size
 
-    def replaced(self, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> None:
-        """Take note of a change."""
-        for iri, text in graphs.items():
-            before, now = self._sizes.pop(iri, 0), text.count("\n") if text else 0
-            if now:
-                self._sizes[iri] = now
-            self._size += now - before
-            self._lose(iri, before)
-            self._walked += self._gone[iri]
-        for edit in edits:
-            added, removed = edit.added.count("\n"), edit.removed.count("\n")
-            self._sizes[edit.graph] = max(0, self._sizes.get(edit.graph, 0) + added - removed)
-            self._size += added - removed
-            self._lose(edit.graph, removed)
+    @property
+    def is_half_gone(self) -> bool:
+        """Whether a new store would take less than half the memory."""
+        return self._lost > max(self._size, _FREE)
 
-    def renewed(self) -> None:
+    def size(self, graph: str) -> int:
+        """The lines of a graph."""
+        return self._sizes.get(graph, 0)
+
+    def note(self, graph: str, lost: int, gained: int) -> None:
+        """So many lines of a graph went, and so many came."""
+        self._sizes[graph] = max(0, self.size(graph) + gained - lost)
+        if not self._sizes[graph]:
+            del self._sizes[graph]
+        self._size += gained - lost
+        if lost:
+            self._gone[graph] += lost
+            self._lost += lost
+            self._walked += self._gone[graph]
+
+    def reset(self) -> None:
         """What is no more is gone for good."""
         self._gone.clear()
         self._lost = self._walked = 0
-
-    def _lose(self, iri: str, lines: int) -> None:
-        if lines:
-            self._gone[iri] += lines
-            self._lost += lines

@@ -137,6 +137,21 @@ def test_a_service_describes_itself_and_says_what_it_takes(aircraft: Any) -> Non
 # Receiving
 
 
+def test_what_is_well_known_is_a_container_to_which_what_is_below_it_leads_up(
+    aircraft: Any, triples_of: Callable[..., Any]
+) -> None:
+    http, url = aircraft.http, f"{aircraft.url}.well-known/"
+    assert http.get("/.well-known").headers["location"] == url
+    answer = http.get("/.well-known/", headers={"Accept": "text/turtle"})
+    contained = {each.object.value for each in triples_of(answer) if each.predicate.value.endswith("ldp#contains")}
+    assert contained == {f"{url}solid", f"{url}wot"}
+    assert all(http.get(each).status_code == 200 for each in contained)
+    page = http.get("/.well-known/solid", headers={"Accept": "text/html"})
+    assert f'href="{url}"' in page.text or 'href="/.well-known/"' in page.text
+    assert http.get("/.well-known/", headers={"Accept": "text/html"}).status_code == 200
+    assert http.get("/.well-known/other").status_code == 404
+
+
 def test_a_live_topic_notifies_over_a_websocket_no_faster_than_its_rate(serve: Callable[..., Any]) -> None:
     served = serve("aircraft")
     channel = subscribed(served, SPEED, rate="PT0.3S")

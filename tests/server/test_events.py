@@ -302,10 +302,11 @@ def test_a_reader_who_hangs_up_is_forgotten_and_others_go_on(aircraft: Any) -> N
         assert next(found).name == "message"
 
 
-def test_three_hundred_readers_get_every_value_in_time(aircraft: Any) -> None:
+def test_three_hundred_readers_get_every_value_in_time(serve: Callable[..., Any]) -> None:
+    served = serve("aircraft", "--setting", "client_streams", "300")
     with ExitStack() as stack:
         limits = httpx.Limits(max_connections=None)
-        http = stack.enter_context(httpx.Client(base_url=aircraft.url, timeout=20, limits=limits))
+        http = stack.enter_context(httpx.Client(base_url=served.url, timeout=20, limits=limits))
         many = [
             events(stack.enter_context(http.stream("GET", f"{SPEED}?rate=100", headers=STREAM))) for _ in range(300)
         ]

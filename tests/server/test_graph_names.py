@@ -28,13 +28,14 @@ STORE = "http://robot:8080/under/graphs"
     ],
 )
 def test_a_graph_is_named_by_an_iri(query: bytes, graph: str) -> None:
-    assert named(query, STORE) == Named(graph, False, "")
+    assert named(query, STORE) == Named(graph, False, False, "")
 
 
 def test_all_other_parameters_are_kept() -> None:
-    assert named(b"a=1%20%26&graph=urn:x:y&b", STORE) == Named("urn:x:y", False, "a=1+%26&b=")
-    assert named(b"format=nt&default", STORE) == named(b"default=&format=nt", STORE) == Named(None, True, "format=nt")
-    assert named(b"", STORE) == Named(None, False, "")
+    assert named(b"a=1%20%26&graph=urn:x:y&b", STORE) == Named("urn:x:y", False, False, "a=1+%26&b=")
+    the_default_graph = Named(None, True, False, "format=nt")
+    assert named(b"format=nt&default", STORE) == named(b"default=&format=nt", STORE) == the_default_graph
+    assert named(b"", STORE) == Named(None, False, False, "")
 
 
 @pytest.mark.parametrize(

@@ -271,7 +271,7 @@ def test_holds_are_in_sparql_on_their_topic_and_in_its_stream(driven: Driven, ht
         f"<{ROS}publishRate> ?rate }}"
     )
     found = http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"}).text.splitlines()[1:]
-    assert found == [f"{http.base_url}topics/drive,anybody,50"]
+    assert found == [f"{http.base_url}topics/drive,anybody,50.0"]
     assert says(http, f"/topics{DRIVE}", f"{ROS}heldBy") == [f"<{hold}>"]
     assert f"<{http.base_url}holds/>" in says(http, "/", "http://www.w3.org/ns/ldp#contains")
     with http.stream("GET", hold, headers={"Accept": "text/event-stream"}) as stream:

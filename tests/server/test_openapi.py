@@ -84,7 +84,9 @@ def disagreements(http: httpx.Client) -> dict[str, tuple[set[str], set[str]]]:
         assert answer.status_code == 204, (path, answer.text)
         allowed = set(answer.headers["allow"].split(", "))
         if path.endswith("/described"):
-            allowed |= {"GET", "POST", "PATCH", "DELETE"} if "PUT" in allowed else set()  # what may come to be there
+            allowed |= (
+                {"GET", "HEAD", "POST", "PATCH", "DELETE"} if "PUT" in allowed else set()
+            )  # what may come to be there
         if path in ("/queries/String", "/shapes/String") and "PUT" in allowed:
             allowed |= {"DELETE"} if path.startswith("/queries/") else {"DELETE", "PATCH"}
         if path.startswith("/resources/") and http.get(path).status_code == 404:  # it is not on offer now
@@ -92,6 +94,10 @@ def disagreements(http: httpx.Client) -> dict[str, tuple[set[str], set[str]]]:
             continue
         if path.startswith("/topics/") and "PUT" in allowed:
             allowed |= {"DELETE"}  # allowed once something was published
+        if "GET" in methods - allowed and http.get(path).status_code == 404:  # what may come to be there is described
+            if allowed == {"OPTIONS"}:  # not by a write to its URL
+                continue
+            allowed |= {"GET", "HEAD"}
         if allowed != methods:
             found[path] = (methods, allowed)
     return found

@@ -74,6 +74,18 @@ def test_merge_patch_of_a_tree_sets_and_deletes(plane: httpx.Client) -> None:
     assert plane.get("/parameters/tree/", headers=JSON).json() == {"a": 10, "c": 3}
 
 
+def test_a_patch_takes_away_what_a_client_spells_otherwise(plane: httpx.Client) -> None:
+    said = {1: ("01", "integer"), 2.5: ("2.50e0", "double"), False: ("0", "boolean")}
+    for value, (spelt, datatype) in said.items():
+        plane.put("/parameters/p", json=value)
+        old = f'<> ros:value "{spelt}"^^<http://www.w3.org/2001/XMLSchema#{datatype}>'
+        ros = "PREFIX ros: <https://w3id.org/rosld#>"
+        update = f"{ros} DELETE DATA {{ {old} }} ; INSERT DATA {{ <> ros:value 'new' }}"
+        patched = plane.patch("/parameters/p", content=update, headers={"Content-Type": "application/sparql-update"})
+        assert patched.status_code == 204, patched.text
+        assert plane.get("/parameters/p", headers=JSON).json() == "new"
+
+
 def test_a_value_never_wipes_out_others_unasked(plane: httpx.Client) -> None:
     plane.put("/parameters/tree/a", json=1)
     assert plane.put("/parameters/tree", json=5).status_code == 409

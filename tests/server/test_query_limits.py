@@ -6,10 +6,10 @@ import os
 import select
 import signal
 import socket
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlsplit
 
@@ -17,9 +17,9 @@ import httpx
 import pytest
 from pyoxigraph import Literal, NamedNode, RdfFormat, parse
 
-from rosld.server.sparql import child
+from tests.server.sparql.processes import children_of, query_processes
 
-pytestmark = pytest.mark.skipif(not child.AVAILABLE, reason="only Linux forks safely")
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="it looks at /proc")
 
 # `Served` of conftest.py arrives as what its fixture starts.
 Served = Any
@@ -48,8 +48,7 @@ def narrow(start_server: Callable[..., Served]) -> Served:
 
 def children(served: Served) -> set[int]:
     """The processes of queries."""
-    tasks = Path(f"/proc/{served.process.pid}/task")
-    return {int(pid) for file in tasks.glob("*/children") for pid in file.read_text().split()}
+    return set().union(*(children_of(pid) for pid in query_processes(served)))
 
 
 def quiet(served: Served) -> None:

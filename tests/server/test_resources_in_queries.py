@@ -16,6 +16,8 @@ from tests.server.robots.made_up import MadeUp, Serving
 from tests.waiting import until
 
 EX, mapped = asking.EX, asking.mapped
+READ_DEADLINE = 2.0
+"""Seconds for a getter, of which the ones that answer need little even on a busy machine."""
 HAND = """
 <#hand> a map:ComplexResource ; map:path "/arm/hand/" ; map:existsWhen <#manual> ;
   map:property [ map:predicate ex:width ; map:member "width" ] ;
@@ -116,7 +118,6 @@ def test_values_are_as_of_each_query(arm: MadeUp, serving: Serving) -> None:
         "?x a ros:Goal ; td:hasActionAffordance ?a",
         "<topics/arm/state> rdf:value ?x",
         "GRAPH <topics/arm/state> { ?x a ros:ComplexResource }",
-        "VALUES ?x { <nodes/arm> } ?x rdf:value ?v",
     ],
 )
 def test_queries_that_speak_of_something_else_call_no_getter(arm: MadeUp, serving: Serving, where: str) -> None:
@@ -129,10 +130,10 @@ def test_getters_that_hang_hold_a_query_up_once_and_together(arm: MadeUp, servin
     for number in range(30):
         arm.variable(f"/arm/stuck{number}", "Byte", value=0)
         arm.hold(f"/arm/get_stuck{number}")
-    http = serving(read_deadline=0.5)
+    http = serving(read_deadline=READ_DEADLINE)
     began = time.monotonic()
     assert "9" in found(http, "?p a ros:Property ; rdf:value ?x")
-    assert time.monotonic() - began < 0.5 * 15, "they were waited for one after the other"
+    assert time.monotonic() - began < READ_DEADLINE * 15, "they were waited for one after the other"
     assert len(found(http, "?x a ros:Property ; ros:unreadable ?why")) == 30
     for number in range(30):
         arm.release(f"/arm/get_stuck{number}")

@@ -8,7 +8,7 @@ import struct
 import threading
 import time
 import xmlrpc.server
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -110,6 +110,11 @@ def held_megabytes() -> int:
     return max(granted, permitted(), 2 * MEGABYTE) // MEGABYTE
 
 
+def longest(lines: Sequence[str]) -> float:
+    """The longest wait that a steady node told of, in seconds."""
+    return max(float(line.split()[1]) for line in lines)
+
+
 def test_while_rosld_is_suspended_for_a_second_no_publisher_waits(ros: RosSystem, serve: Callable[..., Any]) -> None:
     rate = min(30, held_megabytes())
     steady = ros.node("steady_node.py", "/steady", str(MEGABYTE), str(rate))
@@ -117,9 +122,10 @@ def test_while_rosld_is_suspended_for_a_second_no_publisher_waits(ros: RosSystem
     until(lambda: steady.seen[-1].endswith(" 1"), "rosld reads")
     time.sleep(3)  # what it takes to learn how much comes in
     told = len(steady.seen)
+    usual = longest(steady.seen[1:])  # on a busy machine a node waits for others, too
     served.process.send_signal(signal.SIGSTOP)
     time.sleep(1.2)
     served.process.send_signal(signal.SIGCONT)
     until(lambda: len(steady.seen) > told + 4, "what the publisher noticed")
-    assert max(float(line.split()[1]) for line in steady.seen[told:]) < 0.5
+    assert longest(steady.seen[told:]) < 0.5 + min(usual, 0.5)
     assert steady.seen[-1].endswith(" 1")

@@ -1,35 +1,76 @@
-"""Short of memory: what there is none for is refused, and the server lives."""
+"""Short of memory: what there is none for is refused, and the server and its query process live.
+
+Each is limited by itself: to the address space that it has, the margin, and a few MiB.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import pickle
 import random
+import resource
 import shutil
-from collections.abc import Callable, Iterator
+import sys
+import time
+from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
+from typing import BinaryIO, NamedTuple
 
 import httpx
 import pytest
+from pyoxigraph import RdfFormat
 
-from rosld.server.memory import MARGIN, Memory, NotEnoughMemory, available, is_shortage, of_groups
+from rosld.server.http.problem import Problem
+from rosld.server.memory import GOOD_FOR, MARGIN, Memory, NotEnoughMemory, available, is_shortage, of_groups
+from rosld.server.sparql.limits import Limits
+from rosld.server.sparql.process.client import QueryProcess
+from rosld.server.sparql.process.work import Graphs
+from rosld.server.store import MemoryStore
 from tests.server.disks.server import Server, server_on
+from tests.server.sparql.processes import query_processes
 
-ADDRESS_SPACE = 1100 * 1024 * 1024
-"""Bytes: some hundred more than a server that has just started."""
-FEW = 760 * 1024 * 1024
+MIB = 1024 * 1024
+SPARE = 40 * MIB
+"""Bytes that a limited process may still take, beside the margin."""
+PATIENCE = 60.0
 TURTLE = {"Content-Type": "text/turtle"}
 UPDATE = {"Content-Type": "application/sparql-update"}
 COUNT = "SELECT (COUNT(*) AS ?n) WHERE { GRAPH ?g { ?s ?p ?o } }"
+SERVER, QUERIES = "the server", "the query process"
+
+on_linux = pytest.mark.skipif(sys.platform != "linux", reason="it limits processes, and looks at /proc")
 
 
 @pytest.fixture
 def server(tmp_path: Path) -> Iterator[Server]:
+    """A server that has done a bit of all by now: its threads and its heaps are there."""
     with server_on(tmp_path / "data", tmp_path / "log") as served:
+        served.start()
+        for _ in range(3):
+            assert put(served, "first", 500).status_code in {201, 204}
+            assert update(served, "second", 500).status_code == 204
+            assert asked(served).status_code == 200
         yield served
 
 
-def limited(server: Server) -> None:
-    """Start it with little memory."""
-    server.start(address_space=ADDRESS_SPACE)
+def address_space(pid: int) -> int:
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[0]) * resource.getpagesize()
+
+
+def limit(pid: int, spare: int = SPARE) -> int:
+    """Let a process take so much more than it has, beside the margin; the limit, which counts from then on."""
+    most = address_space(pid) + MARGIN + spare
+    resource.prlimit(pid, resource.RLIMIT_AS, (most, most))
+    time.sleep(GOOD_FOR)  # what was measured before is not gone by any more
+    return most
+
+
+def pid_of(server: Server, which: str) -> int:
+    assert server.process is not None
+    if which == SERVER:
+        return server.process.pid
+    [pid] = query_processes(server)
+    return pid
 
 
 def triples(number: int) -> str:
@@ -37,8 +78,29 @@ def triples(number: int) -> str:
     return "".join(f"<#s{chance.getrandbits(40)}> <http://e.org/p{i % 9}> {i} .\n" for i in range(number))
 
 
+def put(server: Server, name: str, number: int) -> httpx.Response:
+    return server.http.put(f"/data/{name}", content=triples(number), headers=TURTLE)
+
+
+def post(server: Server, name: str, number: int) -> httpx.Response:
+    return server.http.post("/data/", content=triples(number), headers={**TURTLE, "Slug": name})
+
+
+def update(server: Server, name: str, number: int) -> httpx.Response:
+    body = f"INSERT DATA {{ GRAPH <{server.http.base_url}data/{name}> {{ {triples(number)} }} }}"
+    return server.http.post("/sparql", content=body, headers=UPDATE)
+
+
 def asked(server: Server) -> httpx.Response:
-    return server.http.get("/sparql", params={"query": COUNT}, headers={"Accept": "text/csv"})
+    """The answer to a query, once the query process is there and filled, or cannot be."""
+    accept = "text/csv, application/problem+json;q=0.5"
+    until = time.monotonic() + PATIENCE
+    while True:
+        answer = server.http.get("/sparql", params={"query": COUNT}, headers={"Accept": accept})
+        is_starting = answer.status_code == 503 and answer.json()["reason"] == "starting"
+        if not is_starting or time.monotonic() > until:
+            return answer
+        time.sleep(0.1)
 
 
 def require_alive(server: Server) -> None:
@@ -48,66 +110,187 @@ def require_alive(server: Server) -> None:
     assert server.http.post("/stop").status_code in (200, 201, 204)
 
 
-def grow(server: Server, send: Callable[[int], httpx.Response], done: int) -> int:
+def require_lack_of_memory(answer: httpx.Response, status: int) -> None:
+    assert answer.status_code == status, answer.text
+    assert "MiB of memory" in answer.json()["detail"]
+    assert answer.json()["reason"] == "memory"
+
+
+def grow(server: Server, send: Callable[[Server, str, int], httpx.Response]) -> int:
     """Send more and more, with a query after each, until it is refused; how many were not."""
-    for number in range(1, 40):
-        answer = send(number)
+    queries = pid_of(server, QUERIES)
+    for number in range(9):
+        answer = send(server, str(number), 1000 * 2**number)
         query = asked(server)
-        assert query.status_code in {200, 503}, query.text
+        if query.status_code != 200:
+            require_lack_of_memory(query, 503)
         require_alive(server)
-        if answer.status_code != done:
-            assert answer.status_code in {503, 507}, answer.text
-            assert "memory" in answer.json()["detail"]
-            return number - 1
+        assert pid_of(server, QUERIES) == queries, server.log.read_text()[-3000:]
+        if answer.status_code not in {201, 204}:
+            require_lack_of_memory(answer, 507)
+            return number
     raise AssertionError("nothing was refused")
 
 
+@on_linux
 def test_documents_that_there_is_no_memory_for_are_refused_and_the_server_lives(server: Server) -> None:
-    limited(server)
-
-    def put(number: int) -> httpx.Response:
-        return server.http.put(f"/data/{number}", content=triples(min(9000 * number, 60_000)), headers=TURTLE)
-
-    made = grow(server, put, 201)
+    most = limit(pid_of(server, SERVER))
+    made = grow(server, put)
     assert made
-    assert server.http.put("/data/small", content="<> a <http://e.org/Small> .", headers=TURTLE).status_code == 201
+    require_lack_of_memory(post(server, "posted", 1000 * 2**made), 507)
+    assert put(server, "small", 1).status_code == 201
     server.kill()
-    limited(server)
-    assert {server.http.head(f"/data/{number + 1}").status_code for number in range(made)} == {200}
+    server.start(address_space=most)
+    assert {server.http.head(f"/data/{number}").status_code for number in range(made)} == {200}
     for _ in range(2):
-        assert asked(server).status_code in {200, 503}
+        query = asked(server)
+        if query.status_code != 200:
+            require_lack_of_memory(query, 503)
     require_alive(server)
-    assert server.http.delete("/data/1").status_code == 204
+    assert server.http.delete("/data/0").status_code == 204
 
 
-def test_an_index_that_there_is_no_memory_for_is_not_built_and_all_else_is_served(server: Server) -> None:
-    server.start()
+@on_linux
+@pytest.mark.parametrize("which", [SERVER, QUERIES])
+def test_updates_that_there_is_no_memory_for_are_refused_and_the_server_lives(server: Server, which: str) -> None:
+    limit(pid_of(server, which))
+    assert grow(server, update)
+    assert put(server, "small", 1).status_code == 201
+    require_alive(server)
+
+
+@on_linux
+@pytest.mark.parametrize("which", [SERVER, QUERIES])
+def test_an_index_that_there_is_no_memory_for_is_not_built_and_all_else_is_served(server: Server, which: str) -> None:
     for number in range(3):
-        answer = server.http.put(f"/data/{number}", content=triples(60_000), headers=TURTLE)
-        assert answer.status_code == 201, answer.text
-    server.kill()
-    server.start(address_space=FEW)
+        assert put(server, str(number), 30_000).status_code == 201
+    queries = pid_of(server, QUERIES)
+    limit(pid_of(server, which))
     for _ in range(2):
-        answer = asked(server)
-        assert answer.status_code == 503, answer.text
-        assert "MiB of memory" in answer.json()["detail"]
+        require_lack_of_memory(asked(server), 503)
         require_alive(server)
-    assert server.http.put("/data/small", content="<> a <http://e.org/Small> .", headers=TURTLE).status_code == 201
+    assert put(server, "small", 1).status_code == 201
     for number in range(3):
         assert server.http.delete(f"/data/{number}").status_code == 204
     answer = asked(server)
     assert answer.status_code == 200, answer.text + server.log.read_text()
+    assert pid_of(server, QUERIES) == queries
 
 
-def test_updates_that_there_is_no_memory_for_are_refused_and_the_server_lives(server: Server) -> None:
-    limited(server)
+@on_linux
+def test_many_small_changes_end_no_query_process_that_has_no_memory_left(server: Server) -> None:
+    queries = pid_of(server, QUERIES)
+    limit(queries)
+    refused = 0
+    for number in range(200):
+        assert put(server, str(number), 400).status_code == 201
+        answer = asked(server)
+        if answer.status_code != 200:
+            require_lack_of_memory(answer, 503)
+            refused += answer.json()["detail"].startswith("The dataset")
+        if refused == 10:
+            break
+    assert refused == 10
+    require_alive(server)
+    assert pid_of(server, QUERIES) == queries, server.log.read_text()[-3000:]
 
-    def update(number: int) -> httpx.Response:
-        graph = f"{server.http.base_url}data/{number}"
-        body = f"INSERT DATA {{ GRAPH <{graph}> {{ {triples(min(9000 * number, 60_000))} }} }}"
-        return server.http.post("/sparql", content=body, headers=UPDATE)
 
-    assert grow(server, update, 204)
+G = "http://h/g"
+LIMITS = Limits(20.0, 256 * MIB)
+
+
+class Starve(NamedTuple):
+    """Work that asks for more than there is, where an allocation that fails ends the process."""
+
+    def may_take_long(self, store: MemoryStore) -> bool:
+        return False
+
+    def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
+        text = lines(20_000)
+        most = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        store.dataset.load(text, RdfFormat.N_TRIPLES)  # all in native code
+
+
+def lines(number: int, first: int = 0) -> str:
+    return "".join(f"<http://h/s{i}> <http://h/p> <http://h/o> .\n" for i in range(first, first + number))
+
+
+async def graphs(process: QueryProcess) -> bytes:
+    return await process.result(Graphs(), LIMITS, time.monotonic() + LIMITS.seconds)
+
+
+def run(scenario: Callable[[QueryProcess], Awaitable[None]]) -> None:
+    async def whole() -> None:
+        process = QueryProcess(2, 4)
+        await process.start()
+        try:
+            await asyncio.wait_for(scenario(process), PATIENCE)
+        finally:
+            await process.close()
+
+    asyncio.run(whole())
+
+
+@on_linux
+def test_a_query_process_that_is_given_no_memory_is_replaced_and_its_query_is_told() -> None:
+    async def scenario(process: QueryProcess) -> None:
+        process.change({G: lines(10)})
+        assert G in pickle.loads(await graphs(process))
+        before = process.pid
+        with pytest.raises(Problem, match="ended before it was done") as told:
+            await process.result(Starve(), LIMITS, time.monotonic() + LIMITS.seconds)
+        assert told.value.status == 500
+        await process.ready(time.monotonic() + PATIENCE)
+        assert process.pid != before
+        assert pickle.loads(await graphs(process)) == []
+        process.change({G: lines(20_000)})
+        assert G in pickle.loads(await graphs(process))
+
+    run(scenario)
+
+
+@on_linux
+def test_a_query_process_is_sent_no_more_than_it_has_memory_for_with_what_is_on_its_way() -> None:
+    async def scenario(process: QueryProcess) -> None:
+        await graphs(process)
+        assert process.pid is not None
+        limit(process.pid)
+        before, sent = process.pid, 0
+
+        def send() -> None:  # it makes few of these changes before all are sent
+            nonlocal sent
+            for number in range(100):
+                process.change({f"{G}{number}": lines(2000, 2000 * number)})
+                sent += 1
+
+        with pytest.raises(NotEnoughMemory, match="MiB of memory"):
+            send()
+        assert sent
+        process.change({f"{G}0": None})  # what makes room is never refused
+        assert len(pickle.loads(await graphs(process))) == sent - 1
+        assert process.pid == before
+
+    run(scenario)
+
+
+@on_linux
+def test_a_query_process_most_of_whose_memory_is_garbage_is_replaced_where_it_has_none_left() -> None:
+    async def scenario(process: QueryProcess) -> None:
+        started = asyncio.Event()
+        process.watch_start(started.set)
+        for number in range(3):  # what is gone is not freed
+            process.change({G: lines(10_000, 10_000 * number)})
+        await graphs(process)
+        assert process.pid is not None
+        limit(process.pid, -8 * MIB)
+        with pytest.raises(NotEnoughMemory):
+            process.change({G: lines(10_000)})
+        await started.wait()
+        process.change({G: lines(10_000)})
+        assert pickle.loads(await graphs(process)) == [G]
+
+    run(scenario)
 
 
 def test_what_may_be_taken_is_told_and_what_is_more_is_refused_with_both_sizes() -> None:

@@ -106,7 +106,7 @@ def test_a_query_subscribes_to_what_it_names_though_it_also_looks_at_anything(se
     }
     typed = {"query": f"SELECT ?v WHERE {{ ?m {data} ?v }}"}
     assert served.http.get("/sparql", params=query).status_code == 200
-    assert rows(served.http.get("/sparql", params=typed, headers={"Accept": "text/csv"})) == [["0"]]
+    assert rows(served.http.get("/sparql", params=typed, headers={"Accept": "text/csv"})) == [["0.0"]]
 
 
 @pytest.mark.parametrize(

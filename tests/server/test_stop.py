@@ -15,6 +15,7 @@ import pytest
 
 from rosld.adapters.base import Published
 from rosld.adapters.model import TypeRef
+from tests.server.robots.asking import mapped
 from tests.server.robots.made_up import MadeUp, served
 
 JSON = {"Accept": "application/json"}
@@ -337,3 +338,16 @@ def test_the_robot_is_stopped_while_queries_and_slow_calls_saturate_the_server(
         finally:
             over.set()
             robot.release("/arm/aim")
+
+
+def test_a_step_is_called_by_what_it_does_so_that_no_number_tells_how_many_there_are() -> None:
+    def steps(stops: str) -> set[str]:
+        with served(Stoppable()) as http:
+            mapped(http, f'<#arm> a map:ComplexResource ; map:path "/arm/" ; map:stop {stops} .')
+            query = f"SELECT ?step {{ ?stop ros:stopStep ?step . ?step ros:touches <{http.base_url}topics/drive> }}"
+            answer = http.get("/sparql", params={"query": query}, headers=JSON).json()
+            return {row["step"]["value"].partition("#")[2] for row in answer["results"]["bindings"]}
+
+    alone, last = steps('[ map:publish "/drive" ]'), steps('[ map:call "brake" ] , [ map:publish "/drive" ]')
+    assert len(alone) == 1
+    assert alone == last

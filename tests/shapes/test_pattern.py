@@ -94,6 +94,6 @@ def test_what_is_taken_is_quick_on_long_texts(text: str, stuff: str, anchored: b
     except ValueError:
         return
     long = (stuff * 3000)[: min(found.longest, 3000)] + "?"
-    began = time.perf_counter()
+    began = time.thread_time()
     re.compile(text).search(long)
-    assert time.perf_counter() - began < 10
+    assert time.thread_time() - began < 10

@@ -45,7 +45,10 @@ def asked_model(exchange: Exchange, url: str, *, container: bool) -> Model:
 
 def require_model(exchange: Exchange, model: Model, url: str) -> None:
     """Raise a 409 Problem where a request asks to turn a resource into one of another model (LDP 4.2.3, 5.2.3.4)."""
-    types = (link.target for link in _links(exchange) if "type" in link.rel.lower().split())
+    links = _links(exchange)
+    if not links:
+        return
+    types = (link.target for link in links if "type" in link.rel.lower().split())
     asked = {target for target in types if target.startswith(ldp.iri)}
     if not asked <= {kind.value for kind in rdf_types(model)}:
         raise Problem(409, f"This is an ldp:{model.value}, and stays one: make another resource for another model.")
@@ -77,7 +80,7 @@ async def as_statements(triples: Sequence[Triple], subject: str) -> Statements:
     if isinstance(triples, Statements):
         return triples
     if len(triples) <= MOST_PATCHED:
-        return stated(written(triples))
+        return stated([*triples])
     return await asyncio.to_thread(lambda: looked_through(written(triples), subject))
 
 

@@ -25,8 +25,12 @@ from rosld.server.store import Edit
 
 _PAGE = 200
 """Changed records looked at before the loop gets its turn: some milliseconds."""
+_MORE = 20
+"""Pages of what changed while others were looked at."""
 _MEMBERS = 1000
 """Members listed before the loop gets its turn."""
+_ROBOTS = frozenset({"topics", "parameters", "resources", "nodes", "services", "actions"})
+"""Rooms in which clients keep nothing."""
 _OVERHEAD = 600
 """About how many characters the server adds to what a record says."""
 
@@ -58,6 +62,16 @@ class RecordGraphs:
     def version(self) -> int:
         """The number of the last change."""
         return self._records.version
+
+    def last_change(self, graph: str) -> int:
+        """When what this graph says last changed, as far as that is known at once."""
+        path = graph[len(self._base) :] if graph.startswith(self._base) else ""
+        if not path or path.partition("/")[0] in _ROBOTS:
+            return 0
+        record = self._records.get(path)
+        if record is None and path.endswith(META):
+            record = self._records.get(path.removesuffix(META))
+        return self._records.version if record is None else max(record.version, record.listed)
 
     def changes(self, after: int) -> Iterator[Changes]:
         """What changed after a version, in parts."""
@@ -108,24 +122,28 @@ class _Search:
         self._size = 0
 
     def parts(self) -> Iterator[Changes]:
-        """Until nothing has changed any more. What changes meanwhile comes up once more."""
-        last = self._after
+        """Until nothing has changed any more, so that no write is told in part; where writes never end, until some
+
+        time after what had changed at first. What changes meanwhile comes up once more, in this search or the next.
+        """
+        last, now, more = self._after, self._records.version, _MORE
         while True:
-            page = self._records.changed(last, most=_PAGE)
+            page = self._records.changed(last, most=_PAGE) if last < now or more else ()
             if page:
+                more -= last >= now
                 last = page[-1].version
                 for changed in page:
                     self._look(changed)
-                yield self._part()
+                yield self._part(last)
             elif self._due:
                 path = next(iter(self._due))
                 del self._due[path]
-                yield from self._container(path)
+                yield from self._container(path, last)
             else:
                 return
 
-    def _part(self) -> Changes:
-        part = Changes(self._graphs, self._edits, self._size)
+    def _part(self, reached: int, unfinished: str | None = None) -> Changes:
+        part = Changes(self._graphs, self._edits, self._size, reached, unfinished)
         self._graphs, self._edits, self._size = {}, [], 0
         return part
 
@@ -177,7 +195,7 @@ class _Search:
         else:
             self._edit(container.path, self._lines(container, [(path, record.member)]))
 
-    def _container(self, path: str) -> Iterator[Changes]:
+    def _container(self, path: str, reached: int) -> Iterator[Changes]:
         """A container, and then its members in pages. If it changes meanwhile, it comes up once more."""
         container = self._records.get(path)
         if container is None:
@@ -193,8 +211,8 @@ class _Search:
             number = found[-1].number
             self._edit(path, self._lines(container, [(each.path, each.member) for each in found]))
             if len(found) == _MEMBERS:
-                yield self._part()
-        yield self._part()
+                yield self._part(reached, self._base + path)
+        yield self._part(reached)
 
     def _lines(self, container: Record, members: Sequence[tuple[str, str | None]]) -> str:
         """What a container says of members: their paths, and what stands for each in its membership triples."""

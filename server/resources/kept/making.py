@@ -30,31 +30,37 @@ async def made(kept: Kept, model: Model, exchange: Exchange, blob: Blob | None, 
     robot, path = kept.robot, kept.path
     if model is Model.NON_RDF_SOURCE:
         require_free(robot, path)
-        put = Put(path, model, blob=blob, expected=0)
+        put = Put(path, model, blob=blob, expected=0, unused=unused)
         writes = [*_ways_to(robot, path), await _as_member(robot, put, NOTHING, kept.url)]
     else:
-        writes = await making(robot, path, model, await statements(robot, exchange, kept.url, kept.url))
-    record = (await kept_together(robot, [*writes[:-1], replace(writes[-1], unused=unused)]))[-1]
+        stated = await statements(robot, exchange, kept.url, kept.url)
+        writes = await making(robot, path, model, stated, unused=unused)
+    record = (await kept_together(robot, writes))[-1]
     assert record is not None
     return record
 
 
-async def making(robot: Robot, path: str, model: Model, triples: Sequence[Triple]) -> list[Put]:
+async def making(
+    robot: Robot, path: str, model: Model, triples: Sequence[Triple], *, unused: bool = False
+) -> list[Put]:
     """The writes that make an RDF source or a container that says these triples, the last being its own.
 
+    With `unused` that one is done only where nothing was ever at its path.
     Raises 409 Problems for a name that is taken, and for containment that is stated; 422 for triples about triples.
     """
     require_free(robot, path)
     url = robot.space.base + path
     stated = await as_statements(triples, url)
-    managed, kept = managed_of(stated.managed, url, model), stated.kept
+    managed = managed_of(stated.managed, url, model)
     if managed:
         if contained(managed, url):
             raise Problem(409, "A new container contains nothing: leave ldp:contains away, and POST its members to it.")
         require_classes(managed, model)
         work = partial(own, stated, url, model, frozenset[Triple](), first_times(managed))
         kept = await robot.workers.run(work) if stated.is_large else work()
-    put = Put(path, model, kept, membership=membership_of(managed, url, model), expected=0)
+    else:
+        kept = stated.kept
+    put = Put(path, model, kept, membership=membership_of(managed, url, model), expected=0, unused=unused)
     return [*_ways_to(robot, path), await _as_member(robot, put, stated, url)]
 
 

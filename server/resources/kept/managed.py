@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from pyoxigraph import Literal, NamedNode, Triple
 
@@ -26,8 +26,10 @@ _MILLISECOND = 1_000_000
 """Nanoseconds: many clients know times no better, JavaScript's do not."""
 
 
-def managed_of(triples: Iterable[Triple], url: str, model: Model) -> list[Triple]:
+def managed_of(triples: Sequence[Triple], url: str, model: Model) -> list[Triple]:
     """Those of the triples by which a body says of the resource at `url` what is the server's to say."""
+    if not triples:
+        return []
     subject = NamedNode(url)
     return [each for each in triples if each.subject == subject and is_managed(each.predicate, each.object, model)]
 

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 from pyoxigraph import Triple
 
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Location
+from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.patch import deletes
 from rosld.server.ldp.plan import Keep
 from rosld.server.ldp.resource import (
+    ABSENT,
     RDF_BODIES,
-    READ,
     SPARQL_UPDATE,
     Answer,
     Created,
@@ -32,6 +33,7 @@ from rosld.server.resources.kept.bodies import asked_model, received, require_mo
 from rosld.server.resources.kept.containers import creation, resource_of
 from rosld.server.resources.kept.files import KeptFile
 from rosld.server.resources.kept.making import making, require_free
+from rosld.server.resources.kept.merging import unite
 from rosld.server.resources.kept.showing import shown
 from rosld.server.resources.kept.sources import DescriptionResource
 from rosld.server.resources.kept.stated import N3_PATCH, is_light, patched
@@ -53,22 +55,38 @@ class AbsentResource(Kept):
     def __init__(self, robot: Robot, path: str) -> None:
         super().__init__(robot, path)
         puts = RDF_BODIES if path.endswith("/") else self.makes
-        self.accepts = {"PUT": puts, "PATCH": _PATCHES} if RDF_BODIES[0] in puts else {"PUT": puts}
+        self.accepts: Mapping[str, Sequence[str]] = {"PUT": puts}
+        if RDF_BODIES[0] in puts:
+            self.accepts = {"PUT": puts, "PATCH": _PATCHES}
+            if not path.endswith("/"):  # where a container is missing, what POST would make is one of its members
+                self.accepts |= {"POST": (*RDF_BODIES, MULTIPART)}
 
     def methods(self) -> frozenset[str]:
-        return READ if self.robot.settings.read_only else READ | self.accepts.keys()
+        return ABSENT if self.robot.settings.read_only else ABSENT | self.accepts.keys()
 
     async def narrowed(self, exchange: Exchange) -> Resource:
-        may_make = exchange.method in ("PUT", "OPTIONS")
-        may_make = may_make or (exchange.method == "PATCH" and exchange.essence in self.accepts.get("PATCH", ()))
+        method = exchange.method
+        may_make = method in ("PUT", "OPTIONS") or exchange.essence in self.accepts.get(method, ())
         if not may_make:
             raise self._missing(exchange)
+        if method == "POST":
+            await self.merge_into(exchange)
         return self
+
+    async def merge_into(self, exchange: Exchange) -> None:
+        """Have a POST make an RDF source, or be merged into what others make here meanwhile (Graph Store Protocol 5.5).
+
+        Raises what `unite` raises.
+        """
+        if exchange.essence == MULTIPART:
+            await unite(self.robot, exchange, self.url)
+        self.merges = True
+        exchange.method = "PUT"
 
     def _missing(self, exchange: Exchange) -> Problem:
         """That nothing is here, and for those who may make something what that may be."""
         problem = missing(self.robot, self.path)
-        if problem.status in (404, 410) and self.methods() > READ and exchange.judge.may("PUT", self.url):
+        if problem.status in (404, 410) and self.methods() > ABSENT and exchange.judge.may("PUT", self.url):
             problem.headers |= {name: value for name, value in standing_headers(self).items() if name != "link"}
         return problem
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 
 from pyoxigraph import Triple
@@ -76,9 +75,9 @@ class SourceResource(Kept):
         triples = await statements(self.robot, exchange, self.document_url, self._subject)
 
         async def replaced(record: Record) -> Write:
-            put = await self.with_triples(record, triples)
             whole = record.model is Model.RDF_SOURCE and not exchange.is_conditional
-            return replace(put, expected=None) if whole else put  # the last one counts, whatever was there
+            expected = None if whole else record.version  # the last one counts, whatever was there
+            return await self.with_triples(record, triples, expected)
 
         await self.change(exchange, replaced)
         return done()
@@ -94,7 +93,8 @@ class SourceResource(Kept):
             require_memory(before)
             work = partial(merged, before.describe, added, self._subject)
             is_large = added.is_large or before.is_large
-            return await self.with_triples(record, await self.robot.workers.run(work) if is_large else work())
+            stated = await self.robot.workers.run(work) if is_large else work()
+            return await self.with_triples(record, stated, record.version)
 
         await self.change(exchange, with_added)
         return done()
@@ -102,16 +102,20 @@ class SourceResource(Kept):
     async def patch(self, exchange: Exchange) -> Answer:
         self.require_guard(exchange)
         data, media_type, url = await exchange.body(), exchange.media_type, self.document_url
-        patch = await asyncio.to_thread(patch_of, data, media_type, url, MOST_PATCHED)
+
+        def patch(before: Sequence[Triple]) -> Sequence[Triple]:
+            return patch_of(data, media_type, url, MOST_PATCHED)(before)
 
         async def changed(record: Record) -> Write:
             before = shown(self.robot, record)
             require_memory(before)
             if not before.is_large:
                 with suppress(Grown):
-                    return await self.with_triples(record, await self._patched(patch, before.document.triples))
+                    said = before.document.triples
+                    after = await self._patched(patch, said)
+                    return await self.with_triples(record, after, record.version, frozenset(said))
             work = partial(patched, before.describe, data, media_type, url, self._subject)
-            return await self.with_triples(record, await self.robot.workers.run(work))
+            return await self.with_triples(record, await self.robot.workers.run(work), record.version)
 
         await self.change(exchange, changed)
         return done()
@@ -129,7 +133,8 @@ class SourceResource(Kept):
             raise Problem(403, self.why_not(method))
         if triples is None:
             return Keep(f"delete {self.title}", (Remove(self.path, self.there().version),))
-        return Keep(f"store {self.title}", (await self.with_triples(self.there(), triples),))
+        record = self.there()
+        return Keep(f"store {self.title}", (await self.with_triples(record, triples, record.version),))
 
     @property
     def document_url(self) -> str:
@@ -141,19 +146,29 @@ class SourceResource(Kept):
         """What the server says something of."""
         return self.robot.space.base + self.path
 
-    async def with_triples(self, record: Record, triples: Sequence[Triple]) -> Put:
-        """The record with these triples; those that are the server's to say must be as they are, or away."""
-        stated, url = await as_statements(triples, self._subject), self._subject
-        kept, managed = stated.kept, managed_of(stated.managed, url, record.model)
+    async def with_triples(
+        self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
+    ) -> Put:
+        """The record with these triples; those that are the server's to say must be as they are, or away.
+
+        The write expects the version `expected`, or whatever is there (None). What is `said` is known to be as it is.
+        """
+        url = self._subject
+        stated = await as_statements(triples, url)
+        managed = managed_of(stated.managed, url, record.model)
         times = b"".join(said_times(record, url))
         if record.membership is not None or managed or times:
-            require_contained(self.robot, record, managed)
-            require_as_it_is(managed, record, url)
-            if record.membership is not None:
-                require_membership(record.membership, managed, url)
+            new = [each for each in managed if each not in said] if said else managed
+            if new:
+                require_contained(self.robot, record, managed)
+                require_as_it_is(new, record, url)
+                if record.membership is not None:
+                    require_membership(record.membership, new, url)
             kept = await own_statements(self.robot, record, stated, times)
+        else:
+            kept = stated.kept
         member = await self._member(record, stated)
-        return Put(record.path, record.model, kept, record.blob, record.membership, member, expected=record.version)
+        return Put(record.path, record.model, kept, record.blob, record.membership, member, expected)
 
     async def _member(self, record: Record, stated: Statements) -> str | None:
         """What stands for it from now on in the membership triples of its container; None: what did before."""

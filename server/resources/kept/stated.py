@@ -36,26 +36,31 @@ _Term = TypeVar("_Term")
 
 
 class Statements(Sequence[Triple]):
-    """The triples of a body as they are kept; parsed when somebody looks at one, as for most bodies nobody does.
+    """The triples of a body, given as they are kept or as triples: each is made of the other when somebody looks at it.
 
     `managed` are those about the resource that the server manages, where they were looked for already.
     """
 
-    def __init__(self, kept: bytes, managed: Sequence[Triple] | None = None) -> None:
-        self.kept = kept
+    def __init__(self, given: bytes | list[Triple], managed: Sequence[Triple] | None = None) -> None:
+        self._given = given
         self._managed = managed
+
+    @cached_property
+    def kept(self) -> bytes:
+        """As they are kept."""
+        return self._given if isinstance(self._given, bytes) else pack(written(self._given))
 
     @property
     def is_large(self) -> bool:
         """Whether they are too many to be looked at by the loop."""
-        return is_packed(self.kept)
+        return isinstance(self._given, bytes) and is_packed(self._given)
 
     @property
     def managed(self) -> Sequence[Triple]:
         """Those about the resource that the server manages, maybe others beside; none where there are no such."""
         if self._managed is not None:
             return self._managed
-        return self if may_be_managed(unpack(self.kept)) else ()
+        return self if not isinstance(self._given, bytes) or may_be_managed(unpack(self._given)) else ()
 
     def look(self, managed: Sequence[Triple]) -> None:
         """These are the ones that the server manages."""
@@ -67,7 +72,9 @@ class Statements(Sequence[Triple]):
 
     @cached_property
     def _triples(self) -> list[Triple]:
-        return [quad.triple for quad in parse(unpack(self.kept), RdfFormat.N_TRIPLES)]
+        if not isinstance(self._given, bytes):
+            return self._given
+        return [quad.triple for quad in parse(unpack(self._given), RdfFormat.N_TRIPLES)]
 
     @overload
     def __getitem__(self, index: int) -> Triple: ...
@@ -93,10 +100,15 @@ def is_light(data: bytes) -> bool:
     return len(data) <= LIGHT_BYTES and _LONG.search(data) is None
 
 
-def stated(ntriples: bytes) -> Statements:
-    """The statements of N-Triples. Raises a 422 Problem for triples about triples, which are not kept."""
-    found = Statements(pack(ntriples))
-    if b"<<" in ntriples and any(Triple in (type(each.subject), type(each.object)) for each in found):
+def stated(given: bytes | list[Triple]) -> Statements:
+    """The statements of N-Triples or of triples. Raises a 422 Problem for triples about triples, which are not kept."""
+    if not isinstance(given, bytes):
+        found = Statements(given)
+    else:
+        found = Statements(pack(given))
+        if b"<<" not in given:
+            return found
+    if any(Triple in (type(each.subject), type(each.object)) for each in found):
         raise Problem(422, "Triples about triples are not kept here.")
     return found
 

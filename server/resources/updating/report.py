@@ -14,7 +14,8 @@ from rosld.adapters.model import RosError, Sent
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.server.errors import problem_of, problem_of_body
-from rosld.server.http.problem import Problem, members
+from rosld.server.http.problem import Problem
+from rosld.server.http.problem_details import members
 
 
 class Fate(Enum):
@@ -62,21 +63,24 @@ def answer(entries: Sequence[Entry], *, dry_run: bool = False) -> Response:
     return Response(body, status, {"Cache-Control": "no-store"}, "application/json")
 
 
-def refused(reasons: Sequence[tuple[str, Problem]]) -> Problem:
-    """The Problem of an update of which graphs are refused: nothing was done. The first reason is its own."""
-    graph, problem = reasons[0]
-    detail = f"<{graph}>: {problem.detail.rstrip('.')}."
-    if reasons[1:]:
-        detail += f" Other graphs are refused too: {len(reasons) - 1}."
-    told = [{"graph": name, **members(each)} for name, each in reasons]
-    return Problem(
-        problem.status,
-        f"{detail} Nothing was done.",
-        title=problem.title,
-        headers=_retry_after(problem),
-        extra={**problem.extra, "graphs": told},
-        violations=problem.violations,
-    )
+class RefusedGraphs(Problem):
+    """The Problem of an update of which `graphs` are refused: nothing was done. The first reason is its own."""
+
+    def __init__(self, reasons: Sequence[tuple[str, Problem]]) -> None:
+        self.graphs = frozenset(name for name, _ in reasons)
+        graph, problem = reasons[0]
+        detail = f"<{graph}>: {problem.detail.rstrip('.')}."
+        if reasons[1:]:
+            detail += f" Other graphs are refused too: {len(reasons) - 1}."
+        told = [{"graph": name, **members(each)} for name, each in reasons]
+        super().__init__(
+            problem.status,
+            f"{detail} Nothing was done.",
+            title=problem.title,
+            headers=_retry_after(problem),
+            extra={**problem.extra, "graphs": told},
+            violations=problem.violations,
+        )
 
 
 def partly(entries: Sequence[Entry]) -> Problem:

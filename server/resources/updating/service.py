@@ -7,7 +7,6 @@ import contextlib
 from collections.abc import AsyncIterator, Callable, Hashable, Sequence, Set
 from typing import NamedTuple
 
-from pyoxigraph import Triple
 from starlette.responses import Response
 
 from rosld.adapters.model import RosError
@@ -17,17 +16,17 @@ from rosld.server.access.judge import EVERYTHING, Judge
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.account import accounted_for
 from rosld.server.ldp.alone import Alone
-from rosld.server.ldp.patch import spelt
 from rosld.server.ldp.plan import Keep, Move, Plan
 from rosld.server.ldp.resource import READ, Resource
-from rosld.server.records import Cause, Conflict
+from rosld.server.records import Cause, Conflict, Write
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.kept.base import Kept, told
 from rosld.server.resources.kept.together import kept_together
 from rosld.server.resources.members import MemberResource
 from rosld.server.resources.updating.loading import loaded
-from rosld.server.resources.updating.report import Entry, Fate, answer, failure, partly, reason, refused
+from rosld.server.resources.updating.report import Entry, Fate, RefusedGraphs, answer, failure, partly, reason
 from rosld.server.resources.updating.rights import require_change, require_rights
+from rosld.server.resources.updating.silent import without_silent_failures, without_silent_on
 from rosld.server.robot import Robot
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.lexer import Bounds
@@ -93,10 +92,14 @@ class Updates:
         """
         if self._robot.settings.read_only:
             raise Problem(403, "This server is read-only.")
-        operations = await self._read(request)
-        require_rights(operations, judge)
-        for operation in operations:
-            self._require_manageable(operation)
+        return await self.carry_out(await self._read(request), dry_run=dry_run, judge=judge)
+
+    async def carry_out(self, operations: Sequence[Operation], *, dry_run: bool, judge: Judge = EVERYTHING) -> Response:
+        """Carry out operations, as `answer` does those of an update. Raises Problems."""
+        if self._robot.settings.read_only:
+            raise Problem(403, "This server is read-only.")
+        operations = without_silent_failures(operations, lambda each: require_rights([each], judge))
+        operations = without_silent_failures(operations, self._require_manageable)
         settings = self._robot.settings
         operations = await loaded(
             operations,
@@ -105,7 +108,14 @@ class Updates:
             most=settings.body_limit,
         )
         async with self._in_line(operations):
-            return await self._drawn_and_done(operations, judge, dry_run=dry_run)
+            while True:
+                try:
+                    return await self._drawn_and_done(operations, judge, dry_run=dry_run)
+                except RefusedGraphs as refusal:
+                    left = without_silent_on(operations, refusal.graphs)
+                    if len(left) == len(operations):
+                        raise
+                    operations = left
 
     @contextlib.asynccontextmanager
     async def _in_line(self, operations: Sequence[Operation]) -> AsyncIterator[None]:
@@ -146,14 +156,15 @@ class Updates:
 
     # What graphs are
 
-    def _is_live(self, graph: str) -> bool:
+    def _kind(self, graph: str) -> str | None:
+        """The room that it lies in; None where it is none of this server's."""
         location = self._robot.space.location(graph)
-        return location is not None and location.kind in _LIVE
+        return None if location is None else location.kind
 
     def _unseen(self, drawn: Drawn) -> frozenset[str]:
         """The graphs that change by themselves, and whose values were not there when the update was drawn."""
         changed = (change.graph for change in drawn.changes)
-        return frozenset(graph for graph in changed if graph not in drawn.seen and self._is_live(graph))
+        return frozenset(graph for graph in changed if graph not in drawn.seen and self._kind(graph) in _LIVE)
 
     def _require_manageable(self, operation: Operation) -> None:
         """Raise a 403 Problem where an operation on whole graphs is about one that clients do not keep."""
@@ -164,6 +175,10 @@ class Updates:
             if isinstance(graph, str) and not isinstance(self._found(graph), Kept):
                 words = f"{operation.verb.value} is for what clients keep, and <{graph}> is the robot's."
                 raise Problem(403, f"{words} Nothing was done.", extra={"graph": graph})
+
+    def keeps(self, graph: str) -> bool:
+        """Whether clients keep the graph of this name, or may."""
+        return isinstance(self._found(graph), Kept)
 
     def _found(self, graph: str) -> Resource | None:
         """The resource whose graph this is; None where nothing of this server has that URL."""
@@ -214,7 +229,7 @@ class Updates:
             except (Problem, RosError) as error:
                 reasons.append((change.graph, reason(error)))
         if reasons:
-            raise refused(reasons)
+            raise RefusedGraphs(reasons)
         return found
 
     @contextlib.asynccontextmanager
@@ -246,7 +261,10 @@ class Updates:
                     return False
                 if (record is None) != (target.change.before is None):
                     return False
-        return all([await self._is_as_seen(graph, token) for graph, token in drawn.seen.items()])
+        meant = drawn.named | {change.graph for change in drawn.changes}
+        # All topics together never stand still, so only those count that an update means.
+        seen = [each for each in drawn.seen.items() if each[0] in meant or self._kind(each[0]) != "topics"]
+        return all([await self._is_as_seen(graph, token) for graph, token in seen])
 
     async def _is_as_seen(self, graph: str, token: Hashable) -> bool:
         try:
@@ -263,15 +281,12 @@ class Updates:
             except (Problem, LoweringError, BodyError, RosError) as error:
                 reasons.append((change.graph, reason(error)))
         if reasons:
-            raise refused(reasons)
+            raise RefusedGraphs(reasons)
         return found
 
     async def _plan(self, change: GraphChange, resource: Resource) -> Plan:
         await resource.ready()
-        triples: Sequence[Triple] | None = change.after
-        if triples is not None and change.before is not None and isinstance(resource, Kept):
-            triples = spelt(triples, (await resource.state()).document.all_triples())
-        return await resource.planned(triples)
+        return await resource.planned(change.after)
 
     async def _done(self, plans: Sequence[Planned]) -> Response | None:
         """Carry plans out: what is kept in one transaction, then what moves the robot, one after the other."""
@@ -280,13 +295,17 @@ class Updates:
         if moves:
             self._robot.gate.require_open()
         if kept:
-            writes = {write.path: write for _, plan in kept for write in plan.writes}
+            writes: dict[str, Write] = {}
+            for graph, plan in kept:
+                for write in plan.writes:  # what makes a container for a member must not replace what it is to say
+                    if write.path not in writes or graph == self._robot.space.base + write.path:
+                        writes[write.path] = write
             try:
                 await kept_together(self._robot, tuple(writes.values()))
             except Conflict as error:
                 if error.cause in _CHANGED:
                     return None
-                raise refused([(self._robot.space.base + error.path, told(self._robot, error))]) from error
+                raise RefusedGraphs([(self._robot.space.base + error.path, told(self._robot, error))]) from error
         entries = [Entry(graph, plan.does, Fate.DONE) for graph, plan in kept]
         for graph, move in moves:
             accounted_for(move.does, graph)

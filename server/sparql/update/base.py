@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 from starlette.responses import Response
 
 from rosld.server.access.judge import EVERYTHING, Judge
 from rosld.server.sparql.protocol import UpdateRequest
+from rosld.server.sparql.update.operations import Operation
 
 
 class Updates(Protocol):
@@ -20,4 +22,12 @@ class Updates(Protocol):
 
         Raises Problems; then nothing was done, unless the problem lists what was.
         """
+        ...
+
+    async def carry_out(self, operations: Sequence[Operation], *, dry_run: bool, judge: Judge = EVERYTHING) -> Response:
+        """Carry out operations, as `answer` does those of an update."""
+        ...
+
+    def keeps(self, graph: str) -> bool:
+        """Whether clients keep the graph of this name, or may."""
         ...

@@ -24,6 +24,7 @@ from rosld.server.sparql.update.operations import (
     Where,
 )
 from rosld.server.store.base import Term
+from rosld.server.store.encoding import decode_triple, encode_literal
 
 MOST_ROWS = 100_000
 """Solutions that one WHERE may have."""
@@ -62,7 +63,7 @@ class Canvas:
             self._there.add(graph)
             if self._copies:
                 name = NamedNode(graph)
-                self._store.extend(Quad(each.subject, each.predicate, each.object, name) for each in found)
+                self._store.extend(_stored(Quad(each.subject, each.predicate, each.object, name)) for each in found)
         self._before[graph] = None if found is None else tuple(self._triples(graph))
 
     def is_there(self, graph: str) -> bool:
@@ -74,19 +75,20 @@ class Canvas:
         """Take quads away, as far as they are there."""
         for quad in quads:
             self.touch(_name(quad))
-            self._store.remove(quad)
+            self._store.remove(_stored(quad))
 
     def insert(self, quads: Iterable[Quad]) -> None:
         """Add quads, and with them graphs that were not there."""
         for quad in quads:
             self.touch(_name(quad))
             self._there.add(_name(quad))
-            self._store.add(quad)
+            self._store.add(_stored(quad))
 
     def quads(self, graph: str) -> list[Quad]:
         """The quads of a graph as it is by now."""
         self.touch(graph)
-        return list(self._store.quads_for_pattern(None, None, None, NamedNode(graph)))
+        name = NamedNode(graph)
+        return [Quad(each.subject, each.predicate, each.object, name) for each in self._triples(graph)]
 
     def make(self, graph: str) -> None:
         """A graph without triples."""
@@ -108,7 +110,15 @@ class Canvas:
         return tuple(found)
 
     def _triples(self, graph: str) -> Iterator[Triple]:
-        return (quad.triple for quad in self._store.quads_for_pattern(None, None, None, NamedNode(graph)))
+        quads = self._store.quads_for_pattern(None, None, None, NamedNode(graph))
+        return (decode_triple(quad.triple) for quad in quads)
+
+
+def _stored(quad: Quad) -> Quad:
+    """The quad with its object as a dataset stores it."""
+    if not isinstance(quad.object, Literal):
+        return quad
+    return Quad(quad.subject, quad.predicate, encode_literal(quad.object), quad.graph_name)
 
 
 def _name(quad: Quad) -> str:
@@ -137,6 +147,11 @@ def asks_again(operations: Sequence[Operation]) -> bool:
     return any(isinstance(each, Modify) and each.where is not None for each in operations[1:])
 
 
+def copies(operations: Sequence[Operation]) -> bool:
+    """Whether one graph is copied to another."""
+    return any(isinstance(each, Manage) and each.source is not None for each in operations)
+
+
 def graphs_named(operations: Sequence[Operation]) -> frozenset[str]:
     """The graphs that operations change, or take triples from, by their names."""
     return frozenset(_named(operations))
@@ -151,6 +166,8 @@ def _named(operations: Sequence[Operation]) -> Iterator[str]:
                         yield quad.graph.value
             case Manage(target=target, source=source):
                 yield from (each for each in (target, source) if isinstance(each, str))
+            case Load(into=str() as into):
+                yield into
 
 
 # Modify
@@ -206,6 +223,8 @@ def filled(quads: Sequence[QuadTemplate], values: Mapping[str, Term | None]) -> 
 def _manage(operation: Manage, canvas: Canvas) -> None:
     verb, target, source = operation.verb, operation.target, operation.source
     if isinstance(target, Several) or isinstance(source, Several):
+        if operation.silent:
+            return
         raise _several(operation)
     if verb is Verb.CREATE:
         if canvas.is_there(target) and not operation.silent:
@@ -225,12 +244,15 @@ def _manage(operation: Manage, canvas: Canvas) -> None:
 
 
 def _copy(verb: Verb, source: str, target: str, canvas: Canvas) -> None:
-    quads = canvas.quads(source)
+    # What it needs has threads of its own, which the query process must not have: copies are drawn in forks of it.
+    from rosld.server.sparql.update.copying import unmanaged_triples
+
+    triples = unmanaged_triples(source, [quad.triple for quad in canvas.quads(source)])
     if verb is not Verb.ADD:
         canvas.remove(canvas.quads(target))
     name = NamedNode(target)
     canvas.make(target)
-    canvas.insert(Quad(each.subject, each.predicate, each.object, name) for each in quads)
+    canvas.insert(Quad(each.subject, each.predicate, each.object, name) for each in triples)
     if verb is Verb.MOVE:
         canvas.drop(source)
 

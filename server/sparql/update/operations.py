@@ -51,11 +51,15 @@ class Where:
 
 @dataclass(frozen=True, slots=True)
 class Modify:
-    """DELETE and INSERT: for each solution of `where` (None: just once) some quads go, then others come."""
+    """DELETE and INSERT: for each solution of `where` (None: just once) some quads go, then others come.
+
+    `silent`: it is what a LOAD SILENT has found.
+    """
 
     deletes: tuple[QuadTemplate, ...] = ()
     inserts: tuple[QuadTemplate, ...] = ()
     where: Where | None = None
+    silent: bool = False
 
 
 class Verb(Enum):

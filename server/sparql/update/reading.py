@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -24,6 +25,9 @@ from rosld.server.sparql.update.operations import (
 )
 from rosld.server.sparql.update.templates import has_blank_nodes, holes_of, read_template
 
+_UNBOUND = f"unbound_{secrets.token_hex(8)}"
+"""A variable that no WHERE binds: projected alone, it has the solutions counted."""
+
 
 def read_update(
     request: UpdateRequest, prefixes: Mapping[str, str], base: str, bounds: Bounds
@@ -43,6 +47,8 @@ class _Reader(Cursor):
         self._known = dict(prefixes)
         self._now = base
         self._prologue = ""
+        self._data_labels: set[str] = set()
+        self._where_labels: set[str] = set()
 
     def operations(self) -> tuple[Operation, ...]:
         found: list[Operation] = []
@@ -121,8 +127,9 @@ class _Reader(Cursor):
         default, named = self._using()
         if not self.take_word("WHERE"):
             raise Unrecognised
-        begin = self._at_brace()
-        self._pass_over()
+        begin, first = self._at_brace(), self.position
+        self.skip_group()
+        self._scope_labels(first, self._where_labels, "WHERE")
         using = bool(default or named)
         where = self._where(self._since(begin), (*deletes, *inserts), None if using else graph)
         if using:
@@ -130,13 +137,14 @@ class _Reader(Cursor):
         return Modify(deletes, inserts, where)
 
     def _data(self, token: Token) -> Modify:
-        begin = self._at_brace()
+        begin, first = self._at_brace(), self.position
         quads = self._quads()
         if holes := holes_of(quads):
             raise Problem(
                 400, f"?{holes[0]} stands in the {token.text.upper()} DATA at {place(self.text, begin)}: none can."
             )
         if token.is_word("INSERT"):
+            self._scope_labels(first, self._data_labels, "INSERT DATA")
             return Modify(inserts=quads)
         self._refuse_blank(quads, begin)
         return Modify(deletes=quads)
@@ -166,6 +174,15 @@ class _Reader(Cursor):
             where = place(self.text, begin)
             raise Problem(400, f"A blank node stands in the DELETE at {where}: write a variable (SPARQL 1.1, 19.8).")
 
+    def _scope_labels(self, first: int, known: set[str], clause: str) -> None:
+        """Refuse a label of a blank node that an earlier clause of this kind has (SPARQL 1.1 Query, 19.6)."""
+        found = {token.text: token for token in self.taken_since(first) if token.kind is Kind.BLANK}
+        if again := next((token for label, token in found.items() if label in known), None):
+            where = place(self.text, again.start)
+            words = f"{again.text} at {where} is a label in another {clause} already: choose another"
+            raise Problem(400, f"{words} (SPARQL 1.1, 19.6).")
+        known.update(found)
+
     # WHERE
 
     def _using(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -182,14 +199,6 @@ class _Reader(Cursor):
             raise Unrecognised
         return token.start
 
-    def _pass_over(self) -> None:
-        """A group, whatever is in it: the parser of queries reads it."""
-        self.expect("{")
-        depth = 1
-        while depth:
-            token = self.next()
-            depth += token.is_mark("{") - token.is_mark("}")
-
     def _since(self, begin: int) -> str:
         """The text from a place to the token that was taken last."""
         token = self.peek()
@@ -197,6 +206,8 @@ class _Reader(Cursor):
 
     def _where(self, group: str, quads: tuple[QuadTemplate, ...], graph: str | None) -> Where:
         holes = holes_of(quads)
+        if not holes and has_blank_nodes(quads):
+            holes = (_UNBOUND,)  # each solution has blank nodes of its own (Update, 3.1.3), so they are counted
         form = f"SELECT {' '.join(f'?{name}' for name in holes)} WHERE" if holes else "ASK"
         query = f"{self._prologue}{form} {group}"
         request = self._request

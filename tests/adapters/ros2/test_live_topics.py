@@ -52,7 +52,9 @@ def test_a_latched_message_reaches_a_late_look_and_a_second_look_and_counts_once
     async def scenario() -> None:
         async with opened(ros) as session:
             one = await session.adapter.subscribe("/description")
-            (sample,) = await session.first(one)
+            (early,) = await session.first(one)
+            assert early.latched  # also where it came before it was known who publishes
+            sample = await session.until(lambda: one.latest()[0].publisher and one.latest()[0])
             assert (await session.decoded(sample)).data == "a robot"
             assert sample.latched
             deep = await session.adapter.subscribe("/description", depth=40)

@@ -10,13 +10,7 @@ import pytest
 from tests.interop.checks import Check, declared, judge, outcomes
 from tests.interop.java.maven import SOURCES, java
 
-PATIENCE = 300.0
-PENDING: Mapping[Check, str] = {
-    ("Rdf4jRepository", "a literal with a control character"): "results in XML hold characters that XML has not",
-    ("JenaQuery", "ASK as CSV"): "Jena reads a boolean in CSV as a table with one column, `_askResult`",
-    ("JenaQuery", "ASK as TSV"): "Jena reads a boolean in TSV as a table with one column, `?_askResult`",
-}
-"""What does not work yet, and what it lacks."""
+PATIENCE = 600.0
 
 
 @pytest.fixture(scope="module")
@@ -25,6 +19,6 @@ def found(server: Any) -> Mapping[Check, str | None]:
     return outcomes(java("Main", server.url), PATIENCE)
 
 
-@pytest.mark.parametrize("check", declared(SOURCES, PENDING))
+@pytest.mark.parametrize("check", declared(SOURCES))
 def test_client_in_java(found: Mapping[Check, str | None], check: Check) -> None:
     judge(found, check)

@@ -11,10 +11,6 @@ from tests.interop.checks import Check, declared, judge, outcomes
 from tests.interop.javascript.node import SOURCES, node
 
 PATIENCE = 200.0
-PENDING: Mapping[Check, str] = {
-    ("jsonld", "numbers have the values that N-Triples say"): "doubles are native numbers, which lose digits",
-}
-"""What does not work yet, and what it lacks."""
 
 
 @pytest.fixture(scope="module")
@@ -23,6 +19,6 @@ def found(server: Any) -> Mapping[Check, str | None]:
     return outcomes(node("main.mjs", server.url), PATIENCE)
 
 
-@pytest.mark.parametrize("check", declared(SOURCES, PENDING))
+@pytest.mark.parametrize("check", declared(SOURCES))
 def test_client_in_javascript(found: Mapping[Check, str | None], check: Check) -> None:
     judge(found, check)

@@ -14,6 +14,7 @@ from typing import Any
 from urllib.parse import quote, unquote, urlsplit
 
 import httpx
+import websockets.sync.client
 from pyoxigraph import NamedNode, RdfFormat, parse
 
 from tests.server.access.conftest import TURTLE, Guarded, token
@@ -258,9 +259,14 @@ def streamed_to(guarded: Guarded, agent: str, paths: list[str]) -> Iterator[tupl
                 "@context": ["https://www.w3.org/ns/solid/notifications-context/v1"],
                 "type": f"http://www.w3.org/ns/solid/notifications#{kind}",
                 "topic": guarded.url + path[1:],
+                "state": "outdated",
             }
             body = json.dumps(wish).encode()
-            yield f"{kind} {path}", path, ask("POST", f"/channels/{kind}", body, Content_Type="application/ld+json")
+            answer = ask("POST", f"/channels/{kind}", body, Content_Type="application/ld+json")
+            yield f"{kind} {path}", path, answer
+            if kind.startswith("WebSocket") and answer.status in (200, 201):
+                frame = first_frame(json.loads(answer.text)["receiveFrom"])
+                yield f"frame of {kind} {path}", path, Answer(200, {}, frame)
         if ask("HEAD", path).status != 200:
             continue
         for syntax in ("ttl", "json", "html"):
@@ -273,6 +279,12 @@ def streamed_to(guarded: Guarded, agent: str, paths: list[str]) -> Iterator[tupl
                     if line.startswith("data:") and lines[0].startswith(("id:", "event:", "retry:", ":")):
                         break
                 yield f"stream of {path} as {syntax}", path, Answer(200, dict(stream.headers), "\n".join(lines))
+
+
+def first_frame(url: str) -> str:
+    """What a WebSocket is told first: that the state is another than its subscriber had."""
+    with websockets.sync.client.connect(url) as socket:
+        return str(socket.recv(timeout=60))
 
 
 def asked_of_the_dataset(guarded: Guarded, agent: str, paths: list[str]) -> Iterator[tuple[str, str, Answer]]:

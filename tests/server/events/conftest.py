@@ -79,7 +79,7 @@ class Reader:
 @contextlib.asynccontextmanager
 async def aircraft_app() -> AsyncIterator[Application]:
     """The aircraft's app, started, and stopped at the end."""
-    app = create_app(adapter_for("aircraft", AdapterOptions()), Settings(max_publish_rate=1e9))
+    app = create_app(adapter_for("aircraft", AdapterOptions()), Settings(max_publish_rate=1e9, client_streams=1000))
     async with lifespan(app):
         yield app
 

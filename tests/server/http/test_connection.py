@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import socket
 from collections.abc import Awaitable, Callable
 from typing import TypeVar, cast
+from urllib.parse import urlsplit
 
 import pytest
 from starlette.requests import Request
@@ -16,8 +18,10 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from rosld.server.commands import listening
 from rosld.server.http.body import read_body
 from rosld.server.http.connection import Bounds
-from rosld.server.http.problem import Problem, render
+from rosld.server.http.problem import Problem
+from rosld.server.http.problem_details import render
 from rosld.server.http.transport import Together
+from tests.server.conftest import servers
 
 _V = TypeVar("_V")
 Talk = Callable[[bytes], Awaitable[bytes]]
@@ -131,23 +135,8 @@ CHUNK = b"PUT / HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n1\r\na\
 
 
 @pytest.mark.parametrize("more", [b"0\r\nX: ", b"1;a="])
-def test_trailers_and_chunk_extensions_without_end_are_cut_off(more: bytes) -> None:
-    async def talk(port: int) -> int:
-        reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        writer.write(CHUNK + more)
-        sent = 0
-        with contextlib.suppress(ConnectionError):
-            while not reader.at_eof() and sent < 50:
-                writer.write(b"x" * 10_000)
-                await writer.drain()
-                await asyncio.sleep(0)
-                sent += 1
-                if writer.transport.is_closing():
-                    break
-        writer.close()
-        return sent
-
-    assert with_server(talk) < 50
+def test_trailers_and_chunk_extensions_without_end_are_431(more: bytes) -> None:
+    assert answer(CHUNK + more, *[b"x" * 10_000] * 50)[0] == 431
 
 
 def test_a_trailer_is_no_header() -> None:
@@ -170,6 +159,105 @@ CLOSE = b"GET / HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n"
 def test_requests_before_one_that_is_no_http_are_answered_first() -> None:
     status, _, rest = answer(b"PUT / HTTP/1.1\r\nHost: a\r\nContent-Length: 1\r\n\r\n1EHLO\r\n\r\n")
     assert (status, rest[:13]) == (200, b"1HTTP/1.1 400")
+
+
+CHUNKED = b"PUT /%d HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n"
+BROKEN = {
+    "a size that is no number": b"g\r\n",
+    "a negative size": b"-1\r\n",
+    "a size beyond all numbers": b"fffffffffffffffff\r\n",
+    "more bytes than the size": b"1\r\nab\r\n0\r\n\r\n",
+    "fewer bytes than the size": b"3\r\na\r\n0\r\n\r\n",
+    "a size of hexadecimal notation": b"0x1\r\na\r\n0\r\n\r\n",
+    "another request": b"GET / HTTP/1.1\r\nHost: a\r\n\r\n",
+    "a trailer that is no field": b"0\r\n: x\r\n\r\n",
+}
+
+
+class Bodies:
+    """Notes whole bodies, and answers with them once `gate` is open."""
+
+    def __init__(self) -> None:
+        self.bodies: list[bytes] = []
+        self.unfinished = 0
+        self.has_begun = asyncio.Event()
+        self.gate = asyncio.Event()
+        self.gate.set()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            body = await read_body(Request(scope, receive), limit=1 << 20)
+        except Problem as problem:
+            self.unfinished += 1
+            await render(problem).response()(scope, receive, send)
+            return
+        self.bodies.append(body)
+        self.has_begun.set()
+        await self.gate.wait()
+        await Response(body, media_type="text/plain")(scope, receive, send)
+
+
+@pytest.mark.parametrize("sent_before", [b"", b"1\r\na\r\n", b"20000\r\n" + b"x" * 0x20000 + b"\r\n"])
+@pytest.mark.parametrize("broken", BROKEN.values(), ids=BROKEN)
+@pytest.mark.parametrize("is_cut", [False, True], ids=["whole", "byte by byte"])
+def test_a_body_with_a_broken_chunk_is_400_with_words_and_reaches_nobody(
+    sent_before: bytes, broken: bytes, is_cut: bool
+) -> None:
+    app = Bodies()
+
+    async def talk(port: int) -> bytes:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(CHUNKED % 1 + sent_before)
+        await writer.drain()
+        for piece in [broken[at : at + 1] for at in range(len(broken))] if is_cut else [broken]:
+            writer.write(piece)
+            await writer.drain()
+            await asyncio.sleep(0)
+        answer = await reader.read()
+        writer.close()
+        return answer
+
+    head, _, body = with_server(talk, app=app).partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 400 ")
+    assert b"connection: close" in head.lower()
+    assert "chunks of the body" in json.loads(body)["detail"]
+    assert app.bodies == []
+    assert app.unfinished <= 1
+
+
+def test_requests_before_a_broken_chunk_are_answered_first_and_what_follows_it_is_not_done() -> None:
+    app = Bodies()
+
+    async def talk(port: int) -> bytes:
+        app.gate.clear()
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        first, second = (CHUNKED % number + b"1\r\n%d\r\n0\r\n\r\n" % number for number in (1, 2))
+        writer.write(first + second + CHUNKED % 3 + b"1\r\nc\r\nno chunk\r\n" + CHUNKED % 4 + b"0\r\n\r\n")
+        await writer.drain()
+        await app.has_begun.wait()
+        app.gate.set()
+        answer = await reader.read()
+        writer.close()
+        return answer
+
+    answers = with_server(talk, app=app).split(b"HTTP/1.1 ")[1:]
+    assert [each[:3] for each in answers] == [b"200", b"200", b"400"]
+    assert [each[-1:] for each in answers[:2]] == [b"1", b"2"]
+    assert app.bodies == [b"1", b"2"]
+
+
+def test_a_put_with_a_broken_chunk_over_http_changes_nothing_and_is_told() -> None:
+    with servers() as serve:
+        served = serve("aircraft")
+        port = urlsplit(served.url).port
+        head = (
+            b"PUT /data/broken HTTP/1.1\r\nHost: a\r\nContent-Type: text/turtle\r\nTransfer-Encoding: chunked\r\n\r\n"
+        )
+        with socket.create_connection(("127.0.0.1", port), timeout=60) as client:
+            client.sendall(head + b"10\r\n<x:a> <x:b> 1 .\n\r\nzz\r\n")
+            answer = b"".join(iter(lambda: client.recv(4096), b""))
+        assert answer.startswith(b"HTTP/1.1 400 ")
+        assert served.http.get("/data/broken").status_code == 404
 
 
 SOON = Bounds(head_seconds=0.05)

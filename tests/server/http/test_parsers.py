@@ -16,7 +16,8 @@ from uvicorn.server import ServerState
 
 from rosld.server.http.connection import Bounded, Connection
 from rosld.server.http.origin import check_host, site
-from rosld.server.http.problem import Problem, render
+from rosld.server.http.problem import Problem
+from rosld.server.http.problem_details import render
 
 Seen: TypeAlias = list[tuple[bytes, bytes, bytes]]
 """Method, target and body of each whole request."""

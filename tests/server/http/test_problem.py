@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from pyoxigraph import RdfFormat, parse
 
 from rosld.ontology.violations import Violation
-from rosld.server.http.problem import JSON, Problem, render
+from rosld.server.http.problem import Problem
+from rosld.server.http.problem_details import JSON, render
 
 
 def unfit() -> Problem:

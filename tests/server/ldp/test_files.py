@@ -14,7 +14,8 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rosld.server.commands import listening
-from rosld.server.http.problem import Problem, render
+from rosld.server.http.problem import Problem
+from rosld.server.http.problem_details import render
 from rosld.server.ldp import files
 from rosld.server.ldp.files import CHUNK, UNKNOWN, exact_media_type, file_response
 

@@ -272,11 +272,11 @@ def test_a_patch_that_is_too_large_is_refused_unread() -> None:
      b"\\" * 200_000, b":a :b :c" + b";" * 200_000, b"<" * 100_000, b"_:a" * 80_000, b"\n#" * 100_000],
 )  # fmt: skip
 def test_a_hostile_text_is_refused_soon(data: bytes) -> None:
-    began = time.monotonic()
+    began = time.thread_time()
     with pytest.raises(Problem) as refused:
         read_patch(data, BASE)
     assert refused.value.status in (400, 422)
-    assert time.monotonic() - began < 10
+    assert time.thread_time() - began < 10
 
 
 def test_an_xml_literal_is_not_looked_into() -> None:
@@ -296,11 +296,11 @@ def test_a_search_without_end_is_given_up() -> None:
         applied(insert_delete(f"{path} ?v20 ex:never ex:there ."), before)
     assert refused.value.status in (409, 422)
     cycle = " ".join(f"[] ex:to [] . _:v{number} ex:to _:v{number + 1} ." for number in range(20))
-    began = time.monotonic()
+    began = time.thread_time()
     with pytest.raises(Problem) as refused:
         applied(insert_delete(f"{cycle} _:v20 ex:to _:none ."), before)
     assert refused.value.status == 422
-    assert time.monotonic() - began < 10
+    assert time.thread_time() - began < 10
 
 
 def test_too_many_patterns_are_refused() -> None:
@@ -313,9 +313,9 @@ def test_a_large_patch_of_a_large_resource_is_carried_out_soon() -> None:
     found = insert_delete(
         "?a ex:is 4711 .", " ".join(f"<#{number}> ex:is {number} ." for number in range(3000)), "?a ex:was 4711 ."
     )
-    began = time.monotonic()
+    began = time.thread_time()
     assert len(applied(found, before)) == 2001
-    assert time.monotonic() - began < 5
+    assert time.thread_time() - began < 5
 
 
 _nodes = st.sampled_from(["<#a>", "<#b>", "<#c>"])

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import pickle
+import time
 from collections.abc import Callable, Collection, Coroutine, Hashable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import pytest
 from hypothesis import settings
 
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.endpoint import QueryAnswer, QueryService, QuerySettings
-from rosld.server.sparql.functions import functions
 from rosld.server.sparql.needs import Needs
+from rosld.server.sparql.process.client import QueryProcess
+from rosld.server.sparql.process.work import Dump, Graphs
 from rosld.server.sparql.protocol import QueryRequest
 from rosld.server.sparql.sync import GraphEntry, Synchroniser
-from rosld.server.store import MemoryStore
 
 BASE = "http://robot/"
 TYPES = "https://w3id.org/rosld/types/"
@@ -37,6 +39,7 @@ class RobotSource:
         self.count = count
         self.fields = fields
         self.revision = 0
+        self.writes = 0
         self.values: dict[int, int] = dict.fromkeys(range(count), 0)
         self.silent: set[int] = set()
         self.bags: dict[str, str] = {}
@@ -109,16 +112,35 @@ class RobotSource:
 class Endpoint:
     """A query service over a source, for use within one running loop."""
 
+    running: ClassVar[list[Endpoint]] = []
+
     def __init__(self, source: RobotSource, settings: QuerySettings = SETTINGS, interval: float = 0.2) -> None:
         self.source = source
-        self.store = MemoryStore()
-        self.synchroniser = Synchroniser(self.store, source, interval=interval)
-        self.service = QueryService(
-            self.store, self.synchroniser, Analyser(BASE, TYPES), lambda: functions(lambda url: None), settings
-        )
+        self.process = QueryProcess(settings.workers, settings.waiting)
+        self.synchroniser = Synchroniser(self.process, source, interval=interval)
+        self.service = QueryService(self.process, self.synchroniser, Analyser(BASE, TYPES), dict, settings)
+
+    async def start(self) -> None:
+        """Have its process, which ends with the loop."""
+        if self not in self.running:
+            self.running.append(self)
+            await self.process.start()
+            await self.graphs()
 
     async def answer(self, query: str, accept: str | None = "text/csv") -> QueryAnswer:
+        await self.start()
         return await self.service.answer(QueryRequest(query), accept)
+
+    async def graphs(self) -> list[str]:
+        """The graphs that the process holds."""
+        names: list[str] = pickle.loads(await self.process.result(Graphs(), self.service.limits, time.monotonic() + 30))
+        return names
+
+    async def graph(self, name: str) -> str:
+        """What the process holds of a graph, as N-Triples."""
+        dump = await self.process.result(Dump((name,)), self.service.limits, time.monotonic() + 30)
+        texts: dict[str, str] = pickle.loads(dump)
+        return texts[name]
 
     async def text(self, query: str, accept: str | None = "text/csv") -> str:
         """The whole answer."""
@@ -145,6 +167,13 @@ def run() -> Callable[[Coroutine[Any, Any, _T]], _T]:
     """Runs a coroutine on a loop of its own."""
 
     def running(coroutine: Coroutine[Any, Any, _T]) -> _T:
-        return asyncio.run(asyncio.wait_for(coroutine, 60))
+        return asyncio.run(asyncio.wait_for(ended(coroutine), 60))
+
+    async def ended(coroutine: Coroutine[Any, Any, _T]) -> _T:
+        try:
+            return await coroutine
+        finally:
+            while Endpoint.running:
+                await Endpoint.running.pop().process.close()
 
     return running

@@ -50,13 +50,13 @@ def test_nothing_is_rendered_twice_while_nothing_changes(make_source: Make, make
         source = make_source()
         endpoint = make_endpoint(source, interval=0.0)
         await endpoint.text(ALL)
-        version = endpoint.store.version
+        version = endpoint.process.version
         source.rendered.clear()
         await endpoint.text(ALL)
         await endpoint.rows(value(3))
         await endpoint.rows("SELECT * { ?t a ros:Topic }")
         assert source.rendered == []
-        assert endpoint.store.version == version
+        assert endpoint.process.version == version
 
     run(scenario())
 
@@ -81,7 +81,7 @@ def test_a_changed_description_is_seen_and_a_topic_that_went_is_gone(
         source.revision, source.count = 1, 19
         seen = await endpoint.rows("SELECT DISTINCT ?n (COUNT(*) AS ?c) { ?t ros:namespace ?n } GROUP BY ?n")
         assert seen == ["http://robot/revisions/1,19"]
-        assert source.url(19) not in endpoint.store.graphs()
+        assert source.url(19) not in await endpoint.graphs()
         assert await endpoint.rows(value(19)) == []
 
     run(scenario())
@@ -155,7 +155,7 @@ def test_a_document_that_is_there_only_when_named_goes_with_the_next_query(
         source.bags[message] = "changed"
         assert await endpoint.rows(query) == ["changed"]
         await endpoint.rows(value(1))
-        assert message not in endpoint.store.graphs()
+        assert message not in await endpoint.graphs()
 
     run(scenario())
 
@@ -168,15 +168,16 @@ def test_another_query_does_not_take_away_what_one_has_named_and_not_yet_seen(
         endpoint = make_endpoint(source)
         message = "http://robot/bags/run/messages/3"
         source.bags[message] = "hello"
+        await endpoint.start()
         named = endpoint.service.check(f"SELECT * {{ <{message}> ros:words ?w }}").needs
         other = endpoint.service.check(value(1)).needs
         deadline = asyncio.get_running_loop().time() + 10
         async with endpoint.synchroniser.synced(named, deadline=deadline):
             async with endpoint.synchroniser.synced(other, deadline=deadline):
-                assert message in endpoint.store.graphs()
-            assert message in endpoint.store.graphs()
+                assert message in await endpoint.graphs()
+            assert message in await endpoint.graphs()
         async with endpoint.synchroniser.synced(other, deadline=deadline):
-            assert message not in endpoint.store.graphs()
+            assert message not in await endpoint.graphs()
 
     run(scenario())
 
@@ -191,7 +192,7 @@ def test_a_slow_look_does_not_bring_back_older_values(make_source: Make, make_en
         source.tick()
         assert await endpoint.rows(value(3)) == ["1.5"]
         await endpoint.synchroniser._apply(old)
-        assert endpoint.store.query("ASK { GRAPH <http://robot/topics/t3> { ?m ?p 1.5e0 } }")
+        assert '"1.5"^^' in await endpoint.graph("http://robot/topics/t3")
 
     run(scenario())
 
@@ -217,6 +218,7 @@ def test_a_query_that_is_given_up_leaves_the_synchroniser_in_order(
     async def scenario() -> None:
         source = make_source(300)
         endpoint = make_endpoint(source)
+        await endpoint.start()
         task = asyncio.ensure_future(endpoint.text(ALL))
         await asyncio.sleep(0)  # it is under way now, and has come to its change
         task.cancel()

@@ -15,10 +15,11 @@ from urllib.parse import parse_qs
 
 import pytest
 
-from rosld.server.store import Edit, MemoryStore
+from rosld.server.store import Edit
 from rosld.server.store.endpoint import Endpoint
 from rosld.server.store.mirror import Mirror
 from rosld.server.store.remote import RemoteStore
+from tests.server.sparql.local import LocalStore
 
 if TYPE_CHECKING:
     from tests.server.store.conftest import Behaviour, Failing, Oxigraph
@@ -62,7 +63,7 @@ async def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
 
 
 @asynccontextmanager
-async def mirroring(source: MemoryStore, target: RemoteStore, run_name: str = "run") -> AsyncIterator[Mirror]:
+async def mirroring(source: LocalStore, target: RemoteStore, run_name: str = "run") -> AsyncIterator[Mirror]:
     mirror = Mirror(source, target, Graphs(), nothing, interval=0.02, run_name=run_name, first_pause=0.05)
     running = asyncio.ensure_future(mirror.run())
     try:
@@ -85,7 +86,7 @@ def sealed(oxigraph: Oxigraph) -> str:
 
 def test_all_there_was_and_all_that_changes_gets_there_and_what_goes_goes(oxigraph: Oxigraph) -> None:
     async def run() -> None:
-        source = MemoryStore()
+        source = LocalStore()
         source.replace({graph(1): text(1), graph(2): f'_:b {P} _:c .\n_:c {P} "end" .\n', graph(3): text(3)})
         async with mirroring(source, oxigraph.store()):
             await until(lambda: {graph(1), graph(2), graph(3)} <= oxigraph.graphs())
@@ -105,7 +106,7 @@ def test_what_an_earlier_run_left_is_taken_away_and_what_others_told_is_not_touc
         oxigraph.update(f"INSERT DATA {{ GRAPH <{name}> {{ {text('old')} }} }}")
 
     async def run() -> None:
-        source = MemoryStore()
+        source = LocalStore()
         source.replace({graph(1): text(1), graph(8): text("new")})
         async with mirroring(source, oxigraph.store()):
             await until(lambda: graph(1) in oxigraph.graphs() and graph(7) not in oxigraph.graphs())
@@ -119,7 +120,7 @@ def test_an_endpoint_that_goes_away_is_caught_up_with_when_it_is_back_although_i
     new_oxigraph: Callable[[], Oxigraph], caplog: pytest.LogCaptureFixture
 ) -> None:
     async def run() -> None:
-        oxigraph, source = new_oxigraph(), MemoryStore()
+        oxigraph, source = new_oxigraph(), LocalStore()
         source.replace({graph(1): text(1), graph(2): text(2)})
         with caplog.at_level(logging.WARNING, "rosld.store"):
             async with mirroring(source, oxigraph.store()) as mirror:
@@ -147,7 +148,7 @@ def test_a_store_that_kept_what_it_has_is_told_only_what_changed(
     new_oxigraph: Callable[..., Oxigraph], tmp_path: Path
 ) -> None:
     async def run() -> None:
-        oxigraph, source = new_oxigraph(tmp_path), MemoryStore()
+        oxigraph, source = new_oxigraph(tmp_path), LocalStore()
         source.replace({graph(1): text(1), graph(2): text(2)})
         async with mirroring(source, oxigraph.store()) as mirror:
             await until(lambda: graph(2) in oxigraph.graphs() and mirror.status.lag == 0)
@@ -166,7 +167,7 @@ def test_a_store_put_back_to_an_earlier_day_is_told_everything_anew(
     new_oxigraph: Callable[..., Oxigraph], tmp_path: Path
 ) -> None:
     async def run() -> None:
-        oxigraph, source = new_oxigraph(tmp_path), MemoryStore()
+        oxigraph, source = new_oxigraph(tmp_path), LocalStore()
         source.replace({graph(1): text(1)})
         async with mirroring(source, oxigraph.store()) as mirror:
             await until(lambda: graph(1) in oxigraph.graphs() and mirror.status.lag == 0)
@@ -191,7 +192,7 @@ def test_a_store_put_back_to_an_earlier_day_is_told_everything_anew(
 
 def test_at_the_end_what_was_true_only_of_the_run_goes_and_the_seal_says_so(oxigraph: Oxigraph) -> None:
     async def run() -> None:
-        source = MemoryStore()
+        source = LocalStore()
         source.replace({graph(1): text(1), graph(2): text(2)})
         async with mirroring(source, oxigraph.store()) as mirror:
             await until(lambda: graph(2) in oxigraph.graphs() and mirror.status.lag == 0)
@@ -209,7 +210,7 @@ def test_a_graph_larger_than_a_request_comes_in_parts_its_blank_nodes_whole(oxig
     )
 
     async def run() -> None:
-        source = MemoryStore()
+        source = LocalStore()
         source.replace({graph(1): large, graph(2): text(2)})
         async with mirroring(source, oxigraph.store()) as mirror:
             await until(lambda: mirror.status.told_ns is not None and mirror.status.lag == 0)
@@ -224,7 +225,7 @@ def test_where_too_much_waits_to_be_kept_apart_everything_is_told_anew(
     new_oxigraph: Callable[[], Oxigraph], caplog: pytest.LogCaptureFixture
 ) -> None:
     async def run() -> None:
-        oxigraph, source = new_oxigraph(), MemoryStore()
+        oxigraph, source = new_oxigraph(), LocalStore()
         source.replace({graph(1): text(1), graph(2): text(2)})
         async with mirroring(source, oxigraph.store()) as mirror:
             await until(lambda: graph(2) in oxigraph.graphs() and mirror.status.lag == 0)
@@ -257,7 +258,7 @@ def test_a_graph_that_is_refused_is_left_out_and_keeps_no_other_back(
     failing: Start, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def run() -> None:
-        server, source = failing(picky), MemoryStore()
+        server, source = failing(picky), LocalStore()
         source.replace({graph(number): text("poison" if number == 33 else f"value {number}.") for number in range(100)})
         store = RemoteStore(Endpoint(server.url, seconds=5), Endpoint(server.url, seconds=5))
         async with mirroring(source, store) as mirror:
@@ -304,7 +305,7 @@ def test_an_endpoint_that_fails_all_the_time_is_tried_less_and_less_and_nothing_
     behave: Behaviour, failing: Start, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def run() -> None:
-        server, source = failing(behave), MemoryStore()
+        server, source = failing(behave), LocalStore()
         store = RemoteStore(Endpoint(server.url, seconds=0.1), Endpoint(server.url, seconds=0.1))
         async with mirroring(source, store) as mirror:
             for number in range(50):
@@ -331,7 +332,7 @@ def test_an_end_while_the_endpoint_is_silent_is_quick(failing: Start) -> None:
     async def run() -> None:
         server = failing(silent)
         store = RemoteStore(Endpoint(server.url, seconds=60), Endpoint(server.url, seconds=60))
-        async with mirroring(MemoryStore(), store) as mirror:
+        async with mirroring(LocalStore(), store) as mirror:
             await until(lambda: len(server.bodies) > 0)
         begun = time.monotonic()
         await mirror.close()
@@ -342,7 +343,7 @@ def test_an_end_while_the_endpoint_is_silent_is_quick(failing: Start) -> None:
 
 def test_graphs_of_others_are_not_dropped_even_where_the_endpoint_calls_them_ours(failing: Start) -> None:
     async def run() -> None:
-        server, source = failing(naming_others), MemoryStore()
+        server, source = failing(naming_others), LocalStore()
         source.replace({graph(1): text(1)})
         async with mirroring(source, RemoteStore(Endpoint(server.url), Endpoint(server.url))) as mirror:
             await until(lambda: mirror.status.told_ns is not None and mirror.status.lag == 0)
@@ -356,7 +357,7 @@ def test_what_cannot_be_read_from_the_robot_does_not_keep_back_the_rest(oxigraph
         raise RuntimeError("the robot is gone")
 
     async def run() -> None:
-        source = MemoryStore()
+        source = LocalStore()
         source.replace({graph(1): text(1)})
         mirror = Mirror(source, oxigraph.store(), Graphs(), gone, interval=0.02, run_name="run")
         running = asyncio.ensure_future(mirror.run())

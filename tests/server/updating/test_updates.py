@@ -63,10 +63,13 @@ def test_what_an_update_leaves_alone_keeps_its_spelling(plane: httpx.Client) -> 
     assert "urn:goes" not in text
 
 
-def test_what_is_deleted_is_found_by_its_value_however_it_is_spelt(plane: httpx.Client) -> None:
-    body = b'<> <urn:n> "007"^^<http://www.w3.org/2001/XMLSchema#integer> .'
+def test_what_is_deleted_is_a_term_and_not_its_value(plane: httpx.Client) -> None:
+    body = b'<> <urn:n> "007"^^<http://www.w3.org/2001/XMLSchema#integer> , 7 .'
     plane.put("/data/value", content=body, headers=TURTLE)
     done(update(plane, "DELETE DATA { GRAPH </data/value> { </data/value> <urn:n> 7 } }"))
+    assert says(plane, "/data/value", "?s <urn:n> 007")
+    assert not says(plane, "/data/value", "?s <urn:n> 7")
+    done(update(plane, "DELETE DATA { GRAPH </data/value> { </data/value> <urn:n> 007 } }"))
     assert "urn:n" not in plane.get("/data/value").text
 
 

@@ -173,6 +173,25 @@ def test_what_changes_without_end_is_409_and_nothing_is_done(arm: MadeUp, servin
     assert seen(http, GRIPS[1]) == ["1"]
 
 
+def test_topics_that_an_update_does_not_name_go_on_meanwhile(arm: MadeUp, serving: Serving) -> None:
+    arm.topic("/place", "geometry_msgs/msg/Vector3", {"x": 1, "y": 0, "z": 0})
+
+    def moving(_: Any) -> dict[str, int]:
+        arm._put("/place", "/robot", arm._encoded("/place", {"x": 1, "y": 0, "z": 0}))
+        return {"value": 1}
+
+    arm.offer("/arm/get_first", "made_up/srv/GetByte", moving)
+    http = serving(freshness=0)
+    assert http.get("/topics/place").status_code == 200  # it is subscribed to
+    vector = "<https://w3id.org/rosld/types/geometry_msgs/msg/Vector3#x>"
+    grip = f"GRAPH <{GRIPS[0]}> {{ ?s rdf:value ?grip }}"
+    into = "INSERT { GRAPH </data/copy> { <urn:a> <urn:b> ?v } } WHERE"
+    assert update(http, f"{into} {{ ?m {vector} ?v . {grip} }}").status_code == 204
+    assert seen(http, "/data/copy", "<urn:b>") == ["1.0"]
+    named = update(http, f"{into} {{ GRAPH </topics/place> {{ ?m {vector} ?v }} {grip} }}")
+    assert "changed 4 times" in detail(named, 409)
+
+
 # What is refused
 
 

@@ -6,7 +6,7 @@ import java.util.concurrent.TimeUnit;
 
 /** Runs the checks of one client in turn and prints the outcome of each as a line of JSON. */
 final class Checks {
-    private static final long LIMIT_S = 20;
+    private static final long LIMIT_S = 60;
     private static final ExecutorService THREADS = Executors.newCachedThreadPool(task -> {
         Thread thread = new Thread(task);
         thread.setDaemon(true);

@@ -1,3 +1,6 @@
+import java.io.InputStream;
+import java.net.URLEncoder;
+import java.nio.charset.StandardCharsets;
 import java.util.ArrayList;
 import java.util.List;
 import java.util.Set;
@@ -13,7 +16,9 @@ import org.apache.jena.rdf.model.ResourceFactory;
 import org.apache.jena.rdfconnection.RDFConnection;
 import org.apache.jena.rdfconnection.RDFConnectionRemote;
 import org.apache.jena.rdfconnection.RDFConnectionRemoteBuilder;
+import org.apache.jena.http.HttpOp;
 import org.apache.jena.riot.WebContent;
+import org.apache.jena.riot.rowset.rw.RowSetReaderTSV;
 import org.apache.jena.sparql.engine.http.QueryExceptionHTTP;
 import org.apache.jena.sparql.exec.http.QueryExecutionHTTP;
 import org.apache.jena.sparql.exec.http.QuerySendMode;
@@ -227,7 +232,13 @@ final class JenaQuery {
         checks.check("ASK as JSON", () -> asked(WebContent.contentTypeResultsJSON));
         checks.check("ASK as XML", () -> asked(WebContent.contentTypeResultsXML));
         checks.check("ASK as CSV", () -> asked(WebContent.contentTypeTextCSV));
-        checks.check("ASK as TSV", () -> asked(WebContent.contentTypeTextTSV));
+        // RDFConnection reads every TSV as a table of solutions, also its own writer's booleans.
+        checks.check("ASK as TSV", () -> {
+            String asked = endpoint + "?query=" + URLEncoder.encode(ask(), StandardCharsets.UTF_8);
+            try (InputStream answer = HttpOp.httpGet(asked, WebContent.contentTypeTextTSV)) {
+                Checks.yes(RowSetReaderTSV.booleanFromTSV(answer), "false");
+            }
+        });
         checks.check("CONSTRUCT as Turtle", () -> constructed(WebContent.contentTypeTurtle));
         checks.check("CONSTRUCT as N-Triples", () -> constructed(WebContent.contentTypeNTriples));
         checks.check("CONSTRUCT as RDF/XML", () -> constructed(WebContent.contentTypeRDFXML));
@@ -356,5 +367,22 @@ final class JenaQuery {
         checks.check("SERVICE with a sub-query", () -> Checks.equal(1, federated(
             "SELECT ?o { SERVICE <" + endpoint + "> { SELECT ?o { GRAPH <" + graph
                 + "> { ?s <urn:p> ?o } } ORDER BY ?o LIMIT 1 } }").size()));
+        checks.check("OPTIONAL SERVICE", () -> Checks.equal(2, federated(
+            "SELECT ?o { VALUES ?o { 'a' 'z' } OPTIONAL { SERVICE <" + endpoint + "> { GRAPH <" + graph
+                + "> { ?s <urn:p> ?o } } } }").size()));
+        checks.check("SERVICE SILENT of an endpoint that is missing", () -> Checks.equal(List.of("a"), federated(
+            "SELECT ?o { VALUES ?o { 'a' } SERVICE SILENT <http://127.0.0.1:9/sparql> { ?s <urn:p> ?x } }")));
+        checks.check("FILTER and an aggregate outside of SERVICE", () -> Checks.equal(List.of("2"), federated(
+            "SELECT (COUNT(?x) AS ?o) { SERVICE <" + endpoint + "> { GRAPH <" + graph
+                + "> { ?s <urn:p> ?x } } FILTER(?x != 'a') }")));
+        checks.check("ASK of SERVICE", () -> {
+            for (String value : new String[] {"a", "z"}) {
+                String text = "ASK { SERVICE <" + endpoint + "> { GRAPH <" + graph + "> { ?s <urn:p> '" + value
+                    + "' } } }";
+                try (QueryExecution execution = QueryExecutionFactory.create(text, DatasetFactory.create())) {
+                    Checks.equal(value.equals("a"), execution.execAsk());
+                }
+            }
+        });
     }
 }

@@ -86,7 +86,7 @@ final class JenaUpdate {
                 connection.newUpdate().update("INSERT { GRAPH <" + graph + "> { <urn:s> <urn:p> ?x } } WHERE {}")
                     .substitution("x", ResourceFactory.createTypedLiteral(7)).execute();
             }
-            expect(graph, "7");
+            expect(graph, "'7'^^<http://www.w3.org/2001/XMLSchema#int>");
         });
         checks.check("an update within a transaction of the connection", () -> {
             String graph = fresh();

@@ -7,7 +7,10 @@ public final class Main {
         JenaQuery.run(url);
         JenaUpdate.run(url);
         JenaGraphStore.run(url);
+        JenaLink.run(url);
         Rdf4jRepository.run(url);
+        Rdf4jConnection.run(url);
+        Rdf4jFederation.run(url);
         Rdf4jRio.run(url);
         System.exit(0);
     }

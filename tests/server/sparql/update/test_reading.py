@@ -384,7 +384,7 @@ def test_predicates_and_objects_may_be_listed() -> None:
         ("INSERT DATA { <a> <b> 'x'@e_n }", "1:28"),
         ("INSERT DATA { nope:a <b> <c> }", "nope: at 1:15"),
         ("INSERT { nope:a <b> <c> } WHERE { }", "nope: at 1:10"),
-        ("INSERT DATA { <a> <b> 'x }", "string without an end at 1:23"),
+        ("INSERT DATA { <a> <b> 'x }", "string that begins at 1:23 has no end"),
         ("INSERT DATA { <a> <b> <c d> }", "1:24"),
         ("INSERT DATA { <http://[/> <b> <c> }", "1:15"),
         ("INSERT DATA { << <a> <b> <c> >> <b> <c> }", "<< at 1:15"),

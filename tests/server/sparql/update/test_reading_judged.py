@@ -294,18 +294,20 @@ REFUSED_HERE_ONLY = re.compile(
     r"|cannot be read: (An integer should not be empty|. is not a valid predicate)"  # a sign apart from its number
     r"|is not a valid predicate|a is not a valid RDF object|An RDF value is expected"  # which come of the first
     r"|at 1:1 is not understood|BASE <[^>]*>|; at \S+ is not understood"  # a semicolon without an operation before it
-    r"|triple terms and reifiers|SERVICE|Write the character|begins nothing of SPARQL"  # what is refused by the lexer
+    r"|triple terms and reifiers|SERVICE"  # what is refused by the lexer
+    r"| is no part of SPARQL|escapes nothing|an escape of a character| has no end"  # and this
     r"|joins more than|nests deeper"
 )
 """Why what pyoxigraph takes is refused on purpose."""
 
 
 def taken_here_only(text: str) -> bool:
-    """Whether pyoxigraph refuses what the grammar has: a prologue after an operation, booleans in capitals."""
+    """Whether pyoxigraph refuses what the grammar has: a prologue after an operation, booleans in capitals, escapes."""
     found = [token for token in tokens(text) if token.kind not in (Kind.SPACE, Kind.COMMENT)]
     after = any(one.is_mark(";") and two.is_word("PREFIX", "BASE") for one, two in pairwise(found))
     shouted = any(one.is_word("TRUE", "FALSE") and not one.text.islower() for one in found)
-    return after or shouted
+    escaped = any(one.kind is Kind.ERROR for one in found)
+    return after or shouted or escaped
 
 
 @given(mutated())

@@ -1,0 +1,203 @@
+"""Whether a query may take long. It may be said of one that does not; of one that does it is always said.
+
+A query that is nothing but triple patterns from constants on, along links, is followed here as the store will follow
+it (it begins where most is known, and goes on to what is cheapest of what hangs together), and what is looked at is
+counted. One that stands in a single small graph, by its name, meets at most every combination of what is in it. All
+else may take any time.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple, TypeAlias
+
+from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Triple
+
+from rosld.server.sparql.patterns import Group, Iri, Pattern, Term, Variable, graphs_around
+
+_Node: TypeAlias = NamedNode | BlankNode | Literal | Triple
+Lookup: TypeAlias = Callable[[_Node | None, NamedNode | None, _Node | None, int, NamedNode | None], Sequence[Quad]]
+"""At most so many statements with a subject, a predicate, an object (None: any), of one graph or of all (None)."""
+
+MOST = 200
+"""Statements that a query may look at that does not take long."""
+_MOST_TEXT = 256 * 1024
+"""Characters of all literals in its solutions."""
+_MOST_PATTERNS = 8
+_MOST_EVALUATED = 10_000
+"""Tokens of a query that does not take long, times the statements that it looks at: what it may compute for them."""
+_MOST_COMBINED = 20_000
+"""The same, times all combinations of the statements of a graph, of which few meet."""
+_SECONDS = 0.005
+"""Of work, for finding out: on a busy machine it may be waited for much longer."""
+_PLAIN = frozenset(
+    {"SELECT", "ASK", "WHERE", "DISTINCT", "REDUCED", "GRAPH", "LIMIT", "OFFSET", "PREFIX", "BASE", "FROM", "NAMED"}
+    | {"FILTER", "IN", "NOT", "ORDER", "GROUP", "BY", "ASC", "DESC", "HAVING"}
+    | {"A", "AS", "TRUE", "FALSE", "BIND", "COUNT", "SUM", "AVG", "MIN", "MAX", "SAMPLE"}
+    | {"CONTAINS", "STRSTARTS", "STRENDS", "STRBEFORE", "STRAFTER", "SUBSTR", "LCASE", "UCASE", "LANGMATCHES"}
+    | {"RAND", "NOW", "UUID", "STRUUID", "STR", "STRLEN", "LANG", "DATATYPE", "IF", "COALESCE", "BOUND"}
+    | {"ABS", "CEIL", "FLOOR", "ROUND", "ISIRI", "ISURI", "ISBLANK", "ISLITERAL", "ISNUMERIC", "SAMETERM"}
+    | {"YEAR", "MONTH", "DAY", "HOURS", "MINUTES", "SECONDS", "TIMEZONE", "TZ"}
+)
+"""Keywords of a query whose work is that of its patterns: nothing that changes the order in which they are joined, as
+OPTIONAL and EXISTS may, and nothing that makes more of what goes in, as CONCAT and REGEX may.
+"""
+
+
+class Step(NamedTuple):
+    """A triple pattern: constants, or the names of variables."""
+
+    subject: NamedNode | str
+    predicate: NamedNode | None
+    object: NamedNode | str | None
+    """None for a literal."""
+
+    @property
+    def names(self) -> set[str]:
+        """Its variables."""
+        return {each for each in (self.subject, self.object) if isinstance(each, str)}
+
+
+class Plan(NamedTuple):
+    """Patterns in the order in which they are joined, each from a constant on, or from what those before it bind.
+
+    Empty where one must be looked for everywhere. There are as many `patterns`; all stand in `graph`, where it is one.
+    `tokens` is how many the query has.
+    """
+
+    steps: tuple[Step, ...]
+    patterns: int
+    graph: NamedNode | None
+    tokens: int
+
+
+def plan(where: Group, words: Sequence[str], tokens: int) -> Plan | None:
+    """The patterns of a query of so many tokens, to be followed; None where it may take long whatever is stored.
+
+    `words` are its keywords, in capitals.
+    """
+    if not _PLAIN.issuperset(words):
+        return None
+    steps = [*_steps(where)]
+    if None in steps or not 0 < len(steps) <= _MOST_PATTERNS:
+        return None
+    ordered = _ordered([step for step in steps if step is not None])
+    graphs = graphs_around(where) or frozenset()
+    graph = NamedNode(next(iter(graphs))) if len(graphs) == 1 else None
+    return None if ordered is None and graph is None else Plan(ordered or (), len(steps), graph, tokens)
+
+
+def _steps(group: Group) -> Iterator[Step | None]:
+    """The patterns of a group, or of the one GRAPH that is all there is in it; None for what is no plain pattern."""
+    is_apart = group.children and (group.patterns or len(group.children) > 1)
+    if group.scoped or group.mixed or group.bound or is_apart or isinstance(group.graph, Variable):
+        yield None
+    else:
+        yield from map(_step, group.patterns)
+        for child in group.children:
+            yield from _steps(child)
+
+
+def _step(pattern: Pattern) -> Step | None:
+    subject, predicates = _slot(pattern.subject), pattern.predicates
+    if pattern.repeated or pattern.empty or subject is None or len(predicates or "1") != 1:
+        return None
+    predicate = None if predicates is None else NamedNode(next(iter(predicates)))
+    return Step(subject, predicate, _slot(pattern.object))
+
+
+def _slot(term: Term) -> NamedNode | str | None:
+    if isinstance(term, Iri):
+        return NamedNode(term.value)
+    return term.name or None if isinstance(term, Variable) else None
+
+
+def _ordered(steps: list[Step]) -> tuple[Step, ...] | None:
+    """The steps as the store joins them, greedily; None where it must scan for one."""
+    known: set[str] = set()
+    ordered: list[Step] = []
+    while steps:
+        connected = [step for step in steps if step.names & known] or steps
+        step = min(connected, key=lambda each: _ESTIMATES[_known(each, known)])
+        if not _is_anchored(step, known):
+            return None
+        steps.remove(step)
+        ordered.append(step)
+        known |= step.names
+    return tuple(ordered)
+
+
+def _is_anchored(step: Step, known: set[str]) -> bool:
+    subject, predicate, object = _known(step, known)
+    return subject or (predicate and object and step.object is not None)
+
+
+def _known(step: Step, known: set[str]) -> tuple[bool, bool, bool]:
+    """Whether subject, predicate and object are known when it is looked up."""
+    subject = not isinstance(step.subject, str) or step.subject in known
+    object = not isinstance(step.object, str) or step.object in known
+    return subject, step.predicate is not None, object
+
+
+_ESTIMATES = {
+    (True, True, True): 1,
+    (True, False, True): 2,
+    (True, True, False): 10,
+    (True, False, False): 100,
+    (False, True, True): 10_000,
+    (False, False, True): 100_000,
+    (False, True, False): 1_000_000,
+    (False, False, False): 1_000_000_000,
+}
+"""What the store takes for the number of matches of a pattern, by what is known of it."""
+
+
+def may_take_long(plan: Plan | None, lookup: Lookup) -> bool:
+    """Whether a query whose patterns these are may look at more than some hundred statements.
+
+    The store walks past as much on the way to them as is walked past here: so what is found out late may take long.
+    """
+    if plan is None:
+        return True
+    if plan.graph is not None and _is_within_a_small_graph(plan, plan.graph, lookup):
+        return False
+    if not plan.steps:
+        return True
+    begun, until = time.thread_time(), time.perf_counter() + _SECONDS
+    solutions: list[dict[str, _Node]] = [{}]
+    looked = size = 0
+    for step in plan.steps:
+        following: list[dict[str, _Node]] = []
+        for solution in solutions:
+            subject = solution.get(step.subject) if isinstance(step.subject, str) else step.subject
+            object = solution.get(step.object) if isinstance(step.object, str) else step.object
+            if isinstance(subject, Literal):
+                continue
+            quads = lookup(subject, step.predicate, object, MOST - looked, None)
+            looked += len(quads) + 1
+            if looked >= MOST or (time.perf_counter() > until and time.thread_time() - begun > _SECONDS):
+                return True
+            for quad in quads:
+                following.append(_bound(solution, step, quad))
+                size += len(quad.object.value) if isinstance(quad.object, Literal) else 0
+        solutions = following
+    return size * max(1, len(solutions)) > _MOST_TEXT or looked * plan.tokens > _MOST_EVALUATED
+
+
+def _is_within_a_small_graph(plan: Plan, graph: NamedNode, lookup: Lookup) -> bool:
+    quads = lookup(None, None, None, MOST, graph)
+    if len(quads) >= MOST:
+        return False
+    size = sum(len(quad.object.value) for quad in quads if isinstance(quad.object, Literal))
+    combined = len(quads) ** plan.patterns
+    return combined * plan.tokens <= _MOST_COMBINED and size * max(1, len(quads)) <= _MOST_TEXT
+
+
+def _bound(solution: dict[str, _Node], step: Step, quad: Quad) -> dict[str, _Node]:
+    found = {**solution}
+    if isinstance(step.subject, str):
+        found[step.subject] = quad.subject
+    if isinstance(step.object, str):
+        found[step.object] = quad.object
+    return found

@@ -1,0 +1,285 @@
+"""What the query process is asked to do, each a value that is sent to it and carried out there."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import compress
+from typing import BinaryIO, NamedTuple, Protocol, cast
+
+from pyoxigraph import (
+    BlankNode,
+    NamedNode,
+    QueryBoolean,
+    QuerySolutions,
+    QueryTriples,
+    RdfFormat,
+    Triple,
+    parse,
+    serialize,
+)
+
+from rosld.server.http.problem import Problem
+from rosld.server.sparql import results, rows
+from rosld.server.sparql.functions import functions, unknown
+from rosld.server.sparql.process.cost import Plan, may_take_long
+from rosld.server.sparql.update.drawing import Canvas, GraphChange, Row, asks_again, copies, draw, graphs_named
+from rosld.server.sparql.update.operations import Hole, Modify, Operation, QuadTemplate, Where
+from rosld.server.store.base import Function, Results
+from rosld.server.store.encoding import decode_term, decode_triple
+from rosld.server.store.memory import MemoryStore
+
+_MOST_GRAPHS = 8
+"""Graphs of a dataset that is chosen for a query which does not take long."""
+_MOST_ROWS = 1024
+"""Rows that every answer has room for which does not take long."""
+_MOST_TRIPLES = 2000
+"""Triples of a graph that an update may change at once."""
+_MOST_UPDATE = 64 * 1024
+"""Bytes of an update that does not take long."""
+_MOST_TEMPLATES = 64
+"""Quads of an operation that are sent as they are."""
+_LASTING = functions(lambda topic: None)
+
+
+class Work(Protocol):
+    """Writes its result to `output`. Raises QueryError and Problems, and what `output` raises."""
+
+    def may_take_long(self, store: MemoryStore) -> bool:
+        """Whether it is to be done in a fork."""
+        ...
+
+    def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
+        """Do it."""
+        ...
+
+
+class Query(NamedTuple):
+    """A query as the store takes it. `ages` are the seconds since the newest message of topics, where it asks.
+
+    `plan` tells how to find out whether it takes long, None where it may. `functions` are those that it calls by IRI.
+    """
+
+    text: str
+    base: str
+    prefixes: Mapping[str, str]
+    default_graphs: tuple[str, ...]
+    named_graphs: tuple[str, ...]
+    plan: Plan | None
+    ages: Mapping[str, float] | None = None
+    functions: frozenset[str] = frozenset()
+
+    def results(self, store: MemoryStore) -> Results:
+        """Its results. Raises QueryError."""
+        return store.query(
+            self.text,
+            base=self.base,
+            prefixes=self.prefixes,
+            functions=self._known(),
+            default_graphs=self.default_graphs,
+            named_graphs=self.named_graphs,
+        )
+
+    def _known(self) -> Mapping[str, Function]:
+        """The functions that it may call, with those that nobody knows: calling one is an error of its expression."""
+        known = _LASTING if self.ages is None else functions(self.ages.get)
+        more = unknown(self.functions) if self.functions else {}
+        return {**known, **more} if more else known
+
+    def may_take_long(self, store: MemoryStore) -> bool:
+        """Whether it may look at more than some hundred statements."""
+        many = len(self.default_graphs) + len(self.named_graphs) > _MOST_GRAPHS
+        return many or may_take_long(self.plan, store.lookup)
+
+
+class Answer(NamedTuple):
+    """The results of a query in one media type. Problem 503 for more than `most` rows, or triples of a graph."""
+
+    query: Query
+    media_type: str
+    most: int
+
+    def may_take_long(self, store: MemoryStore) -> bool:
+        return self.most < _MOST_ROWS or self.query.may_take_long(store)
+
+    def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
+        try:
+            found = self.query.results(store)
+            limited = rows.limited(output, self.media_type, isinstance(found, QueryTriples), self.most)
+            counted = _unlimited if limited is not output else rows.Count(_unlimited, self.most).one
+            results.write(found, self.media_type, limited, counted, self.query.base)
+        except BrokenPipeError:
+            raise
+        except OSError as error:  # nothing else is reached from here
+            raise Problem(502, f"Another endpoint that the query asks failed: {error}.") from error
+
+
+class Table(NamedTuple):
+    """The first rows of the results of a query: a pickled `results.Table`."""
+
+    query: Query
+    most: int
+
+    def may_take_long(self, store: MemoryStore) -> bool:
+        return self.query.may_take_long(store)
+
+    def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
+        try:
+            output.write(pickle.dumps(results.table(self.query.results(store), self.most, _unlimited)))
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise Problem(502, f"Another endpoint that the query asks failed: {error}.") from error
+
+
+def _unlimited() -> None:
+    """Nothing has to be looked at: a fork is killed in time."""
+
+
+class Ask(NamedTuple):
+    """A WHERE, and the queries that it may come to: its own, and that over the graph of WITH."""
+
+    where: Where
+    query: Query
+    home: Query | None
+
+    def may_take_long(self, store: MemoryStore) -> bool:
+        """Whether its query may; that of WITH has all graphs in its dataset."""
+        return self.query.may_take_long(store) or self._chosen(store) is not self.query
+
+    def solutions(self, store: MemoryStore) -> Iterator[Row]:
+        """What the holes are filled with. Raises QueryError."""
+        found = self._chosen(store).results(store)
+        if isinstance(found, QueryBoolean):
+            return iter([()] if found else [])
+        assert isinstance(found, QuerySolutions)
+        return (tuple(None if term is None else decode_term(term) for term in row) for row in found)
+
+    def _chosen(self, store: MemoryStore) -> Query:
+        home = self.where.home
+        if home is None or self.home is None or store.count(home.graph, 1):
+            return self.query
+        return self.home._replace(default_graphs=(home.graph,), named_graphs=tuple(store.graphs()))
+
+
+class _Update(NamedTuple):
+    """Operations, and what their WHEREs come to."""
+
+    operations: Sequence[Operation]
+    asked: Sequence[Ask]
+
+
+class Draw(NamedTuple):
+    """What operations come to: pickled graphs, each with what it says before and after, as N-Triples."""
+
+    update: bytes
+
+    def may_take_long(self, store: MemoryStore) -> bool:
+        if len(self.update) > _MOST_UPDATE:
+            return True
+        operations, asked = _opened(self.update)
+        if asks_again(operations) or copies(operations) or any(one.may_take_long(store) for one in asked):
+            return True
+        return any(store.count(graph, _MOST_TRIPLES + 1) > _MOST_TRIPLES for graph in graphs_named(operations))
+
+    def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
+        operations, asked = _opened(self.update)
+        by_where = {id(one.where): one for one in asked}
+        canvas = Canvas(lambda graph: _triples(store, graph), store.dataset if asks_again(operations) else None)
+        draw(operations, canvas, lambda where: by_where[id(where)].solutions(store))
+        output.write(pickle.dumps([_written(change) for change in canvas.changes()]))
+
+
+def to_draw(operations: Sequence[Operation], asked: Sequence[Ask]) -> Draw:
+    """The work that draws operations; in any thread."""
+    return Draw(pickle.dumps(([*map(_compact, operations)], asked), protocol=5))
+
+
+class _Compact(NamedTuple):
+    """An operation whose constant quads are N-Quads: terms are pickled one by one, which takes ten times as long."""
+
+    rest: Modify
+    deletes: bytes
+    inserts: bytes
+
+
+def _compact(operation: Operation) -> Operation | _Compact:
+    if not isinstance(operation, Modify) or len(operation.deletes) + len(operation.inserts) <= _MOST_TEMPLATES:
+        return operation
+    deletes, inserts = _split(operation.deletes), _split(operation.inserts)
+    return _Compact(replace(operation, deletes=deletes[1], inserts=inserts[1]), deletes[0], inserts[0])
+
+
+def _split(quads: Sequence[QuadTemplate]) -> tuple[bytes, tuple[QuadTemplate, ...]]:
+    """The quads without holes and blank nodes as N-Quads, and the others."""
+    constant = [not any(term is None or isinstance(term, Hole | BlankNode) for term in quad) for quad in quads]
+    text = "".join(f"{s} {p} {o} {g} .\n" for s, p, o, g in compress(quads, constant))
+    return text.encode(), tuple(quad for quad, is_constant in zip(quads, constant, strict=True) if not is_constant)
+
+
+def _opened(update: bytes) -> _Update:
+    compact, asked = pickle.loads(update)  # from our own server
+    return _Update([_expanded(each) if isinstance(each, _Compact) else each for each in compact], asked)
+
+
+def _expanded(compact: _Compact) -> Modify:
+    rest = compact.rest
+    deletes, inserts = _templates(compact.deletes), _templates(compact.inserts)
+    return replace(rest, deletes=(*deletes, *rest.deletes), inserts=(*inserts, *rest.inserts))
+
+
+def _templates(text: bytes) -> Iterator[QuadTemplate]:
+    for quad in parse(text, RdfFormat.N_QUADS):
+        yield QuadTemplate(*cast("tuple[NamedNode, NamedNode, NamedNode, NamedNode]", tuple(quad)))
+
+
+def _triples(store: MemoryStore, graph: str) -> Sequence[Triple] | None:
+    found = store.query(f"CONSTRUCT {{?s ?p ?o}} WHERE {{GRAPH <{graph}> {{?s ?p ?o}}}}")
+    assert isinstance(found, QueryTriples)
+    return [decode_triple(triple) for triple in found] or None
+
+
+_Written = tuple[str, bytes | None, bytes | None]
+
+
+def _written(change: GraphChange) -> _Written:
+    """As N-Triples: terms are pickled one by one, which takes ten times as long."""
+    graph, before, after = change
+    return graph, _ntriples(before), _ntriples(after)
+
+
+def _ntriples(triples: Sequence[Triple] | None) -> bytes | None:
+    return None if triples is None else serialize(triples, format=RdfFormat.N_TRIPLES)
+
+
+def drawn(result: bytes) -> tuple[GraphChange, ...]:
+    """What the result of `Draw` says."""
+    changes: list[_Written] = pickle.loads(result)  # from our own process
+    return tuple(GraphChange(graph, _read(before), _read(after)) for graph, before, after in changes)
+
+
+def _read(text: bytes | None) -> tuple[Triple, ...] | None:
+    return None if text is None else tuple(quad.triple for quad in parse(text, RdfFormat.N_TRIPLES))
+
+
+class Dump(NamedTuple):
+    """What graphs hold, of one moment: a pickled mapping of names to N-Triples, None for a graph that is not there."""
+
+    graphs: tuple[str, ...]
+
+    def may_take_long(self, store: MemoryStore) -> bool:
+        return False
+
+    def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
+        output.write(pickle.dumps({graph: store.ntriples(graph) for graph in self.graphs}))
+
+
+class Graphs(NamedTuple):
+    """The names of all graphs, pickled."""
+
+    def may_take_long(self, store: MemoryStore) -> bool:
+        return False
+
+    def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
+        output.write(pickle.dumps([*store.graphs()]))

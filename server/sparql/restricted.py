@@ -1,0 +1,107 @@
+"""The dataset as those see it who may not read all of it: one dataset a set of rights, kept up as it is asked.
+
+An explicit dataset of the graphs that may be read would hide these graphs, but not what other graphs say of them, and
+costs every query anew. A restricted dataset costs a copy of what changed, once for all agents of the same rights, and
+is then asked as the whole one is: its default graph is the plain union of its graphs. It lies in the query process;
+what its agents may see is judged here, where it is known what has which type.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import pickle
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from itertools import islice
+
+from pyoxigraph import RdfFormat, parse, serialize
+
+from rosld.ontology.document import Document
+from rosld.server.access.judge import Judge
+from rosld.server.access.veil import veiled
+from rosld.server.sparql.limits import Limits
+from rosld.server.sparql.process.client import QueryProcess
+from rosld.server.sparql.process.work import Dump, Graphs
+from rosld.server.store import Edit
+
+_MOST = 8
+"""Restricted datasets at a time; the one that was asked longest ago goes first."""
+_PART = 64
+"""Graphs that are asked for and judged at a time."""
+
+
+class RestrictedDatasets:
+    """Those of one process. Belongs to one loop; `revision` changes whenever what has which type may have."""
+
+    def __init__(self, process: QueryProcess, revision: Callable[[], Hashable]) -> None:
+        self._process = process
+        self._revision = revision
+        self._kept: OrderedDict[str, _Restricted] = OrderedDict()
+        process.watch(self._changed)
+
+    async def of(self, judge: Judge, limits: Limits, until: float) -> int:
+        """The number of the dataset as the judge lets it be seen, of now: to be asked at once. Raises Problems."""
+        revision = self._revision() if judge.rights.is_typed else None
+        found = self._kept.get(judge.key)
+        if found is None or found.revision != revision or found.generation != self._process.generation:
+            if found is not None:
+                self._drop(judge.key)
+            names: list[str] = pickle.loads(await self._process.result(Graphs(), limits, until))
+            found = self._kept[judge.key] = _Restricted(self._process, judge, revision, names)
+            while len(self._kept) > _MOST:
+                self._drop(next(iter(self._kept)))
+        self._kept.move_to_end(judge.key)
+        async with found.turn:
+            await found.catch_up(limits, until)
+        return found.number
+
+    def _drop(self, key: str) -> None:
+        dropped = self._kept.pop(key)
+        if dropped.generation == self._process.generation:
+            self._process.drop(dropped.number)
+
+    def _changed(self, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> None:
+        for each in self._kept.values():
+            each.behind.update(dict.fromkeys((*graphs, *(edit.graph for edit in edits))))
+
+
+class _Restricted:
+    """The dataset as one set of rights lets it be seen."""
+
+    def __init__(self, process: QueryProcess, judge: Judge, revision: Hashable, names: Sequence[str]) -> None:
+        self.number = process.new_dataset()
+        self.generation = process.generation
+        self.revision = revision
+        self.turn = asyncio.Lock()
+        self.behind: dict[str, None] = dict.fromkeys(names)
+        self._process = process
+        self._judge = judge
+
+    async def catch_up(self, limits: Limits, until: float) -> None:
+        """Bring here what has changed. What changes by then is brought, too: so it ends with all of one moment."""
+        while self.behind:
+            part = tuple(islice(self.behind, _PART))
+            for graph in part:
+                del self.behind[graph]
+            readable = tuple(filter(self._judge.may_read, part))
+            texts: dict[str, str | None] = dict.fromkeys(part)
+            try:
+                if readable:
+                    texts |= pickle.loads(await self._process.result(Dump(readable), limits, until))
+                    texts = await asyncio.to_thread(self._seen, texts)
+                self._process.change(texts, dataset=self.number)
+            except BaseException:
+                self.behind.update(dict.fromkeys(part))
+                raise
+
+    def _seen(self, texts: Mapping[str, str | None]) -> dict[str, str | None]:
+        return {graph: None if text is None else _veiled(graph, text, self._judge) for graph, text in texts.items()}
+
+
+def _veiled(graph: str, text: str, judge: Judge) -> str:
+    """The N-Triples of a graph as they may be read."""
+    triples = tuple(quad.triple for quad in parse(text.encode(), RdfFormat.N_TRIPLES))
+    left = veiled(Document(graph, triples), judge).triples
+    if len(left) == len(triples):
+        return text
+    return (serialize(left, format=RdfFormat.N_TRIPLES) or b"").decode()

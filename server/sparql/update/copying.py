@@ -1,0 +1,49 @@
+"""What COPY, MOVE and ADD take from a graph: what its clients said, and not what the server says of the resource."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from pyoxigraph import NamedNode, Triple
+
+from rosld.ontology.vocab import ldp, rdf
+from rosld.server.ldp.interaction import rdf_types
+from rosld.server.records import Model
+from rosld.server.records.describe import META, unmanaged
+
+
+def unmanaged_triples(graph: str, triples: Sequence[Triple]) -> list[Triple]:
+    """Return the triples of a graph that are not the server's to say of the resource whose graph it is (LDP 4.2.4.3).
+
+    In another graph they would be wrong: of when the source was made, and of what it contains.
+    """
+    subject = NamedNode(graph.removesuffix(META))
+    own = [each for each in triples if each.subject == subject]
+    membership = set(_membership_triples(own, triples))
+    return [each for each in unmanaged(triples, subject.value, _model(own)) if each not in membership]
+
+
+def _model(own: Sequence[Triple]) -> Model:
+    """The interaction model of a resource, by the classes that it states; an RDF source where these say nothing."""
+    classes = {each.object for each in own if each.predicate == rdf.type}
+    fitting = [model for model in Model if classes >= set(rdf_types(model))]
+    return max(fitting, key=lambda model: len(rdf_types(model)), default=Model.RDF_SOURCE)
+
+
+def _membership_triples(own: Sequence[Triple], triples: Sequence[Triple]) -> Iterator[Triple]:
+    """The membership triples of a Direct or an Indirect container (LDP 5.2.1.4)."""
+    said = {each.predicate: each.object for each in own}
+    constant = said.get(ldp.membershipResource)
+    content = said.get(ldp.insertedContentRelation, ldp.MemberSubject)
+    members = None  # what stands for members of an Indirect container is not known here: anything may
+    if content == ldp.MemberSubject:
+        members = {each.object for each in own if each.predicate == ldp.contains}
+    for each in triples:
+        if each.predicate == said.get(ldp.hasMemberRelation) and each.subject == constant:
+            member = each.object
+        elif each.predicate == said.get(ldp.isMemberOfRelation) and each.object == constant:
+            member = each.subject
+        else:
+            continue
+        if members is None or member in members:
+            yield each

@@ -1,0 +1,172 @@
+"""W3C's tests of SPARQL 1.1 Update, over HTTP: the suite's own files (`w3c/`), with its graphs moved below `/data/`.
+
+The default graph of a test is moved as well, for here it is the union of all graphs: WITH, or GRAPH where WITH cannot
+stand, names the graph that is taken for it. What cannot be told so, or comes to something else here, is in
+`DIFFERENT`, and in `docs/conformance.md` with the reason.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from rdflib import RDF, RDFS, Graph, Namespace
+from rdflib.collection import Collection
+from rdflib.term import Node
+
+from rosld.server.sparql.lexer import Kind, Token, tokens
+
+if TYPE_CHECKING:
+    from tests.conformance.sparql.conftest import Store
+
+SUITE = Path(__file__).parent / "w3c"
+PAGE = SUITE.parents[2].parent / "docs" / "conformance.md"
+MF = Namespace("http://www.w3.org/2001/sw/DataAccess/tests/test-manifest#")
+UT = Namespace("http://www.w3.org/2009/sparql/tests/test-update#")
+EXAMPLE = "http://example.org/"
+DEFAULT = ""
+"""The name of the default graph, where graphs are told by their names."""
+GRAPHS = (
+    *(f"{EXAMPLE}g{number}" for number in range(1, 5)),
+    *(f"http://www.example.com/g{number}" for number in range(1, 3)),
+    "http://www.example.org",
+    "http://www.example.org/",
+)
+"""The names of all other graphs of the suite."""
+
+WHOLE_DATASET = frozenset({f"dawg-{verb}-{graphs}-01" for verb in ("clear", "drop") for graphs in ("named", "all")})
+"""Refused: the robot's own graphs are in the dataset."""
+SERVER_TRIPLES = frozenset({*(f"insert-where-0{number}" for number in range(1, 5)), "insert-using-01", "insert-05a"})
+"""Their `?s ?p ?o` finds what the server says of the graph, too: it is left out by a FILTER."""
+DIFFERENT = WHOLE_DATASET | SERVER_TRIPLES
+
+
+@dataclass(frozen=True)
+class Case:
+    """A test of the suite: its request, the graphs before and after it (files in Turtle by their names)."""
+
+    name: str
+    kind: str
+    request: Path
+    before: Mapping[str, Path]
+    after: Mapping[str, Path]
+
+    def __str__(self) -> str:
+        return f"{self.request.parent.name}/{self.name}"
+
+
+def cases() -> Iterator[Case]:
+    """All tests, as the manifests list them."""
+    for path in sorted(SUITE.glob("*/manifest.ttl")):
+        manifest = Graph().parse(path, format="turtle", publicID=path.as_uri())
+        for entries in manifest.objects(None, MF.entries):
+            for entry in Collection(manifest, entries):
+                kind = manifest.value(entry, RDF.type)
+                action, result = manifest.value(entry, MF.action), manifest.value(entry, MF.result)
+                request = manifest.value(action, UT.request) or action
+                name = str(entry).rpartition("#")[2]
+                graphs = (graphs_of(manifest, node) for node in (action, result))
+                yield Case(name, str(kind).removeprefix(str(MF)), file_of(request), *graphs)
+
+
+def graphs_of(manifest: Graph, node: Node | None) -> Mapping[str, Path]:
+    """The graphs of a state of the dataset."""
+    found = {
+        str(manifest.value(each, RDFS.label)): manifest.value(each, UT.graph)
+        for each in manifest.objects(node, UT.graphData)
+    }
+    default = manifest.value(node, UT.data)
+    return {name: file_of(each) for name, each in (found | ({DEFAULT: default} if default else {})).items()}
+
+
+def file_of(node: Node | None) -> Path:
+    """The file of the suite that a manifest names."""
+    return Path(str(node).removeprefix("file://"))
+
+
+CASES = tuple(cases())
+EVALUATED = tuple(case for case in CASES if case.kind == "UpdateEvaluationTest")
+POSITIVE = tuple(case for case in CASES if case.kind == "PositiveUpdateSyntaxTest11")
+NEGATIVE = tuple(case for case in CASES if case.kind.startswith("Negative"))
+
+
+# A request, moved
+
+
+def moved(text: str, names: Mapping[str, str]) -> str:
+    """An update about the graphs that it names, and the default graph, under other names."""
+    default, read = f"<{names[DEFAULT]}>", [each for each in tokens(text) if each.kind is not Kind.COMMENT]
+    found = "".join(_written(each, names) for each in read)
+    found = re.sub(r"\b(CLEAR|DROP)(\s+SILENT)?\s+DEFAULT\b", rf"\1\2 GRAPH {default}", found)
+    found = re.sub(r"\bDEFAULT\b", default, found)
+    found = re.sub(
+        r"\b((?:INSERT|DELETE)\s+DATA|DELETE\s+WHERE)\s*\{(?!\s*GRAPH)([^{}]*)\}",
+        rf"\1 {{ GRAPH {default} {{\2}} }}",
+        found,
+    )
+    return "".join(_with(default, part) for part in re.split(r"(;(?=[^{}]*(?:INSERT|DELETE|DROP)))", found))
+
+
+def _written(token: Token, names: Mapping[str, str]) -> str:
+    name = token.text[1:-1] if token.kind is Kind.IRI else EXAMPLE + token.text[1:] if token.kind is Kind.NAME else ""
+    return f"<{names[name]}>" if name in names and name else token.text
+
+
+def _with(default: str, operation: str) -> str:
+    """An operation with WITH, where that can stand and does not yet."""
+    if re.search(r"\bWITH\b|\bDATA\b|\bDELETE\s+WHERE\b", operation):
+        return operation
+    return re.sub(r"\b(INSERT|DELETE)\b", rf"WITH {default} \1", operation, count=1)
+
+
+def filtered(text: str, base: str) -> str:
+    """An update whose WHERE does not find what this server says of its own resources."""
+    every = re.compile(r"(WHERE\s*\{\s*(?:GRAPH\s+\S+\s*\{)?\s*(\?s) \?p \?o)\b", re.IGNORECASE)
+    return every.sub(rf'\1 FILTER(!(isIRI(\2) && STRSTARTS(STR(\2), "{base}")))', text)
+
+
+# The tests
+
+
+@pytest.mark.parametrize("case", EVALUATED, ids=str)
+def test_an_update_comes_to_what_w3c_expects(store: Store, case: Case) -> None:
+    names = {label: store.at(f"graph-{number}") for number, label in enumerate((DEFAULT, *GRAPHS))}
+    assert names.keys() >= {*case.before, *case.after}
+    for label in {DEFAULT, *case.before}:  # there is always a default graph
+        store.put(names[label], case.before[label].read_text("utf-8") if label in case.before else "")
+    text = moved(case.request.read_text("utf-8"), names)
+    if case.name in SERVER_TRIPLES:
+        text = filtered(text, store.endpoint.url)
+    answer = store.endpoint.post(text, "application/sparql-update")
+    if case.name in WHOLE_DATASET:
+        assert answer.status_code == 403
+        return
+    assert answer.status_code == 204, (text, answer.text)
+    for label, name in names.items():
+        if label in case.after:
+            assert store.holds(name, case.after[label].read_text("utf-8")), (label, text)
+        elif store.send("GET", name).status_code not in (404, 410):
+            assert store.holds(name, ""), (label, text)
+
+
+@pytest.mark.parametrize("case", POSITIVE, ids=str)
+def test_what_is_an_update_to_w3c_is_read(store: Store, case: Case) -> None:
+    answer = store.endpoint.post(case.request.read_bytes(), "application/sparql-update", "?dry-run=true")
+    assert answer.status_code != 400, answer.text
+
+
+@pytest.mark.parametrize("case", NEGATIVE, ids=str)
+def test_what_is_no_update_to_w3c_is_refused(store: Store, case: Case) -> None:
+    assert store.endpoint.post(case.request.read_bytes(), "application/sparql-update").status_code == 400
+
+
+def test_the_page_says_what_is_different_and_of_how_many() -> None:
+    section = PAGE.read_text("utf-8").partition("\n## SPARQL 1.1 Update\n")[2].partition("\n## ")[0]
+    rows = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("| `")]
+    assert sorted(name for row in rows for name in re.findall(r"`([\w-]+)`", row[0])) == sorted(DIFFERENT)
+    assert f"{len(EVALUATED)} of evaluation and {len(POSITIVE) + len(NEGATIVE)} of syntax" in " ".join(section.split())
+    assert len(CASES) == len(EVALUATED) + len(POSITIVE) + len(NEGATIVE) == 156

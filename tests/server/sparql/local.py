@@ -1,0 +1,59 @@
+"""The dataset of a query process within the process of the tests: for what is about neither processes nor time."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import BinaryIO, cast
+
+from rosld.server.sparql.hangup import HangUp
+from rosld.server.sparql.limits import Limits
+from rosld.server.sparql.process.client import QueryProcess
+from rosld.server.sparql.process.work import Work
+from rosld.server.store import Edit, MemoryStore
+
+
+class LocalStore(MemoryStore):
+    """A store to be synchronised, or told to another one."""
+
+    generation = 0
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._told: list[Callable[[Collection[str], Sequence[Edit]], None]] = []
+
+    def watch(self, told: Callable[[Collection[str], Sequence[Edit]], None], begun: Callable[[], None]) -> None:
+        self._told.append(told)
+
+    def replace(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
+        super().replace(graphs, edits)
+        for told in self._told:
+            told(graphs, edits)
+
+    def change(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
+        self.replace_all(graphs, edits)
+
+    async def drained(self) -> None:
+        pass
+
+
+class LocalProcess(QueryProcess):
+    """Does all work at once. Updates that ask what they have done themselves change its dataset."""
+
+    def __init__(self) -> None:
+        super().__init__(1, 1)
+        self.store = LocalStore()
+
+    async def ready(self, until: float) -> None:
+        pass
+
+    def change(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = (), dataset: int = 0) -> None:
+        self.store.replace_all(graphs, edits)
+
+    async def drained(self) -> None:
+        pass
+
+    async def result(self, work: Work, limits: Limits, until: float, hung_up: HangUp | None = None) -> bytes:
+        output = io.BytesIO()
+        work(self.store, cast("BinaryIO", output))
+        return output.getvalue()

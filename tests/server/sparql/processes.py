@@ -1,0 +1,33 @@
+"""The processes of a server, as the system tells of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+# `Served` of conftest.py arrives as what its fixture starts.
+Served = Any
+
+
+def children_of(pid: int) -> set[int]:
+    """The processes that a process has started and not yet seen end; none where it is gone."""
+    found: set[int] = set()
+    for file in Path(f"/proc/{pid}/task").glob("*/children"):
+        try:
+            found |= set(map(int, file.read_text().split()))
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+    return found
+
+
+def command_of(pid: int) -> str:
+    """What a process was started with; nothing where it is gone."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes().decode("utf-8", "replace")
+    except (FileNotFoundError, ProcessLookupError):
+        return ""
+
+
+def query_processes(served: Served) -> set[int]:
+    """The query process of a server, if it has one now."""
+    return {pid for pid in children_of(served.process.pid) if "sparql.process" in command_of(pid)}

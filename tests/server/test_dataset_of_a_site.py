@@ -1,0 +1,163 @@
+"""The dataset is what GET says: every URL of a site is crawled, and its graph compared with its N-Triples."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import httpx
+from pyoxigraph import CanonicalizationAlgorithm, Dataset, NamedNode, Quad, RdfFormat, Triple, parse
+
+from tests.server.robots.made_up import MadeUp, Serving
+
+NTRIPLES, TURTLE = {"Accept": "application/n-triples"}, {"Content-Type": "text/turtle"}
+UNLINKED = (
+    "status",
+    "channels/",
+    ".well-known/",
+    "sparql",
+    "graphs",
+    "calls/",
+    "goals/",
+    "holds/",
+    "activity/",
+    "stop",
+)
+"""What a crawl begins at, beside the entry."""
+NOT_ITSELF = frozenset({"queries/graph", "queries/mine"})
+"""Of a CONSTRUCT that is stored GET tells the results; a query that is kept is a text, which its `.meta` describes."""
+VOLATILE = frozenset(
+    f"https://w3id.org/rosld#{name}"
+    for name in (
+        *("rate", "received", "sequence", "age"),
+        *("longestPause", "longestPauseEnd", "longestPauseCode", "longestWork", "longestWorkCode", "recentPause"),
+    )
+)
+LDP = "@prefix ldp: <http://www.w3.org/ns/ldp#> . @prefix foaf: <http://xmlns.com/foaf/0.1/> . "
+DIRECT = f"{LDP}<> ldp:membershipResource <../thing> ; ldp:hasMemberRelation foaf:depiction ."
+INDIRECT = (
+    f"{LDP}<> ldp:membershipResource <../thing> ; ldp:hasMemberRelation foaf:knows ; "
+    "ldp:insertedContentRelation foaf:primaryTopic ."
+)
+
+
+def link(kind: str) -> dict[str, str]:
+    return {"Link": f'<http://www.w3.org/ns/ldp#{kind}>; rel="type"', **TURTLE}
+
+
+def kept(http: httpx.Client) -> None:
+    """Data of every kind, and documents that the server acts on."""
+    everything: Iterable[tuple[str, str, dict[str, str], bytes | str]] = (
+        (
+            "PUT",
+            "/data/site/thing",
+            TURTLE,
+            "<> <urn:p> '01'^^<urn:t>, 'a\\rb', [ <urn:q> ( 1 2.50 'ä'@de ) ] . <#it> a <urn:C> .",
+        ),
+        ("PUT", "/data/site/basic/", link("BasicContainer"), "<> <urn:p> 1 ."),
+        ("PUT", "/data/site/direct/", link("DirectContainer"), DIRECT),
+        ("PUT", "/data/site/indirect/", link("IndirectContainer"), INDIRECT),
+        ("POST", "/data/site/direct/", TURTLE, "<> <urn:p> 2 ."),
+        ("POST", "/data/site/indirect/", TURTLE, "<> <http://xmlns.com/foaf/0.1/primaryTopic> <#me> ."),
+        ("POST", "/data/site/basic/", {"Content-Type": "image/png", "Slug": "photo"}, b"\x89PNG"),
+        (
+            "PUT",
+            "/queries/mine",
+            {"Content-Type": "application/sparql-query"},
+            "# Mine.\nSELECT * { ?s ?p ?o } LIMIT 1",
+        ),
+    )
+    for method, path, headers, body in everything:
+        answer = http.request(method, path, content=body.encode() if isinstance(body, str) else body, headers=headers)
+        assert answer.status_code in (200, 201, 204), (path, answer.text)
+
+
+def triples(text: bytes) -> set[Triple]:
+    """The triples without those that change by themselves, blank nodes named by what is said of them."""
+    quads = (quad for quad in parse(text, RdfFormat.N_TRIPLES) if quad.predicate.value not in VOLATILE)
+    dataset = Dataset(Quad(*quad.triple) for quad in quads)
+    dataset.canonicalize(CanonicalizationAlgorithm.UNSTABLE)
+    return {quad.triple for quad in dataset}
+
+
+def named(found: set[Triple], base: str) -> Iterator[str]:
+    """The URLs of this site in these triples."""
+    for triple in found:
+        for term in triple:
+            if isinstance(term, NamedNode) and term.value.startswith(base) and "?" not in term.value:
+                yield term.value.partition("#")[0]
+
+
+def graph(http: httpx.Client, url: str) -> set[Triple]:
+    text = f"CONSTRUCT {{ ?s ?p ?o }} {{ GRAPH <{url}> {{ ?s ?p ?o }} }}"
+    answer = http.post("/sparql", content=text, headers={"Content-Type": "application/sparql-query", **NTRIPLES})
+    assert answer.status_code == 200, answer.text
+    return triples(answer.content)
+
+
+def compared(http: httpx.Client) -> tuple[set[str], dict[str, str]]:
+    """The paths that were crawled, and what differs at some of them. The graph is asked for before its document is."""
+    base = str(http.base_url)
+    waiting = deque([base, *(base + path for path in UNLINKED)])
+    seen, read, different = set(waiting), set(), {}
+    while waiting:
+        url = waiting.popleft()
+        there = graph(http, url)
+        answer = http.get(url, headers=NTRIPLES)
+        path = url.removeprefix(base)
+        if answer.status_code in (301, 303, 308):
+            following = [answer.headers["location"].partition("#")[0]]
+        elif answer.status_code != 200 or answer.headers["content-type"] != "application/n-triples":
+            following = []
+        else:
+            read.add(path)
+            told = triples(answer.content)
+            following = list(named(told, base))
+            is_same = told == there or (bool(there) and told == (there := graph(http, url)))  # a value may have come
+            if not is_same and path not in NOT_ITSELF:
+                different[path] = (
+                    f"GET only: {sorted(map(str, told - there))[:3]}, graph only: {sorted(map(str, there - told))[:3]}"
+                )
+        for each in following:
+            if each not in seen:
+                seen.add(each)
+                waiting.append(each)
+    return read, different
+
+
+def test_every_graph_of_the_aircraft_is_what_get_says(start_server: Callable[..., Any]) -> None:
+    http = start_server("aircraft").http
+    kept(http)
+    assert http.post("/services/aircraft/start").status_code == 201
+    assert http.post("/actions/aircraft/fly", json={"distance": 1.0}).status_code == 201
+    holding = {"rate": 10, "lease": 5}
+    assert http.post("/topics/cockpit/display", params=holding, json={"data": "x"}).status_code == 201
+    read, different = compared(http)
+    assert different == {}
+    assert len(read) > 150
+    assert {path.partition("/")[0] for path in read} >= {
+        "holds",
+        "calls",
+        "goals",
+        "activity",
+        "shapes",
+        "queries",
+        "stop",
+    }
+    assert {"data/site/indirect/", "types/std_srvs/srv/Trigger_Request", "parameters/aircraft/engine/limits/"} <= read
+
+
+def test_every_graph_of_a_robot_without_a_mapping_is_what_get_says(robot: MadeUp, serving: Serving) -> None:
+    robot.topic("/place", "geometry_msgs/msg/Vector3", {"x": 1.5, "y": 0, "z": -0.0})
+    robot.topic("/arm/joints", "sensor_msgs/msg/JointState", heard=True)
+    robot.topic("/arm", "std_msgs/msg/String", {"data": "a\rb\u0001"})
+    robot.answer("/arm/count", "made_up/srv/GetByte", value=7)
+    for name, value in {"/arm/limits/low": -1, "/arm/limits/high": [1.5, 2.5], "/arm/name": "it", "/on": True}.items():
+        robot.parameter(name, value)
+    client = serving()
+    client.timeout = 30
+    kept(client)
+    read, different = compared(client)
+    assert different == {}
+    assert len(read) > 60

@@ -1,0 +1,73 @@
+"""Topics whose messages complete each other: the newest element of each key, of whichever message it came in."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.server.robots.made_up import MadeUp, Serving
+from tests.waiting import until
+
+FOLDED = {
+    "tf2_msgs/msg/TFMessage": ("transforms", "child_frame_id"),
+    "diagnostic_msgs/msg/DiagnosticArray": ("status", "name"),
+}
+
+
+def message(type: str, **values: float) -> dict[str, Any]:
+    """A message with an element for each key, which holds this number."""
+    array, key = FOLDED[type]
+    if array == "transforms":
+        return {array: [{key: name, "transform": {"translation": {"x": x}}} for name, x in values.items()]}
+    return {array: [{key: name, "message": str(x)} for name, x in values.items()]}
+
+
+def numbers(http: httpx.Client, type: str) -> list[tuple[str, float]]:
+    """The elements that are read, in order."""
+    array, key = FOLDED[type]
+    found = http.get("/topics/folded", headers={"Accept": "application/json"}).json()
+    elements = found[array] if found else []
+    if array == "transforms":
+        return [(one[key], one["transform"]["translation"]["x"]) for one in elements]
+    return [(one[key], float(one["message"])) for one in elements]
+
+
+def shown(http: httpx.Client, type: str, **values: float) -> None:
+    """Wait until these elements are read, in the order of their keys."""
+    until(lambda: numbers(http, type) == sorted(values.items()), f"{values}")
+
+
+@pytest.mark.parametrize("type", FOLDED)
+def test_the_newest_element_of_each_key_is_read(robot: MadeUp, serving: Serving, type: str) -> None:
+    robot.topic("/folded", type, message(type, wheel=1.0))
+    http = serving()
+    with http.stream("GET", "/topics/folded", headers={"Accept": "text/event-stream"}) as kept:
+        assert kept.status_code == 200  # while somebody follows, what came is kept
+        shown(http, type, wheel=1.0)
+        robot.publishes("/folded", message(type, arm=2.0))
+        shown(http, type, arm=2.0, wheel=1.0)
+        robot.publishes("/folded", message(type, wheel=3.0))
+        shown(http, type, arm=2.0, wheel=3.0)
+        robot.publishes("/folded", message(type, arm=4.0, lid=5.0))
+        shown(http, type, arm=4.0, lid=5.0, wheel=3.0)
+
+
+@pytest.mark.parametrize("type", FOLDED)
+def test_of_elements_with_one_key_in_one_message_the_last_is_read(robot: MadeUp, serving: Serving, type: str) -> None:
+    array, _ = FOLDED[type]
+    twice = [*message(type, wheel=1.0)[array], *message(type, wheel=2.0)[array]]
+    robot.topic("/folded", type, {array: twice})
+    assert numbers(serving(), type) == [("wheel", 2.0)]
+
+
+@pytest.mark.parametrize("type", FOLDED)
+def test_what_came_between_two_reads_is_not_lost(robot: MadeUp, serving: Serving, type: str) -> None:
+    robot.topic("/folded", type, message(type, wheel=1.0))
+    http = serving()
+    assert numbers(http, type) == [("wheel", 1.0)]
+    for x in range(2, 12):
+        robot.publishes("/folded", message(type, **{f"joint{x}": float(x), "wheel": float(x)}))
+    found = dict(numbers(http, type))
+    assert found == {f"joint{x}": float(x) for x in range(2, 12)} | {"wheel": 11.0}

@@ -1,0 +1,31 @@
+"""What a refusal of `?format=` lists is served, each of it."""
+
+from __future__ import annotations
+
+import re
+
+import httpx
+import pytest
+
+PLACES = (
+    "/queries/inventory", "/queries/node?node=/nodes/aircraft", "/queries/graph", "/graphs?default", "/topics/",
+    "/topics/cockpit/display", "/graphs?graph=/topics/cockpit/display",
+)  # fmt: skip
+
+
+def asked(http: httpx.Client, place: str, format: str) -> httpx.Response:
+    return http.get(f"{place}{'&' if '?' in place else '?'}format={format}")
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("refused", ["zzz", "csv"])
+def test_each_format_that_is_listed_is_served(http: httpx.Client, place: str, refused: str) -> None:
+    answer = asked(http, place, refused)
+    if answer.status_code == 200:
+        return
+    assert answer.status_code == 406, answer.text
+    listed = re.findall(r"[a-z0-9]+", answer.json()["detail"].partition("there are ")[2])
+    assert {"ttl", "jsonld"} <= set(listed) or "csv" in listed
+    assert refused not in listed
+    for format in listed:
+        assert asked(http, place, format).status_code == 200, (place, format)

@@ -1,0 +1,161 @@
+"""The graph store as a dataset: `?all` tells every graph with its name, `?graph=` one graph and no name."""
+
+from __future__ import annotations
+
+import httpx
+import pytest
+from pyoxigraph import CanonicalizationAlgorithm, Dataset, DefaultGraph, NamedNode, Quad, RdfFormat, parse
+
+TURTLE = {"Content-Type": "text/turtle"}
+SYNTAXES = {
+    "application/n-quads": RdfFormat.N_QUADS,
+    "application/trig": RdfFormat.TRIG,
+    "application/ld+json": RdfFormat.JSON_LD,
+}
+
+
+def quads(answer: httpx.Response) -> set[Quad]:
+    assert answer.status_code == 200, answer.text
+    media_type = answer.headers["content-type"].partition(";")[0]
+    return {*parse(answer.content, SYNTAXES[media_type], base_iri=str(answer.url))}
+
+
+@pytest.mark.parametrize("media_type", SYNTAXES)
+def test_all_graphs_are_told_with_their_names(http: httpx.Client, media_type: str) -> None:
+    url = f"{http.base_url}data/all/one"
+    assert http.put(url, content="<> <urn:p> '01'^^<urn:t>, 007, 'a'@en .", headers=TURTLE).is_success
+    answer = http.get("/graphs?all", headers={"Accept": media_type})
+    assert answer.headers["content-type"].partition(";")[0] == media_type
+    found = quads(answer)
+    assert {quad.graph_name for quad in found} >= {NamedNode(url), NamedNode(f"{http.base_url}nodes/aircraft")}
+    assert DefaultGraph() not in {quad.graph_name for quad in found}
+    own = {quad.triple for quad in found if quad.graph_name == NamedNode(url)}
+    told = http.get(url, headers={"Accept": "application/n-triples"}).content
+    assert own == {quad.triple for quad in parse(told, RdfFormat.N_TRIPLES)}
+
+
+def test_the_dataset_is_had_as_nquads_unless_something_else_is_asked_for(http: httpx.Client) -> None:
+    assert http.get("/graphs?all").headers["content-type"] == "application/n-quads"
+    assert http.head("/graphs?all").headers["content-type"] == "application/n-quads"
+    assert http.get("/graphs?all&format=trig").headers["content-type"] == "application/trig"
+    refused = http.get("/graphs?all", headers={"Accept": "text/turtle"})
+    assert refused.status_code == 406
+    assert "application/n-quads, application/trig" in refused.text
+    assert http.get("/graphs?all&default").status_code == 400
+
+
+@pytest.mark.parametrize("media_type", ["application/trig", "application/n-quads"])
+@pytest.mark.parametrize("path", ["data/all/two", "topics/aircraft/engine/speed", "types/std_msgs/msg/Float64"])
+def test_one_graph_has_no_name_in_it(http: httpx.Client, media_type: str, path: str) -> None:
+    http.put("/data/all/two", content="<> <urn:p> 1 .", headers=TURTLE)
+    url = f"{http.base_url}{path}"
+    for answer in (
+        http.get("/graphs", params={"graph": url}, headers={"Accept": media_type}),
+        http.get(url, headers={"Accept": media_type}),
+    ):
+        assert {quad.graph_name for quad in quads(answer)} == {DefaultGraph()}
+
+
+@pytest.mark.parametrize("query", ["graph=http://127.0.0.1/data/x", "default", "all"])
+def test_the_endpoint_sends_who_asks_for_a_graph_to_the_graph_store(http: httpx.Client, query: str) -> None:
+    answer = http.get(f"/sparql?{query}")
+    assert answer.status_code == 400
+    assert f"{http.base_url}graphs?graph=URL" in answer.json()["detail"]
+
+
+KEPT = {
+    "thing": "<> <urn:p> '01'^^<urn:t>, 007, 'a\\rb'@en, [ <urn:q> ( 1 2 ) ] . <#it> a <urn:C> .",
+    "box/": "@prefix ldp: <http://www.w3.org/ns/ldp#> . <> a ldp:BasicContainer ; <urn:p> 'box' .",
+    "box/member": "<> <urn:p> 1 .",
+}
+DIRECT = (
+    "@prefix ldp: <http://www.w3.org/ns/ldp#> . "
+    "<> a ldp:DirectContainer ; ldp:membershipResource <thing> ; ldp:hasMemberRelation <urn:has> ."
+)
+
+
+def keep(http: httpx.Client, room: str) -> None:
+    for path, text in {**KEPT, "direct/": DIRECT, "direct/member": "<> <urn:p> 2 ."}.items():
+        kind = {"box/": "BasicContainer", "direct/": "DirectContainer"}.get(path)
+        link = {"Link": f'<http://www.w3.org/ns/ldp#{kind}>; rel="type"'} if kind else {}
+        answer = http.put(
+            f"{room}{path}",
+            content=text.replace("<thing>", f"<{http.base_url}{room[1:]}thing>"),
+            headers={**TURTLE, **link},
+        )
+        assert answer.status_code == 201, answer.text
+
+
+def said(http: httpx.Client, room: str) -> set[Quad]:
+    """What the graphs below a container say but for times, blank nodes named by what is said of them."""
+    url = f"{http.base_url}{room[1:]}"
+    found = Dataset(
+        quad
+        for quad in quads(http.get("/graphs?all"))
+        if quad.graph_name.value.startswith(url) and not quad.predicate.value.startswith("http://purl.org/dc/terms/")
+    )
+    found.canonicalize(CanonicalizationAlgorithm.UNSTABLE)
+    return {*found}
+
+
+@pytest.mark.parametrize("media_type", ["application/n-quads", "application/trig"])
+def test_what_all_told_is_put_back(http: httpx.Client, media_type: str) -> None:
+    room = f"/data/round-{media_type[-4:]}/"
+    keep(http, room)
+    before, dump = said(http, room), http.get("/graphs?all", headers={"Accept": media_type}).content
+    assert len(before) > 20
+    assert http.put("/graphs?all", content=dump, headers={"Content-Type": media_type}).status_code == 204
+    assert said(http, room) == before
+    assert http.put(f"{room}thing", content="<> <urn:p> 'changed' .", headers=TURTLE).status_code == 204
+    assert http.delete(f"{room}box/member").status_code == 204
+    assert said(http, room) != before
+    assert http.put("/graphs?all", content=dump, headers={"Content-Type": media_type}).status_code == 204
+    assert said(http, room) == before
+
+
+def test_what_was_deleted_comes_back_with_what_it_said(http: httpx.Client) -> None:
+    room = "/data/deleted/"
+    keep(http, room)
+    for path in ("direct/member", "direct/"):  # it would come back as a basic one
+        assert http.delete(f"{room}{path}").status_code == 204
+    before, dump = said(http, room), http.get("/graphs?all").content
+    for path in ("box/member", "box/", "thing", ""):
+        assert http.delete(f"{room}{path}").status_code == 204
+    answer = http.put("/graphs?all", content=dump, headers={"Content-Type": "application/n-quads"})
+    assert answer.status_code == 204, answer.text
+    assert said(http, room) == before
+
+
+def test_what_is_posted_is_merged(http: httpx.Client) -> None:
+    graph = NamedNode(f"{http.base_url}data/merged")
+    http.put("/data/merged", content="<> <urn:p> 1 .", headers=TURTLE)
+    kind = {"Content-Type": "application/trig"}
+    assert http.post("/graphs?all", content=f"{graph} {{ {graph} <urn:p> 2, 3 }}", headers=kind).status_code == 204
+    found = (quad for quad in quads(http.get("/graphs?all")) if quad.graph_name == graph)
+    assert {quad.object.value for quad in found if quad.predicate == NamedNode("urn:p")} == {"1", "2", "3"}
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "words"),
+    [
+        ("<urn:s> <urn:p> 1 .", 400, "stands in no graph"),
+        ("<urn:g> { <urn:s> <urn:p> 1 }", 403, "No graph <urn:g> can be here"),
+        ("<urn:g> { <urn:s> <urn:p> ", 400, ""),
+    ],
+)
+def test_what_cannot_be_taken_back_is_refused_whole(http: httpx.Client, body: str, status: int, words: str) -> None:
+    kept = f"<{http.base_url}data/never> {{ <urn:s> <urn:p> 1 }}\n"
+    answer = http.put("/graphs?all", content=kept + body, headers={"Content-Type": "application/trig"})
+    assert answer.status_code == status
+    assert words in answer.text
+    assert http.get("/data/never").status_code == 404
+
+
+def test_graphs_of_the_robot_are_passed_over_and_a_dry_run_tells_what_would_be_written(http: httpx.Client) -> None:
+    base = http.base_url
+    body = f"<{base}nodes/aircraft> <urn:p> 1 <{base}nodes/aircraft> .\n<urn:s> <urn:p> 1 <{base}data/dry> .\n"
+    kind = {"Content-Type": "application/n-quads"}
+    planned = http.post("/graphs?all&dry-run=true", content=body.replace(" 1 ", ' "1" '), headers=kind)
+    assert [each["graph"] for each in planned.json()["graphs"]] == [f"{base}data/dry"]
+    assert http.get("/data/dry").status_code == 404
+    assert http.put("/graphs?all", content=body, headers=TURTLE).status_code == 415

@@ -1,0 +1,194 @@
+"""The query process dies, and nothing else notices: over real connections, with real signals."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import socket
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, urlsplit
+
+import httpx
+import pytest
+
+from tests.server.sparql.processes import children_of, command_of, query_processes
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="it looks at /proc")
+
+# `Served` of conftest.py arrives as what its fixture starts.
+Served = Any
+PATIENCE = 60.0
+KILLS = 12
+ACCEPT = {"Accept": "text/csv, application/problem+json;q=0.9"}
+TURTLE = {"Content-Type": "text/turtle"}
+HEAVY = "SELECT (COUNT(*) AS ?n) { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l }"
+MIXED = " ".join(
+    f'<#s> <http://h/v> {number} , "2026-01-{number + 1:02}T00:00:00Z"^^<http://www.w3.org/2001/XMLSchema#dateTime> ,'
+    f' "text {number}" .'
+    for number in range(25)
+)
+
+
+@pytest.fixture
+def served(serve: Callable[..., Served]) -> Iterator[Served]:
+    """A server of its own."""
+    one = serve("aircraft", "--max-publish-rate", "100000")
+    yield one
+    assert one.process.poll() is None, "the server died"
+
+
+def process_of(served: Served, other_than: int | None = None) -> int:
+    """The query process, as soon as there is one (and another one than that)."""
+    until = time.monotonic() + PATIENCE
+    while not (found := query_processes(served) - {other_than}):
+        assert time.monotonic() < until, "there is no query process"
+        select.select([], [], [], 0.01)
+    [pid] = found
+    return pid
+
+
+def has_ended(pid: int) -> bool:
+    """Whether a process is gone, or only waits for its parent."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+
+
+def until_ended(*pids: int) -> None:
+    until = time.monotonic() + PATIENCE
+    while not all(map(has_ended, pids)):
+        assert time.monotonic() < until, "a process goes on"
+        select.select([], [], [], 0.01)
+
+
+def ask(served: Served, query: str) -> httpx.Response:
+    answer: httpx.Response = served.http.get("/sparql", params={"query": query}, headers=ACCEPT)
+    return answer
+
+
+def answered(served: Served, query: str) -> str:
+    """The answer, asked for again for as long as that is what the server asks for."""
+    until = time.monotonic() + PATIENCE
+    while (answer := ask(served, query)).status_code == 503:
+        assert answer.headers["retry-after"].isdigit()
+        assert time.monotonic() < until, answer.text
+        select.select([], [], [], 0.02)
+    assert answer.status_code == 200, answer.text
+    return answer.text
+
+
+def name(served: Served) -> str:
+    return f"SELECT ?n {{ <{served.topic('/cockpit/display')}> ros:name ?n }}"
+
+
+def test_the_query_process_has_one_thread_and_nothing_of_the_server_or_of_ros(served: Served) -> None:
+    answered(served, "SELECT (COUNT(*) AS ?n) { ?s ?p ?o }")
+    pid = process_of(served)
+    assert len([*Path(f"/proc/{pid}/task").iterdir()]) == 1
+    loaded = Path(f"/proc/{pid}/maps").read_text()
+    assert "pyoxigraph" in loaded
+    for library in ("uvloop", "httptools", "numpy", "rcl", "rmw", "rospy"):
+        assert f"/{library}" not in loaded, library
+
+
+def test_a_query_process_that_is_killed_is_replaced_and_knows_all_that_the_last_one_knew(served: Served) -> None:
+    assert served.http.put("/data/p", content="<> <http://h/v> 1 .", headers=TURTLE).status_code == 201
+    graphs = "SELECT DISTINCT ?g { GRAPH ?g { ?s ?p ?o } FILTER(!CONTAINS(STR(?g), '/activity')) } ORDER BY ?g"
+    before = answered(served, graphs)
+    for number in (signal.SIGKILL, signal.SIGSEGV, signal.SIGTERM):
+        pid = process_of(served)
+        os.kill(pid, number)
+        assert served.http.get("/data/p").status_code == 200
+        assert served.http.put("/data/q", content="<> <http://h/v> 2 .", headers=TURTLE).status_code in (201, 204)
+        assert answered(served, "SELECT ?v { <data/q> <http://h/v> ?v }") == "v\r\n2\r\n"
+        assert served.http.delete("/data/q").status_code == 204
+        assert process_of(served) != pid
+        assert answered(served, graphs) == before
+        assert has_ended(pid)
+
+
+def test_values_of_many_types_in_order_do_not_end_the_server(served: Served) -> None:
+    assert served.http.put("/data/p", content=MIXED, headers=TURTLE).status_code == 201
+    query = "SELECT ?o { <data/p#s> <http://h/v> ?o } ORDER BY ?o"
+    assert ask(served, query).status_code == 200
+    update = f"DELETE {{ <data/p#s> <http://h/v> ?o }} WHERE {{ {{ {query} }} }}"
+    patched = served.http.patch("/data/p", content=update, headers={"Content-Type": "application/sparql-update"})
+    assert patched.status_code < 500, patched.text
+    assert answered(served, "ASK { <data/p#s> ?p ?o }")
+
+
+def test_killed_again_and_again_under_load_it_costs_queries_a_503_and_others_nothing(served: Served) -> None:
+    answered(served, name(served))
+    ended = threading.Event()
+    seen: Counter[tuple[str, int]] = Counter()
+    without_retry: list[str] = []
+
+    def load(what: str, send: Callable[[httpx.Client, int], httpx.Response]) -> None:
+        with httpx.Client(base_url=served.url, timeout=PATIENCE) as client:
+            turn = 0
+            while not ended.wait(0.005):
+                turn += 1
+                answer = send(client, turn)
+                seen[what, answer.status_code] += 1
+                if answer.status_code == 503 and "retry-after" not in answer.headers:
+                    without_retry.append(answer.text)
+
+    def query(client: httpx.Client, turn: int) -> httpx.Response:
+        text = (
+            f"{name(served)} #{turn}" if turn % 2 else f"SELECT (COUNT(*) AS ?n) {{ ?s a ?c FILTER(?c != <h:{turn}>) }}"
+        )
+        return client.get("/sparql", params={"query": text}, headers=ACCEPT)
+
+    def get(client: httpx.Client, turn: int) -> httpx.Response:
+        return client.get("/topics/cockpit/display")
+
+    def put(client: httpx.Client, turn: int) -> httpx.Response:
+        return client.put("/data/load", content=f"<> <http://h/v> {turn} .", headers=TURTLE)
+
+    loads = [threading.Thread(target=load, args=each) for each in (("query", query), ("get", get), ("put", put))]
+    for each in loads:
+        each.start()
+    last = None
+    for _ in range(KILLS):
+        last = process_of(served, last)
+        before = seen["query", 200]
+        until = time.monotonic() + PATIENCE
+        while seen["query", 200] == before:  # it is at work again
+            assert time.monotonic() < until, dict(seen)
+            select.select([], [], [], 0.01)
+        os.kill(last, signal.SIGKILL)
+    ended.set()
+    for each in loads:
+        each.join()
+    assert {status for what, status in seen if what == "query"} <= {200, 503}, dict(seen)
+    assert {status for what, status in seen if what == "get"} == {200}, dict(seen)
+    assert {status for what, status in seen if what == "put"} <= {201, 204}, dict(seen)
+    assert not without_retry
+    assert answered(served, name(served))
+
+
+def test_whatever_is_at_work_ends_with_the_server_even_if_that_is_killed(serve: Callable[..., Served]) -> None:
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        served = serve("aircraft", "--setting", "query_time_limit", "60")
+        pid = process_of(served)
+        address = urlsplit(served.url)
+        with closing(socket.create_connection((address.hostname, address.port), timeout=PATIENCE)) as connection:
+            target = f"/sparql?query={quote(HEAVY)}"
+            connection.sendall(f"GET {target} HTTP/1.1\r\nHost: {address.netloc}\r\n\r\n".encode())
+            until = time.monotonic() + PATIENCE
+            while not (forks := children_of(pid)):
+                assert time.monotonic() < until, "no fork was made"
+                select.select([], [], [], 0.01)
+            served.process.send_signal(number)
+            served.process.wait(PATIENCE)
+            until_ended(pid, *forks)
+            assert "sparql.process" not in command_of(pid)

@@ -1,0 +1,356 @@
+"""SPARQL tells the terms that GET tells: datatypes and lexical forms as they were written; and every order is total."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from itertools import count
+from typing import Any
+
+import httpx
+import pytest
+import rdflib
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, parse
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+XSD = "http://www.w3.org/2001/XMLSchema#"
+PREFIXES = f"PREFIX xsd: <{XSD}> "
+P = "<urn:p>"
+N_TRIPLES = {"Accept": "application/n-triples"}
+TURNS = count()
+
+
+@pytest.fixture(scope="module")
+def plane(start_server: Callable[..., Any]) -> httpx.Client:
+    """An aircraft of this module's own."""
+    client: httpx.Client = start_server("aircraft", "--max-publish-rate", "100000").http
+    return client
+
+
+def put(client: httpx.Client, *literals: str) -> str:
+    """The URL of a new resource that has these values of <urn:p>."""
+    url = str(client.base_url.join(f"/data/terms{next(TURNS)}"))
+    body = "".join(f"<{url}> {P} {literal} .\n" for literal in literals)
+    answer = client.put(url, content=body.encode(), headers={"Content-Type": "application/n-triples"})
+    assert answer.status_code == 201, answer.text
+    return url
+
+
+def rows(client: httpx.Client, query: str) -> list[tuple[str, ...]]:
+    """The rows of a SELECT as N-Triples, unbound ones empty."""
+    answer = client.post(
+        "/sparql", data={"query": PREFIXES + query}, headers={"Accept": "application/sparql-results+json"}
+    )
+    assert answer.status_code == 200, answer.text
+    found = answer.json()
+    return [tuple(term(row.get(name)) for name in found["head"]["vars"]) for row in found["results"]["bindings"]]
+
+
+def term(told: Any) -> str:
+    """A term of JSON results, short where it is of XSD."""
+    if told is None:
+        return ""
+    if told["type"] != "literal":
+        return f"<{told['value']}>"
+    if "xml:lang" in told:
+        return str(Literal(told["value"], language=told["xml:lang"]))
+    if "datatype" not in told:
+        return str(Literal(told["value"]))
+    return str(Literal(told["value"], datatype=NamedNode(told["datatype"])))
+
+
+def typed(value: str, name: str) -> str:
+    return f'"{value}"^^<{XSD}{name}>'
+
+
+def objects(answer: httpx.Response) -> set[str]:
+    """The values of <urn:p> in an answer."""
+    assert answer.status_code == 200, answer.text
+    quads = parse(answer.content, RdfFormat.N_TRIPLES)
+    return {str(quad.object) for quad in quads if quad.predicate == NamedNode("urn:p")}
+
+
+def mixed(seed: int) -> list[str]:
+    """Integers, dateTimes and strings that pyoxigraph's own order cannot sort."""
+    made = random.Random(seed)
+    return [
+        literal
+        for _ in range(60)
+        for literal in (
+            typed(str(made.randint(0, 3000)), "integer"),
+            typed(f"20{made.randint(10, 99)}-01-01T00:00:00Z", "dateTime"),
+            f'"{made.randint(0, 3000)}x"',
+        )
+    ]
+
+
+def test_an_order_over_integers_times_and_strings_is_answered(plane: httpx.Client) -> None:
+    url = put(plane, *mixed(1))
+    found = [value for [value] in rows(plane, f"SELECT ?o {{ <{url}> {P} ?o }} ORDER BY ?o")]
+    numbers = [int(value.split('"')[1]) for value in found if value.endswith("integer>")]
+    texts = [value for value in found if "^^" not in value]
+    times = [value for value in found if value.endswith("dateTime>")]
+    assert (numbers, texts, times) == (sorted(numbers), sorted(texts), sorted(times))
+    assert found == [*(typed(str(number), "integer") for number in numbers), *texts, *times]
+    assert rows(plane, f"SELECT ?o {{ <{url}> {P} ?o }} ORDER BY DESC(?o) LIMIT 1") == [(found[-1],)]
+    inner = f"SELECT ?o {{ {{ SELECT ?o {{ <{url}> {P} ?o }} ORDER BY ?o LIMIT 3 }} }} ORDER BY ?o"
+    assert rows(plane, inner) == [(value,) for value in found[:3]]
+    extremes = rows(plane, f"SELECT (MIN(?o) AS ?a) (MAX(?o) AS ?b) {{ <{url}> {P} ?o }}")
+    assert extremes == [(found[0], found[-1])]
+
+
+def test_a_patch_whose_where_orders_such_a_mixture_is_carried_out(plane: httpx.Client) -> None:
+    url = put(plane, *mixed(2))
+    where = f"{{ SELECT ?o {{ ?s {P} ?o }} ORDER BY ?o LIMIT 1 }}"
+    body = f"INSERT {{ <{url}> <urn:least> ?o }} WHERE {{ {where} }}"
+    answer = plane.patch(url, content=body, headers={"Content-Type": "application/sparql-update"})
+    assert answer.status_code in (200, 204), answer.text
+    [(least,)] = rows(plane, f"SELECT ?o {{ <{url}> <urn:least> ?o }}")
+    assert least.endswith("integer>")
+
+
+def test_solutions_are_in_the_order_of_their_values(plane: httpx.Client) -> None:
+    ordered = [
+        "<urn:a>", "<urn:b>",
+        typed("-INF", "double"), typed("-5", "byte"), typed("-1.50", "decimal"), typed("0.0", "double"),
+        typed("007", "integer"), typed("7.5", "float"), typed("9007199254740992", "integer"),
+        typed("9007199254740993", "long"), typed("1e300", "double"), typed("INF", "float"), typed("NaN", "double"),
+        '""', '"a"', '"a"@en', '"b"', typed("2019-12-31T23:00:00-02:00", "dateTime"),
+        typed("2020-01-01T02:00:00.000Z", "dateTime"), typed("2020-01-01T02:00:00.25", "dateTime"),
+        typed("2020-01-01T02:00:00.5Z", "dateTime"), typed("false", "boolean"), typed("1", "boolean"),
+        typed("2019-01-01", "date"), typed("2020-01-01+00:00", "date"),
+        typed("PT59S", "duration"), typed("PT60S", "dayTimeDuration"),
+    ]  # fmt: skip
+    url = put(plane, *random.Random(3).sample(ordered, len(ordered)))
+    query = f"SELECT ?o {{ <{url}> {P} ?o }} ORDER BY"
+    assert rows(plane, f"{query} ?o") == [(value,) for value in ordered]
+    assert rows(plane, f"{query} DESC(?o)") == [(value,) for value in reversed(ordered)]
+    unbound = f"SELECT ?o {{ {{}} UNION {{ <{url}> {P} ?o }} }} ORDER BY ?o LIMIT 2"
+    assert rows(plane, unbound) == [("",), ("<urn:a>",)]
+
+
+def test_queries_tell_terms_as_they_were_written(plane: httpx.Client) -> None:
+    kept = {
+        typed("7", "unsignedByte"), typed("7", "integer"), typed("07", "integer"), typed("005", "unsignedByte"),
+        typed("1.50", "decimal"), typed("1.0E0", "double"), typed("1", "boolean"), typed("PT60S", "duration"),
+        typed("2020-01-01T00:00:00.000Z", "dateTime"), '"07"', '"seven"@en', typed("300", "byte"), "<urn:seven>",
+    }  # fmt: skip
+    url = put(plane, *kept)
+    assert objects(plane.get(url, headers=N_TRIPLES)) == kept
+    assert {value for [value] in rows(plane, f"SELECT ?o {{ <{url}> {P} ?o }}")} == kept
+    for accept in ("application/n-triples", "text/turtle", "application/ld+json", "application/rdf+xml"):
+        answer = plane.get("/sparql", params={"query": f"DESCRIBE <{url}>"}, headers={"Accept": accept})
+        syntax = RdfFormat.from_media_type(accept)
+        assert syntax is not None
+        told = {str(quad.object) for quad in parse(answer.content, syntax) if quad.predicate == NamedNode("urn:p")}
+        assert told == kept, accept
+    literals = rows(plane, f"SELECT ?o (STR(?o) AS ?t) (DATATYPE(?o) AS ?d) {{ <{url}> {P} ?o FILTER isLiteral(?o) }}")
+    for one, text, datatype in literals:
+        assert one in (text, f"{text}^^{datatype}") or "@" in one
+    assert (f"<{XSD}unsignedByte>",) in rows(plane, f"SELECT DISTINCT (DATATYPE(?o) AS ?d) {{ <{url}> {P} ?o }}")
+    page = plane.get("/sparql", params={"query": f"SELECT ?o {{ <{url}> {P} ?o }}"}, headers={"Accept": "text/html"})
+    assert "urn:x-" not in page.text
+    assert "005" in page.text
+
+
+@pytest.mark.parametrize(
+    ("pattern", "found"),
+    [
+        (f"<URL> {P} 7", True),
+        (f"<URL> {P} 07", True),
+        (f"<URL> {P} 007", False),
+        (f"<URL> {P} '7'^^xsd:unsignedByte", True),
+        (f"<URL> {P} '7'^^xsd:byte", False),
+        (f"<URL> {P} '''07'''^^<{XSD}integer>", True),
+        (f"VALUES ?o {{ 07 }} <URL> {P} ?o", True),
+        (f"VALUES (?x ?o) {{ (1 007) }} <URL> {P} ?o", False),
+        (f"<URL> {P} ?o FILTER(sameTerm(?o, 07))", True),
+        (f"<URL> {P} ?o FILTER(sameTerm(?o, 007))", False),
+        (f"<URL> {P} ?o FILTER(?o = 007)", True),
+        (f"<URL> {P} ?o FILTER(?o IN (007, 'x'))", True),
+        (f"<URL> {P} ?o FILTER(?o > 7)", False),
+        (f"<URL> {P} ?o FILTER(DATATYPE(?o) = xsd:unsignedByte)", True),
+        (f"BIND('07'^^xsd:integer AS ?o) <URL> {P} ?o", True),
+        (f"BIND(3 + 4 AS ?o) <URL> {P} ?o", True),
+        (f"BIND(STRDT('07', xsd:integer) AS ?o) <URL> {P} ?o", True),
+        (f"BIND(IF(true, 007, 7) AS ?o) <URL> {P} ?o", False),
+        (f"BIND(COALESCE(1 / 0, 07) AS ?o) <URL> {P} ?o", True),
+        (f"<URL> {P} ?o , ?x FILTER(?o = ?x && !sameTerm(?o, ?x))", True),
+        (f"<URL> {P} ?o FILTER NOT EXISTS {{ <URL> {P} 07 }}", False),
+        (f"{{ SELECT (COUNT(DISTINCT ?o) AS ?n) {{ <URL> {P} ?o }} }} FILTER(?n = 3)", True),
+        (f"{{ SELECT (SUM(?o) AS ?n) {{ <URL> {P} ?o }} HAVING(SUM(?o) > 20) }} FILTER(?n = 21)", True),
+        (f"{{ SELECT ?o (COUNT(*) AS ?n) {{ <URL> {P} ?o }} GROUP BY ?o }} FILTER(?n = 1 && ?o = 7.0)", True),
+        (f"{{ SELECT (SAMPLE(?x) AS ?o) {{ <URL> {P} ?x FILTER(STR(?x) = '07') }} }} <URL> {P} ?o", True),
+    ],
+)
+def test_patterns_match_terms_and_filters_compare_values(plane: httpx.Client, pattern: str, found: bool) -> None:
+    url = put(plane, typed("7", "integer"), typed("07", "integer"), typed("7", "unsignedByte"))
+    query = PREFIXES + f"ASK {{ {pattern.replace('<URL>', f'<{url}>')} }}"
+    answer = plane.get("/sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"})
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["boolean"] is found
+
+
+def test_constants_in_a_query_keep_their_form(plane: httpx.Client) -> None:
+    query = "SELECT ('01'^^xsd:integer AS ?a) (-07 AS ?b) (1.50 AS ?c) (01 + 1 AS ?d) (IF(true, 1e0, 2) AS ?e) {}"
+    assert rows(plane, query) == [
+        (typed("01", "integer"), typed("-07", "integer"), typed("1.50", "decimal"), typed("2", "integer"),
+         typed("1e0", "double"))
+    ]  # fmt: skip
+    query = "CONSTRUCT { <urn:s> <urn:p> 01 , 1.50 , '7'^^<http://www.w3.org/2001/XMLSchema#byte> } {}"
+    answer = plane.get("/sparql", params={"query": query}, headers=N_TRIPLES)
+    assert objects(answer) == {typed("01", "integer"), typed("1.50", "decimal"), typed("7", "byte")}
+
+
+def test_updates_insert_what_was_written_and_delete_nothing_else(plane: httpx.Client) -> None:
+    url = put(plane, typed("01", "integer"), typed("1", "integer"), typed("1", "byte"))
+
+    def update(text: str) -> None:
+        answer = plane.post("/sparql", content=PREFIXES + text, headers={"Content-Type": "application/sparql-update"})
+        assert answer.status_code in (200, 204), answer.text
+
+    update(f"DELETE DATA {{ GRAPH <{url}> {{ <{url}> {P} 1 }} }}")
+    assert objects(plane.get(url, headers=N_TRIPLES)) == {typed("01", "integer"), typed("1", "byte")}
+    update(f"INSERT DATA {{ GRAPH <{url}> {{ <{url}> {P} 1.0 , '005'^^xsd:unsignedByte }} }}")
+    update(f"DELETE {{ GRAPH ?g {{ ?s {P} ?o }} }} INSERT {{ GRAPH ?g {{ ?s {P} ?o ; <urn:q> ?o }} }} "
+           f"WHERE {{ GRAPH ?g {{ ?s {P} ?o FILTER(?o = 1 && ?s = <{url}>) }} }}")  # fmt: skip
+    left = {typed("01", "integer"), typed("1", "byte"), typed("1.0", "decimal"), typed("005", "unsignedByte")}
+    assert objects(plane.get(url, headers=N_TRIPLES)) == left
+    copies = rows(plane, f"SELECT ?o {{ <{url}> <urn:q> ?o }}")
+    assert {value for [value] in copies} == left - {typed("005", "unsignedByte")}
+
+
+LEXICAL = {
+    "integer": ["0", "7", "007", "-0", "+5", "-12", "9223372036854775807", "9223372036854775808"],
+    "byte": ["7", "-7", "07", "300"],
+    "unsignedByte": ["0", "255", "005"],
+    "short": ["-3"], "unsignedShort": ["3"], "int": ["-3", "+3"], "unsignedInt": ["3"], "long": ["-3"],
+    "unsignedLong": ["3", "18446744073709551615"], "nonNegativeInteger": ["3"], "positiveInteger": ["3"],
+    "nonPositiveInteger": ["-3"], "negativeInteger": ["-3"],
+    "decimal": ["1", "1.0", "1.50", "-0.0", ".5", "0.1234567890123456789", "100000000000000000000000"],
+    "double": ["1", "1.0", "1.5E0", "1e300", "-0.0", "-0", "INF", "+INF", "NaN", "0.30000000000000004", "5e-324"],
+    "float": ["1", "1.0", "0.1", "16777217", "0.10000000149", "3.4028235E38", "INF", "-INF", "NaN"],
+    "boolean": ["true", "false", "1", "0", "TRUE"],
+    "dateTime": ["2020-01-01T00:00:00Z", "2020-01-01T00:00:00.000Z", "2020-01-01T00:00:00", "2020-01-01T24:00:00Z",
+                 "2020-01-01T00:00:00+00:00", "2020-01-01T00:00:00.123456789+02:00", "2020-13-01T00:00:00Z"],
+    "dateTimeStamp": ["2020-01-01T00:00:00.0Z"], "date": ["2020-01-01", "2020-01-01+00:00"],
+    "time": ["24:00:00", "00:00:00.0", "12:00:00Z"], "duration": ["PT60S", "P12M", "P0D", "-P1D"],
+    "dayTimeDuration": ["PT24H"], "yearMonthDuration": ["P12M"], "gYear": ["2020", "2020+00:00"],
+    "gYearMonth": ["2020-01Z", "2020-01+00:00"], "gMonth": ["--01+00:00"], "gDay": ["---01+00:00"],
+    "gMonthDay": ["--01-01+00:00"], "string": ["7", "07"], "normalizedString": ["7"], "token": ["07"],
+    "anyURI": ["urn:x"], "hexBinary": ["0a", "0A"], "base64Binary": ["AAA="], "language": ["EN"],
+}  # fmt: skip
+"""Forms of every datatype of XSD, canonical ones and others."""
+SAMPLES = [typed(value, name) for name, values in LEXICAL.items() for value in values]
+DIGITS = st.from_regex(r"[+-]?[0-9]{1,20}(\.[0-9]{1,20})?([eE][+-]?[0-9]{1,2})?", fullmatch=True)
+LITERALS = (
+    st.sampled_from(SAMPLES)
+    | st.builds(typed, DIGITS, st.sampled_from(["integer", "int", "decimal", "double", "float"]))
+    | st.builds(typed, st.floats().map(repr), st.sampled_from(["double", "float"]))
+    | st.builds(typed, st.datetimes().map(lambda moment: moment.isoformat()), st.sampled_from(["dateTime", "date"]))
+)
+
+
+def test_every_datatype_of_xsd_is_told_alike_by_get_and_by_queries(plane: httpx.Client) -> None:
+    assert_alike(plane, SAMPLES)
+
+
+@given(st.lists(LITERALS, min_size=1, max_size=40))
+@settings(max_examples=25, deadline=None)
+def test_random_literals_are_told_alike_by_get_and_by_queries(plane: httpx.Client, literals: list[str]) -> None:
+    assert_alike(plane, literals)
+
+
+def assert_alike(plane: httpx.Client, literals: list[str]) -> None:
+    url = put(plane, *literals)
+    kept = objects(plane.get(url, headers=N_TRIPLES))
+    assert kept == {str(triple.object) for triple in triples("".join(f"<urn:s> {P} {each} .\n" for each in literals))}
+    assert {value for [value] in rows(plane, f"SELECT ?o {{ <{url}> {P} ?o }} ORDER BY ?o")} == kept
+    query = f"CONSTRUCT {{ ?s ?p ?o }} {{ GRAPH <{url}> {{ ?s ?p ?o }} }}"
+    assert objects(plane.get("/sparql", params={"query": query}, headers=N_TRIPLES)) == kept
+    constants = " ".join(f'"{each.split(chr(34))[1]}"^^{each.split("^^")[1]}' for each in sorted(kept) if "^^" in each)
+    found = rows(plane, f"SELECT DISTINCT ?o {{ VALUES ?o {{ {constants} }} <{url}> {P} ?o }}")
+    assert {value for [value] in found} == {each for each in kept if "^^" in each}
+    told = rows(plane, f"SELECT (STR(?o) AS ?t) (DATATYPE(?o) AS ?d) {{ <{url}> {P} ?o }}")
+    assert sorted(told) == sorted(by_rdflib(literals))
+
+
+def triples(text: str) -> list[Triple]:
+    return [quad.triple for quad in parse(text.encode(), RdfFormat.N_TRIPLES)]
+
+
+def by_rdflib(literals: list[str]) -> list[tuple[str, str]]:
+    """STR and DATATYPE as rdflib has them, which keeps terms."""
+    normalised, rdflib.NORMALIZE_LITERALS = rdflib.NORMALIZE_LITERALS, False
+    try:
+        graph = rdflib.Graph()
+        graph.parse(data="".join(f"<urn:s> {P} {each} .\n" for each in literals), format="nt")
+        kept = {each for each in graph.objects() if isinstance(each, rdflib.Literal)}
+        found = {(str(each), str(each.datatype or f"{XSD}string")) for each in kept}
+        return [(f'"{value}"', f"<{datatype}>") for value, datatype in found]
+    finally:
+        rdflib.NORMALIZE_LITERALS = normalised
+
+
+EVERY = {
+    "bool b": True, "byte octet": 7, "char letter": 7, "int8 i8": -7, "uint8 u8": 7, "int16 i16": -7, "uint16 u16": 7,
+    "int32 i32": -7, "uint32 u32": 7, "int64 i64": -(2**63), "uint64 u64": 2**64 - 1, "float32 f32": 0.1,
+    "float64 f64": 1.0, "float64 long": 786673277317040.2, "float64 huge": 1e300, "string text": "07",
+}  # fmt: skip
+"""A field of each primitive type of ROS, and its value."""
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory, start_server: Callable[..., Any]) -> httpx.Client:
+    """A recording whose messages have every primitive type of ROS."""
+    path = tmp_path_factory.mktemp("bags") / "every.bag"
+    types = get_typestore(Stores.EMPTY)
+    types.register(get_types_from_msg("\n".join(EVERY), "made_up/msg/Every"))
+    message = types.types["made_up/msg/Every"](*EVERY.values())
+    with Writer(path) as bag:
+        connection = bag.add_connection("/every", "made_up/msg/Every", typestore=types)
+        for second in range(3):
+            at = (1_700_000_000 + second) * 1_000_000_000
+            bag.write(connection, at, types.serialize_ros1(message, "made_up/msg/Every"))
+    client: httpx.Client = start_server(str(path), "--subscribe", "*").http
+    return client
+
+
+@pytest.mark.parametrize("path", ["/topics/every", "/bags/every/messages/1"])
+def test_fields_of_every_primitive_type_are_told_alike_by_get_and_by_queries(
+    recording: httpx.Client, path: str
+) -> None:
+    url = str(recording.base_url.join(path))
+    query = f"CONSTRUCT {{ ?s ?p ?o }} {{ GRAPH <{url}> {{ ?s ?p ?o }} }}"
+    answers = [
+        recording.get(url, headers=N_TRIPLES),
+        recording.get("/sparql", params={"query": query}, headers=N_TRIPLES),
+    ]
+    got, queried = ({(field, value) for field, value in fields(answer) if "made_up" in field} for answer in answers)
+    assert len(got) == len(EVERY)
+    assert got == queried
+    datatypes = {value.rpartition("#")[2].rstrip(">") for _, value in got if "^^" in value}
+    assert {
+        "boolean",
+        "byte",
+        "unsignedByte",
+        "short",
+        "unsignedShort",
+        "int",
+        "unsignedInt",
+        "long",
+        "unsignedLong",
+    } <= datatypes
+    assert {"float", "double"} <= datatypes
+    where = f"{{ GRAPH <{url}> {{ ?s ?p ?o }} FILTER(CONTAINS(STR(?p), 'made_up')) }}"
+    for field, datatype, text in rows(recording, f"SELECT ?p (DATATYPE(?o) AS ?d) (STR(?o) AS ?t) {where}"):
+        assert (field, text if datatype.endswith("#string>") else f"{text}^^{datatype}") in got
+
+
+def fields(answer: httpx.Response) -> set[tuple[str, str]]:
+    """Predicates and objects."""
+    assert answer.status_code == 200, answer.text
+    return {(str(quad.predicate), str(quad.object)) for quad in parse(answer.content, RdfFormat.N_TRIPLES)}

@@ -1,0 +1,276 @@
+"""What SPARQL 1.1 Update and the Graph Store Protocol say of blank nodes, of copies, of SILENT and of new graphs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import count
+from typing import Any
+
+import httpx
+import pytest
+from pyoxigraph import BlankNode, RdfFormat, Triple, parse
+
+UPDATE = {"Content-Type": "application/sparql-update"}
+TURTLE = {"Content-Type": "text/turtle"}
+LDP = "http://www.w3.org/ns/ldp#"
+_TURNS = count()
+
+
+@pytest.fixture(scope="module")
+def plane(start_server: Callable[..., Any]) -> httpx.Client:
+    """An aircraft of this module's own."""
+    client: httpx.Client = start_server("aircraft", "--max-publish-rate", "100000").http
+    return client
+
+
+@pytest.fixture
+def room() -> str:
+    """A path below `/data/` of the test's own."""
+    return f"/data/letter{next(_TURNS)}/"
+
+
+def update(client: httpx.Client, text: str) -> httpx.Response:
+    """Send an update."""
+    return client.post("/sparql", content=text.encode(), headers=UPDATE)
+
+
+def done(client: httpx.Client, text: str) -> None:
+    """Send an update, and hold that it was carried out."""
+    answer = update(client, text)
+    assert answer.status_code == 204, answer.text
+
+
+def put(client: httpx.Client, path: str, turtle: str, **headers: str) -> None:
+    """Put a graph."""
+    answer = client.put(path, content=turtle.encode(), headers=TURTLE | headers)
+    assert answer.status_code in (201, 204), answer.text
+
+
+def triples(client: httpx.Client, path: str) -> set[Triple]:
+    """What a graph says."""
+    answer = client.get(path, headers={"Accept": "application/n-triples"})
+    assert answer.status_code == 200, answer.text
+    return {quad.triple for quad in parse(answer.content, RdfFormat.N_TRIPLES)}
+
+
+def said(client: httpx.Client, path: str) -> set[Triple]:
+    """What a graph says of something else than its own resource."""
+    url = str(client.base_url.join(path))
+    return {each for each in triples(client, path) if getattr(each.subject, "value", "") != url}
+
+
+def blank_nodes(client: httpx.Client, path: str) -> set[BlankNode]:
+    """The blank nodes of a graph."""
+    terms = (term for each in triples(client, path) for term in (each.subject, each.object))
+    return {term for term in terms if isinstance(term, BlankNode)}
+
+
+# Blank nodes
+
+
+@pytest.mark.parametrize("template", ["_:b <urn:r> 1", "[] <urn:r> ( 1 )"])
+def test_a_template_without_variables_makes_new_blank_nodes_for_each_solution(
+    plane: httpx.Client, room: str, template: str
+) -> None:
+    """SPARQL 1.1 Update 3.1.3."""
+    put(plane, f"{room}a", "<urn:a> <urn:p> 1 , 2 , 3 .")
+    one = template.count("(") + 1
+    done(plane, f"INSERT {{ GRAPH <{room}b> {{ {template} }} }} WHERE {{ GRAPH <{room}a> {{ <urn:a> <urn:p> ?x }} }}")
+    assert len(blank_nodes(plane, f"{room}b")) == 3 * one
+    done(plane, f"WITH <{room}a> INSERT {{ {template} }} WHERE {{ <urn:a> <urn:p> ?x }}")
+    assert len(blank_nodes(plane, f"{room}a")) == 3 * one
+    done(
+        plane, f"INSERT {{ GRAPH <{room}c> {{ {template} }} }} WHERE {{ FILTER NOT EXISTS {{ <urn:a> <urn:none> 1 }} }}"
+    )
+    assert len(blank_nodes(plane, f"{room}c")) == one
+    done(plane, f"INSERT {{ GRAPH <{room}c> {{ {template} }} }} WHERE {{ <urn:a> <urn:none> 1 }}")
+    assert len(blank_nodes(plane, f"{room}c")) == one
+
+
+def test_a_label_stands_for_one_node_within_a_solution_and_within_the_data_of_an_operation(
+    plane: httpx.Client, room: str
+) -> None:
+    done(
+        plane,
+        f"INSERT DATA {{ GRAPH <{room}a> {{ _:b <urn:p> 1 . _:b <urn:p> 2 }} }} ; "
+        f"INSERT {{ GRAPH <{room}b> {{ _:b <urn:p> 1 , 2 }} }} WHERE {{ _:b <urn:none> ?x }} ; "
+        f"INSERT {{ GRAPH <{room}b> {{ _:b <urn:p> 1 . _:b <urn:p> 2 }} }} WHERE {{}}",
+    )
+    assert len(blank_nodes(plane, f"{room}a")) == len(blank_nodes(plane, f"{room}b")) == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "INSERT DATA {{ GRAPH <{0}> {{ _:b <urn:p> 1 }} }} ; INSERT DATA {{ GRAPH <{0}> {{ _:b <urn:p> 2 }} }}",
+        "INSERT DATA {{ GRAPH <{0}> {{ <urn:a> <urn:p> _:b }} }} ; CREATE SILENT GRAPH <{0}> ; "
+        "INSERT DATA {{ GRAPH <{0}> {{ _:b <urn:p> 2 }} }}",
+        "INSERT {{ GRAPH <{0}> {{ <urn:a> <urn:p> ?x }} }} WHERE {{ _:b <urn:q> ?x }} ; "
+        "DELETE {{ GRAPH <{0}> {{ <urn:a> <urn:p> ?x }} }} WHERE {{ _:b <urn:q> ?x }}",
+    ],
+)
+def test_one_label_in_two_data_blocks_or_two_wheres_is_refused_and_said(
+    plane: httpx.Client, room: str, text: str
+) -> None:
+    """SPARQL 1.1 Query 19.6."""
+    answer = update(plane, text.format(f"{room}a"))
+    assert answer.status_code == 400
+    assert answer.json()["detail"].startswith("_:b at 1:")
+    assert plane.get(f"{room}a").status_code == 404
+
+
+# Whole graphs
+
+
+@pytest.mark.parametrize("verb", ["COPY", "MOVE", "ADD"])
+def test_a_copy_has_nothing_that_the_server_says_of_the_source(plane: httpx.Client, room: str, verb: str) -> None:
+    put(plane, f"{room}a", "<> <urn:p> 'own' ; <http://purl.org/dc/terms/format> 'own' . <urn:x> <urn:p> <> .")
+    done(plane, f"{verb} <{room}a> TO <{room}b>")
+    source = str(plane.base_url.join(f"{room}a"))
+    assert sorted(map(str, said(plane, f"{room}b"))) == [
+        f'<{source}> <http://purl.org/dc/terms/format> "own"',
+        f'<{source}> <urn:p> "own"',
+        f"<urn:x> <urn:p> <{source}>",
+    ]
+
+
+def test_a_copy_of_a_container_has_neither_its_members_nor_its_membership(plane: httpx.Client, room: str) -> None:
+    put(
+        plane,
+        f"{room}c/",
+        f"<> <{LDP}membershipResource> <urn:team> ; <{LDP}hasMemberRelation> <urn:has> ; <urn:p> 'own' . "
+        "<urn:team> <urn:has> <urn:guest> .",
+        Link=f'<{LDP}DirectContainer>; rel="type"',
+    )
+    put(plane, f"{room}c/member", "<> <urn:p> 1 .")
+    done(plane, f"COPY <{room}c/> TO <{room}b>")
+    source = str(plane.base_url.join(f"{room}c/"))
+    assert sorted(map(str, said(plane, f"{room}b"))) == [
+        f'<{source}> <urn:p> "own"',
+        "<urn:team> <urn:has> <urn:guest>",
+    ]
+
+
+def test_a_moved_source_is_as_drop_leaves_it(plane: httpx.Client, room: str) -> None:
+    for name in ("moved", "dropped"):
+        put(plane, f"{room}{name}", "<urn:a> <urn:p> [ <urn:p> 1 ] .")
+    done(plane, f"MOVE <{room}moved> TO <{room}there> ; DROP GRAPH <{room}dropped>")
+    for name in ("moved", "dropped"):
+        assert plane.get(f"{room}{name}").status_code == 410
+        assert f"{room}{name}>" not in plane.get(room).text
+    assert len(said(plane, f"{room}there")) == 2
+    done(plane, f"CREATE GRAPH <{room}moved> ; CREATE GRAPH <{room}dropped>")
+
+
+def test_what_is_added_after_it_was_copied_is_there_once(plane: httpx.Client, room: str) -> None:
+    put(plane, f"{room}a", "<urn:a> <urn:p> [ <urn:p> 1 ] , _:b . _:b <urn:p> 2 .")
+    done(plane, f"COPY <{room}a> TO <{room}b>")
+    done(plane, f"ADD <{room}a> TO <{room}b>")
+    assert len(blank_nodes(plane, f"{room}b")) == 2
+    done(plane, f"INSERT DATA {{ GRAPH <{room}a> {{ <urn:a> <urn:p> [ <urn:p> 1 ] }} }}")
+    done(plane, f"ADD <{room}a> TO <{room}b>")
+    assert len(blank_nodes(plane, f"{room}b")) == 3
+
+
+def test_graphs_that_were_sent_alike_share_no_blank_nodes(plane: httpx.Client, room: str) -> None:
+    put(plane, f"{room}a", "_:b <urn:p> 1 .")
+    text = plane.get(f"{room}a", headers={"Accept": "application/n-triples"}).text
+    lines = "".join(line + "\n" for line in text.splitlines() if line.startswith("_:"))
+    put(plane, f"{room}b", lines)
+    query = f"ASK {{ GRAPH <{room}a> {{ ?x <urn:p> 1 }} GRAPH <{room}b> {{ ?x <urn:p> 1 }} }}"
+    answer = plane.get("/sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"})
+    assert answer.json()["boolean"] is False
+
+
+def test_what_is_copied_upon_itself_stays(plane: httpx.Client, room: str) -> None:
+    put(plane, f"{room}a", "<urn:a> <urn:p> 1 .")
+    done(plane, f"MOVE <{room}a> TO <{room}a> ; COPY <{room}a> TO <{room}a> ; ADD <{room}a> TO <{room}a>")
+    assert len(said(plane, f"{room}a")) == 1
+
+
+# SILENT
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "LOAD {} <http://127.0.0.1:9/> INTO GRAPH <{}a>",
+        "LOAD {} <http://127.0.0.1:9/>",
+        "CLEAR {} ALL",
+        "CLEAR {} GRAPH <{}none>",
+        "CLEAR {} GRAPH </topics/cockpit/display>",
+        "DROP {} NAMED",
+        "DROP {} DEFAULT",
+        "DROP {} GRAPH <{}none>",
+        "DROP {} GRAPH </data/>",
+        "DROP {} GRAPH <{}>",
+        "CREATE {} GRAPH <{}kept>",
+        "CREATE {} GRAPH <{}kept/>",
+        "CREATE {} GRAPH <http://example.org/elsewhere>",
+        "CREATE {} GRAPH </ontology>",
+        "COPY {} <{}none> TO <{}kept>",
+        "COPY {} <{}kept> TO </parameters/x>",
+        "COPY {} DEFAULT TO <{}kept>",
+        "MOVE {} <{}none> TO <{}kept>",
+        "MOVE {} </parameters/x> TO <{}kept>",
+        "MOVE {} <{}> TO <{}other>",
+        "ADD {} <{}none> TO <{}kept>",
+        "ADD {} <{}kept> TO DEFAULT",
+    ],
+)
+def test_silent_is_silent_and_leaves_everything_as_it_was(plane: httpx.Client, room: str, text: str) -> None:
+    """SPARQL 1.1 Update 3.1.4 and 3.2: the operation that fails does nothing, what stands beside it is done."""
+    put(plane, f"{room}kept", "<urn:a> <urn:p> 1 .")
+    loud = text.replace("{}", "", 1).replace("{}", room)
+    silent = text.replace("{}", "SILENT", 1).replace("{}", room)
+    answer = update(plane, loud)
+    assert answer.status_code in (403, 409, 422), answer.text
+    beside = f"INSERT DATA {{ GRAPH <{room}beside> {{ <urn:a> <urn:p> %d }} }}"
+    done(plane, f"{beside % 1} ; {silent} ; {beside % 2}")
+    assert len(said(plane, f"{room}beside")) == 2
+    assert len(said(plane, f"{room}kept")) == 1
+    assert plane.get(f"{room}a").status_code == plane.get(f"{room}other").status_code == 404
+
+
+def test_silent_excuses_no_other_operation_on_the_same_graph(plane: httpx.Client, room: str) -> None:
+    text = "DROP SILENT GRAPH </ontology> ; INSERT DATA { GRAPH </ontology> { <urn:a> <urn:p> 1 } }"
+    assert update(plane, f"INSERT DATA {{ GRAPH <{room}a> {{ <urn:a> <urn:p> 1 }} }} ; {text}").status_code == 403
+    assert plane.get(f"{room}a").status_code == 404
+
+
+# New graphs
+
+
+@pytest.mark.parametrize("where", ["{0}", "/graphs?graph={0}"])
+def test_post_to_a_new_url_makes_a_graph_and_then_merges_into_it(plane: httpx.Client, room: str, where: str) -> None:
+    """Graph Store Protocol 5.5, by indirect and by direct graph identification (4.1, 4.2)."""
+    url = str(plane.base_url.join(f"{room}new"))
+    made = plane.post(where.format(url), content=b"<> <urn:p> [ <urn:q> 1 ] .", headers=TURTLE)
+    assert (made.status_code, made.headers["location"]) == (201, url)
+    merged = plane.post(where.format(url), content=b"<> <urn:p> [ <urn:q> 1 ] .", headers=TURTLE)
+    assert merged.status_code == 204
+    assert len(blank_nodes(plane, f"{room}new")) == 2
+    plane.delete(url)
+    assert plane.post(where.format(url), content=b"<urn:a> <urn:p> 1 .", headers=TURTLE).status_code == 201
+    assert len(said(plane, f"{room}new")) == 1
+
+
+@pytest.mark.parametrize("where", ["{0}", "/graphs?graph={0}"])
+def test_several_parts_make_one_new_graph(plane: httpx.Client, room: str, where: str) -> None:
+    url = str(plane.base_url.join(f"{room}parts"))
+    files = [("a", ("a.ttl", "<urn:a> <urn:p> 1 .", "text/turtle")), ("b", ("b.nt", "<urn:b> <urn:p> _:x .", NTRIPLES))]
+    assert plane.post(where.format(url), files=files).status_code == 201
+    assert len(said(plane, f"{room}parts")) == 2
+
+
+NTRIPLES = "application/n-triples"
+
+
+def test_what_no_graph_is_made_of_is_posted_to_nothing(plane: httpx.Client, room: str) -> None:
+    """A file is put; and what is posted to a container that is missing was to be its member."""
+    assert plane.post(f"{room}file", content=b"x", headers={"Content-Type": "image/png"}).status_code == 404
+    assert plane.post(f"{room}c/", content=b"<> <urn:p> 1 .", headers=TURTLE).status_code == 404
+    assert plane.post(f"{room}new").status_code == 404
+    answer = plane.get(f"{room}new")
+    assert "POST" in answer.headers["allow"]
+    assert "text/turtle" in answer.headers["accept-post"]

@@ -10,7 +10,7 @@ import asyncio
 import itertools
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 
 from rosld.adapters.base import Sink
@@ -38,7 +38,7 @@ from rosld.adapters.ros1.actionlib import (
     read_told,
 )
 from rosld.adapters.ros1.graph import SystemState
-from rosld.adapters.ros1.publication import Publication
+from rosld.adapters.ros1.publication import Link, Publication
 from rosld.adapters.ros1.publications import Publications
 from rosld.adapters.ros1.samples import Slot
 from rosld.adapters.ros1.sources import Nodes, TopicReader
@@ -61,6 +61,15 @@ _CANCEL = TypeRef("actionlib_msgs/msg/GoalID")
 _PARTS = ("status", "result", "feedback", "goal")
 
 
+@dataclass(frozen=True, slots=True)
+class _Sending:
+    """A goal's message, where it is published, and the connections to its servers that it went by."""
+
+    message: bytes
+    publication: Publication
+    links: frozenset[Link]
+
+
 @dataclass(slots=True)
 class _Known:
     """A goal that was told of, as it was told last. `listed_at` is when its server was known to know it."""
@@ -73,6 +82,7 @@ class _Known:
     decided: asyncio.Future[Status] | None = None
     is_own: bool = False
     is_refused: bool = False
+    sending: _Sending | None = None
     held: list[GoalEvent] = field(default_factory=list)
 
     @property
@@ -186,7 +196,9 @@ class Actions:
         followed = self._begin(action)
         try:
             publication = await self._publication(action, schema, followed, until)
-            publication.send(goal_message(id, stamp, goal), False)
+            message = goal_message(id, stamp, goal)
+            known.sending = _Sending(message, publication, publication.links_to(self._servers(action)))
+            publication.send(message, False)
         except BaseException:
             del self._goals(action)[id]
             self._stop_if_idle(action)
@@ -211,8 +223,7 @@ class Actions:
         if not goal.id:  # actionlib reads it as: all goals
             raise NotFound(f"{goal.action} has no goal without an id")
         publication = await self._publications.advertise(f"{goal.action}/cancel", _CANCEL, until)
-        await publication.matching(1, until, 0.0)
-        if not publication.matched:
+        if not await publication.connected_to(self._servers(goal.action), until):
             raise Unreachable(f"no goal was canceled: no server of {goal.action} listens")
         self._ask_to_cancel(goal, publication, _ASKED)
 
@@ -238,6 +249,12 @@ class Actions:
             raise Unreachable(f"{action} has no server: {found.unusable}")
         return found.type
 
+    def _servers(self, action: str) -> Collection[str]:
+        """The nodes that take an action's goals: its servers, or whoever reads its goals where these are relayed."""
+        system = self._system()
+        takers = system.subscribers.get(f"{action}/goal", ())
+        return set(takers).intersection(system.publishers.get(f"{action}/status", ())) or takers
+
     async def _schema(self, action: str, type: TypeRef) -> ActionSchema:
         used = self._require(action)
         if used.name != type.name:
@@ -253,8 +270,7 @@ class Actions:
         name, definition = goal_definition(schema)
         learnt = await asyncio.get_running_loop().run_in_executor(None, learn, name, definition)
         publication = await self._publications.advertise(f"{action}/goal", learnt.ref, until)
-        await publication.matching(1, until, 0.0)
-        if not publication.matched:
+        if not await publication.connected_to(self._servers(action), until):
             raise Unreachable(f"no goal was sent: the server of {action} did not connect in time")
         now = asyncio.get_running_loop().time
         while not followed.is_ready and now() < until:  # noqa: ASYNC110 - connections tell nobody of themselves
@@ -383,10 +399,25 @@ class Actions:
                 followed.connected_at = now
             is_gone = now - followed.connected_at > _GONE
             for id, known in list(self._goals(action).items()):
+                self._send_again(action, known)
                 self._judge(action, id, known, now, is_gone=is_gone)
             self._stop_if_idle(action)
         if self._followed:
             self._ticking = asyncio.get_running_loop().call_later(_TICK, self._tick)
+
+    def _send_again(self, action: str, known: _Known) -> None:
+        """Send a goal again that its server does not list, once all connections it went by have ended.
+
+        rospy may connect twice and drop the connection that was first, with what it had not read. A server that did
+        read the goal takes no second one with its id.
+        """
+        sending = known.sending
+        if sending is None or known.told is not None or not known.is_undecided:
+            return
+        links = sending.publication.links_to(self._servers(action))
+        if links and not links & sending.links:
+            known.sending = replace(sending, links=links)
+            sending.publication.send(sending.message, False)
 
     def _judge(self, action: str, id: str, known: _Known, now: float, *, is_gone: bool) -> None:
         """Whether a goal is lost, or can be forgotten."""

@@ -175,6 +175,7 @@ class Client:
 
     async def _look(self) -> None:
         async with self._looking:
+            asked_at = asyncio.get_running_loop().time()
             looked = await self.master.look()
             if self._looked is None or (looked.state, looked.types) != (self._looked.state, self._looked.types):
                 self._system = self.master.system_state(looked)
@@ -182,7 +183,7 @@ class Client:
                 self._forget_addresses()
             self._looked = looked
             self._note_identity()
-            self._follow()
+            self._follow(asked_at)
 
     def _note_identity(self) -> None:
         """A restarted master is another process, or at least another run: what was registered is gone."""
@@ -198,14 +199,14 @@ class Client:
         self._checked.clear()
         self.services.forget()
 
-    def _follow(self) -> None:
-        """Have everything follow the state just seen."""
+    def _follow(self, asked_at: float) -> None:
+        """Have everything follow the state just seen, which the master was asked for then."""
         system = self._system
         for topic, reader in self._readers.items():
             reader.follow(system.publishers.get(topic, ()))
         self.actions.follow(system)
         self.services.follow(system.services.items())
-        self.publications.register_again(system.publishers)
+        self.publications.register_again(system.publishers, asked_at)
         nodes = system.nodes()
         endpoints = {(topic, node) for topic, of in system.publishers.items() for node in of}
         self.learnt.forget_all_but(nodes, endpoints, set(system.services))

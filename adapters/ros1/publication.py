@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import cast
 
 from rosld.adapters.model import MessageSchema, TypeRef
@@ -61,7 +61,10 @@ class Outbox:
 
 
 class Publication:
-    """One topic we publish. Everything but `matched`, `ref` and `carries` belongs to the reading thread."""
+    """One topic we publish. Everything but `matched`, `ref` and `carries` belongs to the reading thread.
+
+    `registered_at` is when the master last answered that it knows of it, by the loop's clock.
+    """
 
     def __init__(self, topic: str, schema: MessageSchema, node: str) -> None:
         self.topic = topic
@@ -69,6 +72,7 @@ class Publication:
         self.type_name = ros_name(schema.ref.name)
         self.matched = 0
         self.latched: bytes | None = None
+        self.registered_at: float | None = None
         self._schema = schema
         self._node = node
         self._links: set[Link] = set()
@@ -122,6 +126,21 @@ class Publication:
             except asyncio.TimeoutError:
                 return
 
+    def links_to(self, nodes: Collection[str]) -> frozenset[Link]:
+        """The connections to these nodes, and to subscribers that do not say who they are."""
+        return frozenset(link for link in self._links if not link.node or link.node in nodes)
+
+    async def connected_to(self, nodes: Collection[str], until: float) -> frozenset[Link]:
+        """Wait until one of these nodes is connected, or `until`; its connections."""
+        now = asyncio.get_running_loop().time
+        while not (links := self.links_to(nodes)) and now() < until:
+            self._changed.clear()
+            try:
+                await asyncio.wait_for(self._changed.wait(), until - now())
+            except asyncio.TimeoutError:
+                break
+        return links
+
     def join(self, link: Link) -> None:
         """A subscriber is connected."""
         self._links.add(link)
@@ -156,9 +175,13 @@ class Publication:
 
 
 class Link(asyncio.Protocol):
-    """A subscriber's connection. A slow one loses the oldest messages that wait for it, never our memory."""
+    """A subscriber's connection. A slow one loses the oldest messages that wait for it, never our memory.
+
+    `node` is the subscriber's name, as its connection header says it.
+    """
 
     def __init__(self, publications: dict[str, Publication]) -> None:
+        self.node = ""
         self._publications = publications
         self._publication: Publication | None = None
         self._received = bytearray()
@@ -235,6 +258,7 @@ class Link(asyncio.Protocol):
             self._transport.close()
             return
         self._received.clear()
+        self.node = header.get("callerid", "")
         self._publication = publication
         self._transport.write(encode_header(publication.header()))
         publication.join(self)

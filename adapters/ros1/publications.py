@@ -99,9 +99,14 @@ class Publications:
                 await publication.close(_GOODBYE)
                 self._changed()
 
-    def register_again(self, listed: Mapping[str, tuple[str, ...]]) -> None:
-        """Register what a look at the master's publishers does not list as ours: it has forgotten us."""
+    def register_again(self, listed: Mapping[str, tuple[str, ...]], asked_at: float) -> None:
+        """Register what the master, asked for its publishers then, did not list as ours: it has forgotten us.
+
+        What was registered since is left alone: told of it twice, rospy connects twice and drops the first connection.
+        """
         for topic, publication in self.by_topic.items():
+            if publication.registered_at is None or publication.registered_at >= asked_at:
+                continue
             if self._node not in listed.get(topic, ()) and not self._registering:
                 task = asyncio.get_running_loop().create_task(self._register_again(publication))
                 self._registering.add(task)
@@ -126,9 +131,12 @@ class Publications:
         servers = await self._serve()
         publication = Publication(topic, schema, self._node)
         self.by_topic[topic] = publication
-        left = max(until - asyncio.get_running_loop().time(), 0.1)
+        now = asyncio.get_running_loop().time
+        left = max(until - now(), 0.1)
         try:
-            return publication, await self._master.register_publisher(topic, publication.type_name, servers.uri, left)
+            subscribers = await self._master.register_publisher(topic, publication.type_name, servers.uri, left)
+            publication.registered_at = now()
+            return publication, subscribers
         except RosError:
             del self.by_topic[topic]
             raise
@@ -140,6 +148,7 @@ class Publications:
             return
         try:
             await self._master.register_publisher(publication.topic, publication.type_name, self._servers.uri, _PROOF)
+            publication.registered_at = asyncio.get_running_loop().time()
         except RosError:
             pass  # the next look tries again
         self._changed()

@@ -31,7 +31,7 @@ from rosld.adapters.ros2.descriptors import operations_on
 from rosld.adapters.ros2.feeds import Feed, TopicSubscription
 from rosld.adapters.ros2.publications import Publication
 from rosld.adapters.ros2.source import Source, read_source, require_rclpy
-from rosld.adapters.ros2.system import OWN_NAME, System
+from rosld.adapters.ros2.system import System, unique_name
 from rosld.adapters.ros2.types import definition_folders
 from rosld.adapters.thread import IoThread
 
@@ -82,7 +82,7 @@ class Ros2Adapter:
         self._source = source
         self._options = options
         self._library = TypeLibrary(ros_version=2, folders=definition_folders(options.types))
-        self._graph = Graph(0, own_node=f"{source.namespace.rstrip('/')}/{OWN_NAME}")
+        self._graph = Graph(0, own_node=f"{source.namespace.rstrip('/')}/{unique_name()}")
         self._thread: IoThread | None = None
         self._system: System | None = None
         self._feeds: dict[str, Feed] = {}

@@ -59,8 +59,8 @@ class Known:
 
     @property
     def ours(self) -> frozenset[str]:
-        """Our nodes: while we advertise nothing, a node of our name is another's."""
-        return frozenset((self.hidden_node, self.own_node) if self.advertised else (self.hidden_node,))
+        """Our nodes."""
+        return frozenset((self.hidden_node, self.own_node))
 
 
 def compose(previous: Graph, seen: Observation, known: Known) -> Graph:

@@ -46,7 +46,6 @@ from rosld.adapters.ros2.source import Source
 from rosld.adapters.ros2.types import Types
 from rosld.adapters.ros2.waiter import Waiter
 
-OWN_NAME = "rosld"
 _EVERY = 0.2
 _COUNTS = 1.0
 _ALL = 10.0
@@ -87,7 +86,6 @@ class System:
         self.actions = Actions(self._participant, self.calls, self.waiter, self._goal_changed)
         self.parameters = Parameters(self.calls, self._parameters_changed)
         self.lifecycles = Lifecycles(self._participant, self.calls, self.waiter, self.refresh_soon)
-        self._namespace = source.namespace
         self._own_node = graph.own_node
         self._events = self._participant.parameter_events()
         self._feeds: dict[str, Feed] = {}
@@ -119,7 +117,6 @@ class System:
             if self._anybody and self._loop.time() - changed > _STABLE:
                 break
             await asyncio.sleep(_SOON)
-        self._name_ourselves()
         await self.parameters.settled(min(_PATIENCE, max(0.0, until - self._loop.time())))
         await self.lifecycles.settled(min(_PATIENCE, max(0.0, until - self._loop.time())))
         self.refresh()
@@ -326,7 +323,6 @@ class System:
             self._wanted.clear()
             try:
                 await self.look()
-                self._name_ourselves()
                 self.calls.look()
                 self.actions.look(self.graph.actions)
             except Exception as error:  # whatever the middleware provokes: the next look tries again
@@ -398,12 +394,6 @@ class System:
         if graph is not self.graph:
             self.graph = graph
             self._sink.graph_changed(graph)
-
-    def _name_ourselves(self) -> None:
-        """Choose the name under which we publish: one that nobody has."""
-        if self._participant.shown_name is None and self._own_node in self._seen.nodes:
-            self._own_node = f"{self._namespace.rstrip('/')}/{unique_name()}"
-            self.refresh_soon()
 
     # Goals and parameters
 
@@ -504,7 +494,6 @@ class System:
         if before is not None:
             latch = latch or before.latched
             before.writer.close()
-        self._name_ourselves()
         profile = self._publishing_profile(topic, self.graph.topics.get(topic), latch)
         try:
             self._participant.show(self._own_node.rpartition("/")[2])
@@ -532,6 +521,6 @@ def hidden_name() -> str:
 
 
 def unique_name() -> str:
-    """A name that no other rosld has."""
+    """A name that no other rosld has, also where containers share a host's name and each has the process id 1."""
     host = re.sub(r"\W", "_", socket.gethostname(), flags=re.ASCII)
-    return f"{OWN_NAME}_{host}_{os.getpid()}_{time.monotonic_ns() % 10**6}"
+    return f"rosld_{host}_{os.getpid()}_{time.monotonic_ns() % 10**6}"

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import signal
+import socket
 import struct
+import xmlrpc.client
 from typing import Any
 
 import pytest
@@ -233,3 +236,54 @@ def test_what_is_cut_off_is_no_message() -> None:
                 read(whole[:end])
     with pytest.raises(ValueError, match="more than"):
         read_statuses(bytes(16) + b"\xff\xff\xff\xff")
+
+
+def subscribe(uri: str, node: str, topic: str, type: str) -> socket.socket:
+    """A connection to what the node at a URI publishes, as one of this name makes it; its header was answered."""
+    publisher: Any = xmlrpc.client.ServerProxy(uri)
+    _, host, port = publisher.requestTopic(node, topic, [["TCPROS"]])[2]
+    fields = (f"callerid={node}", f"topic={topic}", f"type={type}", "md5sum=*")
+    body = b"".join(struct.pack("<I", len(each)) + each.encode() for each in fields)
+    connection = socket.create_connection((host, port), timeout=10)
+    connection.sendall(struct.pack("<I", len(body)) + body)
+    (size,) = struct.unpack("<I", connection.recv(4, socket.MSG_WAITALL))
+    connection.recv(size, socket.MSG_WAITALL)
+    return connection
+
+
+@pytest.mark.parametrize("name", ["/recorder", "/action_node"])
+def test_a_goal_reaches_its_server_whoever_else_reads_and_whichever_connection_it_drops(
+    lone_ros: RosSystem, opened: Opening, name: str
+) -> None:
+    """rospy connects twice where it is told twice, and drops the first connection with what it has not read."""
+    server = lone_ros.node("action_node.py").process
+
+    async def scenario() -> None:
+        async with opened(lone_ros) as session:
+            await listed(session)
+            watch = await session.adapter.follow_goals("/ways", deadline=session.deadline())
+            await session.until(rosld_reads_results, "a connection to the results")
+            server.send_signal(signal.SIGSTOP)
+            try:
+                sending = asyncio.ensure_future(send(session, SUCCEED, seconds=30))
+                await session.until(lambda: lone_ros.publishers("/ways/goal"), "the topic of goals")
+                (own,) = lone_ros.publishers("/ways/goal")
+                uri = lone_ros.master.lookupNode("/test", own)[2]
+                other = await asyncio.to_thread(subscribe, uri, name, "/ways/goal", "actionlib/TestActionGoal")
+                if name == "/action_node":
+                    assert await asyncio.to_thread(other.recv, 4, socket.MSG_WAITALL)
+                    other.close()
+            finally:
+                server.send_signal(signal.SIGCONT)
+            await ended(session, await sending, GoalStatus.SUCCEEDED)
+            other.close()
+            watch.close()
+
+    def rosld_reads_results() -> bool:
+        """Whether the server has connections by which rosld hears of its goals."""
+        uri = lone_ros.master.lookupNode("/test", "/action_node")[2]
+        node: Any = xmlrpc.client.ServerProxy(uri)
+        busy = node.getBusInfo("/test")[2]
+        return {each[4] for each in busy if each[2] == "o"} >= {"/ways/result", "/ways/feedback", "/ways/status"}
+
+    run(scenario)

@@ -6,12 +6,17 @@ import asyncio
 import json
 import socket
 import time
+from functools import partial
 
 import pytest
 
 from rosld.adapters.model import NotFound, Refused, TypeRef, Unreachable
+from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.ros1.master import MasterApi
+from rosld.adapters.ros1.publications import Publications
 from rosld.adapters.ros1.tcpros import encode_header
-from rosld.adapters.ros1.xmlrpc import decode_answer, encode_call
+from rosld.adapters.ros1.types import Types, definition_folders
+from rosld.adapters.ros1.xmlrpc import XmlRpcClient, decode_answer, encode_call
 from tests.adapters.ros1.conftest import Opening
 from tests.adapters.ros1.system import RosSystem
 from tests.adapters.session import Session
@@ -300,3 +305,41 @@ def test_a_closed_adapter_is_unreachable(ros: RosSystem, opened: Opening) -> Non
             await session.adapter.publish("/x", STRING, text("x"), deadline=session.deadline())
 
     asyncio.run(attempt())
+
+
+class CountingMaster(MasterApi):
+    """A real master, and the topics whose publisher was registered at it."""
+
+    def __init__(self, uri: str) -> None:
+        port = int(uri.rpartition(":")[2])
+        dial = partial(asyncio.open_connection, "127.0.0.1", port)
+        super().__init__(XmlRpcClient(uri, "/RPC2", lambda: asyncio.ensure_future(dial()), keep_alive=False), "/rosld")
+        self.registered: list[str] = []
+
+    async def register_publisher(self, topic: str, type_name: str, uri: str, timeout: float) -> list[str]:
+        self.registered.append(topic)
+        return await super().register_publisher(topic, type_name, uri, timeout)
+
+
+def test_a_look_that_began_before_a_registration_does_not_have_it_said_again(ros: RosSystem) -> None:
+    """rospy that is told twice of a publisher connects twice, and loses what the first connection brought."""
+
+    async def scenario() -> None:
+        now = asyncio.get_running_loop().time
+        master = CountingMaster(f"http://127.0.0.1:{ros.port}")
+        types = Types(TypeLibrary(ros_version=1, folders=definition_folders(())), lambda: None)
+        publications = Publications(master, "/rosld", types, lambda: ["127.0.0.1"], lambda: None)
+        asked_at = now()
+        publishing = asyncio.ensure_future(publications.advertise("/told/once", STRING, now() + 1))
+        while not publishing.done():
+            publications.register_again({}, asked_at)
+            await asyncio.sleep(0)
+        assert master.registered == ["/told/once"]
+        publications.register_again({}, asked_at)
+        await asyncio.sleep(0.1)
+        assert master.registered == ["/told/once"]
+        publications.register_again({}, now())
+        await asyncio.to_thread(ros.until, lambda: len(master.registered) == 2, "the second registration")
+        await publications.close()
+
+    asyncio.run(asyncio.wait_for(scenario(), 20))

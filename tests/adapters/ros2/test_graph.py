@@ -58,14 +58,6 @@ def test_rosld_is_a_node_while_it_advertises_and_only_with_what_it_advertises() 
     assert "/parameter_events" not in graph.topics
 
 
-def test_a_node_of_our_name_is_anothers_while_we_advertise_nothing() -> None:
-    another = Seen("/rosld", STRING, Qos("reliable"), b"4")
-    seen = replace(SEEN, nodes=(*SEEN.nodes, "/rosld"), publishers={"/chatter": (another,)})
-    graph = compose(Graph(0), seen, KNOWN)
-    assert "/rosld" in graph.nodes
-    assert [each.node for each in graph.topics["/chatter"].publishers] == ["/rosld"]
-
-
 def test_only_publishers_keep_messages_for_those_who_come_late() -> None:
     late = Seen("/late", STRING, Qos("reliable", "transient_local"), b"8")
     graph = compose(Graph(0), replace(SEEN, subscribers={"/chatter": (late,)}), KNOWN)

@@ -145,7 +145,7 @@ def test_nothing_of_ours_stays_and_signals_are_left_alone(ros: Any, opened: Any)
                 ref, data = await session.text("hello")
                 await session.adapter.publish("/brand/new", ref, data, deadline=session.deadline(0.3))
                 assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == handlers
-                await onlooker.until(lambda: "/rosld" in onlooker.graph.nodes)
+                await onlooker.until(lambda: session.graph.own_node in onlooker.graph.nodes)
                 await onlooker.until(lambda: any("_rosld" in name for name in onlooker.graph.nodes))
                 began = time.monotonic()
             assert time.monotonic() - began < 2

@@ -159,25 +159,35 @@ def test_a_latched_sample_of_ours_is_not_heard_again_by_a_late_look(ros: Any, op
             await session.adapter.publish("/latched/display", ref, data, latch=True, deadline=session.deadline())
             subscription = await session.adapter.subscribe("/latched/display")
             await asyncio.sleep(0.5)
-            assert [(each.publisher, each.latched) for each in subscription.latest()] == [("/rosld", True)]
+            own = session.graph.own_node
+            assert [(each.publisher, each.latched) for each in subscription.latest()] == [(own, True)]
 
     asyncio.run(scenario())
 
 
-def test_a_name_that_is_taken_is_left_to_its_node(lone_ros: Any, opened: Any) -> None:
-    lone_ros.node("odd.py", "twin", "rosld")
+def test_two_that_begin_to_publish_before_they_know_each_other_have_two_names(ros: Any, opened: Any) -> None:
+    async def publish(session: Any) -> None:
+        ref, data = await session.text(f"hello from {session.graph.own_node}")
+        await session.adapter.publish("/shared/topic", ref, data, deadline=session.deadline(0.3))
+
+    async def hears(session: Any, subscription: Any, other: Any) -> None:
+        names = {session.graph.own_node, other.graph.own_node}
+        assert len(names) == 2
+        await session.until(lambda: names == {each.node for each in session.graph.topics["/shared/topic"].publishers})
+        texts: set[str] = set()
+        while texts != {f"hello from {name}" for name in names}:
+            await publish(other)
+            await asyncio.sleep(0.1)
+            texts = {(await session.decoded(sample)).data for sample in subscription.latest()}
 
     async def scenario() -> None:
-        async with opened(lone_ros) as session:
-            ref, data = await session.text("hello")
-            await session.until(lambda: "/rosld" in session.graph.nodes)
-            assert session.graph.own_node != "/rosld"
-            await session.adapter.publish("/brand/new", ref, data, deadline=session.deadline(0.3))
-            assert {"/rosld", session.graph.own_node} <= session.graph.nodes.keys()
-            subscription = await session.adapter.subscribe("/shared")
-            await session.until(lambda: [each.publisher for each in subscription.latest()] == ["/rosld"])
+        async with opened(ros) as first, opened(ros) as second:
+            heard = [await session.adapter.subscribe("/shared/topic") for session in (first, second)]
+            await asyncio.gather(publish(first), publish(second))
+            await hears(first, heard[0], second)
+            await hears(second, heard[1], first)
 
-    asyncio.run(scenario())
+    asyncio.run(asyncio.wait_for(scenario(), 60))
 
 
 def test_the_namespace_of_the_source_is_that_of_our_node(lone_ros: Any, opened: Any) -> None:
@@ -188,8 +198,8 @@ def test_the_namespace_of_the_source_is_that_of_our_node(lone_ros: Any, opened: 
         async with opened(lone_ros) as session:
             ref, data = await session.text("hello")
             await session.adapter.publish("/brand/new", ref, data, deadline=session.deadline(0.3))
-            assert session.graph.own_node == "/robot1/rosld"
-            assert "/robot1/rosld" in session.graph.nodes
+            assert session.graph.own_node.startswith("/robot1/rosld_")
+            assert session.graph.own_node in session.graph.nodes
 
     asyncio.run(scenario())
 

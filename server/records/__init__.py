@@ -1,12 +1,14 @@
 """Records: what clients have put, kept whole and durably. The RDF dataset is its index, never its only copy."""
 
 from rosld.server.records.base import Records
+from rosld.server.records.differences import Step
 from rosld.server.records.record import (
     NO_MEMBER,
     Blob,
     Cause,
     Changed,
     Conflict,
+    Difference,
     Member,
     Membership,
     Model,
@@ -24,6 +26,7 @@ __all__ = [
     "Cause",
     "Changed",
     "Conflict",
+    "Difference",
     "Member",
     "Membership",
     "Model",
@@ -32,6 +35,7 @@ __all__ = [
     "Records",
     "Remove",
     "SqliteRecords",
+    "Step",
     "StorageError",
     "Write",
     "open_records",

@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
+from rosld.server.records.differences import Step
 from rosld.server.records.record import Blob, Changed, Member, Record, Write
 
 
@@ -47,6 +48,10 @@ class Records(Protocol):
         A path comes once, but twice where it was removed and made again. No two changes have one version: after as
         many as `most`, ask again after the last.
         """
+        ...
+
+    def steps(self, record: Record, after: int) -> Sequence[Step] | None:
+        """The writes that made a record what it is from what it was at a version; None where they are not known."""
         ...
 
     async def write(self, *writes: Write) -> Sequence[Record | None]:

@@ -88,6 +88,20 @@ class Member:
 
 
 @dataclass(frozen=True, slots=True)
+class Difference:
+    """What a write changes of what a record says, as N-Triples without blank nodes: `removed`, then `added`.
+
+    `before` is the record as it was; `times` is when it was created and modified as its first writer says, which no
+    write changes. Nothing in it is the server's to say.
+    """
+
+    before: Record
+    times: bytes
+    removed: bytes
+    added: bytes
+
+
+@dataclass(frozen=True, slots=True)
 class Put:
     """Make or replace a record. `expected` is the version it must have, 0: it must not be there, None: whatever.
 
@@ -95,7 +109,7 @@ class Put:
     changes. `member` None leaves what a record that is there has; everything else is replaced: a non-RDF source that
     keeps its bytes says so with the blob it has. `unless_there` leaves a record that is there as it is, whatever it is.
     `unused` makes it only where no record of its path was ever removed: a server that finds names never gives one
-    twice (LDP 5.2.3.11).
+    twice (LDP 5.2.3.11). `difference` is what it changes, where that is known and little.
     """
 
     path: str
@@ -107,6 +121,7 @@ class Put:
     expected: int | None = None
     unless_there: bool = False
     unused: bool = False
+    difference: Difference | None = None
 
 
 @dataclass(frozen=True, slots=True)

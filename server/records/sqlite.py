@@ -17,6 +17,7 @@ from pathlib import Path
 
 from rosld.server.records.blobs import Blobs, sync_folder
 from rosld.server.records.cache import Cache
+from rosld.server.records.differences import Differences, Step
 from rosld.server.records.durability import Durability, carried_over
 from rosld.server.records.group import Group, Job
 from rosld.server.records.ledger import Applied, Busy, Ledger, is_full, relisted
@@ -95,6 +96,7 @@ class SqliteRecords:
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._blobs: Blobs | None = None
         self._cache = Cache()
+        self._differences = Differences()
         self._watchers: dict[object, Callable[[Sequence[Changed]], None]] = {}
         self._waiting: dict[str, asyncio.TimerHandle] = {}
         self._keep_seconds = keep_seconds
@@ -175,6 +177,7 @@ class SqliteRecords:
     def forget(self) -> None:
         """Read everything anew from now on."""
         self._cache.clear()
+        self._differences.clear()
 
     def was_there(self, path: str) -> bool:
         return self._ledger.was_there(path)
@@ -187,6 +190,9 @@ class SqliteRecords:
 
     def changed(self, after: int, *, most: int = _CHANGES) -> Sequence[Changed]:
         return self._ledger.changed(after, most)
+
+    def steps(self, record: Record, after: int) -> Sequence[Step] | None:
+        return self._differences.steps(record, after)
 
     async def write(self, *writes: Write) -> Sequence[Record | None]:
         if self._closed:
@@ -213,8 +219,9 @@ class SqliteRecords:
     def _rewritten(self, write: Write) -> Record | None:
         """In memory, where nobody else writes: a write that needs no transaction around it; None where it does."""
         record = self._ledger.alone(write, time.time_ns()) if isinstance(write, Put) else None
-        if record is not None:
+        if isinstance(write, Put) and record is not None:
             self._cache.keep(record)
+            self._differences.note(write, record)
             self._told = record.version
             self._wake([Changed(record.path, record.version, False)])
         return record
@@ -232,6 +239,7 @@ class SqliteRecords:
             if isinstance(outcome, Applied):
                 self._keep(outcome.unused)
                 self._renew(outcome)
+                self._note(job.writes, outcome)
                 self._tell(outcome)
             else:
                 self._keep(job.received)
@@ -317,6 +325,13 @@ class SqliteRecords:
                 container = cache.get(path)
                 if container is not None:
                     cache.keep(relisted(container, listed))
+
+    def _note(self, writes: Sequence[Write], applied: Applied) -> None:
+        """Note what the writes changed of records."""
+        for write in writes:
+            record = applied.records.get(write.path)
+            if isinstance(write, Put) and record is not None:
+                self._differences.note(write, record)
 
     async def receive(self, chunks: AsyncIterator[bytes], media_type: str, *, most: int) -> Blob:
         self._attach()

@@ -16,7 +16,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.vocab import dcterms, ldp
 from rosld.server.ldp.interaction import declared, stand_ins
-from rosld.server.records import Changed, Member, Membership, Model, Record, Records
+from rosld.server.records import Changed, Member, Membership, Model, Record, Records, Step
 from rosld.server.records.describe import META, bare, managed_triples, record_document, said_beside_times
 from rosld.server.records.packing import size_of
 from rosld.server.records.paths import container_of
@@ -155,7 +155,11 @@ class _Search:
         if record is None:
             self._drop(path)
         elif not record.model.is_container:
-            self._replace(record)
+            steps = self._records.steps(record, self._after)
+            if steps is None or self._said(record):
+                self._replace(record)
+            else:
+                self._step(path, steps)
         elif self._is_to_be_whole(record):
             self._due[path] = None
         else:
@@ -176,6 +180,18 @@ class _Search:
             _text, record, url, self._said
         )
         self._size += size_of(record.triples) + _OVERHEAD
+
+    def _step(self, path: str, steps: Sequence[Step]) -> None:
+        """Do what writes did, one after the other: that is no harm to a graph in which some of it is done."""
+        url = self._base + path
+        for step in steps:
+            before, after = (_managed_lines(record, url) for record in (step.before, step.after))
+            difference = step.difference
+            self._edit(
+                path,
+                difference.added.decode() + "".join(after - before),
+                difference.removed.decode() + "".join(before - after),
+            )
 
     def _drop(self, path: str) -> None:
         self._due.pop(path, None)
@@ -246,6 +262,11 @@ def _text(record: Record, url: str, said: Said) -> str:
     membership = declared(record.membership, url) if record.membership is not None else ()
     managed = record_document(bare(record, url), url, (), (*membership, *said(record)))
     return serialize(managed, Syntax.N_TRIPLES).decode() + said_beside_times(record, url).decode()
+
+
+def _managed_lines(record: Record, url: str) -> frozenset[str]:
+    """What the server says of a record, and of what clients say its times."""
+    return frozenset(_text(bare(record, url), url, _nothing).splitlines(keepends=True))
 
 
 def _modified(record: Record, url: str) -> str:

@@ -168,7 +168,17 @@ class SourceResource(Kept):
         else:
             kept = stated.kept
         member = await self._member(record, stated)
-        return Put(record.path, record.model, kept, record.blob, record.membership, member, expected)
+        difference = stated.difference(record, url, times) if expected == record.version else None
+        return Put(
+            record.path,
+            record.model,
+            kept,
+            record.blob,
+            record.membership,
+            member,
+            expected,
+            difference=difference,
+        )
 
     async def _member(self, record: Record, stated: Statements) -> str | None:
         """What stands for it from now on in the membership triples of its container; None: what did before."""

@@ -6,9 +6,9 @@ Worker processes call the functions at the end, so this imports little.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import cached_property
-from typing import TypeVar, overload
+from typing import NamedTuple, TypeVar, overload
 
 from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse
 
@@ -19,8 +19,9 @@ from rosld.server.http.problem import Problem
 from rosld.server.ldp.interaction import member_of
 from rosld.server.ldp.n3patch import applied, read_patch
 from rosld.server.ldp.patch import updated
-from rosld.server.records import Membership, Model
+from rosld.server.records import Difference, Membership, Model, Record
 from rosld.server.records.describe import is_managed, may_be_managed, unmanaged, written
+from rosld.server.records.differences import MOST as DIFFERENT
 from rosld.server.records.packing import is_packed, pack, unpack
 
 N3_PATCH = "text/n3"
@@ -29,21 +30,37 @@ LIGHT_BYTES = 32 * 1024
 _TINY_BYTES = 4 * 1024
 _LONG = re.compile(rb"""<[^>\s]{512}|"[^"]{512}|'[^']{512}|[^\s,;"'<>\[\](){}]{512}""")
 """What may be said once in a body and be a part of every triple of it: a long IRI or prefix."""
+MOST_CHANGED = 500
+"""Triples up to which the change of a large document is told as what changed."""
 MOST_PATCHED = 5_000
 """Triples that may come of a patch on the loop's side; what comes to more is done in a worker process."""
 
 _Term = TypeVar("_Term")
 
 
+class Changed(NamedTuple):
+    """What a patch, or a merge, changed of a large document."""
+
+    removed: Sequence[Triple]
+    added: Sequence[Triple]
+
+
 class Statements(Sequence[Triple]):
     """The triples of a body, given as they are kept or as triples: each is made of the other when somebody looks at it.
 
-    `managed` are those about the resource that the server manages, where they were looked for already.
+    `managed` are those about the resource that the server manages, where they were looked for already; `changed` is
+    what a change of a large document came to, where it is little.
     """
 
-    def __init__(self, given: bytes | list[Triple], managed: Sequence[Triple] | None = None) -> None:
+    def __init__(
+        self,
+        given: bytes | list[Triple],
+        managed: Sequence[Triple] | None = None,
+        changed: Changed | None = None,
+    ) -> None:
         self._given = given
         self._managed = managed
+        self.changed = changed
 
     @cached_property
     def kept(self) -> bytes:
@@ -68,7 +85,17 @@ class Statements(Sequence[Triple]):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Without what was parsed."""
-        return Statements, (self.kept, self._managed)
+        return Statements, (self.kept, self._managed, self.changed)
+
+    def difference(self, before: Record, url: str, times: bytes) -> Difference | None:
+        """What they change of the record at `url`; None where that is much, or not the client's alone to say."""
+        if self.changed is None or before.model is not Model.RDF_SOURCE:
+            return None
+        triples = [*self.changed.removed, *self.changed.added]
+        if any(_has_blank(each) for each in triples) or len(unmanaged(triples, url, before.model)) < len(triples):
+            return None
+        removed, added = map(written, self.changed)
+        return Difference(before, times, removed, added) if len(removed) + len(added) <= DIFFERENT else None
 
     @cached_property
     def _triples(self) -> list[Triple]:
@@ -183,8 +210,9 @@ def read(data: bytes, media_type: str, url: str, subject: str) -> Statements:
 
 def merged(describe: Callable[[], Document], added: Statements, subject: str) -> Statements:
     """The statements of a document and those that are added to it."""
-    triples = dict.fromkeys((*describe().triples, *apart(added)))
-    return looked_through(written(triples), subject)
+    before = describe().triples
+    after = dict.fromkeys((*before, *apart(added)))
+    return _noting(before, after, looked_through(written(after), subject))
 
 
 def patched(describe: Callable[[], Document], data: bytes, media_type: str, url: str, subject: str) -> Statements:
@@ -192,7 +220,20 @@ def patched(describe: Callable[[], Document], data: bytes, media_type: str, url:
     before = describe().triples
     after = patch_of(data, media_type, url)(before)
     require_same_members(before, after, url)
-    return looked_through(written(after), subject)
+    return _noting(before, after, looked_through(written(after), subject))
+
+
+def _noting(before: Sequence[Triple], after: Collection[Triple], found: Statements) -> Statements:
+    """Note what changed, where that is little of much."""
+    if found.is_large and abs(len(after) - len(before)) <= MOST_CHANGED:
+        known = frozenset(before)
+        added = [each for each in after if each not in known]
+        removed: Collection[Triple] = ()
+        if len(added) <= MOST_CHANGED and len(after) - len(added) < len(known):
+            removed = known.difference(after)
+        if len(added) + len(removed) <= MOST_CHANGED:
+            found.changed = Changed([*removed], added)
+    return found
 
 
 def own(kept: Statements, subject: str, model: Model, servers: frozenset[Triple], times: bytes) -> bytes:

@@ -16,7 +16,17 @@ from pyoxigraph import CanonicalizationAlgorithm, Dataset, NamedNode, Quad, Quer
 
 from rosld.ontology.vocab import ldp
 from rosld.server.ldp.interaction import declared, membership_triples
-from rosld.server.records import Member, Membership, Model, Put, Record, Remove, SqliteRecords, open_records
+from rosld.server.records import (
+    Difference,
+    Member,
+    Membership,
+    Model,
+    Put,
+    Record,
+    Remove,
+    SqliteRecords,
+    open_records,
+)
 from rosld.server.records.describe import META, record_document
 from rosld.server.resources.kept.graphs import RecordGraphs
 from rosld.server.sparql.kept import Changes
@@ -365,7 +375,105 @@ def test_graphs_say_what_a_get_says_whatever_is_written(batches: list[list[Put |
     asyncio.run(scenario())
 
 
+_LINES = st.frozensets(st.integers(0, 5), max_size=4)
+_STEPS = st.lists(
+    st.tuples(
+        st.sampled_from(["patch", "patch", "patch", "patch", "put", "remove", "ask", "replay"]),
+        st.sampled_from(["data/a", "data/b"]),
+        _LINES,
+    ),
+    max_size=30,
+)
+
+
+def said_of(path: str, numbers: Iterable[int]) -> bytes:
+    return "".join(f'<{BASE}{path}> <{P}> "{number}" .\n' for number in sorted(numbers)).encode()
+
+
+@given(_STEPS, _LINES)
+def test_a_graph_that_is_told_what_changed_says_what_a_get_says(
+    steps: Sequence[tuple[str, str, frozenset[int]]], times: frozenset[int]
+) -> None:
+    """Whichever writes tell what they changed, whenever somebody asks, and if what was told is told once more."""
+
+    async def write(
+        index: Index, what: str, path: str, numbers: frozenset[int], now: dict[str, frozenset[int]]
+    ) -> None:
+        before = index.records.get(path)
+        if what == "remove":
+            if before is not None:
+                await index.records.write(Remove(path))
+            return
+        change = None
+        if what == "patch" and before is not None:
+            removed, added = now[path] - numbers, numbers - now[path]
+            change = Difference(before, b"", said_of(path, removed), said_of(path, added))
+        expected = None if change is None else change.before.version
+        put = Put(path, Model.RDF_SOURCE, said_of(path, numbers), expected=expected, difference=change)
+        await index.records.write(put)
+        now[path] = numbers
+
+    async def scenario() -> None:
+        index, now, versions = Index(), dict[str, frozenset[int]](), [0]
+        late = Index(index.records)
+        for what, path, numbers in steps:
+            if what == "ask":
+                assert await late.differences() == []
+            elif what == "replay":
+                for part in RecordGraphs(index.records, BASE).changes(versions[len(times) % len(versions)]):
+                    late.store.change({iri: text and text() for iri, text in part.graphs.items()}, part.edits)
+                assert await late.differences() == []
+            else:
+                await write(index, what, path, numbers, now)
+                versions.append(index.records.version)
+                assert await index.differences() == []
+        assert await late.differences() == []
+        await index.records.close()
+
+    asyncio.run(scenario())
+
+
+@running
+async def test_few_triples_of_many_are_told_alone(index: Index) -> None:
+    await index.records.write(Put("data/a", Model.RDF_SOURCE, said_of("data/a", range(2000))))
+    assert await index.differences() == []
+    before = index.records.get("data/a")
+    assert before is not None
+    change = Difference(before, b"", said_of("data/a", [7]), said_of("data/a", [2000]))
+    triples = said_of("data/a", {*range(2001)} - {7})
+    await index.records.write(Put("data/a", Model.RDF_SOURCE, triples, expected=before.version, difference=change))
+    (part,) = RecordGraphs(index.records, BASE).changes(before.version)
+    assert not part.graphs
+    assert part.size < 1000
+    assert await index.differences() == []
+
+
 # Over HTTP
+
+
+def test_a_patch_of_a_large_document_is_in_the_dataset_as_its_get_says_it(http: httpx.Client) -> None:
+    many = "".join(f'<http://h/{number}> <{P}> "{number:0100}" .\n' for number in range(4000))
+    patches = (
+        f'DELETE DATA {{ <http://h/1> <{P}> "{1:0100}" }} ; INSERT DATA {{ <http://h/1> <{P}> 01, "x"@en }}',
+        f"DELETE WHERE {{ <http://h/1> <{P}> ?o }}",
+        f"INSERT DATA {{ <> <{P}> [ <{P}> 2 ] }}",
+        f"INSERT DATA {{ <http://h/3> <{P}> 3 }}",
+    )
+    body = {"Content-Type": "application/n-triples"}
+    assert http.put("data/large", content=many, headers=body).status_code == 201
+    url = http.base_url.join("data/large")
+    for patch in ("INSERT DATA {}", *patches):
+        update = {"Content-Type": "application/sparql-update"}
+        assert http.patch("data/large", content=patch, headers=update).status_code == 204
+        query = {"query": f"CONSTRUCT {{ ?s ?p ?o }} WHERE {{ GRAPH <{url}> {{ ?s ?p ?o }} }}"}
+        accept = {"Accept": "application/n-triples"}
+        found = http.get("sparql", params=query, headers=accept).content
+        said = http.get("data/large", headers=accept).content
+        one, other = (Dataset(parse(each, RdfFormat.N_TRIPLES)) for each in (found, said))
+        for each in (one, other):
+            each.canonicalize(CanonicalizationAlgorithm.UNSTABLE)
+        assert set(one) == set(other)
+    assert http.delete("data/large").status_code == 204
 
 
 def test_what_is_put_is_found_at_once_in_the_graph_of_its_url(http: httpx.Client) -> None:

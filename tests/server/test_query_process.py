@@ -176,6 +176,54 @@ def test_killed_again_and_again_under_load_it_costs_queries_a_503_and_others_not
     assert answered(served, name(served))
 
 
+def test_a_query_that_ends_the_process_is_500_and_named_in_the_log_and_nothing_else_notices(
+    serve: Callable[..., Served], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A function that ends its process stands for whatever in the library may: the query process alone has it."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import os, sys\n"
+        "if 'sparql.process' in ' '.join(sys.orig_argv):\n"
+        "    from rosld.server.store.functions import FUNCTIONS\n"
+        "    FUNCTIONS['http://h/abort'] = lambda *terms: os.abort()\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    served = serve("aircraft", environment=environment)
+    display, pid = served.topic("/cockpit/display"), process_of(served)
+    for query in (
+        f"SELECT ?n {{ <{display}> ros:name ?n FILTER(<http://h/abort>(?n)) }}",  # in the process itself
+        "SELECT (COUNT(*) AS ?n) { ?s ?p ?o FILTER(<http://h/abort>(?o)) }",  # in a fork of it
+    ):
+        answer = ask(served, query)
+        assert (answer.status_code, answer.headers["content-type"]) == (500, "application/problem+json"), answer.text
+        assert served.http.get("/topics/cockpit/display").status_code == 200
+        assert answered(served, name(served))
+    assert process_of(served, pid) != pid
+    assert "<http://h/abort>" in capfd.readouterr().err
+
+
+def test_while_what_clients_keep_is_read_anew_queries_are_503_with_how_far_it_is(served: Served) -> None:
+    value = "x" * 1000
+    for number in range(24):
+        lines = "".join(f'<http://h/{number}-{line}> <http://h/v> "{value}" .\n' for line in range(1000))
+        headers = {"Content-Type": "application/n-triples"}
+        assert served.http.put(f"/data/d{number}", content=lines, headers=headers).status_code == 201
+    assert answered(served, "SELECT (COUNT(*) AS ?n) { ?s <http://h/v> ?o }") == "n\r\n24000\r\n"
+    pid = process_of(served)
+    os.kill(pid, signal.SIGKILL)
+    new = process_of(served, pid)
+    os.kill(new, signal.SIGSTOP)
+    try:
+        answer = ask(served, "ASK { <http://h/1-1> ?p ?o }")
+        assert answer.status_code == 503
+        assert answer.headers["retry-after"].isdigit()
+        assert "% of it is there" in answer.json()["detail"]
+        assert served.http.get("/data/d1").status_code == 200
+        assert served.http.put("/data/other", content="<> <http://h/v> 1 .", headers=TURTLE).status_code == 201
+    finally:
+        os.kill(new, signal.SIGCONT)
+    assert answered(served, "SELECT (COUNT(*) AS ?n) { ?s <http://h/v> ?o }") == "n\r\n24001\r\n"
+
+
 def test_whatever_is_at_work_ends_with_the_server_even_if_that_is_killed(serve: Callable[..., Served]) -> None:
     for number in (signal.SIGTERM, signal.SIGKILL):
         served = serve("aircraft", "--setting", "query_time_limit", "60")

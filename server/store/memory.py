@@ -9,11 +9,11 @@ from contextlib import suppress
 from itertools import count, islice
 from typing import NamedTuple, cast
 
-from pyoxigraph import NamedNode, Quad, RdfFormat, Store, parse
+from pyoxigraph import Literal, NamedNode, Quad, RdfFormat, Store, Triple, parse
 
 from rosld.server.memory import trim
 from rosld.server.store.base import Edit, Function, QueryError, Results, Term
-from rosld.server.store.encoding import decode_ntriples, encode_ntriples
+from rosld.server.store.encoding import decode_ntriples, decode_triple, encode_ntriples
 from rosld.server.store.functions import FUNCTIONS
 from rosld.server.store.wear import Wear
 
@@ -79,17 +79,10 @@ class MemoryStore:
         """The dataset itself. Whoever changes it must be a process that ends afterwards."""
         return self._store
 
-    def lookup(
-        self,
-        subject: Term | None,
-        predicate: NamedNode | None,
-        object: Term | None,
-        most: int,
-        graph: NamedNode | None = None,
-    ) -> list[Quad]:
-        """At most so many statements with this subject, predicate and object, in this graph (None: any)."""
+    def lookup(self, subject: Term | None, predicate: NamedNode | None, object: Term | None, most: int) -> list[Quad]:
+        """At most so many statements with this subject, predicate and object."""
         place = cast("NamedNode | None", subject)
-        return [*islice(self._store.quads_for_pattern(place, predicate, object, graph), most)]
+        return [*islice(self._store.quads_for_pattern(place, predicate, object, None), most)]
 
     def graphs(self) -> Collection[str]:
         return [graph.value for graph in self._store.named_graphs() if isinstance(graph, NamedNode)]
@@ -154,7 +147,30 @@ class MemoryStore:
 
     def count(self, graph: str, most: int) -> int:
         """The number of triples of a graph, at most so many."""
-        return sum(1 for _ in islice(self._store.quads_for_pattern(None, None, None, NamedNode(graph)), most))
+        lines = self._lines.get(graph)
+        if lines is not None:
+            return min(len(lines), most)
+        return sum(1 for _ in islice(self._quads(graph), most))
+
+    def triples(self, graph: str) -> Sequence[Triple] | None:
+        """The triples of a graph, None where it has none."""
+        lines = self._lines.get(graph)
+        if lines is None:
+            return [decode_triple(quad.triple) for quad in self._quads(graph)] or None
+        text = self._labelled(graph, "\n".join(lines))
+        return [quad.triple for quad in parse(text.encode(), RdfFormat.N_TRIPLES)]
+
+    def _quads(self, graph: str) -> Iterator[Quad]:
+        """Found by walking past all that are gone: the lines of a graph that was replaced often are read faster."""
+        return self._store.quads_for_pattern(None, None, None, NamedNode(graph))
+
+    def extent(self, graph: NamedNode, most: int) -> tuple[int, int]:
+        """The number of triples of a graph, at most so many, and about the characters of their literals."""
+        lines = self._lines.get(graph.value)
+        if lines is not None:
+            return len(lines), sum(len(line) - start for line in lines if (start := line.find('"')) >= 0)
+        quads = [*islice(self._quads(graph.value), most)]
+        return len(quads), sum(len(quad.object.value) for quad in quads if isinstance(quad.object, Literal))
 
     def query(
         self,
@@ -202,8 +218,8 @@ class MemoryStore:
             return _Step(graph, True, (), added, self._wear.size(name), text.count("\n"))
         now = self._new_lines[name] = _lines(text)
         gone, come = before - now, now - before
-        removed = [*self._read(graph, "".join(gone))]
-        quads = [*self._read(graph, "".join(come))]
+        removed = [*self._read(graph, "\n".join(gone))]
+        quads = [*self._read(graph, "\n".join(come))]
         return _Step(graph, False, removed, lambda: quads, len(gone), len(come))
 
     def _edit(self, edit: Edit) -> _Step:
@@ -225,14 +241,19 @@ class MemoryStore:
         """The quads of N-Triples within a graph. Raises ValueError."""
         if not text:
             return
-        if "_:" in text:
-            label = f"_:g{self._numbers.setdefault(graph.value, len(self._numbers))}-"
-            text = _LABEL.sub(lambda match: label if match[0] == "_:" else match[0], text)
+        text = self._labelled(graph.value, text)
         try:
             for subject, predicate, object, _ in parse(encode_ntriples(text).encode(), RdfFormat.N_TRIPLES):
                 yield Quad(subject, predicate, object, graph)
         except (SyntaxError, UnicodeEncodeError) as error:
             raise ValueError(f"no N-Triples for {graph.value!r}: {error}") from error
+
+    def _labelled(self, graph: str, text: str) -> str:
+        """N-Triples with the labels that blank nodes have in the store."""
+        if "_:" not in text:
+            return text
+        label = f"_:g{self._numbers.setdefault(graph, len(self._numbers))}-"
+        return _LABEL.sub(lambda match: label if match[0] == "_:" else match[0], text)
 
     def _carry_out(self, step: _Step) -> None:
         _apply(self._store, step)
@@ -244,8 +265,8 @@ class MemoryStore:
         self._forget(name)
         if not text or len(text) > _REMEMBERED_GRAPH:
             return
-        self._lines[name] = self._new_lines.pop(name, frozenset()) or _lines(text)
-        self._size += len(text)
+        lines = self._lines[name] = self._new_lines.pop(name, frozenset()) or _lines(text)
+        self._size += sum(map(len, lines))
         while self._size > _REMEMBERED:
             self._forget(next(iter(self._lines)))
 
@@ -300,5 +321,5 @@ def _apply(store: Store, step: _Step) -> None:
 
 
 def _lines(text: str) -> frozenset[str]:
-    """Each with its end. Only a line feed ends one (RDF 1.1 N-Triples, 2): Python knows more."""
-    return frozenset(f"{line}\n" for line in text.split("\n") if line)
+    """Without their ends. Only a line feed ends one (RDF 1.1 N-Triples, 2): Python knows more."""
+    return frozenset(text.split("\n")) - {""}

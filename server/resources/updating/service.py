@@ -259,7 +259,7 @@ class Updates:
                 record = self._robot.records.get(target.resource.path)
                 if record is not None and max(record.version, record.listed) > drawn.kept:
                     return False
-                if (record is None) != (target.change.before is None):
+                if (record is not None) != target.change.was_there:
                     return False
         meant = drawn.named | {change.graph for change in drawn.changes}
         # All topics together never stand still, so only those count that an update means.

@@ -9,16 +9,29 @@ else may take any time.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple, TypeAlias
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, Protocol, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Triple
 
 from rosld.server.sparql.patterns import Group, Iri, Pattern, Term, Variable, graphs_around
 
 _Node: TypeAlias = NamedNode | BlankNode | Literal | Triple
-Lookup: TypeAlias = Callable[[_Node | None, NamedNode | None, _Node | None, int, NamedNode | None], Sequence[Quad]]
-"""At most so many statements with a subject, a predicate, an object (None: any), of one graph or of all (None)."""
+
+
+class Dataset(Protocol):
+    """What is stored, as far as it is looked at here."""
+
+    def lookup(
+        self, subject: _Node | None, predicate: NamedNode | None, object: _Node | None, most: int
+    ) -> Sequence[Quad]:
+        """At most so many statements with a subject, a predicate, an object (None: any)."""
+        ...
+
+    def extent(self, graph: NamedNode, most: int) -> tuple[int, int]:
+        """The number of triples of a graph, at most so many, and about the characters of their literals."""
+        ...
+
 
 MOST = 200
 """Statements that a query may look at that does not take long."""
@@ -153,14 +166,14 @@ _ESTIMATES = {
 """What the store takes for the number of matches of a pattern, by what is known of it."""
 
 
-def may_take_long(plan: Plan | None, lookup: Lookup) -> bool:
+def may_take_long(plan: Plan | None, dataset: Dataset) -> bool:
     """Whether a query whose patterns these are may look at more than some hundred statements.
 
     The store walks past as much on the way to them as is walked past here: so what is found out late may take long.
     """
     if plan is None:
         return True
-    if plan.graph is not None and _is_within_a_small_graph(plan, plan.graph, lookup):
+    if plan.graph is not None and _is_within_a_small_graph(plan, plan.graph, dataset):
         return False
     if not plan.steps:
         return True
@@ -174,7 +187,7 @@ def may_take_long(plan: Plan | None, lookup: Lookup) -> bool:
             object = solution.get(step.object) if isinstance(step.object, str) else step.object
             if isinstance(subject, Literal):
                 continue
-            quads = lookup(subject, step.predicate, object, MOST - looked, None)
+            quads = dataset.lookup(subject, step.predicate, object, MOST - looked)
             looked += len(quads) + 1
             if looked >= MOST or (time.perf_counter() > until and time.thread_time() - begun > _SECONDS):
                 return True
@@ -185,13 +198,12 @@ def may_take_long(plan: Plan | None, lookup: Lookup) -> bool:
     return size * max(1, len(solutions)) > _MOST_TEXT or looked * plan.tokens > _MOST_EVALUATED
 
 
-def _is_within_a_small_graph(plan: Plan, graph: NamedNode, lookup: Lookup) -> bool:
-    quads = lookup(None, None, None, MOST, graph)
-    if len(quads) >= MOST:
+def _is_within_a_small_graph(plan: Plan, graph: NamedNode, dataset: Dataset) -> bool:
+    triples, size = dataset.extent(graph, MOST)
+    if triples >= MOST:
         return False
-    size = sum(len(quad.object.value) for quad in quads if isinstance(quad.object, Literal))
-    combined = len(quads) ** plan.patterns
-    return combined * plan.tokens <= _MOST_COMBINED and size * max(1, len(quads)) <= _MOST_TEXT
+    combined = triples**plan.patterns
+    return combined * plan.tokens <= _MOST_COMBINED and size * max(1, triples) <= _MOST_TEXT
 
 
 def _bound(solution: dict[str, _Node], step: Step, quad: Quad) -> dict[str, _Node]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import compress
 from typing import BinaryIO, NamedTuple, Protocol, cast
 
@@ -27,7 +28,7 @@ from rosld.server.sparql.process.cost import Plan, may_take_long
 from rosld.server.sparql.update.drawing import Canvas, GraphChange, Row, asks_again, copies, draw, graphs_named
 from rosld.server.sparql.update.operations import Hole, Modify, Operation, QuadTemplate, Where
 from rosld.server.store.base import Function, Results
-from rosld.server.store.encoding import decode_term, decode_triple
+from rosld.server.store.encoding import decode_term
 from rosld.server.store.memory import MemoryStore
 
 _MOST_GRAPHS = 8
@@ -90,7 +91,7 @@ class Query(NamedTuple):
     def may_take_long(self, store: MemoryStore) -> bool:
         """Whether it may look at more than some hundred statements."""
         many = len(self.default_graphs) + len(self.named_graphs) > _MOST_GRAPHS
-        return many or may_take_long(self.plan, store.lookup)
+        return many or may_take_long(self.plan, store)
 
 
 class Answer(NamedTuple):
@@ -171,7 +172,7 @@ class _Update(NamedTuple):
 
 
 class Draw(NamedTuple):
-    """What operations come to: pickled graphs, each with what it says before and after, as N-Triples."""
+    """What operations come to: pickled graphs, each with whether it was there, and what it says after, as N-Triples."""
 
     update: bytes
 
@@ -186,7 +187,7 @@ class Draw(NamedTuple):
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         operations, asked = _opened(self.update)
         by_where = {id(one.where): one for one in asked}
-        canvas = Canvas(lambda graph: _triples(store, graph), store.dataset if asks_again(operations) else None)
+        canvas = Canvas(store.triples, store.dataset if asks_again(operations) else None)
         draw(operations, canvas, lambda where: by_where[id(where)].solutions(store))
         output.write(pickle.dumps([_written(change) for change in canvas.changes()]))
 
@@ -218,7 +219,9 @@ def _split(quads: Sequence[QuadTemplate]) -> tuple[bytes, tuple[QuadTemplate, ..
     return text.encode(), tuple(quad for quad, is_constant in zip(quads, constant, strict=True) if not is_constant)
 
 
+@lru_cache(maxsize=1)
 def _opened(update: bytes) -> _Update:
+    """What was sent; the last, for it is looked at before it is done."""
     compact, asked = pickle.loads(update)  # from our own server
     return _Update([_expanded(each) if isinstance(each, _Compact) else each for each in compact], asked)
 
@@ -234,29 +237,19 @@ def _templates(text: bytes) -> Iterator[QuadTemplate]:
         yield QuadTemplate(*cast("tuple[NamedNode, NamedNode, NamedNode, NamedNode]", tuple(quad)))
 
 
-def _triples(store: MemoryStore, graph: str) -> Sequence[Triple] | None:
-    found = store.query(f"CONSTRUCT {{?s ?p ?o}} WHERE {{GRAPH <{graph}> {{?s ?p ?o}}}}")
-    assert isinstance(found, QueryTriples)
-    return [decode_triple(triple) for triple in found] or None
-
-
-_Written = tuple[str, bytes | None, bytes | None]
+_Written = tuple[str, bool, bytes | None]
 
 
 def _written(change: GraphChange) -> _Written:
-    """As N-Triples: terms are pickled one by one, which takes ten times as long."""
-    graph, before, after = change
-    return graph, _ntriples(before), _ntriples(after)
-
-
-def _ntriples(triples: Sequence[Triple] | None) -> bytes | None:
-    return None if triples is None else serialize(triples, format=RdfFormat.N_TRIPLES)
+    """With N-Triples: terms are pickled one by one, which takes ten times as long."""
+    graph, was_there, after = change
+    return graph, was_there, None if after is None else serialize(after, format=RdfFormat.N_TRIPLES)
 
 
 def drawn(result: bytes) -> tuple[GraphChange, ...]:
     """What the result of `Draw` says."""
     changes: list[_Written] = pickle.loads(result)  # from our own process
-    return tuple(GraphChange(graph, _read(before), _read(after)) for graph, before, after in changes)
+    return tuple(GraphChange(graph, was_there, _read(after)) for graph, was_there, after in changes)
 
 
 def _read(text: bytes | None) -> tuple[Triple, ...] | None:

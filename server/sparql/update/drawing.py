@@ -24,7 +24,7 @@ from rosld.server.sparql.update.operations import (
     Where,
 )
 from rosld.server.store.base import Term
-from rosld.server.store.encoding import decode_triple, encode_literal
+from rosld.server.store.encoding import encode_literal
 
 MOST_ROWS = 100_000
 """Solutions that one WHERE may have."""
@@ -37,81 +37,75 @@ Look: TypeAlias = "Callable[[str], Sequence[Triple] | None]"
 
 
 class GraphChange(NamedTuple):
-    """What becomes of a graph: None stands for no graph, before or after."""
+    """What becomes of a graph, which may not have been there before; `after` None: it is there no more."""
 
     graph: str
-    before: tuple[Triple, ...] | None
+    was_there: bool
     after: tuple[Triple, ...] | None
 
 
 class Canvas:
-    """Graphs being changed: copies in a store of their own, or those of a dataset that is thrown away afterwards."""
+    """Graphs being changed, as copies; and with them those of a `dataset` that is thrown away afterwards, if given."""
 
     def __init__(self, look: Look, dataset: pyoxigraph.Store | None = None) -> None:
         self._look = look
-        self._store = pyoxigraph.Store() if dataset is None else dataset
-        self._copies = dataset is None
-        self._before: dict[str, tuple[Triple, ...] | None] = {}
-        self._there: set[str] = set()
-
-    def touch(self, graph: str) -> None:
-        """Have the graph here. Called before anything is asked or done of it."""
-        if graph in self._before:
-            return
-        found = self._look(graph)
-        if found is not None:
-            self._there.add(graph)
-            if self._copies:
-                name = NamedNode(graph)
-                self._store.extend(_stored(Quad(each.subject, each.predicate, each.object, name)) for each in found)
-        self._before[graph] = None if found is None else tuple(self._triples(graph))
+        self._dataset = dataset
+        self._before: dict[str, Sequence[Triple] | None] = {}
+        self._now: dict[str, dict[Triple, None] | None] = {}
 
     def is_there(self, graph: str) -> bool:
         """Whether there is such a graph by now."""
-        self.touch(graph)
-        return graph in self._there
+        return self._touched(graph) is not None
 
     def remove(self, quads: Iterable[Quad]) -> None:
         """Take quads away, as far as they are there."""
         for quad in quads:
-            self.touch(_name(quad))
-            self._store.remove(_stored(quad))
+            triples = self._touched(_name(quad))
+            if triples is not None:
+                triples.pop(quad.triple, None)
+            if self._dataset is not None:
+                self._dataset.remove(_stored(quad))
 
     def insert(self, quads: Iterable[Quad]) -> None:
         """Add quads, and with them graphs that were not there."""
         for quad in quads:
-            self.touch(_name(quad))
-            self._there.add(_name(quad))
-            self._store.add(_stored(quad))
+            self.make(_name(quad))[quad.triple] = None
+            if self._dataset is not None:
+                self._dataset.add(_stored(quad))
 
     def quads(self, graph: str) -> list[Quad]:
         """The quads of a graph as it is by now."""
-        self.touch(graph)
         name = NamedNode(graph)
-        return [Quad(each.subject, each.predicate, each.object, name) for each in self._triples(graph)]
+        return [Quad(each.subject, each.predicate, each.object, name) for each in self._touched(graph) or ()]
 
-    def make(self, graph: str) -> None:
-        """A graph without triples."""
-        self.touch(graph)
-        self._there.add(graph)
+    def make(self, graph: str) -> dict[Triple, None]:
+        """The triples of a graph, which is there from now on."""
+        triples = self._touched(graph)
+        if triples is None:
+            triples = self._now[graph] = {}
+        return triples
 
     def drop(self, graph: str) -> None:
         """No such graph any more."""
         self.remove(self.quads(graph))
-        self._there.discard(graph)
+        self._now[graph] = None
 
     def changes(self) -> tuple[GraphChange, ...]:
         """The graphs that are others than they were, in the order in which they were touched."""
         found = []
         for graph, before in self._before.items():
-            after = tuple(self._triples(graph)) if graph in self._there else None
-            if (before is None) != (after is None) or set(before or ()) != set(after or ()):
-                found.append(GraphChange(graph, before, after))
+            now = self._now[graph]
+            if (before is None) != (now is None) or (
+                before is not None and now is not None and now.keys() != {*before}
+            ):
+                found.append(GraphChange(graph, before is not None, None if now is None else tuple(now)))
         return tuple(found)
 
-    def _triples(self, graph: str) -> Iterator[Triple]:
-        quads = self._store.quads_for_pattern(None, None, None, NamedNode(graph))
-        return (decode_triple(quad.triple) for quad in quads)
+    def _touched(self, graph: str) -> dict[Triple, None] | None:
+        if graph not in self._before:
+            found = self._before[graph] = self._look(graph)
+            self._now[graph] = None if found is None else dict.fromkeys(found)
+        return self._now[graph]
 
 
 def _stored(quad: Quad) -> Quad:

@@ -289,11 +289,15 @@ def test_a_thousand_changed_topics_cost_a_query_over_ten_only_these_ten(
             return best
 
         small, large = make_source(10), make_source(1000)
-        over_large = make_endpoint(large)
+        over_small, over_large = make_endpoint(small), make_endpoint(large)
         await over_large.text(ALL)
-        alone = await seconds(small, make_endpoint(small))
-        among_many = await seconds(large, over_large)
-        assert among_many < 4 * alone + 0.005
+        alone = among_many = float("inf")
+        for _ in range(5):  # the machine may be busy with other things
+            alone = min(alone, await seconds(small, over_small))
+            among_many = min(among_many, await seconds(large, over_large))
+            if among_many < 4 * alone + 0.005:
+                return
+        raise AssertionError((alone, among_many))
 
     run(scenario())
 

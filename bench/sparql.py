@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import AsyncIterator, Collection, Hashable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Collection, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from http.client import HTTPConnection
 from pathlib import Path
@@ -167,10 +167,6 @@ class Robot:
     async def documents_of(self, terms: Collection[str]) -> Collection[str]:
         """None: it has topics only."""
         return ()
-
-    def glance(self, needs: Needs) -> Hashable | None:
-        """Every topic has a new message at once."""
-        return self._turn
 
     async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
         named = self._urls if needs.graphs is None else sorted(needs.graphs)

@@ -29,7 +29,6 @@ from rosld.server.events.channels import Channels
 from rosld.server.events.feed import Feeds
 from rosld.server.html import prepare_pages
 from rosld.server.http import link
-from rosld.server.http.again import SCOPE, Again
 from rosld.server.http.origin import Site, check_host, check_origin, sharing, site
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
@@ -40,7 +39,6 @@ from rosld.server.ldp.alone import Alone
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.large import LargeDocuments
 from rosld.server.ldp.pages import Pages
-from rosld.server.ldp.prepared import Prepared
 from rosld.server.ldp.resource import Resource
 from rosld.server.ldp.verbs import Verbs, options
 from rosld.server.memory import is_shortage
@@ -178,7 +176,6 @@ class Application:
             settings.client_rate, settings.client_requests, settings.client_connections, settings.client_websockets
         )
         self.clients = Clients(allowance, loopback=settings.limit_loopback)
-        self.again = Again(self._passes) if door is None else None
         self._door = door
         self._acl = link.Link(f"{robot.space.base}acl", "acl")
         self._standing = (b"link", link.render([notifications.link]).encode("latin-1"))
@@ -268,13 +265,11 @@ class Application:
         if origin is not None or self._site.shared or self._site.anybody:
             _share(response, sharing(self._site, exchange.method, origin))
         response.raw_headers = [*response.raw_headers, self._standing]
-        if exchange.may_come_again and self._door is None and isinstance(response, Prepared):
-            scope[SCOPE] = response.still
         await response(scope, receive, send)
 
     async def _websocket(self, scope: Scope, receive: Receive, send: Send) -> None:
         client = scope["client"]
-        if not self._passes(client[0] if client else None):
+        if not self._may_open(client[0] if client else None):
             await asyncio.sleep(REFUSAL_SECONDS)
             await websocket.refuse(scope, send, Problem(429, "You open too many WebSockets a second: open fewer."))
             return
@@ -334,8 +329,8 @@ class Application:
             client = scope["client"]
             exchange.client = self.clients.admit(exchange.agent, client[0] if client else None)
 
-    def _passes(self, address: str | None) -> bool:
-        """Whether a client may have an answer that is at hand; it counts as a request."""
+    def _may_open(self, address: str | None) -> bool:
+        """Whether a client may open a WebSocket now; it counts as a request."""
         try:
             self.clients.leave(self.clients.admit(ANYBODY, address))
         except TooMuch:

@@ -149,13 +149,6 @@ class Dataset:
             found["bags"] = sum(one.count for one in recordings) - count
         return {container: count for container, count in found.items() if count > 0}
 
-    def glance(self, needs: Needs) -> Hashable | None:
-        """What tells whether `live` would find what it found, at once; None where that must be looked for."""
-        if any(demand.anything for demand in needs.demands):
-            return None
-        found = [resource.standing() for resource in self._resources(needs)]
-        return None if None in found else tuple(found)
-
     async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
         """The graphs of topics and parameters whose values a query needs, as of now.
 

@@ -13,7 +13,6 @@ from typing import Any
 import uvicorn
 from starlette.types import ASGIApp
 
-from rosld.server.http.again import Again
 from rosld.server.http.connection import Bounded, Bounds, Connection
 from rosld.server.http.connections import Connections
 from rosld.server.http.tokens import without_tokens
@@ -65,7 +64,6 @@ class Server(uvicorn.Server):
         listening: Callable[[], None],
         bounds: Bounds | None = None,
         connections: int = CONNECTIONS,
-        again: Again | None = None,
     ) -> None:
         config = Bounded(
             app,
@@ -85,7 +83,6 @@ class Server(uvicorn.Server):
         config.connections = Connections(connections)
         if bounds is not None:
             config.bounds = bounds
-        config.again = again
         super().__init__(config)
         self._listening = listening
 

@@ -63,7 +63,7 @@ class Serving:
         limits = (settings.head_limit, settings.head_timeout, settings.read_timeout)
         bounds = Bounds(*limits, app.clients.connect, app.clients.open_websocket, app.is_urgent)
         most = min(settings.connections, most_open_files() - FILES)
-        self._server = listening.Server(app, self._listening, bounds, max(most, 1), app.again)
+        self._server = listening.Server(app, self._listening, bounds, max(most, 1))
         tls.apply(self._server.config, app.robot.settings.tls_cert, app.robot.settings.tls_key)
         self._work: asyncio.Task[None] | None = None
 

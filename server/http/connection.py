@@ -1,7 +1,4 @@
-"""Connections: uvicorn's HTTP/1.1 protocol with bounds on what a stranger may send before a request is one, and with
-
-answers to requests that were answered before (`again.py`).
-"""
+"""Connections: uvicorn's HTTP/1.1 protocol with bounds on what a stranger may send before a request is one."""
 
 from __future__ import annotations
 
@@ -14,7 +11,6 @@ import httptools
 import uvicorn
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from rosld.server.http.again import LONGEST_REQUEST, SCOPE, Again, Still
 from rosld.server.http.connections import Connections
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
@@ -60,10 +56,9 @@ class Bounds:
 
 
 class Bounded(uvicorn.Config):
-    """uvicorn's configuration with bounds for its connections, and the answers that they may give again."""
+    """uvicorn's configuration with bounds for its connections."""
 
     bounds = Bounds()
-    again: Again | None = None
     connections = Connections(3000)
 
 
@@ -72,14 +67,9 @@ class Connection(HttpToolsProtocol):
 
     An `Upgrade` to anything but a WebSocket is ignored (RFC 9110 7.8): the head is parsed a second time without it, by
     a new parser, which goes on with the body. What the first parser says of that head is passed over.
-
-    What comes as a whole, with nothing else before or after it, is answered as it was the last time if that stands.
     """
 
     _bounds = Bounded.bounds
-    _whole: bytes | None = None
-    """A request that came as a whole, and before, until it is answered or something else comes."""
-    _again: Again | None = None
     _head_is_open = True
     _head_size = 0
     _block_size = 0
@@ -102,7 +92,7 @@ class Connection(HttpToolsProtocol):
         """A client connected, and has a while to say what it wants."""
         super().connection_made(cast("asyncio.Transport", Together(transport, self.loop)))
         config = self.config if isinstance(self.config, Bounded) else Bounded
-        self._bounds, self._again, self._connections = config.bounds, config.again, config.connections
+        self._bounds, self._connections = config.bounds, config.connections
         self._impatience = self.loop.call_later(self._bounds.head_seconds, self._too_slow)
         try:
             self._let_go = self._bounds.connect(self.client[0] if self.client else None)
@@ -128,13 +118,6 @@ class Connection(HttpToolsProtocol):
         """Bytes came."""
         if self._is_over:
             return
-        self._whole = None
-        known = self._again
-        is_short = not self._head_size and len(data) <= LONGEST_REQUEST
-        if known is not None and is_short and known.has_come(data) and self._is_idle:
-            if self._answered(data, known):
-                return
-            self._whole = data
         self._block_size = len(data)
         if self._head_is_open:
             self._head_size += len(data)
@@ -198,48 +181,11 @@ class Connection(HttpToolsProtocol):
         return Problem(431, f"The request line and the headers are larger than {self._bounds.head_bytes} bytes.")
 
     @property
-    def _is_idle(self) -> bool:
-        """Whether nothing of a request has come that is not answered."""
-        return self._is_answered and self._head_is_open and not self._head_size
-
-    @property
     def _is_answered(self) -> bool:
         return self.cycle is None or self.cycle.response_complete
 
-    def _answered(self, request: bytes, known: Again) -> bool:
-        """Answer a request as it was answered before, if that stands."""
-        if self.flow.write_paused or self.transport.is_closing():
-            return False
-        answer = known.answer(request, self.client[0] if self.client else None, self._date)
-        if answer is None:
-            return False
-        self._be_patient()
-        self._connections.rest(self)
-        self._together.write_whole(answer)
-        self.server_state.total_requests += 1
-        self._unset_keepalive_if_required()
-        self.timeout_keep_alive_task = self.loop.call_later(self.timeout_keep_alive, self.timeout_keep_alive_handler)
-        return True
-
-    @property
-    def _together(self) -> Together:
-        return cast("Together", self.transport)
-
-    @property
-    def _date(self) -> bytes:
-        """The date of answers of now, which uvicorn makes each second."""
-        return next((value for name, value in self.server_state.default_headers if name == b"date"), b"")
-
     def on_response_complete(self) -> None:
-        """A request is answered; how is kept where the application says how to tell that it stands."""
-        request, self._whole = self._whole, None
-        if request is not None and self._again is not None:
-            cycle, answer = self.cycle, self._together.joined
-            still: Still | None = cycle.scope.get(SCOPE)  # type: ignore[assignment]
-            is_alone = not self.pipeline and cycle.scope is self.scope  # nothing of another request has come
-            is_plain = cycle.keep_alive and not self.expect_100_continue  # which is answered 100 before
-            if still is not None and is_alone and is_plain and not cycle.more_body and answer:
-                self._again.keep(request, answer, still)
+        """A request is answered."""
         is_last = not self.pipeline
         if is_last:
             self._connections.rest(self)
@@ -274,8 +220,6 @@ class Connection(HttpToolsProtocol):
         self._head_is_open, self._head_size, self._framing, self._is_coded = False, 0, most, False
         self._be_patient()
         self.scope["rosld.transport"] = self.transport  # type: ignore[typeddict-unknown-key]
-        if self._whole is not None:
-            self.scope[SCOPE] = None  # type: ignore[literal-required]
         super().on_headers_complete()
 
     def _check(self, head: RequestHead) -> None:

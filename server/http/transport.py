@@ -11,14 +11,13 @@ _JOINED = 64 * 1024
 class Together:
     """A transport that sends the head of an answer together with the first of its body: one call of the system less.
 
-    `joined` is what was sent so last, if that was short.
+    uvicorn writes the two one after the other, and uvloop sends each at once, which costs a small answer 7 %.
     """
 
     def __init__(self, transport: asyncio.Transport, loop: asyncio.AbstractEventLoop) -> None:
         self._transport = transport
         self._soon = loop.call_soon
         self._head = b""
-        self.joined = b""
 
     def __getattr__(self, name: str) -> object:
         return getattr(self._transport, name)
@@ -32,21 +31,15 @@ class Together:
         if self._head:
             head, self._head = self._head, b""
             if len(data) < _JOINED:
-                self.joined = head + data
-                self._transport.write(self.joined)
+                self._transport.write(head + data)
             else:
                 self._transport.write(head)
                 self._transport.write(data)
         elif data.startswith(b"HTTP/1.1 ") and not data.startswith(b"HTTP/1.1 1"):  # 100 has no body to wait for
-            self._head, self.joined = data, b""
+            self._head = data
             self._soon(self.flush)
         else:
             self._transport.write(data)
-
-    def write_whole(self, answer: bytes) -> None:
-        """Send an answer that is there with head and body."""
-        self.flush()
-        self._transport.write(answer)
 
     def writelines(self, parts: Iterable[bytes]) -> None:
         """Send several pieces."""

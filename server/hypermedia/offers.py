@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -148,11 +148,6 @@ class Offers:
                 return None
             found.append(reading)
         return tuple(found)
-
-    def standing(self, reads: Sequence[Property]) -> Hashable | None:
-        """What stays equal while these properties and what is on offer are as they are; None where one must be read."""
-        readings = self.known(reads)
-        return None if readings is None else (readings, self._robot.revision)
 
     async def look(self, reads: Sequence[Property], *, anew: bool = False) -> tuple[Reading, ...]:
         """The readings of these properties, read together under one deadline; `anew`: none from before this call."""

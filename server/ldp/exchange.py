@@ -16,7 +16,7 @@ from rosld.server.access.door import OPEN
 from rosld.server.access.gate import Judged
 from rosld.server.access.judge import Judge
 from rosld.server.clients import Client
-from rosld.server.http import again, media, prefer, text
+from rosld.server.http import media, prefer, text
 from rosld.server.http.body import TIMEOUT, read_body, read_chunks
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.account import Account
@@ -41,8 +41,6 @@ class Exchange:
         """Whose limits it counts against, once it was let pass."""
         self.account = Account()
         """What it tells of its write, for its receipt."""
-        self.may_come_again = again.SCOPE in request.scope
-        """Whether the same request came before, so that it is worth knowing how long its answer stands."""
         self.answering: Judged | None = None
         """The resource that answers, once it is known."""
 

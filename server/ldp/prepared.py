@@ -6,22 +6,18 @@ from collections.abc import Iterable
 
 from starlette.responses import Response
 
-from rosld.server.http.again import Still
 from rosld.server.http.conditional import ETag, guard
 from rosld.server.ldp.exchange import Exchange
 
 
 class Prepared(Response):
-    """A response whose header list is ready. `still` says whether the same request would be answered the same again."""
+    """A response whose header list is ready."""
 
-    def __init__(
-        self, status: int, body: bytes, headers: list[tuple[bytes, bytes]], still: Still | None = None
-    ) -> None:
+    def __init__(self, status: int, body: bytes, headers: list[tuple[bytes, bytes]]) -> None:
         self.status_code = status
         self.body = body
         self.background = None
         self.raw_headers = headers
-        self.still = still
 
 
 def done() -> Prepared:

@@ -110,13 +110,6 @@ class Resource:
         """What it is like now. Raises a 404 (or 410) Problem where there is nothing."""
         raise NotImplementedError
 
-    def standing(self) -> Hashable | None:
-        """What stays equal for as long as GETs of it are answered alike, their Age aside; None where none can tell.
-
-        It is told at once, and is a look at the resource as much as a GET is.
-        """
-        return None
-
     def veiled(self, state: State, judge: Judge) -> State:
         """Its state as an agent may see it who may not know of everything."""
         return veiled_state(state, judge)

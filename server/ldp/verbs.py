@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Awaitable, Callable, Hashable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -125,7 +124,6 @@ class Verbs:
             return special
         if asked.stream_is_preferred(exchange.accept, OFFERS):
             return await self._stream(exchange, resource)
-        standing = resource.standing() if exchange.may_come_again else None
         state = await resource.state()
         unchanged = False
         if b"after=" in exchange.request.scope["query_string"] and "after" in exchange.query:
@@ -134,22 +132,17 @@ class Verbs:
                 raise unproven("Your rights have changed meanwhile.")
             state = await resource.state()
             unchanged = asked.is_state(exchange.query["after"], self._name(state))
-            standing = None
         media_type = chosen(exchange)
         if state.is_large and media_type != HTML and not (media_type == JSON and state.plain is not None):
             return await self._read_large(exchange, resource, state, media_type, unchanged=unchanged)
         rendering = await self.represented(resource, state, media_type, exchange.judge)
-        headers, age = rendering.headers, 0
+        headers = rendering.headers
         if state.received_ns is not None:
             age = max(0, time.time_ns() - state.received_ns) // 1_000_000_000
             headers = [*headers, (b"age", b"%d" % age)]
-        still = None
-        if standing is not None and media_type != HTML:
-            older = math.inf if state.received_ns is None else state.received_ns + (age + 1) * 1_000_000_000
-            still = partial(_stands, resource, standing, older)
         if unchanged or _not_modified(exchange, rendering):
-            return Prepared(304, b"", [pair for pair in headers if pair[0] not in _CONTENT], still)
-        return Prepared(200, rendering.body, headers, still)
+            return Prepared(304, b"", [pair for pair in headers if pair[0] not in _CONTENT])
+        return Prepared(200, rendering.body, headers)
 
     async def _read_large(
         self, exchange: Exchange, resource: Resource, state: State, media_type: str, *, unchanged: bool
@@ -426,11 +419,6 @@ def _linked(resource: Resource, problem: Problem) -> Problem:
         there = problem.headers.get("Link")
         problem.headers["Link"] = ", ".join([link.render(resource.links), *([there] if there else ())])
     return problem
-
-
-def _stands(resource: Resource, standing: Hashable, older_ns: float) -> bool:
-    """Whether a resource is as it was, and its value not a second older."""
-    return time.time_ns() < older_ns and resource.standing() == standing
 
 
 def chosen(exchange: Exchange) -> str:

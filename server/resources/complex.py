@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from pyoxigraph import Triple
 from starlette.responses import Response
@@ -97,11 +97,6 @@ class ComplexResource(Resource):
         if method == "PATCH":
             return f"No member of {self.path} can be written now."
         return f"A complex resource is read with GET and written with PATCH; it does not answer {method}."
-
-    def standing(self) -> Hashable | None:
-        layout = self.robot.offers.at_hand()
-        plan = None if layout is None else layout.complex(self.path)
-        return None if plan is None else self.robot.offers.standing(plan.reads)
 
     async def state(self) -> State:
         layout, plan = await self._plan()

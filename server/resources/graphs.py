@@ -237,8 +237,7 @@ class _Whole(Resource):
             content_type = results.content_type(results.choose(self.form, accept))
             return Response(headers={"Content-Type": content_type, "Vary": "Accept", "Cache-Control": "no-cache"})
         asked = replace(self.asked, timeout=timeout_asked(exchange.query.items()))
-        again = exchange.may_come_again
-        return await answered(self._service, asked, accept, judge=exchange.judge, again=again)
+        return await answered(self._service, asked, accept, judge=exchange.judge)
 
 
 class DefaultGraph(_Whole):

@@ -5,7 +5,7 @@ A property is read with GET and written with PUT and PATCH, an action is invoked
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
@@ -124,11 +124,6 @@ class MemberResource(Resource):
         return self.robot.space.shape(action.request.ref.name)
 
     # Reading
-
-    def standing(self) -> Hashable | None:
-        layout = self._layout
-        plan = None if layout is None else layout.property(self.name) or layout.action(self.name)
-        return None if plan is None else self.robot.offers.standing(plan.reads)
 
     async def state(self) -> State:
         layout = await self.robot.offers.layout()

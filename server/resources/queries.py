@@ -89,8 +89,7 @@ class Runner:
             return None
         request = QueryRequest(bind(query, given, self.base), timeout=timeout)
         hung_up = hangup.of(exchange.request.receive)
-        again = exchange.may_come_again
-        answer = await answered(self.service, request, accept, hung_up, exchange.judge, again=again)
+        answer = await answered(self.service, request, accept, hung_up, exchange.judge)
         return self._identified(exchange, resource, answer, state)
 
     def _identified(self, exchange: Exchange, resource: Resource, answer: Response, state: str | None) -> Response:

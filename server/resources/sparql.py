@@ -95,17 +95,15 @@ async def answered(
     accept: str | None,
     hung_up: HangUp | None = None,
     judge: Judge = EVERYTHING,
-    *,
-    again: bool = False,
 ) -> Response:
     """The response with the results of a query: where XML cannot carry them, in what else the client takes."""
     try:
-        answer = await service.answer(request, accept, hung_up, judge, again=again)
+        answer = await service.answer(request, accept, hung_up, judge)
     except Problem as problem:
         other = without_xml(service.check(request.text).form, accept) if problem.extra == REASON else None
         if other is None:
             raise
-        answer = await service.answer(request, other, hung_up, judge, again=again)
+        answer = await service.answer(request, other, hung_up, judge)
     return told(answer)
 
 
@@ -122,7 +120,7 @@ def told(answer: QueryAnswer) -> Response:
     if isinstance(answer.body, bytes):
         length = (b"content-length", b"%d" % len(answer.body))
         kind = (b"content-type", answer.content_type.encode("ascii"))
-        return Prepared(200, answer.body, [kind, length, *standing], answer.still)
+        return Prepared(200, answer.body, [kind, length, *standing])
     stream: AsyncIterator[bytes] = answer.body
     headers = {name.decode(): value.decode() for name, value in standing}
     return StreamingResponse(stream, headers={**headers, "Content-Type": answer.content_type})
@@ -288,8 +286,7 @@ class SparqlResource(Resource):
     async def _answer(self, request: QueryRequest, accept: str | None, exchange: Exchange) -> Response:
         hung_up, judge = hangup.of(exchange.request.receive), exchange.judge
         if not prefers_page(accept):
-            again = exchange.may_come_again
-            return await answered(self._service, request, accept, hung_up, judge, again=again)
+            return await answered(self._service, request, accept, hung_up, judge)
         try:
             return self._page(judge, request.text, await results_of(self._service, request, hung_up, judge))
         except Problem as problem:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import cast
 
 from pyoxigraph import Triple
@@ -108,10 +108,6 @@ class TopicResource(Resource):
         if method == "DELETE" and self.why_unwritable() is None:
             return f"rosld does not advertise {self.name}, so there is nothing to delete."
         return self.why_unwritable() or super().why_not(method)
-
-    def standing(self) -> Hashable | None:
-        view = self.robot.topics.peek(self.name)
-        return None if view is None else (Same(view), self.robot.revision)
 
     async def state(self) -> State:
         robot = self.robot

@@ -10,7 +10,7 @@ from rosld.ontology.vocab import PREFIXES
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.cursor import Unrecognised
 from rosld.server.sparql.functions import AGE
-from rosld.server.sparql.grammar import ELSEWHERE, read
+from rosld.server.sparql.grammar import read
 from rosld.server.sparql.lexer import BOUNDS, NOWHERE, Bounds, Checked, Kind, Reach, Token, check, place, update_keyword
 from rosld.server.sparql.narrowing import needs
 from rosld.server.sparql.needs import EVERYTHING, Needs
@@ -22,7 +22,6 @@ from rosld.server.sparql.terms import Terms
 from rosld.server.store import QueryError
 from rosld.server.store.encoding import NAMESPACE
 
-_CHANGING = frozenset({"NOW", "RAND", "UUID", "STRUUID", "BNODE", AGE, ELSEWHERE})
 _FORMS = ("SELECT", "ASK", "CONSTRUCT", "DESCRIBE")
 _MOST_UNREAD = 60
 _KEPT = 512
@@ -34,17 +33,15 @@ class Analysis:
     """A query fit to be asked: `text` is what goes to the store.
 
     `form` is SELECT, ASK, CONSTRUCT or DESCRIBE, None where only the store can tell. `needs` are over all graphs, its
-    FROM and FROM NAMED being `default_graphs` and `named_graphs`. `lasting`: the answer is the same for as long as the
-    dataset is. `prefixes`: those of the server that its names use. `enclosed` are the graphs that all its patterns
-    stand in (GRAPH), None where one may match in others. `plan` is how to find out whether it takes long over a
-    dataset, None where it may. `asks_age`: it calls ros:age, as far as is known. `functions` are those that it calls by
-    IRI.
+    FROM and FROM NAMED being `default_graphs` and `named_graphs`. `prefixes`: those of the server that its names use.
+    `enclosed` are the graphs that all its patterns stand in (GRAPH), None where one may match in others. `plan` is how
+    to find out whether it takes long over a dataset, None where it may. `asks_age`: it calls ros:age, as far as is
+    known. `functions` are those that it calls by IRI.
     """
 
     text: str
     form: str | None
     needs: Needs
-    lasting: bool
     prefixes: Mapping[str, str]
     default_graphs: tuple[str, ...] = ()
     named_graphs: tuple[str, ...] = ()
@@ -102,14 +99,12 @@ class Analyser:
             if wrong := syntax_error(text, self.prefixes):
                 raise Problem(400, wrong) from error
             return self._unread(checked)
-        lasting = not reading.functions & _CHANGING
         terms = Terms(self._types, self.base, self._known)
         words = [token.text.upper() for token in checked.tokens if token.kind is Kind.WORD]
         return Analysis(
             rewrite(checked, self.prefixes, self.base),
             reading.form,
             needs(reading, terms),
-            lasting,
             self._used_prefixes(checked),
             reading.default,
             reading.named,
@@ -138,7 +133,7 @@ class Analyser:
             raise Problem(400, "The query is no SPARQL 1.1, or begins to be none, somewhere: cut it to find the place.")
         form = next((token.text.upper() for token in checked.tokens if token.is_word(*_FORMS)), None)
         text = rewrite(checked, self.prefixes, self.base)
-        return Analysis(text, form, EVERYTHING, False, self.prefixes)
+        return Analysis(text, form, EVERYTHING, self.prefixes)
 
 
 def _enclosed(reading: Reading) -> frozenset[str] | None:

@@ -5,15 +5,13 @@ from __future__ import annotations
 import asyncio
 import pickle
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Hashable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple, TypeAlias
 
 from rosld.server.access.judge import EVERYTHING, Judge
-from rosld.server.http.again import Still
 from rosld.server.http.problem import Problem
 from rosld.server.loop_time import loop_time
 from rosld.server.sparql import results
@@ -34,13 +32,11 @@ from rosld.server.store import QueryError
 class QueryAnswer(NamedTuple):
     """Results in one media type; `content_type` adds its charset. A `body` that is an iterator may raise Aborted.
 
-    `still` says whether the same query would be answered the same again, `unread` how many graphs it could match that
-    are not looked at unless it names them, by their container.
+    `unread` is how many graphs it could match that are not looked at unless it names them, by their container.
     """
 
     media_type: str
     body: bytes | AsyncIterator[bytes]
-    still: Still | None = None
     unread: Mapping[str, int] = {}
 
     @property
@@ -117,12 +113,8 @@ class QueryService:
         accept: str | None,
         hung_up: HangUp | None = None,
         judge: Judge = EVERYTHING,
-        *,
-        again: bool = False,
     ) -> QueryAnswer:
         """The results in the form that the client prefers, over what the judge lets be seen; `hung_up` ends it early.
-
-        `again`: it is worth knowing how long the answer stands (`still`).
 
         Raises Problems: 400 for what is no query (in the parser's words) or may not be asked, 406, 413, 503 when it
         reaches a limit (its `reason` is time, memory or rows), too many are being answered, or the dataset is not there
@@ -136,18 +128,10 @@ class QueryService:
         await self._process.ready(until)
         needs = await self._needed(analysis, request, judge)
         unread = await self._unread(needs, judge)
-        lasting = again and analysis.lasting and judge.reads_all
-        before = self._synchroniser.glance(needs) if lasting else None
         async with self._synced(needs, limits, _scope(analysis, request)):
-            version = self._process.version
             work = Answer(self._query(analysis, request, judge), media_type, limits.rows)
             body = await self._done(work, limits, until, hung_up, judge, request.text)
-        still = None if before is None else partial(self._stands, needs, before, version)
-        return QueryAnswer(media_type, body, still, unread)
-
-    def _stands(self, needs: Needs, before: Hashable, version: int) -> bool:
-        """Whether the dataset is as it was, and would be after another look at what the query needs."""
-        return self._process.version == version and self._synchroniser.glance(needs) == before
+        return QueryAnswer(media_type, body, unread)
 
     async def table(
         self, request: QueryRequest, limit: int, hung_up: HangUp | None = None, judge: Judge = EVERYTHING

@@ -14,8 +14,6 @@ from rosld.server.sparql.lexer import Bounds, Checked, Kind, Token, place
 from rosld.server.sparql.patterns import Group, Iri, Pattern, Reading, Term, Variable, variables
 from rosld.server.sparql.triples import TripleReader
 
-ELSEWHERE = "SERVICE"
-"""Among the functions of a reading: it asks another endpoint."""
 _FORMS = ("SELECT", "ASK", "CONSTRUCT", "DESCRIBE")
 _MODIFIERS = ("GROUP", "ORDER", "BY", "HAVING", "LIMIT", "OFFSET", "ASC", "DESC")
 _OPERANDS = frozenset({Kind.VARIABLE, Kind.STRING, Kind.LANGUAGE, Kind.NUMBER, Kind.NAME, Kind.IRI})
@@ -184,7 +182,6 @@ class _Reader(TripleReader):
         self.term()
         self.join()
         self._group(None)
-        self._functions.add(ELSEWHERE)
 
     def _child(self, group: Group, graph: Term | None) -> None:
         group.children.append(self._group(graph))

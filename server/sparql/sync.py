@@ -86,10 +86,6 @@ class GraphSource(Protocol):
         """The resources that these classes and predicates may be said of, and that are there only where named."""
         ...
 
-    def glance(self, needs: Needs) -> Hashable | None:
-        """What stays equal for as long as `live` would return the same, told at once; None where none can tell."""
-        ...
-
     async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
         """The graphs that the needs ask for, description included, with their values as of now.
 
@@ -289,14 +285,6 @@ class Synchroniser:
         too much is to be brought first, and TimeoutError.
         """
         return _Synced(self, needs, scope, deadline)
-
-    def glance(self, needs: Needs) -> Hashable | None:
-        """What stays equal for as long as `synced` would bring nothing new, told at once; None where none can tell."""
-        live: Hashable = ()
-        _, described = self._descriptions()
-        if needs.demands or not needs.documents <= described.keys():
-            live = self._source.glance(needs)
-        return None if live is None else (self._source.revision, *(each.version for each in self._kept), live)
 
     async def enter(self, needs: Needs, scope: frozenset[str] | None, deadline: float) -> Sequence[str]:
         """Bring the dataset to what the needs ask for. What is returned is kept until it is given to `leave`."""

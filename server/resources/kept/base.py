@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Awaitable, Callable, Hashable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from typing import ClassVar
 
 from starlette.responses import Response
@@ -58,9 +58,6 @@ class Kept(Resource):
     def constrained_by(self) -> str | None:
         judge = judge_of(self.robot, self.path)
         return self.robot.space.shape("data" if judge is None else judge.shape)
-
-    def standing(self) -> Hashable | None:
-        return (self.robot.records.version, self.robot.revision)
 
     def there(self) -> Record:
         """The record; a 404 or 410 Problem where there is none."""

@@ -373,7 +373,7 @@ def served(adapter: Adapter, **settings: Any) -> Iterator[httpx.Client]:
 
     async def serve() -> None:
         app = create_app(adapter, made)
-        server = listening.Server(app, listens.set, again=app.again)
+        server = listening.Server(app, listens.set)
         loop = asyncio.get_running_loop()
 
         def end() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import pickle
 import time
-from collections.abc import Callable, Collection, Coroutine, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from typing import Any, ClassVar, TypeVar
 
 import pytest
@@ -60,9 +60,6 @@ class RobotSource:
 
     async def documents_of(self, terms: Collection[str]) -> Collection[str]:
         return ()
-
-    def glance(self, needs: Needs) -> Hashable | None:
-        return self.revision, tuple(self.values.values()), tuple(self.silent), tuple(self.bags.items())
 
     async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
         self.looks.append(needs)

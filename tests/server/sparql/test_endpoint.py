@@ -226,31 +226,6 @@ def test_when_all_workers_are_busy_and_enough_wait_it_is_503_to_come_again(
     run(scenario())
 
 
-def test_an_answer_says_whether_it_would_be_given_again(make_source: Make, make_endpoint: Make, run: Make) -> None:
-    async def scenario() -> None:
-        source = make_source()
-        endpoint = make_endpoint(source)
-        await endpoint.start()
-
-        async def answer(query: str) -> QueryAnswer:
-            return await endpoint.service.answer(QueryRequest(query), None, again=True)
-
-        live = await answer("SELECT ?x { ?m <https://w3id.org/rosld/types/p/msg/T3#f0> ?x }")
-        still = await answer("SELECT ?n { <topics/t3> ros:name ?n }")
-        assert live.still()
-        assert still.still()
-        source.tick()
-        assert not live.still()
-        again = await answer("SELECT ?x { ?m <https://w3id.org/rosld/types/p/msg/T3#f0> ?x }")
-        assert again.still()
-        source.revision += 1
-        assert not again.still()
-        assert not still.still()
-        assert (await answer("SELECT (RAND() AS ?x) { }")).still is None
-
-    run(scenario())
-
-
 def test_a_page_gets_the_first_rows_as_terms(make_source: Make, make_endpoint: Make, run: Make) -> None:
     async def scenario() -> None:
         endpoint = make_endpoint(make_source())

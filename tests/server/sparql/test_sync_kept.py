@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -48,9 +48,6 @@ class NoRobot:
         return {}
 
     async def documents_of(self, terms: Collection[str]) -> Collection[str]:
-        return ()
-
-    def glance(self, needs: Needs) -> Hashable | None:
         return ()
 
     async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:

@@ -6,7 +6,7 @@ Their literals are such as plain pyoxigraph keeps; `tests/server/test_terms_in_s
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
@@ -194,9 +194,6 @@ class Room:
 
     async def documents_of(self, terms: Collection[str]) -> Collection[str]:
         return ()
-
-    def glance(self, needs: Needs) -> Hashable | None:
-        return self._live
 
     async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
         return [entry for entry in self._entries() if self._live and entry.iri in needs.documents]

@@ -59,8 +59,10 @@ class Cursor:
 
     def is_next(self, *marks: str) -> bool:
         """Whether one of these marks is next."""
-        token = self.peek()
-        return token is not None and token.is_mark(*marks)
+        if self._at >= len(self._tokens):
+            return False
+        token = self._tokens[self._at]
+        return token.kind is Kind.MARK and token.text in marks
 
     def is_word(self, *words: str) -> bool:
         """Whether one of these keywords is next."""

@@ -12,7 +12,7 @@ before the text goes on, as the one place where two readings could hide somethin
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from string import ascii_letters
@@ -95,6 +95,7 @@ _RUN = re.compile(f"[{_BASE}](?:[{_BASE}_{_MORE}.-]*[{_BASE}_{_MORE}-])?")
 _WORD = re.compile(f"[{_BASE}][{_BASE}_{_MORE}-]*")
 _ENCODED = r"%[0-9A-Fa-f]{2}|\\[_~.\-!$&'()*+,;=/?#@%]"
 _LOCAL = re.compile(rf"(?:[{_BASE}_:0-9]|{_ENCODED})(?:[{_BASE}_{_MORE}:.-]|{_ENCODED})*")
+_SPACE = re.compile(r"[ \t\r\n]+")
 _TOKEN = re.compile(
     "|".join(
         f"(?P<{kind}>{pattern})"
@@ -120,13 +121,17 @@ _OF_NAMES = re.compile(f"[{_BASE}{_MORE}_:.-]")
 _SERVICE = re.compile("service", re.IGNORECASE)
 _UPDATES = frozenset({"INSERT", "DELETE", "LOAD", "CLEAR", "DROP", "CREATE", "ADD", "MOVE", "COPY", "WITH"})
 _OPEN, _CLOSE = frozenset("([{"), frozenset(")]}")
+_NEW_MARKS = frozenset({"<<", ">>", "{|", "|}", "~"})
 _NO_STEPS = frozenset({".", ",", ";", "^^"})
 
 
-def tokens(text: str, at: int = 0) -> Iterator[Token]:
-    """All tokens from `at` on, space and comments included: their texts, joined, are the text, whatever it is."""
+def tokens(text: str, at: int = 0, *, spaces: bool = True) -> Iterator[Token]:
+    """All tokens from `at` on, comments included: with `spaces` their texts, joined, are the text, whatever it is."""
     seen = 0
     while at < len(text):
+        if not spaces and (space := _SPACE.match(text, at)):
+            at = space.end()
+            continue
         if word := _WORD.match(text, at):
             # A prefix may hold dots, so a run must be read to its end to know whether a colon follows. A run that is
             # none is not read again from its middle, or `a.a.a.a` would cost the square of its length.
@@ -188,17 +193,26 @@ def check(text: str, bounds: Bounds = BOUNDS, *, what: str = "query", reach: Rea
         raise Problem(413, f"The {what} has {len(text)} characters; at most {bounds.size} are read.")
     if "\\" in text:
         text = names_unescaped(text)
+    comments: list[Token] = []
     meaning: list[Token] = []
-    pieces: list[str] = []
-    for token in tokens(text):
-        pieces.append(" " * len(token.text) if token.kind is Kind.COMMENT else token.text)
-        if token.kind is not Kind.SPACE and token.kind is not Kind.COMMENT:
-            _check_token(token, text, reach)
-            meaning.append(token)
+    for token in tokens(text, spaces=False):
+        (comments if token.kind is Kind.COMMENT else meaning).append(token)
     found = tuple(meaning)
-    _check_targets(found, text, "SERVICE", reach.services)
+    _check_tokens(found, text)
+    if _SERVICE.search(text):
+        _check_services(found, text, reach)
     _check_shape(found, text, bounds, what)
-    return _renamed(Checked("".join(pieces), found), _SERVICE)
+    return _renamed(Checked(_blanked(text, comments), found), _SERVICE)
+
+
+def _blanked(text: str, comments: Sequence[Token]) -> str:
+    """The text with spaces in place of its comments."""
+    pieces: list[str] = []
+    at = 0
+    for comment in comments:
+        pieces += (text[at : comment.start], " " * len(comment.text))
+        at = comment.end
+    return "".join((*pieces, text[at:]))
 
 
 def names_unescaped(text: str) -> str:
@@ -265,13 +279,25 @@ def _check_targets(found: tuple[Token, ...], text: str, keyword: str, allowed: f
                 )
 
 
-def _check_token(token: Token, text: str, reach: Reach) -> None:
-    if wrong := lexical_error(token, text):
-        raise Problem(400, wrong)
-    if token.kind is Kind.WORD and _SERVICE.search(token.text) and not (reach.services and token.is_word("SERVICE")):
-        raise Problem(400, f"SERVICE at {place(text, token.start)} is refused: this server asks no other.")
-    if token.is_mark("<<", ">>", "{|", "|}", "~"):
-        raise Problem(400, f"{token.text} at {place(text, token.start)}: triple terms and reifiers are not known here.")
+def _check_tokens(found: tuple[Token, ...], text: str) -> None:
+    for token in found:
+        if token.kind is Kind.MARK:
+            if token.text in _NEW_MARKS:
+                where = place(text, token.start)
+                raise Problem(400, f"{token.text} at {where}: triple terms and reifiers are not known here.")
+        elif (token.kind is Kind.ERROR or "\\" in token.text) and (wrong := lexical_error(token, text)):
+            raise Problem(400, wrong)
+
+
+def _check_services(found: tuple[Token, ...], text: str, reach: Reach) -> None:
+    for token in found:
+        if (
+            token.kind is Kind.WORD
+            and _SERVICE.search(token.text)
+            and not (reach.services and token.is_word("SERVICE"))
+        ):
+            raise Problem(400, f"SERVICE at {place(text, token.start)} is refused: this server asks no other.")
+    _check_targets(found, text, "SERVICE", reach.services)
 
 
 def lexical_error(token: Token, text: str) -> str | None:

@@ -33,7 +33,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, reduce
+from functools import reduce
 
 from rosld.ontology.vocab import rdf
 from rosld.server.sparql.needs import Demand, Needs, largest
@@ -43,7 +43,7 @@ from rosld.server.sparql.terms import ANY, COMPLEX, NEITHER, UNKNOWN, Live, Said
 
 def needs(reading: Reading, terms: Terms) -> Needs:
     """What a query needs, its FROM aside."""
-    parts = [part for group in _groups(reading.where) for part in _parts(group, terms)]
+    parts = [Meaning(part, terms) for group in _groups(reading.where) for part in _parts(group, terms)]
     demands = [demand for part in parts if (demand := part.demand)]
     if any(demand.anything for demand in demands):
         demands.extend(_named(reading.constants, terms))
@@ -88,7 +88,7 @@ def _named(constants: Iterable[str], terms: Terms) -> Iterator[Demand]:
             yield Demand(frozenset({document(iri)}), parameters=True)
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class Part:
     """Patterns that match in one graph if any of them matches live values; `graphs` are the only ones it can be.
 
@@ -96,7 +96,6 @@ class Part:
     `is_named`: that is a constant.
     """
 
-    terms_of: Terms
     graphs: frozenset[str] | None = None
     patterns: list[Pattern] = field(default_factory=list)
     links: list[Pattern] = field(default_factory=list)
@@ -104,68 +103,76 @@ class Part:
     in_one: bool = False
     is_named: bool = False
 
-    @cached_property
-    def said(self) -> Said:
-        """What its patterns say of the graph."""
-        return reduce(Said.also, map(self.terms_of.says, self.patterns), UNKNOWN)
 
-    @cached_property
-    def live(self) -> Live:
-        """The kinds of live values that its patterns can match."""
-        if self.free:
-            return ANY
-        resources = {each.subject for each in self.patterns if self.terms_of.is_of_resource(each)}
-        return self._live(resources) & self.said.live
+class Meaning:
+    """What a part needs.
 
-    def _live(self, resources: Collection[Term]) -> Live:
-        found = (self.terms_of.live(each, each.subject in resources) for each in self.patterns)
+    `demand` are the values of topics and parameters. `terms` are the classes and predicates by which it names resources
+    whose getters are called. `unread` is what it could match though it names none of it. `rests_on` are the predicates
+    and classes that narrow it, if they are said by the server alone.
+    """
+
+    def __init__(self, part: Part, vocabulary: Terms) -> None:
+        self._part = part
+        self._vocabulary = vocabulary
+        self._sayings = [vocabulary.says(each) for each in part.patterns]
+        self._said = reduce(Said.also, self._sayings, UNKNOWN)
+        self._live = ANY if part.free else self._of(self._resources()) & self._said.live
+        self.demand = self._demand()
+        self.terms = self._named_by()
+        self.unread = self._left_unread()
+        self.rests_on = self._narrowed_by()
+
+    def _resources(self) -> set[Term]:
+        """The subjects that are resources themselves."""
+        together = zip(self._part.patterns, self._sayings, strict=True)
+        return {each.subject for each, said in together if self._vocabulary.is_of_resource(each, said)}
+
+    def _of(self, resources: Collection[Term]) -> Live:
+        """The kinds of live values that its patterns can match, these being resources themselves."""
+        found = (self._vocabulary.live(each, each.subject in resources) for each in self._part.patterns)
         return reduce(Live.__or__, found, NEITHER)
 
-    @cached_property
-    def demand(self) -> Demand | None:
-        """The values of topics and parameters that it needs."""
-        live = self.live
-        if self.is_named and any(map(self.terms_of.is_of_parameters, self.graphs or ())):
-            return Demand(self.graphs, parameters=True, messages=False)  # trees say of their members what those say
+    def _demand(self) -> Demand | None:
+        part, live = self._part, self._live
+        if part.is_named and any(map(self._vocabulary.is_of_parameters, part.graphs or ())):
+            return Demand(part.graphs, parameters=True, messages=False)  # trees say of their members what those say
         if not (live.messages or live.parameters):
             return None
-        return Demand(self.graphs, self.said.types, live.messages, live.parameters)
+        return Demand(part.graphs, self._said.types, live.messages, live.parameters)
 
-    @cached_property
-    def terms(self) -> frozenset[str]:
-        """The classes and predicates by which it names resources whose getters are called."""
-        if self.graphs is not None or not self.live.resources:
+    def _named_by(self) -> frozenset[str]:
+        if self._part.graphs is not None or not self._live.resources:
             return frozenset()
-        return frozenset().union(*(self.terms_of.of_constants(self.terms_of.spoken(each)) for each in self.patterns))
+        known = self._vocabulary
+        return frozenset().union(*(known.of_constants(known.spoken(each)) for each in self._part.patterns))
 
-    @cached_property
-    def unread(self) -> Live:
-        """What it could match though it names none of it."""
-        if self.is_named:
+    def _left_unread(self) -> Live:
+        part, known = self._part, self._vocabulary
+        if part.is_named:
             return NEITHER
         # A complex resource tells the values of its members, too: who names a member has not named that.
-        tells = any(each.predicates is None or rdf.value.value in each.predicates for each in self.patterns)
+        tells = any(each.predicates is None or rdf.value.value in each.predicates for each in part.patterns)
         is_left = tells and self.terms.isdisjoint(COMPLEX)
-        if self.graphs is not None:
-            of_resources = is_left and any(map(self.terms_of.is_of_resources, self.graphs))
-            of_parameters = self.in_one and any(map(self.terms_of.is_of_parameters, self.graphs))
+        if part.graphs is not None:
+            of_resources = is_left and any(map(known.is_of_resources, part.graphs))
+            of_parameters = part.in_one and any(map(known.is_of_parameters, part.graphs))
             return Live(resources=of_resources, parameters=of_parameters)
-        is_covered = not self.free and any(map(self.terms_of.names_resources, self.patterns))
-        resources = self.live.resources and (is_left or not is_covered)
-        return self.live._replace(resources=resources, parameters=self.in_one and self._is_of_trees)
+        is_covered = not part.free and any(map(known.names_resources, part.patterns))
+        resources = self._live.resources and (is_left or not is_covered)
+        return self._live._replace(resources=resources, parameters=part.in_one and self._is_of_trees)
 
     @property
     def _is_of_trees(self) -> bool:
         """Whether it can match what trees of parameters say of their members."""
-        return self.said.live.parameters and all(map(self.terms_of.is_of_server, self.patterns))
+        return self._said.live.parameters and all(map(self._vocabulary.is_of_server, self._part.patterns))
 
-    @cached_property
-    def rests_on(self) -> frozenset[str]:
-        """The predicates and classes that narrow it, if they are said by the server alone."""
-        if self.in_one or len(self.patterns) < 2 or not any(self._live(())):
+    def _narrowed_by(self) -> frozenset[str]:
+        part = self._part
+        if part.in_one or len(part.patterns) < 2 or not any(self._of(())):
             return frozenset()
-        saying = (each for each in self.patterns if self.terms_of.says(each) != UNKNOWN)
-        return frozenset().union(*map(self.terms_of.spoken, (*saying, *self.links)))
+        saying = (each for each, said in zip(part.patterns, self._sayings, strict=True) if said != UNKNOWN)
+        return frozenset().union(*map(self._vocabulary.spoken, (*saying, *part.links)))
 
 
 def _parts(group: Group, terms: Terms) -> Iterator[Part]:
@@ -175,16 +182,16 @@ def _parts(group: Group, terms: Terms) -> Iterator[Part]:
     if group.graph is not None:
         names = frozenset({group.graph.value}) if isinstance(group.graph, Iri) else None
         for pattern in free:
-            yield Part(terms, names, [pattern], free=True, in_one=True, is_named=names is not None)
+            yield Part(names, [pattern], free=True, in_one=True, is_named=names is not None)
         subjects = (frozenset({document(each.subject.value)}) for each in bound if isinstance(each.subject, Iri))
-        yield Part(terms, _common((names, *subjects)), bound, in_one=True, is_named=names is not None)
+        yield Part(_common((names, *subjects)), bound, in_one=True, is_named=names is not None)
         return
     for pattern in free:
-        yield Part(terms, None, [pattern], free=True)
+        yield Part(None, [pattern], free=True)
     staying = [each for each in bound if not each.repeated or terms.stays(each)]
     for pattern in bound:
         if pattern not in staying:
-            yield Part(terms, None, [pattern])
+            yield Part(None, [pattern])
     yield from _connected(staying, terms)
 
 
@@ -202,7 +209,7 @@ def _connected(patterns: Sequence[Pattern], terms: Terms) -> Iterator[Part]:
         leaders[leader(_key(pattern.object))] = leader(_key(pattern.subject))
     parts: dict[str, Part] = {}
     for pattern in patterns:
-        part = parts.setdefault(leader(_key(pattern.subject)), Part(terms))
+        part = parts.setdefault(leader(_key(pattern.subject)), Part())
         part.patterns.append(pattern)
         if pattern in links:
             part.links.append(pattern)

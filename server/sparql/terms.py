@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
-from functools import reduce
+from dataclasses import dataclass
+from functools import lru_cache, reduce
 from typing import NamedTuple
 from urllib.parse import unquote
 
@@ -152,7 +152,7 @@ class Terms:
 
     def type_named(self, iri: str) -> str | None:
         """The message type (`geometry_msgs/msg/Twist`) that an IRI is the class, or a property, of."""
-        return unquote(document(iri[len(self.types) :])) if iri.startswith(self.types) else None
+        return _type_named(self.types, iri) if iri.startswith(self.types) else None
 
     def is_here(self, iri: str) -> bool:
         """Whether an IRI is one of this server's resources, or a fragment of one."""
@@ -168,7 +168,7 @@ class Terms:
     def says(self, pattern: Pattern) -> Said:
         """What a pattern tells of its subject."""
         if name := self._field_of(pattern) or self._instance_of(pattern):
-            return replace(_MESSAGE, types=frozenset({name}))
+            return Said(False, _OF_MESSAGES, frozenset({name}))
         if pattern.empty or pattern.predicates is None or len(pattern.predicates) != 1:
             return UNKNOWN
         [predicate] = pattern.predicates
@@ -176,23 +176,25 @@ class Terms:
             return UNKNOWN if pattern.repeated else _CLASSES.get(pattern.object.value, UNKNOWN)
         if predicate == ros.messageType.value and isinstance(pattern.object, Iri) and not pattern.repeated:
             named = self.type_named(pattern.object.value)
-            return replace(_TOPIC, types=frozenset({named}) if named else frozenset())
+            return Said(True, _TOPIC.live, frozenset({named}) if named else frozenset())
         return _PREDICATES.get(predicate, UNKNOWN)
 
     def _field_of(self, pattern: Pattern) -> str | None:
         """The one type whose field the first step must be."""
-        names = {self.type_named(one) for one in pattern.predicates or ()}
-        return names.pop() if len(names) == 1 and not pattern.empty else None
+        if pattern.empty or not pattern.predicates:
+            return None
+        names = {self.type_named(one) for one in pattern.predicates}
+        return names.pop() if len(names) == 1 else None
 
     def _instance_of(self, pattern: Pattern) -> str | None:
-        is_type = pattern.predicates == frozenset({rdf.type.value}) and not pattern.repeated
+        is_type = pattern.predicates == _TYPE and not pattern.repeated
         return self.type_named(pattern.object.value) if is_type and isinstance(pattern.object, Iri) else None
 
-    def is_of_resource(self, pattern: Pattern) -> bool:
-        """Whether the subject is a resource itself, no message within one."""
+    def is_of_resource(self, pattern: Pattern, said: Said) -> bool:
+        """Whether the subject is a resource itself, no message within one; `said` is what the pattern says."""
         if pattern.repeated:
             return False
-        return self.says(pattern).resource or (isinstance(pattern.subject, Iri) and "#" not in pattern.subject.value)
+        return said.resource or (isinstance(pattern.subject, Iri) and "#" not in pattern.subject.value)
 
     def live(self, pattern: Pattern, resource: bool) -> Live:
         """The kinds of live values that the pattern can match; `resource`: its subject is a resource itself."""
@@ -255,13 +257,19 @@ class Terms:
 
     def spoken(self, pattern: Pattern) -> frozenset[str]:
         """By what a client would have to say it: the class, or else the predicates."""
-        is_class = pattern.predicates == frozenset({rdf.type.value}) and not pattern.repeated
+        is_class = pattern.predicates == _TYPE and not pattern.repeated
         if is_class and isinstance(pattern.object, Iri):
             return frozenset({pattern.object.value})
         return pattern.predicates or frozenset()
 
 
 _UNKNOWN = Variable("")
+_TYPE = frozenset({rdf.type.value})
+
+
+@lru_cache(maxsize=4096)
+def _type_named(types: str, iri: str) -> str:
+    return unquote(document(iri[len(types) :]))
 
 
 def document(iri: str) -> str:

@@ -1,6 +1,6 @@
 """Graphs by their names (SPARQL 1.1 Graph Store HTTP Protocol), as ratios to the Oxigraph server on the same graphs.
 
-Each GET is measured twice: the same request again and again, and no two requests the same.
+No two GETs are the same.
 
 Run: python bench/gsp.py [seconds]. Needs `wrk` (Debian: apt-get install wrk) and `pip install oxigraph`.
 """

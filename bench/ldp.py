@@ -171,7 +171,6 @@ def main() -> None:
             httpx.put(f"{server.url}x", content=BODY, headers=TURTLE).raise_for_status()
         print(f"{'':36}{'requests':>8}{'rosld : it':>12}")
         reading = ("-H", "Accept: text/turtle")
-        table("GET, 1 kB Turtle, the same request again", rates(servers, seconds, *reading))
         table("GET, 1 kB Turtle, no two requests the same", rates(servers, seconds, *reading, "-s", str(anew)))
         table("PUT, 1 kB Turtle, each other than the last", rates(servers, seconds, "-s", str(script)))
 

@@ -1,7 +1,6 @@
 """GET and PUT through HTTP, as ratios to a bare Starlette on the same server (uvloop, httptools), in one run.
 
-Each GET is measured twice: the same request again and again, as who polls sends it, and no two requests the same, so
-that each is read and answered by itself.
+No two GETs are the same, so that each is read and answered by itself.
 
 Run: python bench/web.py [seconds]. Needs `wrk` (Debian: apt-get install wrk).
 """
@@ -101,13 +100,14 @@ def compare(width: int, label: str, ours: str, theirs: str, seconds: int, *optio
     print(f"{label:{width}}{fast:10.0f}{slow:12.0f}{ratio:8.2f}" + (f"  {failures} failed" if failures else ""))
 
 
-def compare_reading(width: int, label: str, ours: str, theirs: str, seconds: int, *options: str) -> None:
-    """The same for a GET: the same again and again, and no two the same."""
-    compare(width, label, ours, theirs, seconds, *options)
+def compare_reading(
+    width: int, label: str, ours: str, theirs: str, seconds: int, *options: str, anew: str = ANEW
+) -> None:
+    """The same for a GET, no two the same, as the Lua program `anew` makes them."""
     with tempfile.NamedTemporaryFile("w", suffix=".lua") as script:
-        script.write(ANEW)
+        script.write(anew)
         script.flush()
-        compare(width, "  no two the same", ours, theirs, seconds, *options, "-s", script.name)
+        compare(width, label, ours, theirs, seconds, *options, "-s", script.name)
 
 
 def main() -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -94,31 +95,19 @@ def parse_body(data: bytes, media_type: str, base: str, *, alone: bool = False) 
     `MEDIA_TYPES`. The caller checks the size.
     """
     form = _form(media_type)
-    try:
+    with _told():
         return indexed(_quads(data, form, base), base, alone=alone)
-    except SyntaxError as error:
-        raise _syntax_error(error) from error
-    except BodyError:
-        raise
-    except ValueError as error:
-        raise BodyError(str(error)) from error
 
 
 def parse_dataset(data: bytes, media_type: str, base: str) -> dict[str, list[Triple]]:
     """The graphs of `data` by their names. Raises as `parse_body`, and BodyError for a triple in no named graph."""
     form = _form(media_type)
     graphs: dict[str, list[Triple]] = {}
-    try:
+    with _told():
         for quad in _quads(data, form, base, relabelled=True):
             if not isinstance(quad.graph_name, NamedNode):
                 raise BodyError(f"{quad.triple} stands in no graph that has an IRI: name the graph that is to say it")
             graphs.setdefault(quad.graph_name.value, []).append(quad.triple)
-    except SyntaxError as error:
-        raise _syntax_error(error) from error
-    except BodyError:
-        raise
-    except ValueError as error:
-        raise BodyError(str(error)) from error
     return graphs
 
 
@@ -133,10 +122,17 @@ def read_ntriples(data: bytes, media_type: str, base: str) -> bytes:
     Blank nodes have new labels, which no other document has: labels mean nothing beyond their document (RDF 1.1, 3.4).
     """
     form = _form(media_type)
-    try:
+    with _told():
         quads = _quads(data, form, base, relabelled=True)
         triples = _of_graph(quads, base) if form.supports_datasets else quads
         return serialize(triples, format=RdfFormat.N_TRIPLES) or b""
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """Raises a BodyError for what the parser says is wrong."""
+    try:
+        yield
     except SyntaxError as error:
         raise _syntax_error(error) from error
     except BodyError:

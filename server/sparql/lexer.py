@@ -100,7 +100,7 @@ _TOKEN = re.compile(
     "|".join(
         f"(?P<{kind}>{pattern})"
         for kind, pattern in (
-            ("SPACE", r"[ \t\r\n]+"),
+            ("SPACE", _SPACE.pattern),
             ("COMMENT", r"#[^\r\n]*"),
             ("IRI", r"<[^\x00-\x20<>\"{}|^`]*>"),
             ("STRING", r'"""(?:[^"\\]|\\.|"(?!""))*"""' r"|'''(?:[^'\\]|\\.|'(?!''))*'''"),

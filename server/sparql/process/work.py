@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
 from itertools import compress
@@ -105,15 +106,11 @@ class Answer(NamedTuple):
         return self.most < _MOST_ROWS or self.query.may_take_long(store)
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
-        try:
+        with _reaching_others():
             found = self.query.results(store)
             limited = rows.limited(output, self.media_type, isinstance(found, QueryTriples), self.most)
             counted = _unlimited if limited is not output else rows.Count(_unlimited, self.most).one
             results.write(found, self.media_type, limited, counted, self.query.base)
-        except BrokenPipeError:
-            raise
-        except OSError as error:  # nothing else is reached from here
-            raise Problem(502, f"Another endpoint that the query asks failed: {error}.") from error
 
 
 class Table(NamedTuple):
@@ -126,12 +123,19 @@ class Table(NamedTuple):
         return self.query.may_take_long(store)
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
-        try:
+        with _reaching_others():
             output.write(pickle.dumps(results.table(self.query.results(store), self.most, _unlimited)))
-        except BrokenPipeError:
-            raise
-        except OSError as error:
-            raise Problem(502, f"Another endpoint that the query asks failed: {error}.") from error
+
+
+@contextmanager
+def _reaching_others() -> Iterator[None]:
+    """Raises a 502 Problem where another endpoint fails: nothing else is reached from here but who reads the result."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise Problem(502, f"Another endpoint that the query asks failed: {error}.") from error
 
 
 def _unlimited() -> None:

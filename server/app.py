@@ -58,12 +58,12 @@ from rosld.server.robot import Robot, Same
 from rosld.server.settings import Settings
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.endpoint import QueryService, QuerySettings, Unread
-from rosld.server.sparql.lexer import Bounds, Reach
 from rosld.server.sparql.mentions import Mentions, Noting
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.protocol import UPDATE
 from rosld.server.sparql.restricted import RestrictedDatasets
 from rosld.server.sparql.sync import Synchroniser
+from rosld.server.sparql.syntax.lexer import Bounds, Reach
 from rosld.server.sparql.update.drawer import Drawer
 from rosld.server.store.mirror import Mirror
 from rosld.server.turns import Turns

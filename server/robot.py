@@ -38,7 +38,7 @@ from rosld.server.receipts.journal import Journal
 from rosld.server.records import Changed
 from rosld.server.records.sqlite import open_records
 from rosld.server.settings import Settings
-from rosld.server.sparql.lexer import Bounds
+from rosld.server.sparql.syntax.lexer import Bounds
 from rosld.server.stops import Stops
 from rosld.shapes.limits import Limits
 

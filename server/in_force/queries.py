@@ -16,8 +16,8 @@ from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.http import media
 from rosld.server.http.problem import Problem
 from rosld.server.records import Blob, Changed, Model, Record, Records
-from rosld.server.sparql.lexer import Bounds
 from rosld.server.sparql.stored import StoredQuery, outline, read, shipped
+from rosld.server.sparql.syntax.lexer import Bounds
 
 ROOM = "queries/"
 _KEPT = 256

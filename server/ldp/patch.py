@@ -8,9 +8,8 @@ from pyoxigraph import NamedNode, Quad, Store, Triple
 
 from rosld.ontology.body import RdfBody, indexed
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.lexer import check_update_of_one_graph, tokens
-from rosld.server.sparql.rewriting import rewrite_update
-from rosld.server.sparql.syntax import place_of
+from rosld.server.sparql.syntax.lexer import check_update_of_one_graph, tokens
+from rosld.server.sparql.update.reading import rewrite_update
 from rosld.server.store.encoding import decode_triple, encode_triple
 from rosld.server.store.functions import FUNCTIONS
 
@@ -45,14 +44,14 @@ def updated(
     SERVICE, whole-graph operations). Raises Grown where more than `most` triples come of it.
     """
     checked = check_update_of_one_graph(_text(data))
-    text = checked.text if by_value else rewrite_update(checked, base)
+    rewritten = rewrite_update(checked, base)
+    text = checked.text if by_value else rewritten
     store = Store()
     store.extend(map(_in_store, before if by_value else map(encode_triple, before)))
     try:
-        store.update(text, base_iri=base, custom_functions=None if text is checked.text else _FUNCTIONS)
+        store.update(text, base_iri=base, custom_functions=None if by_value else _FUNCTIONS)
     except SyntaxError as error:
-        where = place_of(error) if text == checked.text else ""
-        raise Problem(400, f"The update is not understood{where}.") from error
+        raise Problem(400, "The update is not understood.") from error
     except (OSError, RuntimeError, ValueError) as error:
         raise Problem(422, f"The update cannot be carried out: {error}.") from error
     if most is not None and len(store) > most:

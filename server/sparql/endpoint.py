@@ -15,7 +15,7 @@ from rosld.server.access.judge import EVERYTHING, Judge
 from rosld.server.http.problem import Problem
 from rosld.server.loop_time import loop_time
 from rosld.server.sparql import results
-from rosld.server.sparql.analysis import Analyser, Analysis
+from rosld.server.sparql.analysis import Analyser, Analysis, refusal
 from rosld.server.sparql.hangup import HangUp
 from rosld.server.sparql.limits import Limits, busy, out_of_time
 from rosld.server.sparql.needs import Needs
@@ -123,14 +123,12 @@ class QueryService:
         limits, until = self._begun(request)
         analysis = await self._analysed(request.text, limits, until)
         media_type = results.choose(results.QUADS if request.quads else analysis.form, accept)
-        if analysis.form is None:
-            raise Problem(400, "The query is of no form that is known here.")
         await self._process.ready(until)
         needs = await self._needed(analysis, request, judge)
         unread = await self._unread(needs, judge)
         async with self._synced(needs, limits, _scope(analysis, request)):
             work = Answer(self._query(analysis, request, judge), media_type, limits.rows)
-            body = await self._done(work, limits, until, hung_up, judge, request.text)
+            body = await self._done(work, analysis.text, limits, until, hung_up, judge)
         return QueryAnswer(media_type, body, unread)
 
     async def table(
@@ -143,7 +141,7 @@ class QueryService:
         needs = await self._needed(analysis, request, judge)
         async with self._synced(needs, limits, _scope(analysis, request)):
             work = FirstRows(self._query(analysis, request, judge), limit)
-            body = await self._done(work, limits, until, hung_up, judge, request.text)
+            body = await self._done(work, analysis.text, limits, until, hung_up, judge)
         whole = body if isinstance(body, bytes) else b"".join([chunk async for chunk in body])
         table: Table = pickle.loads(whole)  # from our own process
         return table._replace(unread=await self._unread(needs, judge))
@@ -225,7 +223,7 @@ class QueryService:
         return Query(analysis.text, base, prefixes, default, named, analysis.plan, ages, analysis.functions)
 
     async def _done(
-        self, work: Work, limits: Limits, until: float, hung_up: HangUp | None, judge: Judge, text: str
+        self, work: Work, text: str, limits: Limits, until: float, hung_up: HangUp | None, judge: Judge
     ) -> bytes | AsyncIterator[bytes]:
         dataset = 0
         if not judge.reads_all:
@@ -235,7 +233,7 @@ class QueryService:
         try:
             return await self._process.answer(work, limits, until, hung_up, dataset)
         except QueryError as error:
-            raise self._analyser.refusal(text, error) from error
+            raise refusal(error, text) from error
 
 
 def _needs(analysis: Analysis, request: QueryRequest) -> Needs:

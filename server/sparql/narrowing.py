@@ -37,26 +37,26 @@ from functools import reduce
 
 from rosld.ontology.vocab import rdf
 from rosld.server.sparql.needs import Demand, Needs, largest
-from rosld.server.sparql.patterns import Group, Iri, Pattern, Reading, Term, Variable
+from rosld.server.sparql.syntax.tree import Group, Iri, Pattern, Query, Term, Variable
 from rosld.server.sparql.terms import ANY, COMPLEX, NEITHER, UNKNOWN, Live, Said, Terms, document
 
 
-def needs(reading: Reading, terms: Terms) -> Needs:
+def needs(query: Query, terms: Terms) -> Needs:
     """What a query needs, its FROM aside."""
-    parts = [Meaning(part, terms) for group in _groups(reading.where) for part in _parts(group, terms)]
+    parts = [Meaning(part, terms) for group in _groups(query.where) for part in _parts(group, terms)]
     demands = [demand for part in parts if (demand := part.demand)]
     if any(demand.anything for demand in demands):
-        demands.extend(_named(reading.constants, terms))
+        demands.extend(_named(query.constants, terms))
     unread = reduce(Live.__or__, (part.unread for part in parts), NEITHER)
     return Needs(
         tuple(largest(demands)),
-        frozenset(document(iri) for iri in _documents(reading) if terms.is_here(iri)),
-        frozenset().union(terms.of_constants(reading.constants), *(part.terms for part in parts)),
+        frozenset(document(iri) for iri in _documents(query) if terms.is_here(iri)),
+        frozenset().union(terms.of_constants(query.constants), *(part.terms for part in parts)),
         frozenset().union(*(part.rests_on for part in parts)),
         unread.resources,
         unread.records,
         unread.parameters,
-        frozenset(group.graph.value for group in _groups(reading.where) if isinstance(group.graph, Iri)),
+        frozenset(group.graph.value for group in _groups(query.where) if isinstance(group.graph, Iri)),
     )
 
 
@@ -69,10 +69,10 @@ def _groups(group: Group) -> Iterator[Group]:
         yield from _groups(inner if inner.graph is not None else replace(inner, graph=group.graph))
 
 
-def _documents(reading: Reading) -> Iterator[str]:
+def _documents(query: Query) -> Iterator[str]:
     """All IRIs that may be those of resources."""
-    yield from reading.constants
-    for group in _groups(reading.where):
+    yield from query.constants
+    for group in _groups(query.where):
         for term in (group.graph, *(term for each in group.patterns for term in (each.subject, each.object))):
             if isinstance(term, Iri):
                 yield term.value

@@ -131,10 +131,6 @@ class Needs:
         return replace(self, demands=demands, rests_on=frozenset(), documents=self.documents | documents)
 
 
-EVERYTHING = Needs((Demand(parameters=True),), resources=True, records=True, trees=True)
-"""The needs of a query that nothing is known of."""
-
-
 def largest(demands: Iterable[Demand]) -> Iterator[Demand]:
     """The demands that no other stands for."""
     kept: list[Demand] = []

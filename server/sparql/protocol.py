@@ -15,7 +15,7 @@ from rosld.server.http import field, media
 from rosld.server.http.media import MediaType
 from rosld.server.http.problem import Problem
 from rosld.server.http.text import FORM, as_utf8, codec_of
-from rosld.server.sparql.lexer import Kind, place, tokens
+from rosld.server.sparql.syntax.lexer import Kind, place, tokens
 
 DIRECT = "application/sparql-query"
 UPDATE = "application/sparql-update"

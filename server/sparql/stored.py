@@ -24,8 +24,8 @@ from rosld.ontology.triples import double
 from rosld.ontology.urls import Space, locate
 from rosld.ontology.vocab import xsd
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.lexer import BOUNDS, Bounds, Kind, check, place, tokens, update_keyword
+from rosld.server.sparql.analysis import Analyser, refusal
+from rosld.server.sparql.syntax.lexer import BOUNDS, Bounds, Kind, check, place, tokens, update_keyword
 from rosld.server.store import QueryError
 
 _SUFFIX = ".rq"
@@ -176,14 +176,13 @@ def _check(query: StoredQuery, lines: Mapping[str, int], bounds: Bounds) -> None
 
 def _parse(text: str, bounds: Bounds, nobodys: str) -> None:
     """Hold that a text is a query, in which there is no variable of that name. Raises Problem 400."""
-    analyser = Analyser(_ANYWHERE, TYPES, bounds=bounds)
-    analysis = analyser.analyse(text)
+    analysis = Analyser(_ANYWHERE, TYPES, bounds=bounds).analyse(text)
     # A value for a variable that is not there is refused after the text was parsed, and before it is evaluated.
     values: dict[Variable, NamedNode | BlankNode | Literal | Triple] = {Variable(nobodys): Literal("")}
     try:
         Store().query(analysis.text, base_iri=_ANYWHERE, prefixes=dict(analysis.prefixes), substitutions=values)
     except SyntaxError as error:
-        raise analyser.refusal(text, QueryError(str(error))) from error
+        raise refusal(QueryError(str(error)), analysis.text) from error
     except RuntimeError:
         pass  # it parsed
 

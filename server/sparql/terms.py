@@ -9,7 +9,7 @@ from typing import NamedTuple
 from urllib.parse import unquote
 
 from rosld.ontology.vocab import PREFIXES, rdf, ros, td
-from rosld.server.sparql.patterns import Iri, Pattern, Term, Variable
+from rosld.server.sparql.syntax.tree import Iri, Pattern, Term, Variable
 
 
 class Live(NamedTuple):

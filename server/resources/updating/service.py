@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable, Hashable, Sequence, Set
+from functools import partial
 from typing import NamedTuple
 
 from starlette.responses import Response
@@ -29,12 +30,12 @@ from rosld.server.resources.updating.rights import require_change, require_right
 from rosld.server.resources.updating.silent import without_silent_failures, without_silent_on
 from rosld.server.robot import Robot
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.lexer import Bounds
 from rosld.server.sparql.protocol import UpdateRequest
+from rosld.server.sparql.syntax.lexer import Bounds
 from rosld.server.sparql.update.drawer import Drawer, Drawn
 from rosld.server.sparql.update.drawing import GraphChange, graphs_named
 from rosld.server.sparql.update.operations import Manage, Operation, Verb
-from rosld.server.sparql.update.shaped import Reader
+from rosld.server.sparql.update.reading import read_update
 
 ATTEMPTS = 4
 """Times that an update is drawn where what it is drawn over changes before it is carried out."""
@@ -76,7 +77,7 @@ class Updates:
     ) -> None:
         self._robot = robot
         self._drawer = drawer
-        self._reader = Reader(analyser.prefixes, analyser.base, bounds)
+        self._read_operations = partial(read_update, prefixes=analyser.prefixes, base=analyser.base, bounds=bounds)
         self._at = at
         self._alone = alone
         self._line = Alone(_PATIENCE)
@@ -151,8 +152,8 @@ class Updates:
 
     async def _read(self, request: UpdateRequest) -> Sequence[Operation]:
         if len(request.text) <= _INLINE:
-            return self._reader.read(request)
-        return await asyncio.to_thread(self._reader.read, request)
+            return self._read_operations(request)
+        return await asyncio.to_thread(self._read_operations, request)
 
     # What graphs are
 

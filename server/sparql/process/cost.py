@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Triple
 
-from rosld.server.sparql.patterns import Group, Iri, Pattern, Term, Variable, graphs_around
+from rosld.server.sparql.syntax.tree import Group, Iri, Pattern, Term, Variable, graphs_around
 
 _Node: TypeAlias = NamedNode | BlankNode | Literal | Triple
 
@@ -104,7 +104,7 @@ def plan(where: Group, words: Sequence[str], tokens: int) -> Plan | None:
 def _steps(group: Group) -> Iterator[Step | None]:
     """The patterns of a group, or of the one GRAPH that is all there is in it; None for what is no plain pattern."""
     is_apart = group.children and (group.patterns or len(group.children) > 1)
-    if group.scoped or group.mixed or group.bound or is_apart or isinstance(group.graph, Variable):
+    if group.scoped or group.mixed or is_apart or isinstance(group.graph, Variable):
         yield None
     else:
         yield from map(_step, group.patterns)

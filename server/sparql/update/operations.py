@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, TypeAlias
@@ -25,6 +26,16 @@ class QuadTemplate(NamedTuple):
     predicate: Slot
     object: Slot
     graph: NamedNode | Hole | None
+
+
+def holes_of(quads: Sequence[QuadTemplate]) -> tuple[str, ...]:
+    """The names of the holes, each once."""
+    return tuple(dict.fromkeys(slot.name for quad in quads for slot in quad if isinstance(slot, Hole)))
+
+
+def has_blank_nodes(quads: Sequence[QuadTemplate]) -> bool:
+    """Whether a blank node stands in them."""
+    return any(isinstance(slot, BlankNode) for quad in quads for slot in quad)
 
 
 class Home(NamedTuple):

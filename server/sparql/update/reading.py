@@ -6,13 +6,17 @@ import secrets
 from collections.abc import Mapping
 from dataclasses import replace
 
-from pyoxigraph import NamedNode
+from pyoxigraph import BlankNode, NamedNode
 
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.cursor import Cursor, Unrecognised
-from rosld.server.sparql.lexer import Bounds, Checked, Kind, Token, check, place
 from rosld.server.sparql.protocol import UpdateRequest
+from rosld.server.sparql.rewriting import rewrite
+from rosld.server.sparql.syntax.lexer import BOUNDS, Bounds, Checked, Kind, check, place
+from rosld.server.sparql.syntax.query import QueryParser
+from rosld.server.sparql.syntax.tree import Iri, Step, Term, Value, Variable
+from rosld.server.sparql.syntax.triples import Verb as Predicate
 from rosld.server.sparql.update.operations import (
+    Hole,
     Home,
     Load,
     Manage,
@@ -20,13 +24,17 @@ from rosld.server.sparql.update.operations import (
     Operation,
     QuadTemplate,
     Several,
+    Slot,
     Verb,
     Where,
+    has_blank_nodes,
+    holes_of,
 )
-from rosld.server.sparql.update.templates import has_blank_nodes, holes_of, read_template
 
 _UNBOUND = f"unbound_{secrets.token_hex(8)}"
 """A variable that no WHERE binds: projected alone, it has the solutions counted."""
+_OPERATION = "an operation (INSERT, DELETE, WITH, LOAD, CLEAR, DROP, CREATE, ADD, MOVE or COPY)"
+_BLOCK = "{ and quads"
 
 
 def read_update(
@@ -37,172 +45,195 @@ def read_update(
     A graph of the request (`using-graph-uri`) is the dataset of each WHERE. Raises Problems: those of `check`, and 400
     for what is no update, or names a dataset in the request and in the text.
     """
-    return _Reader(check(request.text, bounds, what="update"), prefixes, base, request).operations()
+    checked = check(request.text, bounds, what="update")
+    try:
+        return UpdateParser(checked, prefixes, base, bounds.joins, request).operations()
+    except RecursionError as error:
+        raise Problem(400, "The update nests too deep: write it in parts.") from error
 
 
-class _Reader(Cursor):
-    def __init__(self, checked: Checked, prefixes: Mapping[str, str], base: str, request: UpdateRequest) -> None:
-        super().__init__(checked, prefixes, base)
+def rewrite_update(checked: Checked, base: str) -> str:
+    """The text of an update of one graph for a store that keeps some literals as others (`rewriting.py`).
+
+    Raises a 400 Problem for what is no update.
+    """
+    parser = UpdateParser(checked, {}, base, BOUNDS.joins, UpdateRequest(""))
+    try:
+        parser.operations()
+    except RecursionError as error:
+        raise Problem(400, "The update nests too deep: write it in parts.") from error
+    return rewrite(checked.text, parser.literals, parser.places)
+
+
+class UpdateParser(QueryParser):
+    """Reads an update from its beginning to its end."""
+
+    def __init__(
+        self, checked: Checked, prefixes: Mapping[str, str], base: str, most_joins: int, request: UpdateRequest
+    ) -> None:
+        super().__init__(checked, prefixes, base, most_joins)
         self._request = request
-        self._known = dict(prefixes)
-        self._now = base
         self._prologue = ""
         self._data_labels: set[str] = set()
-        self._where_labels: set[str] = set()
+        self._blank_nodes: dict[str, BlankNode] = {}
 
     def operations(self) -> tuple[Operation, ...]:
+        """The whole text. Raises a 400 Problem for what is no update."""
         found: list[Operation] = []
-        try:
-            while True:
-                self._declarations()
-                if self.peek() is None:
-                    return tuple(found)
-                found.append(self._operation())
-                if self.peek() is not None and not self.take(";"):
-                    raise Unrecognised
-        except Unrecognised as error:
-            raise self._not_understood() from error
-
-    def _not_understood(self) -> Problem:
-        token = self.peek()
-        if token is None:
-            return Problem(400, "The update ends where something must follow.")
-        words = f"{token.text} at {place(self.text, token.start)} is not understood"
-        return Problem(400, f"The update cannot be read: {words} (SPARQL 1.1 Update).")
-
-    def _declarations(self) -> None:
         while True:
-            begin = self.peek()
-            if self.take_word("PREFIX"):
-                name = self._prefix_name()
-                self._known[name] = self._iri(Kind.IRI)
-                self.prefix(name, self._known[name])
-            elif self.take_word("BASE"):
-                self._now = self._iri(Kind.IRI)
-                self.base(self._now)
-            else:
-                return
-            assert begin is not None
-            self._prologue += self._since(begin.start) + "\n"
-
-    def _prefix_name(self) -> str:
-        token = self.peek()
-        if token is None or token.kind is not Kind.NAME or token.text.index(":") != len(token.text) - 1:
-            raise Unrecognised
-        self.skip()
-        return token.text[:-1]
-
-    def _iri(self, *kinds: Kind) -> str:
-        """Take an IRI, or only one that is written as these tokens are."""
-        token = self.peek()
-        if token is None or (kinds and token.kind not in kinds):
-            raise Unrecognised
-        iri = self.iri(token)
-        self.skip()
-        return iri
+            begin = self.token.start
+            self.prologue()
+            self._prologue += self.text[begin : self.token.start]
+            if self.is_at_end:
+                return tuple(found)
+            self.joins = 0
+            found.append(self._operation())
+            if not self.is_at_end:
+                self.expect(";", "or the end of the update")
 
     def _operation(self) -> Operation:
-        if self.take_word("LOAD"):
+        if self.take("LOAD"):
             return self._load()
         for verb in Verb:
-            if self.take_word(verb.value):
+            if self.take(verb.value):
                 return self._manage(verb)
-        return self._modify(self._iri() if self.take_word("WITH") else None)
+        return self._modify(self.expect_iri("the IRI of a graph") if self.take("WITH") else None)
 
     # Quads
 
     def _modify(self, graph: str | None) -> Modify:
         """INSERT DATA, DELETE DATA, DELETE WHERE, and DELETE, INSERT or both with a WHERE."""
-        if not self.is_word("INSERT", "DELETE"):
-            raise Unrecognised
-        token = self.next()
-        if graph is None and self.take_word("DATA"):
-            return self._data(token)
-        if graph is None and token.is_word("DELETE") and self.take_word("WHERE"):
-            begin = self._at_brace()
-            deletes = self._quads()
-            self._refuse_blank(deletes, begin)
-            return Modify(deletes, (), self._where(self._since(begin), deletes, None))
-        deletes, inserts = self._templates(token, graph)
+        keyword = self.key
+        if keyword not in ("INSERT", "DELETE"):
+            self.fail_expecting("INSERT or DELETE" if graph else _OPERATION)
+        self.advance()
+        if graph is None and self.take("DATA"):
+            return self._data(keyword)
+        if graph is None and keyword == "DELETE" and self.take("WHERE"):
+            begin = self.token.start
+            deletes = self._deletes(None)
+            return Modify(deletes, (), self._where(self.text[begin : self.token.start], deletes, None))
+        deletes = self._deletes(graph) if keyword == "DELETE" else ()
+        inserts = self._quads(graph) if keyword == "INSERT" or self.take("INSERT") else ()
         default, named = self._using()
-        if not self.take_word("WHERE"):
-            raise Unrecognised
-        begin, first = self._at_brace(), self.position
-        self.skip_group()
-        self._scope_labels(first, self._where_labels, "WHERE")
+        self.expect("WHERE", "and a group of patterns")
+        begin = self.token.start
+        self.group(None)
         using = bool(default or named)
-        where = self._where(self._since(begin), (*deletes, *inserts), None if using else graph)
+        group = self.text[begin : self.token.start]
+        where = self._where(group, (*deletes, *inserts), None if using else graph)
         if using:
             where = replace(where, default_graphs=default, named_graphs=named)
         return Modify(deletes, inserts, where)
 
-    def _data(self, token: Token) -> Modify:
-        begin, first = self._at_brace(), self.position
-        quads = self._quads()
+    def _data(self, keyword: str) -> Modify:
+        begin, first = self.token.start, self.position
+        if keyword == "DELETE":
+            deletes = self._deletes(None)
+            self._refuse_holes(deletes, keyword, begin)
+            return Modify(deletes)
+        inserts = self._quads(None)
+        self._refuse_holes(inserts, keyword, begin)
+        self._scope_labels(first)
+        return Modify(inserts=inserts)
+
+    def _refuse_holes(self, quads: tuple[QuadTemplate, ...], keyword: str, begin: int) -> None:
         if holes := holes_of(quads):
-            raise Problem(
-                400, f"?{holes[0]} stands in the {token.text.upper()} DATA at {place(self.text, begin)}: none can."
-            )
-        if token.is_word("INSERT"):
-            self._scope_labels(first, self._data_labels, "INSERT DATA")
-            return Modify(inserts=quads)
-        self._refuse_blank(quads, begin)
-        return Modify(deletes=quads)
+            where = place(self.text, begin)
+            raise Problem(400, f"?{holes[0]} stands in the {keyword} DATA at {where}: none can.")
 
-    def _templates(self, token: Token, graph: str | None) -> tuple[tuple[QuadTemplate, ...], tuple[QuadTemplate, ...]]:
-        if token.is_word("INSERT"):
-            return (), self._quads(graph)
-        begin = self._at_brace()
-        deletes = self._quads(graph)
-        self._refuse_blank(deletes, begin)
-        return deletes, self._quads(graph) if self.take_word("INSERT") else ()
-
-    def _quads(self, graph: str | None = None) -> tuple[QuadTemplate, ...]:
-        self.expect("{")
-        found: list[Token] = []
-        depth = 1
-        while True:
-            token = self.next()
-            depth += token.is_mark("{") - token.is_mark("}")
-            if not depth:
-                break
-            found.append(token)
-        return _within(read_template(found, self.text, self._known, self._now), graph)
-
-    def _refuse_blank(self, quads: tuple[QuadTemplate, ...], begin: int) -> None:
+    def _deletes(self, graph: str | None) -> tuple[QuadTemplate, ...]:
+        """Quads without blank nodes."""
+        begin = self.token.start
+        quads = self._quads(graph)
         if has_blank_nodes(quads):
             where = place(self.text, begin)
             raise Problem(400, f"A blank node stands in the DELETE at {where}: write a variable (SPARQL 1.1, 19.8).")
+        return quads
 
-    def _scope_labels(self, first: int, known: set[str], clause: str) -> None:
-        """Refuse a label of a blank node that an earlier clause of this kind has (SPARQL 1.1 Query, 19.6)."""
+    def _quads(self, graph: str | None) -> tuple[QuadTemplate, ...]:
+        """A block of quads; `graph` is the one that is meant where none is named (WITH)."""
+        if self.key != "{":
+            self.fail_expecting(_BLOCK)
+        self.advance()
+        found: list[QuadTemplate] = []
+        self._blank_nodes.clear()
+        home = None if graph is None else NamedNode(graph)
+        while not self.take("}"):
+            if self.take("GRAPH"):
+                self._quads_of_graph(found)
+                continue
+            if not self.is_at_triples:
+                self.fail_expecting("a triple, GRAPH or }")
+            self._triples_into(found, home)
+            if self.key not in ("}", "GRAPH"):
+                self.expect(".", "or }")
+        return tuple(found)
+
+    def _quads_of_graph(self, found: list[QuadTemplate]) -> None:
+        if self.token.kind is Kind.VARIABLE:
+            name: NamedNode | Hole = Hole(self.advance().text[1:])
+        else:
+            name = NamedNode(self.expect_iri("the IRI of a graph, or a variable"))
+        if self.key != "{":
+            self.fail_expecting("{ and triples")
+        self.advance()
+        while not self.take("}"):
+            if not self.is_at_triples:
+                self.fail_expecting("a triple or }")
+            self._triples_into(found, name)
+            if self.key != "}":
+                self.expect(".", "or }")
+        self.take(".")
+
+    def _triples_into(self, found: list[QuadTemplate], graph: NamedNode | Hole | None) -> None:
+        token = self.token
+
+        def add(subject: Term, predicate: Predicate, object: Term) -> None:
+            if isinstance(subject, Value):
+                raise ValueError("a literal is no subject")
+            found.append(QuadTemplate(self._slot(subject), self._predicate(predicate), self._slot(object), graph))
+
+        try:
+            self.triples(add, is_pattern=False)
+        except ValueError as error:
+            self.fail_at(token, f"begins triples that cannot be said: {error}")
+
+    def _predicate(self, predicate: Predicate) -> Slot:
+        if isinstance(predicate, Variable):
+            return Hole(predicate.name)
+        assert isinstance(predicate, Step)
+        return NamedNode(predicate.iri)
+
+    def _slot(self, term: Term) -> Slot:
+        if isinstance(term, Iri):
+            return NamedNode(term.value)
+        if not isinstance(term, Variable):
+            return term.literal
+        if not term.is_blank:
+            return Hole(term.name)
+        if term.name not in self._blank_nodes:
+            self._blank_nodes[term.name] = BlankNode()
+        return self._blank_nodes[term.name]
+
+    def _scope_labels(self, first: int) -> None:
+        """Refuse a label of a blank node that an earlier INSERT DATA has (SPARQL 1.1 Query, 19.6)."""
         found = {token.text: token for token in self.taken_since(first) if token.kind is Kind.BLANK}
-        if again := next((token for label, token in found.items() if label in known), None):
+        if again := next((token for label, token in found.items() if label in self._data_labels), None):
             where = place(self.text, again.start)
-            words = f"{again.text} at {where} is a label in another {clause} already: choose another"
+            words = f"{again.text} at {where} is a label in another INSERT DATA already: choose another"
             raise Problem(400, f"{words} (SPARQL 1.1, 19.6).")
-        known.update(found)
+        self._data_labels.update(found)
 
     # WHERE
 
     def _using(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         default: list[str] = []
         named: list[str] = []
-        while self.take_word("USING"):
-            chosen = named if self.take_word("NAMED") else default
-            chosen.append(self._iri())
+        while self.take("USING"):
+            chosen = named if self.take("NAMED") else default
+            chosen.append(self.expect_iri("the IRI of a graph"))
         return tuple(default), tuple(named)
-
-    def _at_brace(self) -> int:
-        token = self.peek()
-        if token is None or not token.is_mark("{"):
-            raise Unrecognised
-        return token.start
-
-    def _since(self, begin: int) -> str:
-        """The text from a place to the token that was taken last."""
-        token = self.peek()
-        return self.text[begin : len(self.text) if token is None else token.start]
 
     def _where(self, group: str, quads: tuple[QuadTemplate, ...], graph: str | None) -> Where:
         holes = holes_of(quads)
@@ -218,38 +249,29 @@ class _Reader(Cursor):
     # Whole graphs
 
     def _manage(self, verb: Verb) -> Manage:
-        silent = self.take_word("SILENT")
+        silent = self.take("SILENT")
         if verb in (Verb.ADD, Verb.MOVE, Verb.COPY):
             source = self._graph_or_default()
-            if not self.take_word("TO"):
-                raise Unrecognised
+            self.expect("TO", "and a graph")
             return Manage(verb, self._graph_or_default(), source, silent)
-        if verb is Verb.CREATE or self.is_word("GRAPH"):
-            return Manage(verb, self._named(), None, silent)
-        for several in Several:
-            if self.take_word(several.value):
-                return Manage(verb, several, None, silent)
-        raise Unrecognised
+        if verb is Verb.CREATE or self.key == "GRAPH":
+            return Manage(verb, self._named_graph(), None, silent)
+        several = next((each for each in Several if self.take(each.value)), None)
+        if several is None:
+            self.fail_expecting("GRAPH and its IRI, DEFAULT, NAMED or ALL")
+        return Manage(verb, several, None, silent)
 
     def _graph_or_default(self) -> str | Several:
-        if self.take_word("DEFAULT"):
+        if self.take("DEFAULT"):
             return Several.DEFAULT
-        self.take_word("GRAPH")
-        return self._iri()
+        self.take("GRAPH")
+        return self.expect_iri("DEFAULT or the IRI of a graph")
 
-    def _named(self) -> str:
-        if not self.take_word("GRAPH"):
-            raise Unrecognised
-        return self._iri()
+    def _named_graph(self) -> str:
+        self.expect("GRAPH", "and its IRI")
+        return self.expect_iri("the IRI of a graph")
 
     def _load(self) -> Load:
-        silent = self.take_word("SILENT")
-        document = self._iri()
-        return Load(document, self._named() if self.take_word("INTO") else None, silent)
-
-
-def _within(quads: tuple[QuadTemplate, ...], graph: str | None) -> tuple[QuadTemplate, ...]:
-    """WITH: the graph that is meant where none is named."""
-    if graph is None:
-        return quads
-    return tuple(each if each.graph is not None else each._replace(graph=NamedNode(graph)) for each in quads)
+        silent = self.take("SILENT")
+        document = self.expect_iri("the IRI of a document")
+        return Load(document, self._named_graph() if self.take("INTO") else None, silent)

@@ -9,7 +9,6 @@ import pytest
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser, Analysis
-from rosld.server.sparql.needs import EVERYTHING
 from rosld.server.store import MemoryStore
 
 
@@ -22,16 +21,6 @@ def refusal(text: str) -> str:
         analyse(text)
     assert caught.value.status == 400
     return caught.value.detail
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "SELECT * { ?s ?p ?o LATERAL { ?a ?b ?c } }",
-    ],
-)
-def test_what_is_not_understood_is_taken_to_need_everything(text: str) -> None:
-    assert analyse(text).needs == EVERYTHING
 
 
 @pytest.mark.parametrize(
@@ -50,7 +39,6 @@ def test_what_is_not_understood_is_taken_to_need_everything(text: str) -> None:
     ],
 )
 def test_the_whole_of_sparql_1_1_is_understood(text: str) -> None:
-    assert analyse(text).needs != EVERYTHING or analyse(text).form is not None
     assert analyse(text).prefixes != Analyser("http://r/", "h:").prefixes
     MemoryStore().query(text, prefixes=analyse(text).prefixes, functions={"h:f": lambda term: term})
 

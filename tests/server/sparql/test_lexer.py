@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pyoxigraph import Literal, NamedNode, Quad, Store
 
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.lexer import (
+from rosld.server.sparql.syntax.lexer import (
     BOUNDS,
     Bounds,
     Kind,

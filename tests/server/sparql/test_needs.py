@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import QueryBoolean, QuerySolutions
 
+from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.needs import Demand, Needs
 from rosld.server.store import MemoryStore, QueryError
@@ -144,7 +145,7 @@ def test_a_relation_counts_from_when_a_mapping_has_it() -> None:
     ("query", "graphs"),
     [
         ("VALUES ?t { t:a t:b } ?t ros:latest ?m . ?m ?p ?o", {A, B}),
-        ("?t ros:rate ?r BIND(t:a AS ?t)", {A}),
+        ("?t ros:rate ?r BIND(t:a AS ?a)", {A}),
         ("?t ros:rate ?r FILTER(?t = t:a)", {A}),
         ("?t ros:rate ?r FILTER(?t IN (t:a, t:b))", {A, B}),
         ("?x ?p ?o FILTER EXISTS { ?y ?q ?x FILTER(?y = t:b) }", {B}),
@@ -382,7 +383,7 @@ def _fitting_groups(inner: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
         st.builds("{}{}".format, joined, inner),
         st.builds("{} UNION {}".format, inner, inner),
         st.builds("GRAPH {} {}".format, st.sampled_from(["?t", "?g", "t:b"]), inner),
-        inner.map("{{ SELECT (COUNT(*) AS ?count) {} }}".format),
+        inner.map("{{ SELECT (COUNT(*) AS ?count) {{ SELECT ?x {} }} }}".format),
         st.builds("{{ SELECT {} {} }}".format, st.sampled_from(["?m", "?t ?x", "?l"]), inner),
     )
     return st.lists(member, min_size=1, max_size=3).map(_braced)
@@ -401,7 +402,11 @@ def test_a_query_over_what_it_needs_answers_as_over_everything(query: str) -> No
     try:
         expected = results(FULL, text)
     except QueryError:
-        return  # BIND of a variable that is bound already, and the like
+        return
+    except Problem:  # BIND of a variable that is bound already, and the like: the store does not take it either
+        with pytest.raises(QueryError):
+            FULL.query(text, base=BASE, prefixes=analyser().prefixes)
+        return
     wanted = needs(query)
     assert results(dataset(wanted), text) == expected, wanted
 

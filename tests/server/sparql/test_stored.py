@@ -9,8 +9,8 @@ from pyoxigraph import Literal, NamedNode, QuerySolutions, Store
 
 from rosld.ontology.vocab import xsd
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.lexer import check
 from rosld.server.sparql.stored import Parameter, Type, bind, read, shipped
+from rosld.server.sparql.syntax.lexer import check
 
 BASE = "http://robot.example/below/"
 

@@ -30,12 +30,14 @@ from rosld.server.records import (
 from rosld.server.records.describe import META, record_document
 from rosld.server.resources.kept.graphs import RecordGraphs
 from rosld.server.sparql.kept import Changes
-from rosld.server.sparql.needs import EVERYTHING, Needs
+from rosld.server.sparql.needs import Demand, Needs
 from rosld.server.sparql.sync import GraphEntry, Synchroniser
 from tests.server.sparql.local import LocalStore
 
 BASE = "http://robot/"
 P = "http://h/p"
+
+EVERYTHING = Needs((Demand(parameters=True),), resources=True, records=True, trees=True)
 
 
 class NoRobot:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from rosld.ontology.vocab import PREFIXES
-from rosld.server.sparql.syntax import syntax_error
+from rosld.server.http.problem import Problem
+from rosld.server.sparql.analysis import Analyser, Analysis
+
+
+def analyse(text: str) -> Analysis:
+    return Analyser("http://robot/", "https://w3id.org/rosld/types/").analyse(text)
 
 
 @pytest.mark.parametrize(
@@ -54,10 +58,11 @@ from rosld.server.sparql.syntax import syntax_error
     ],
 )
 def test_what_is_wrong_is_named_with_its_place_and_what_was_expected(text: str, words: str) -> None:
-    found = syntax_error(text, PREFIXES)
-    assert found is not None
-    assert found.startswith(words)
-    assert len(found) < 200
+    with pytest.raises(Problem) as caught:
+        analyse(text)
+    assert caught.value.status == 400
+    assert caught.value.detail.startswith(words)
+    assert len(caught.value.detail) < 200
 
 
 @pytest.mark.parametrize(
@@ -78,4 +83,4 @@ def test_what_is_wrong_is_named_with_its_place_and_what_was_expected(text: str, 
     ],
 )
 def test_nothing_is_wrong_with_what_is_a_query(text: str) -> None:
-    assert syntax_error(text, PREFIXES) is None
+    assert analyse(text).form in text

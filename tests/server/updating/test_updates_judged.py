@@ -23,10 +23,10 @@ from pyoxigraph import BlankNode, CanonicalizationAlgorithm, Dataset, DefaultGra
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.endpoint import QueryService
-from rosld.server.sparql.lexer import BOUNDS
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.sync import GraphEntry, Synchroniser
+from rosld.server.sparql.syntax.lexer import BOUNDS
 from rosld.server.sparql.update.drawer import Drawer
 from rosld.server.sparql.update.drawing import GraphChange
 from rosld.server.sparql.update.operations import Modify

@@ -6,8 +6,8 @@ import pytest
 from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.lexer import BOUNDS, Bounds
 from rosld.server.sparql.protocol import UpdateRequest
+from rosld.server.sparql.syntax.lexer import BOUNDS, Bounds
 from rosld.server.sparql.update.operations import (
     Hole,
     Home,
@@ -320,9 +320,9 @@ def test_predicates_and_objects_may_be_listed() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("INSERT", "ends where something must follow"),
-        ("INSERT DATA { <a> <b> <c> ", "ends where something must follow"),
-        ("INSERT { } ", "ends where something must follow"),
+        ("INSERT", "The update ends where"),
+        ("INSERT DATA { <a> <b> <c> ", "The update ends where"),
+        ("INSERT { } ", "The update ends where"),
         ("; INSERT DATA { }", "; at 1:1"),
         ("INSERT DATA { } INSERT DATA { }", "INSERT at 1:17"),
         ("INSERT DATA { } }", "} at 1:17"),
@@ -333,7 +333,7 @@ def test_predicates_and_objects_may_be_listed() -> None:
         ("PREFIX a:a: <b>", "a:a: at 1:8"),
         ("PREFIX e: e:x", "e:x at 1:11"),
         ("BASE x:y", "x:y at 1:6"),
-        ("CLEAR", "ends where something must follow"),
+        ("CLEAR", "The update ends where"),
         ("CLEAR <g>", "<g> at 1:7"),
         ("CREATE <g>", "<g> at 1:8"),
         ("CREATE DEFAULT", "DEFAULT at 1:8"),
@@ -372,20 +372,20 @@ def test_predicates_and_objects_may_be_listed() -> None:
         ("INSERT DATA { GRAPH 'g' { <a> <b> <c> } }", "'g' at 1:21"),
         ("INSERT DATA { GRAPH <g> <a> <b> <c> }", "<a> at 1:25"),
         ("INSERT DATA { GRAPH <g> { GRAPH <h> { <a> <b> <c> } } }", "GRAPH at 1:27"),
-        ("INSERT DATA { GRAPH <g> }", "1:21"),
+        ("INSERT DATA { GRAPH <g> }", "1:25"),
         ("INSERT DATA { <a> <b> ( GRAPH <g> { } ) }", "GRAPH at 1:25"),
         ("INSERT DATA { <a> <b>/<c> <d> }", "1:22"),
         ("INSERT DATA { <a> ^<b> <d> }", "1:19"),
         ("INSERT DATA { <a> <b> <c> FILTER(true) }", "FILTER at 1:27"),
         ("INSERT DATA { @prefix ros: <urn:e:> . ros:a ros:b ros:c }", "@prefix at 1:15"),
-        ("INSERT DATA { PREFIX e: <urn:e:> e:a e:b e:c }", "1:22"),
+        ("INSERT DATA { PREFIX e: <urn:e:> e:a e:b e:c }", "PREFIX at 1:15"),
         ("INSERT DATA { BASE <x> <a> <b> <c> }", "BASE at 1:15"),
         ("INSERT DATA { <a> <b> 'x'^^?t }", "1:28"),
         ("INSERT DATA { <a> <b> 'x'@e_n }", "1:28"),
-        ("INSERT DATA { nope:a <b> <c> }", "nope: at 1:15"),
-        ("INSERT { nope:a <b> <c> } WHERE { }", "nope: at 1:10"),
+        ("INSERT DATA { nope:a <b> <c> }", "The prefix nope: is not declared, at 1:15"),
+        ("INSERT { nope:a <b> <c> } WHERE { }", "The prefix nope: is not declared, at 1:10"),
         ("INSERT DATA { <a> <b> 'x }", "string that begins at 1:23 has no end"),
-        ("INSERT DATA { <a> <b> <c d> }", "1:24"),
+        ("INSERT DATA { <a> <b> <c d> }", "< at 1:23 begins no IRI"),
         ("INSERT DATA { <http://[/> <b> <c> }", "1:15"),
         ("INSERT DATA { << <a> <b> <c> >> <b> <c> }", "<< at 1:15"),
         ("INSERT { } WHERE { SERVICE <s> { } }", "SERVICE at 1:20"),

@@ -14,8 +14,8 @@ from pyoxigraph import Literal, NamedNode
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.lexer import BOUNDS, Kind, tokens
 from rosld.server.sparql.protocol import UpdateRequest
+from rosld.server.sparql.syntax.lexer import BOUNDS, Kind, tokens
 from rosld.server.sparql.update.operations import Hole, Manage, Modify, Operation, QuadTemplate, Several, Slot, Verb
 from rosld.server.sparql.update.reading import read_update
 
@@ -289,11 +289,10 @@ def taken_there(text: str) -> str | None:
 
 
 REFUSED_HERE_ONLY = re.compile(
-    r"A dot is expected at the end of statements"  # it needs none after a triple, and SPARQL's grammar does
-    r"|is not a valid subject"  # a literal, which the grammar lets stand there and RDF does not
-    r"|cannot be read: (An integer should not be empty|. is not a valid predicate)"  # a sign apart from its number
-    r"|is not a valid predicate|a is not a valid RDF object|An RDF value is expected"  # which come of the first
-    r"|at 1:1 is not understood|BASE <[^>]*>|; at \S+ is not understood"  # a semicolon without an operation before it
+    r"stands where (\. or \}|a predicate \(an IRI, a variable or a\)) is expected"  # it wants no dot after a triple
+    r"|a literal is no subject"  # which the grammar lets stand there and RDF does not
+    r"|^[+-] at \S+ stands where the object of a triple"  # a sign apart from its number
+    r"|^; at \S+ stands where an operation"  # a semicolon without an operation before it
     r"|triple terms and reifiers|SERVICE"  # what is refused by the lexer
     r"| is no part of SPARQL|escapes nothing|an escape of a character| has no end"  # and this
     r"|joins more than|nests deeper"

@@ -22,7 +22,7 @@ from rosld.server.http.problem import Problem
 
 
 class Kind(Enum):
-    """The kinds of token; `SPACE` and `COMMENT` mean nothing, `ERROR` is what begins no token."""
+    """The kinds of token; `SPACE` and `COMMENT` mean nothing, `ERROR` begins no token, `END` follows the last."""
 
     IRI = "iri"
     NAME = "prefixed name"
@@ -36,6 +36,7 @@ class Kind(Enum):
     SPACE = "space"
     COMMENT = "comment"
     ERROR = "error"
+    END = "end"
 
 
 class Token(NamedTuple):
@@ -176,10 +177,15 @@ def _character(match: re.Match[str]) -> str:
 
 
 class Checked(NamedTuple):
-    """A text fit to be parsed: comments are blanked, positions as they were. `tokens` are those that mean something."""
+    """A text fit to be parsed: comments are blanked, positions as they were. `tokens` are those that mean something.
+
+    `written` is the text as it came, `what` it is called in words for people.
+    """
 
     text: str
     tokens: tuple[Token, ...]
+    written: str
+    what: str = "query"
 
 
 def check(text: str, bounds: Bounds = BOUNDS, *, what: str = "query", reach: Reach = NOWHERE) -> Checked:
@@ -202,7 +208,7 @@ def check(text: str, bounds: Bounds = BOUNDS, *, what: str = "query", reach: Rea
     if _SERVICE.search(text):
         _check_services(found, text, reach)
     _check_shape(found, text, bounds, what)
-    return _renamed(Checked(_blanked(text, comments), found), _SERVICE)
+    return _renamed(Checked(_blanked(text, comments), found, text, what), _SERVICE)
 
 
 def _blanked(text: str, comments: Sequence[Token]) -> str:
@@ -261,7 +267,7 @@ def _renamed(checked: Checked, keywords: re.Pattern[str]) -> Checked:
             token = token._replace(text=names[prefix] + token.text[len(prefix) :])
             text[token.start : token.end] = token.text
         found.append(token)
-    return Checked("".join(text), tuple(found))
+    return checked._replace(text="".join(text), tokens=tuple(found))
 
 
 def _check_targets(found: tuple[Token, ...], text: str, keyword: str, allowed: frozenset[str]) -> None:

@@ -1,0 +1,217 @@
+"""A cursor over the tokens of a text, which knows its prefixes and its base, and says in words what does not fit."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from difflib import get_close_matches
+from typing import NoReturn, Protocol
+
+from pyoxigraph import NamedNode, RdfFormat, parse
+
+from rosld.server.http.problem import Problem
+from rosld.server.sparql.syntax.lexer import Checked, Kind, Token, place, unescaped
+from rosld.server.sparql.syntax.tree import TYPE
+from rosld.server.sparql.syntax.words import KEYWORDS
+
+_LONGEST = 40
+
+
+class Span(Protocol):
+    """A piece of the text, from `start` to before `end`."""
+
+    @property
+    def start(self) -> int: ...
+
+    @property
+    def end(self) -> int: ...
+
+
+class Cursor:
+    """Takes tokens one by one. `token` is the next one, `key` its mark, or its keyword in capitals ("" for others).
+
+    Whatever does not fit raises a Problem 400: one sentence with the token, its place and what was expected.
+    """
+
+    def __init__(self, checked: Checked, prefixes: Mapping[str, str], base: str) -> None:
+        self.text = checked.text
+        self.prefixes = dict(prefixes)
+        self.base = base
+        self._written = checked.written
+        self._what = checked.what
+        self._tokens = (*checked.tokens, Token(Kind.END, "", len(checked.text)))
+        self._at = -1
+        self.token = self._tokens[-1]
+        self.key = ""
+        self.advance()
+
+    def advance(self) -> Token:
+        """Take the next token, which is not the end."""
+        taken = self.token
+        self._at += 1
+        self.token = token = self._tokens[self._at]
+        kind = token.kind
+        self.key = token.text if kind is Kind.MARK else token.text.upper() if kind is Kind.WORD else ""
+        return taken
+
+    @property
+    def is_at_end(self) -> bool:
+        """Whether there is no more token."""
+        return self.token.kind is Kind.END
+
+    @property
+    def position(self) -> int:
+        """The number of tokens that have been taken."""
+        return self._at
+
+    def taken_since(self, position: int) -> tuple[Token, ...]:
+        """The tokens that have been taken since a position."""
+        return self._tokens[position : self._at]
+
+    @property
+    def following(self) -> Token:
+        """The token after the next one."""
+        return self._tokens[min(self._at + 1, len(self._tokens) - 1)]
+
+    @property
+    def end(self) -> int:
+        """Where the token ends that was taken last."""
+        return self._tokens[self._at - 1].end
+
+    def take(self, *keys: str) -> bool:
+        """Take the next token if it is one of these marks or keywords."""
+        if self.key in keys and self.key:
+            self.advance()
+            return True
+        return False
+
+    def expect(self, key: str, why: str = "") -> Token:
+        """Take this mark or keyword; `why` says what it is for."""
+        if self.key != key:
+            self.fail_expecting(f"{key} {why}".rstrip())
+        return self.advance()
+
+    def expect_variable(self, expected: str = "a variable") -> Token:
+        """Take a variable."""
+        if self.token.kind is not Kind.VARIABLE:
+            self.fail_expecting(expected)
+        return self.advance()
+
+    # --- IRIs
+
+    def prologue(self) -> None:
+        """Take the declarations before a query or an operation."""
+        while True:
+            if self.take("PREFIX"):
+                name = self.token
+                if name.kind is Kind.END:
+                    self.fail_expecting("the name of a prefix, such as ex:,")
+                if name.kind is not Kind.NAME or name.text.index(":") != len(name.text) - 1:
+                    self.fail_at(name, "is no name of a prefix: it ends in a colon, such as ex:, and has no other")
+                self.advance()
+                self.prefixes[name.text[:-1]] = self._declared_iri(name.text)
+            elif self.take("BASE"):
+                self.base = self._declared_iri("BASE")
+            else:
+                return
+
+    def _declared_iri(self, name: str) -> str:
+        if self.token.kind is not Kind.IRI:
+            self.fail_expecting(f"the IRI of {name} in <>")
+        return self.iri(self.advance())
+
+    def expect_iri(self, expected: str = "an IRI") -> str:
+        """Take an IRI or a prefixed name."""
+        if self.token.kind is not Kind.IRI and self.token.kind is not Kind.NAME:
+            self.fail_expecting(expected)
+        iri = self.iri(self.token)
+        self.advance()
+        return iri
+
+    def iri(self, token: Token) -> str:
+        """The IRI that a token stands for."""
+        if token.kind is Kind.IRI:
+            return self._resolved(token)
+        prefix, _, local = token.text.partition(":")
+        namespace = self.prefixes.get(prefix)
+        if namespace is None:
+            written = self._written[token.start : token.start + len(prefix)]
+            near = like(written, self.prefixes, ":")
+            where = place(self.text, token.start)
+            raise Problem(400, f"The prefix {_short(written)}: is not declared{near}, at {where}.")
+        return namespace + (_unslashed(local) if "\\" in local else local)
+
+    def _resolved(self, token: Token) -> str:
+        """The IRI as the store will have it: whatever is not plainly absolute is resolved by its own parser."""
+        iri = token.text[1:-1]
+        if "\\" in iri:
+            iri = unescaped(iri)
+        if _is_plain(iri):
+            return iri
+        try:
+            [quad] = parse(f"<{iri}> <{TYPE}> <{TYPE}> .", RdfFormat.TURTLE, base_iri=self.base or None)
+        except (SyntaxError, ValueError):
+            self.fail_at(token, "is no IRI, or a relative one without a base")
+        assert isinstance(quad.subject, NamedNode)
+        return quad.subject.value
+
+    # --- words
+
+    def fail_at(self, span: Span, words: str) -> NoReturn:
+        """Raise what is wrong with a piece of the text."""
+        raise Problem(400, f"{self._where_is(span)} {words}.")
+
+    def fail_expecting(self, expected: str) -> NoReturn:
+        """Raise that the next token is not what was expected."""
+        token = self.token
+        if token.kind is Kind.END:
+            words = f"The {self._what} ends where {expected} is expected"
+            if opened := self._innermost_open():
+                words += f", and {self._where_is(opened)} is not closed"
+            raise Problem(400, f"{words}.")
+        if self.key == "<":
+            self.fail_at(token, "begins no IRI: it has no end, or a blank, a quote or a bracket in it")
+        if token.kind is Kind.WORD and self.key not in ("A", "TRUE", "FALSE") and self.key not in KEYWORDS:
+            near = like(self.key, KEYWORDS)
+            self.fail_at(token, f"is no keyword of SPARQL{near}, where {expected} is expected")
+        self.fail_at(token, f"stands where {expected} is expected")
+
+    def fail_unknown(self, expected: str) -> NoReturn:
+        """Raise that the next token, where a term was expected, is none."""
+        if self.token.kind is Kind.WORD and self.key not in KEYWORDS:
+            hint = "put it in quotes, or write it as a variable (?) or with a prefix"
+            self.fail_at(self.token, f"is no term{like(self.key, KEYWORDS)}: {hint}")
+        self.fail_expecting(expected)
+
+    def _where_is(self, span: Span) -> str:
+        return f"{_short(self._written[span.start : span.end])} at {place(self.text, span.start)}"
+
+    def _innermost_open(self) -> Token | None:
+        opened: list[Token] = []
+        for token in self._tokens[: self._at]:
+            if token.is_mark("(", "[", "{"):
+                opened.append(token)
+            elif token.is_mark(")", "]", "}") and opened:
+                opened.pop()
+        return opened[-1] if opened else None
+
+
+def like(text: str, known: Collection[str], mark: str = "") -> str:
+    """A guess at what was meant, in brackets after a blank; nothing where none is near."""
+    found = get_close_matches(text, sorted(known), 1, 0.8) if len(text) <= _LONGEST else []
+    return f" ({found[0]}{mark}?)" if found else ""
+
+
+def _short(text: str) -> str:
+    line = " ".join(text.split())
+    return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 3]}..."
+
+
+def _is_plain(iri: str) -> bool:
+    scheme, colon, rest = iri.partition(":")
+    return bool(colon) and scheme.isascii() and scheme.isalnum() and "/." not in rest and rest[:1] != "."
+
+
+def _unslashed(local: str) -> str:
+    """A local name without the backslashes that protect its punctuation."""
+    parts = iter(local)
+    return "".join(next(parts, "") if character == "\\" else character for character in parts)

@@ -1,0 +1,252 @@
+"""Reading expressions, to trees that keep their places in the text (SPARQL 1.1, 19.8, rules 107 to 128)."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+
+from rosld.server.http.problem import Problem
+from rosld.server.sparql.syntax.cursor import like
+from rosld.server.sparql.syntax.lexer import Checked, Kind, Token, place
+from rosld.server.sparql.syntax.tree import (
+    Call,
+    Choices,
+    Constant,
+    Exists,
+    Expression,
+    Group,
+    Iri,
+    Operand,
+    Part,
+    Pattern,
+    Place,
+    Purpose,
+    Reference,
+    Term,
+    Variable,
+    core,
+)
+from rosld.server.sparql.syntax.triples import TripleParser
+from rosld.server.sparql.syntax.words import AGGREGATES, ANY_NUMBER, ARGUMENTS
+
+_COMPARISONS = frozenset({"=", "!=", "<", ">", "<=", ">=", "IN", "NOT"})
+_ARITHMETIC = frozenset({"+", "-", "*", "/"})
+_LOGIC = frozenset({"&&", "||"})
+_SIGNS = frozenset({"!", "+", "-"})
+_EXPRESSION = "an expression"
+CONSTRAINT = "an expression in brackets, EXISTS, NOT EXISTS or the call of a function"
+
+
+class ExpressionParser(TripleParser):
+    """Reads expressions. `places` are those that are evaluated; `functions` are called by IRI; `constants` are IRIs.
+
+    `age` is the IRI of the function whose argument's values must be known: a call of it is a pattern about that.
+    """
+
+    def __init__(
+        self, checked: Checked, prefixes: Mapping[str, str], base: str, most_joins: int, age: str = ""
+    ) -> None:
+        super().__init__(checked, prefixes, base, most_joins)
+        self.places: list[Place] = []
+        self.functions: set[str] = set()
+        self.constants: set[str] = set()
+        self._age = age
+
+    @abstractmethod
+    def group(self, graph: Term | None) -> Group:
+        """Read a group, in braces."""
+
+    def constraint(self, group: Group, expected: str = CONSTRAINT) -> Operand:
+        """An expression in brackets, EXISTS, or the call of a function; `group` takes the groups of EXISTS."""
+        return self.bracketed(group, expected) if self.key == "(" else self.call(group, expected)
+
+    def bracketed(self, group: Group, expected: str = _EXPRESSION) -> Expression:
+        """An expression in brackets."""
+        if self.key != "(":
+            self.fail_expecting(f"( and {expected}")
+        start = self.advance().start
+        inner = self.expression(group)
+        self.expect(")", "or an operator")
+        return Expression(start, self.end, (inner,))
+
+    def call(self, group: Group, expected: str) -> Operand:
+        """EXISTS, or the call of a function."""
+        token = self.token
+        if token.kind is Kind.IRI or token.kind is Kind.NAME:
+            return self._call_by_iri(token, self.expect_iri(), group)
+        if token.kind is not Kind.WORD or self.key in ("TRUE", "FALSE"):
+            self.fail_expecting(expected)
+        return self._named(group)
+
+    def expression(self, group: Group) -> Expression:
+        """Operands and the operators between them."""
+        start = self.token.start
+        parts: list[Part] = []
+        self._operand(group, parts)
+        is_compared = False
+        while True:
+            key = self.key
+            if key in _COMPARISONS:
+                if is_compared:
+                    self.fail_at(self.token, "compares what a comparison says: put brackets around one of them")
+                is_compared = True
+            elif key in _LOGIC:
+                is_compared = False
+            elif key not in _ARITHMETIC:
+                if self.token.kind is Kind.IRI:
+                    self._fail_ambiguous()
+                return Expression(start, self.end, tuple(parts))
+            token = self.advance()
+            if key == "IN":
+                parts += ("IN", self._choices(token, group))
+            elif key == "NOT":
+                self.expect("IN", "after NOT")
+                parts += ("NOT IN", self._choices(token, group))
+            else:
+                parts.append(key)
+                self._operand(group, parts)
+
+    def _fail_ambiguous(self) -> None:
+        """The store's parser reads `<` as "less than" wherever an operator may stand."""
+        where = place(self.text, self.token.start)
+        words = f"{self.token.text} at {where} can be read as an IRI or as comparisons: put a blank after the <."
+        raise Problem(400, words)
+
+    def _choices(self, token: Token, group: Group) -> Choices:
+        start = self.token.start
+        items = self._arguments(token, ANY_NUMBER, group)
+        return Choices(start, self.end, items)
+
+    def _operand(self, group: Group, parts: list[Part]) -> None:
+        """Add an operand, and the operators before it."""
+        while self.key in _SIGNS and not self._is_at_number:
+            parts.append(self.advance().text)
+        token = self.token
+        kind = token.kind
+        if kind is Kind.VARIABLE:
+            self.advance()
+            parts.append(Reference(token.start, token.end, token.text))
+        elif self.key == "(":
+            parts.append(self.bracketed(group))
+        elif kind is Kind.IRI or kind is Kind.NAME:
+            iri = self.expect_iri()
+            if self.key == "(":
+                parts.append(self._call_by_iri(token, iri, group))
+            else:
+                self.constants.add(iri)
+                parts.append(Constant(token.start, token.end, kind, Iri(iri)))
+        elif kind is Kind.BLANK:
+            self.fail_at(token, "is a blank node, which cannot stand in an expression")
+        elif (literal := self.literal()) is not None:
+            parts.append(literal)
+        elif kind is Kind.WORD:
+            parts.append(self._named(group))
+        else:
+            self.fail_unknown(_EXPRESSION)
+
+    @property
+    def _is_at_number(self) -> bool:
+        number = self.following
+        return self.key != "!" and number.kind is Kind.NUMBER and number.start == self.token.end
+
+    # --- calls
+
+    def _named(self, group: Group) -> Operand:
+        """EXISTS, an aggregate or a function that has a name of its own."""
+        token, name = self.token, self.key
+        if name in ("EXISTS", "NOT"):
+            self.advance()
+            if name == "NOT":
+                self.expect("EXISTS", "after NOT")
+            group.filters.append(self.group(group.graph))
+            return Exists(token.start, self.end)
+        if name in AGGREGATES:
+            return self._aggregate(group)
+        if name not in ARGUMENTS:
+            if self.following.is_mark("("):
+                near = like(name, ARGUMENTS.keys() | AGGREGATES)
+                self.fail_at(token, f"is no function of SPARQL{near}")
+            self.fail_unknown(_EXPRESSION)
+        self.advance()
+        arguments = self._arguments(token, ARGUMENTS[name], group)
+        return Call(token.start, self.end, name, token.end, arguments)
+
+    def _call_by_iri(self, token: Token, iri: str, group: Group) -> Call:
+        arguments = self._arguments(token, ANY_NUMBER, group)
+        self.functions.add(iri)
+        if iri == self._age:
+            about = core(arguments[0]) if len(arguments) == 1 else None
+            subject: Term = self.new()
+            if isinstance(about, Reference):
+                subject = Variable(about.name[1:])
+            elif isinstance(about, Constant):
+                subject = about.term
+            group.filters.append(Group(patterns=[Pattern(subject, frozenset({iri}), self.new())]))
+        return Call(token.start, self.end, "", token.end, arguments)
+
+    def _aggregate(self, group: Group) -> Call:
+        name = self.key
+        token = self.advance()
+        self.expect("(", f"after {name}")
+        self.take("DISTINCT")
+        arguments: tuple[Expression, ...] = ()
+        if not (name == "COUNT" and self.take("*")):
+            arguments = (self.expression(group),)
+        if name == "GROUP_CONCAT" and self.take(";"):
+            self.expect("SEPARATOR", "after ;")
+            self.expect("=", "after SEPARATOR")
+            if self.token.kind is not Kind.STRING:
+                self.fail_expecting("a string")
+            self.advance()
+        self.expect(")", f"after what {name} is of")
+        return Call(token.start, self.end, name, token.end, arguments)
+
+    def _arguments(self, function: Token, bounds: tuple[int, int], group: Group) -> tuple[Expression, ...]:
+        if self.key != "(":
+            self.fail_expecting(f"( after {function.text}")
+        self.advance()
+        if function.kind is not Kind.WORD:
+            self.take("DISTINCT")
+        found: list[Expression] = []
+        if not self.take(")"):
+            while True:
+                if function.is_word("BOUND") and self.token.kind is not Kind.VARIABLE:
+                    self.fail_at(self.token, "stands where BOUND expects a variable")
+                found.append(self.expression(group))
+                if not self.take(","):
+                    break
+            self.expect(")", "or , or an operator")
+        least, most = bounds
+        if not least <= len(found) <= most:
+            wanted = str(least) if least == most else f"{least} to {most}"
+            self.fail_at(function, f"has {len(found)} arguments and takes {wanted}")
+        return tuple(found)
+
+    def place(self, operand: Operand, purpose: Purpose, start: int = 0, direction: str = "ASC") -> None:
+        """Note an expression that is evaluated."""
+        self.places.append(Place(operand, purpose, start, direction))
+
+
+def has_aggregate(operand: Operand) -> bool:
+    """Whether an expression has an aggregate."""
+    if isinstance(operand, Call) and operand.name in AGGREGATES:
+        return True
+    return any(map(has_aggregate, _parts(operand)))
+
+
+def ungrouped(operand: Operand) -> Iterator[Reference]:
+    """The variables of an expression that stand in none of its aggregates, nor in an EXISTS."""
+    if isinstance(operand, Reference):
+        yield operand
+    elif not (isinstance(operand, Call) and operand.name in AGGREGATES):
+        for part in _parts(operand):
+            yield from ungrouped(part)
+
+
+def _parts(operand: Operand) -> Iterator[Operand]:
+    if isinstance(operand, Expression):
+        yield from (part for part in operand.parts if not isinstance(part, str))
+    elif isinstance(operand, Call):
+        yield from operand.arguments
+    elif isinstance(operand, Choices):
+        yield from operand.items

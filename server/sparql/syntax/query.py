@@ -1,0 +1,429 @@
+"""Reading queries: groups, sub-queries and solution modifiers (SPARQL 1.1, 19.8, rules 1 to 67).
+
+A recursive descent over the whole grammar, with its notes on labels, scope and groups; its depth is bounded by the
+lexer's. The one reading of a query tells what is wrong with it, what it needs, and where it is rewritten.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from functools import partial
+from typing import NamedTuple
+
+from rosld.server.http.problem import Problem
+from rosld.server.sparql.syntax.cursor import Span
+from rosld.server.sparql.syntax.expressions import ExpressionParser, has_aggregate, ungrouped
+from rosld.server.sparql.syntax.lexer import Bounds, Checked, Kind, Token, place
+from rosld.server.sparql.syntax.tree import (
+    Constant,
+    Group,
+    Iri,
+    Operand,
+    Pattern,
+    Purpose,
+    Query,
+    Reference,
+    Term,
+    Variable,
+    core,
+)
+from rosld.server.sparql.syntax.words import FORMS, MEMBERS, MODIFIERS
+
+_GROUP = "{ and a group of patterns"
+_TRIPLE = "a triple pattern, a keyword such as FILTER or OPTIONAL, or }"
+_STARTS_OF_CONDITIONS = frozenset({Kind.VARIABLE, Kind.IRI, Kind.NAME, Kind.WORD})
+
+
+def parse_query(query: Checked, prefixes: Mapping[str, str], base: str, age: str, bounds: Bounds) -> Query:
+    """Read a query; `prefixes` need not be declared. `age` is the IRI of ros:age.
+
+    Raises Problem 400 for what is no query, saying where and what was expected, and for more joins than the bounds
+    allow.
+    """
+    try:
+        return QueryParser(query, prefixes, base, bounds.joins, age).query()
+    except RecursionError as error:
+        raise Problem(400, "The query nests too deep: ask it in parts.") from error
+
+
+class _Selection(NamedTuple):
+    """What a SELECT tells: variables, or operands with the variables that they are given to. None for `*`."""
+
+    select: Token
+    items: tuple[tuple[Token, Operand | None], ...] | None
+
+
+class _Solutions(NamedTuple):
+    """What GROUP BY, HAVING and ORDER BY say: variables that are grouped by (None: there is no GROUP BY)."""
+
+    grouped: frozenset[str] | None
+    operands: tuple[Operand, ...]
+
+
+class QueryParser(ExpressionParser):
+    """Reads a query from its beginning to its end."""
+
+    def query(self) -> Query:
+        """The whole text."""
+        self.prologue()
+        form, name = self.token, self.key
+        if self.is_at_end:
+            raise Problem(400, "There is no query: it begins with SELECT, ASK, CONSTRUCT or DESCRIBE.")
+        if name not in FORMS:
+            self.fail_at(form, "is no query form: SELECT, ASK, CONSTRUCT or DESCRIBE")
+        if name == "SELECT":
+            asked = Group()
+            selection = self._selection(asked)
+            default, named = self._dataset()
+            where = self._solve(selection, asked, None)
+        else:
+            self.advance()
+            default, named, where = self._ask_construct_or_describe(name)
+        if self.take("VALUES"):
+            self._values(Group())
+        if self.token.kind is not Kind.END:
+            self.fail_expecting("the end of the query")
+        return Query(
+            name,
+            where,
+            default,
+            named,
+            frozenset(self.functions),
+            frozenset(self.constants),
+            tuple(self.literals),
+            tuple(self.places),
+        )
+
+    def _ask_construct_or_describe(self, form: str) -> tuple[tuple[str, ...], tuple[str, ...], Group]:
+        described: list[Term] = []
+        is_everything = is_short = False
+        if form == "CONSTRUCT":
+            is_short = self.key != "{"
+            if not is_short:
+                self._template("the template", Group())
+        elif form == "DESCRIBE":
+            is_everything = self.take("*")
+            if not is_everything:
+                described = self._described()
+        default, named = self._dataset()
+        where = Group()
+        if is_short:
+            self.expect("WHERE", "or { and a template")
+            self._template("CONSTRUCT WHERE", where, is_matched=True)
+        elif self.take("WHERE") or self.key == "{" or form != "DESCRIBE":
+            where = self.group(None)
+        asked = Group()
+        self._modifiers(asked)
+        where.filters.extend(asked.filters)
+        if is_everything:
+            described = [Variable(name) for name in sorted(where.visible)]
+        for term in described:
+            self.join()
+            where.filters.append(Group(patterns=[Pattern(term, None, self.new())]))
+        return default, named, where
+
+    def _described(self) -> list[Term]:
+        described: list[Term] = []
+        while True:
+            if self.token.kind is Kind.VARIABLE:
+                described.append(Variable(self.advance().text[1:]))
+            else:
+                described.append(Iri(self.expect_iri("an IRI, a variable or *")))
+            if self.token.kind not in (Kind.VARIABLE, Kind.IRI, Kind.NAME):
+                return described
+
+    def _template(self, what: str, group: Group, *, is_matched: bool = False) -> None:
+        """Triples in braces. What is constructed is joined with nothing."""
+        if self.key != "{":
+            self.fail_expecting(_GROUP)
+        self.advance()
+        self.triples_to_brace(partial(self.match, group) if is_matched else _ignore, what)
+        self.advance()
+
+    def _dataset(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        default: list[str] = []
+        named: list[str] = []
+        while self.take("FROM"):
+            chosen = named if self.take("NAMED") else default
+            chosen.append(self.expect_iri("the IRI of a graph"))
+        return tuple(default), tuple(named)
+
+    # --- SELECT
+
+    def _selection(self, asked: Group) -> _Selection:
+        select = self.advance()
+        self.take("DISTINCT", "REDUCED")
+        if self.take("*"):
+            return _Selection(select, None)
+        items: list[tuple[Token, Operand | None]] = []
+        while True:
+            if self.token.kind is Kind.VARIABLE:
+                items.append((self.advance(), None))
+            elif self.take("("):
+                operand = self.expression(asked)
+                self.place(operand, Purpose.TERM)
+                self.expect("AS", "and a variable")
+                items.append((self.expect_variable(), operand))
+                self.expect(")", "after the variable")
+            elif items:
+                return _Selection(select, tuple(items))
+            else:
+                self.fail_expecting("what to select (variables, expressions as (... AS ?x), or *)")
+
+    def _solve(self, selection: _Selection, asked: Group, graph: Term | None) -> Group:
+        """The group of a SELECT, with what it tells as its visible variables."""
+        self.take("WHERE")
+        group = self.group(graph)
+        solutions = self._modifiers(asked)
+        group.filters.extend(asked.filters)
+        group.visible = self._told(selection, group.visible, solutions)
+        return group
+
+    def _told(self, selection: _Selection, visible: set[str], solutions: _Solutions) -> set[str]:
+        """The variables that a SELECT tells, its rules on scope and groups being kept (18.2.1, 18.2.4.1, 19.8)."""
+        items, grouped = selection.items, solutions.grouped
+        operands = (*solutions.operands, *(operand for _, operand in items or () if operand is not None))
+        if grouped is None and any(map(has_aggregate, operands)):
+            grouped = frozenset()
+        if items is None:
+            if grouped is not None:
+                where = place(self.text, selection.select.start)
+                words = f"SELECT * at {where} cannot stand with GROUP BY or an aggregate: name what to select."
+                raise Problem(400, words)
+            return visible
+        new: set[str] = set()
+        told: set[str] = set()
+        for variable, operand in items:
+            name = variable.text[1:]
+            if operand is not None and (name in new or name in (visible if grouped is None else grouped)):
+                self.fail_at(variable, "has a value already: choose another name after AS")
+            if name in told:
+                self.fail_at(variable, "is selected twice")
+            if grouped is not None:
+                needed: Iterable[Span] = (variable,) if operand is None else ungrouped(operand)
+                self._check_grouped(needed, grouped | new)
+            if operand is not None:
+                new.add(name)
+            told.add(name)
+        return told
+
+    def _check_grouped(self, needed: Iterable[Span], grouped: Collection[str]) -> None:
+        for variable in needed:
+            if self.text[variable.start + 1 : variable.end] not in grouped:
+                self.fail_at(variable, "is not grouped by: name it in GROUP BY, or use an aggregate such as SAMPLE")
+
+    # --- solution modifiers
+
+    def _modifiers(self, asked: Group) -> _Solutions:
+        grouped: set[str] | None = None
+        operands: list[Operand] = []
+        if self.take("GROUP"):
+            self.expect("BY", "after GROUP")
+            grouped = {name for name in self._grouped(asked) if name is not None}
+        if self.take("HAVING"):
+            while True:
+                operands.append(self.constraint(asked))
+                self.place(operands[-1], Purpose.TEST)
+                if not self._is_at_condition:
+                    break
+        if self.take("ORDER"):
+            self.expect("BY", "after ORDER")
+            operands += self._ordered(asked)
+        slices = {"LIMIT", "OFFSET"}
+        while self.key in slices:
+            keyword = self.key
+            slices.remove(keyword)
+            self.advance()
+            if self.token.kind is not Kind.NUMBER or not self.token.text.isdigit():
+                self.fail_expecting(f"the number of {keyword}")
+            self.advance()
+        return _Solutions(None if grouped is None else frozenset(grouped), tuple(operands))
+
+    def _grouped(self, asked: Group) -> list[str | None]:
+        """The variables of GROUP BY, None for what has no name."""
+        names: list[str | None] = []
+        while True:
+            if self.token.kind is Kind.VARIABLE:
+                names.append(self.advance().text[1:])
+            elif self.take("("):
+                self.place(self.expression(asked), Purpose.TERM)
+                names.append(self.expect_variable().text[1:] if self.take("AS") else None)
+                self.expect(")", "after the expression")
+            else:
+                self.place(self.call(asked, "a variable or an expression to group by"), Purpose.TERM)
+            if not self._is_at_condition:
+                return names
+
+    def _ordered(self, asked: Group) -> list[Operand]:
+        operands: list[Operand] = []
+        while True:
+            start, direction = self.token.start, "ASC"
+            if self.token.kind is Kind.VARIABLE:
+                token = self.advance()
+                operand: Operand = Reference(token.start, token.end, token.text)
+            elif self.key in ("ASC", "DESC"):
+                direction = self.key
+                self.advance()
+                operand = self.bracketed(asked, "the expression to order by")
+            else:
+                operand = self.constraint(asked, "a variable, ASC(...), DESC(...) or an expression in brackets")
+            operands.append(operand)
+            self.place(operand, Purpose.ORDER, start, direction)
+            if not self._is_at_condition:
+                return operands
+
+    @property
+    def _is_at_condition(self) -> bool:
+        return self.key == "(" or (self.token.kind in _STARTS_OF_CONDITIONS and self.key not in MODIFIERS)
+
+    # --- groups
+
+    def group(self, graph: Term | None) -> Group:
+        """A group in braces, or a sub-query."""
+        if self.key != "{":
+            self.fail_expecting(_GROUP)
+        self.advance()
+        self.block += 1
+        if self.key == "SELECT":
+            group = self._subquery(graph)
+        else:
+            group = Group(graph)
+            self._members(group)
+            self.advance()
+        self.block += 1
+        return group
+
+    def _subquery(self, graph: Term | None) -> Group:
+        asked = Group(graph)
+        inner = self._solve(self._selection(asked), asked, graph)
+        inner.scoped = True
+        if self.take("VALUES"):
+            self._values(Group())
+        self.expect("}", "after the sub-query")
+        return Group(graph, children=[inner], visible=inner.visible)
+
+    def _members(self, group: Group) -> None:
+        add = partial(self.match, group)
+        while self.key != "}":
+            if self.is_at_triples:
+                group.mixed = group.mixed or group.assigned
+                self.triples(add, is_pattern=True)
+                if self.key not in ("{", "}") and self.key not in MEMBERS:
+                    self.expect(".", "or }")
+                continue
+            self._member(group)
+            self.take(".")
+
+    def _member(self, group: Group) -> None:
+        key = self.key
+        if key == "{":
+            self._union(group)
+        elif key not in MEMBERS:
+            self.fail_expecting(_TRIPLE)
+        elif key == "FILTER":
+            self.advance()
+            self.place(self.constraint(group), Purpose.TEST)
+            return  # triples around it are one block
+        else:
+            self.advance()
+            if key == "BIND":
+                self._bind(group)
+            elif key == "SERVICE":
+                self._service(group)
+            elif key == "VALUES":
+                self.join()
+                self._values(group)
+            else:
+                self.join()
+                graph = self._graph(group) if key == "GRAPH" else group.graph
+                child = self.group(graph)
+                group.children.append(child)
+                if key != "MINUS":
+                    group.visible |= child.visible
+        self.block += 1
+
+    def _union(self, group: Group) -> None:
+        """One group or several alternatives, of which the largest counts."""
+        before, most = self.joins, 0
+        while True:
+            self.joins = before
+            child = self.group(group.graph)
+            group.children.append(child)
+            group.visible |= child.visible
+            most = max(most, self.joins)
+            if not self.take("UNION"):
+                break
+        self.joins = most
+
+    def _graph(self, group: Group, expected: str = "the IRI of a graph, or a variable") -> Term:
+        if self.token.kind is Kind.VARIABLE:
+            variable = Variable(self.advance().text[1:])
+            group.visible.add(variable.name)
+            return variable
+        return Iri(self.expect_iri(expected))
+
+    def _service(self, group: Group) -> None:
+        """What another endpoint is asked concerns nothing that is here, and is sent as it is written."""
+        self.take("SILENT")
+        self._graph(group, "an IRI")
+        self.join()
+        literals, places = len(self.literals), len(self.places)
+        functions, constants = set(self.functions), set(self.constants)
+        group.visible |= self.group(None).visible
+        del self.literals[literals:]
+        del self.places[places:]
+        self.functions, self.constants = functions, constants
+
+    def _bind(self, group: Group) -> None:
+        self.expect("(", "after BIND")
+        operand = self.expression(group)
+        self.place(operand, Purpose.TERM)
+        self.expect("AS", "and a variable")
+        variable = self.expect_variable()
+        name = variable.text[1:]
+        if name in group.visible:
+            self.fail_at(variable, "has a value already, before this BIND: choose another name after AS")
+        self.expect(")", "after the variable of BIND")
+        group.visible.add(name)
+        group.assigned = True
+        group.mixed = group.mixed or isinstance(core(operand), Constant)
+
+    def _values(self, group: Group) -> None:
+        names: list[str] = []
+        is_single = not self.take("(")
+        if is_single:
+            names.append(self.expect_variable("a variable, or several in brackets,").text[1:])
+        else:
+            while not self.take(")"):
+                names.append(self.expect_variable("a variable or )").text[1:])
+        self.expect("{", "and the values")
+        while not self.take("}"):
+            if is_single:
+                self._datum("a value or }")
+            else:
+                self._row(len(names))
+        group.visible.update(names)
+
+    def _row(self, length: int) -> None:
+        row = self.expect("(", "and the values of a row, or }")
+        count = 0
+        while not self.take(")"):
+            self._datum("a value or )")
+            count += 1
+        if count != length:
+            self.fail_at(row, f"begins a row of {count} values for {length} variables")
+
+    def _datum(self, expected: str) -> None:
+        token = self.token
+        if token.kind is Kind.VARIABLE:
+            self.fail_at(token, "stands among the values of VALUES, which are IRIs, literals or UNDEF")
+        if token.kind is Kind.BLANK:
+            self.fail_at(token, "is a blank node, which cannot be a value of VALUES")
+        if not self.take("UNDEF"):
+            term = self.term(expected)
+            if isinstance(term, Iri):
+                self.constants.add(term.value)
+
+
+def _ignore(*_: object) -> None:
+    """Take triples of a template, which match nothing."""

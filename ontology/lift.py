@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol
@@ -45,6 +45,11 @@ class LiftSettings:
 
     types: str = TYPES
     inline_limit: int = 65536
+
+    @property
+    def unelided(self) -> LiftSettings:
+        """The same with everything written out, however long."""
+        return replace(self, inline_limit=1 << 62)
 
 
 class Lifter(Protocol):

@@ -84,7 +84,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     """The ASGI app that serves this adapter; its lifespan opens and closes the adapter, raising what `open` raises."""
     robot = Robot(adapter, settings)
     large = LargeDocuments(robot.workers)
-    pages = Pages(robot, large)
+    pages = Pages(robot, robot.stops, large)
     process = QueryProcess(settings.query_concurrency, settings.query_queue)
     kept = RecordGraphs(robot.records, robot.space.base, robot.queries.said, ELSEWHERE)
     mentions = Mentions(robot.space.base, robot.space.types)

@@ -178,7 +178,7 @@ class Dataset:
     def _wanted(self, needs: Needs) -> Iterator[Resource]:
         robot = self._robot
         if needs.messages:
-            at_hand = {*robot.topics.subscribed(), *robot.gated.published}
+            at_hand = {*robot.topics.subscribed(), *robot.adapter.published}
             definite = Needs(tuple(demand for demand in needs.demands if not demand.anything))
             for topic in self._candidates(needs.graphs):
                 url = robot.space.topic(topic.name)

@@ -14,7 +14,6 @@ import time
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from rosld.adapters.model import Encoding, Kind, Message, MessageSchema, RosError
 from rosld.ontology.zero import is_unstamped, stamped
@@ -25,10 +24,8 @@ from rosld.server.http.problem import Problem
 from rosld.server.identifiers import new_identifier
 from rosld.server.publication import require_rate
 from rosld.server.schedule import Lapse, Publish, Schedule, Wait
+from rosld.server.session import Session
 from rosld.server.writable import refusal
-
-if TYPE_CHECKING:
-    from rosld.server.robot import Robot
 
 _REMEMBERED = 1000
 _LAST_SECONDS = 1.0
@@ -93,13 +90,14 @@ class HoldEnded(LookupError):
 class Holds:
     """The holds of one robot; belongs to the server's loop."""
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+    def __init__(self, session: Session) -> None:
+        self._session = session
         self._running: dict[str, _Running] = {}
         self._ended: OrderedDict[str, str] = OrderedDict()
         self._closed: str | None = None
         self.revision = 0
         self.changes = Signal()
+        session.changes.watch(self.end_refused)
 
     def all(self) -> Sequence[Hold]:
         """The holds, oldest first."""
@@ -121,16 +119,16 @@ class Holds:
         Raises TopicHeld, Stopped, a 429 Problem where the topic is published to too often, and what the adapter raises:
         then there is no hold.
         """
-        robot, gate = self._robot, self._robot.gate
+        session, gate = self._session, self._session.gate
         gate.require_open()
         gate.require_free(hold.topic)
         if self._closed is not None:
             raise Problem(503, f"No hold can begin: {self._closed}.")
-        require_rate(robot, hold.topic)
-        holder = gate.held[hold.topic] = Holder(hold.holder.name, robot.space.hold(hold.id))
-        running = _Running(self, robot, hold)
+        require_rate(session, hold.topic)
+        holder = gate.held[hold.topic] = Holder(hold.holder.name, session.space.hold(hold.id))
+        running = _Running(self, session, hold)
         try:
-            await running.publish(robot.deadline(robot.settings.publish_wait))
+            await running.publish(session.deadline(session.settings.publish_wait))
             gate.require_open()
             if self._closed is not None:
                 raise Problem(503, f"No hold can begin: {self._closed}.")
@@ -139,7 +137,7 @@ class Holds:
                 del gate.held[hold.topic]
             raise
         finally:
-            robot.written(Kind.TOPIC, hold.topic)
+            session.announce_write(Kind.TOPIC, hold.topic)
         self._running[hold.id] = running
         running.begin()
         self.revise(hold)
@@ -180,7 +178,7 @@ class Holds:
 
     def end_refused(self) -> None:
         """End the holds whose start would be refused in the graph as it is now: another node publishes there."""
-        graph, permitted = self._robot.graph, self._robot.settings.allow_publish
+        graph, permitted = self._session.graph, self._session.settings.allow_publish
         for hold in self.all():
             topic = graph.topics.get(hold.topic)
             why = None if topic is None else refusal(topic, graph, permitted, needs_subscriber=False)
@@ -200,11 +198,11 @@ class Holds:
     def ended(self, hold: Hold, why: str) -> None:
         """A hold has published its last: forget it, but why."""
         self._running.pop(hold.id, None)
-        self._robot.gate.held.pop(hold.topic, None)
+        self._session.gate.held.pop(hold.topic, None)
         self._ended[hold.id] = why
         while len(self._ended) > _REMEMBERED:
             self._ended.popitem(last=False)
-        self._robot.written(Kind.TOPIC, hold.topic)
+        self._session.announce_write(Kind.TOPIC, hold.topic)
         self.revise(hold)
 
     def revise(self, hold: Hold) -> None:
@@ -225,10 +223,10 @@ def new(
 class _Running:
     """A hold that is carried out: one timer, at most one publish under way."""
 
-    def __init__(self, holds: Holds, robot: Robot, hold: Hold) -> None:
+    def __init__(self, holds: Holds, session: Session, hold: Hold) -> None:
         self.hold = hold
         self._holds = holds
-        self._robot = robot
+        self._session = session
         self._loop = asyncio.get_running_loop()
         self._schedule = Schedule(1 / hold.rate, self._loop.time(), math.inf)
         self._timer: asyncio.TimerHandle | None = None
@@ -238,9 +236,9 @@ class _Running:
 
     async def publish(self, deadline: float) -> None:
         """Publish the message once. Raises what the gate and the adapter raise."""
-        hold, encoding = self.hold, self._robot.adapter.capabilities.encoding
+        hold, encoding = self.hold, self._session.adapter.capabilities.encoding
         data = hold.command.at(time.time_ns(), encoding)
-        await self._robot.gated.publish_held(hold.topic, hold.command.schema.ref, data, deadline=deadline)
+        await self._session.adapter.publish_held(hold.topic, hold.command.schema.ref, data, deadline=deadline)
 
     def begin(self) -> None:
         """Go on from the first publish, which is done."""
@@ -294,7 +292,7 @@ class _Running:
 
     async def _published(self) -> None:
         trouble: str | None = None
-        self._robot.limiter.count(self.hold.topic, self._loop.time())
+        self._session.limiter.count(self.hold.topic, self._loop.time())
         try:
             await self.publish(self._loop.time() + min(self._schedule.period, _LONGEST_PUBLISH))
         except (RosError, ValueError) as error:
@@ -326,13 +324,15 @@ class _Running:
         then, topic = self.hold.then, self.hold.topic
         if then is None:
             return
-        encoding = self._robot.adapter.capabilities.encoding
-        self._robot.limiter.count(topic, self._loop.time())  # it is published however often: what follows waits for it
+        encoding = self._session.adapter.capabilities.encoding
+        self._session.limiter.count(
+            topic, self._loop.time()
+        )  # it is published however often: what follows waits for it
         deadline = self._loop.time() + _LAST_SECONDS
         while True:
             try:
                 data = then.at(time.time_ns(), encoding)
-                await self._robot.gated.publish_at_last(topic, then.schema.ref, data, deadline=deadline)
+                await self._session.adapter.publish_at_last(topic, then.schema.ref, data, deadline=deadline)
                 return
             except (RosError, ValueError) as error:
                 if self._loop.time() + _AGAIN_SECONDS >= deadline:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from rosld.adapters.base import Published
 from rosld.adapters.model import Kind, TypeRef
 from rosld.server.http.problem import Problem
 from rosld.server.loop_time import loop_time
-
-if TYPE_CHECKING:
-    from rosld.server.robot import Robot
+from rosld.server.session import Session
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,24 +21,24 @@ class Publication:
     latch: bool = False
 
 
-async def publish(robot: Robot, publication: Publication) -> Published:
+async def publish(session: Session, publication: Publication) -> Published:
     """Publish, waiting a moment for somebody to listen. Raises a 429 Problem where the topic is published too often."""
     topic = publication.topic
-    require_rate(robot, topic)
-    deadline = robot.deadline(robot.settings.publish_wait)
+    require_rate(session, topic)
+    deadline = session.deadline(session.settings.publish_wait)
     try:
-        return await robot.adapter.publish(
+        return await session.adapter.publish(
             topic, publication.type, publication.data, latch=publication.latch, deadline=deadline
         )
     finally:
-        robot.written(Kind.TOPIC, topic)
+        session.announce_write(Kind.TOPIC, topic)
 
 
-def require_rate(robot: Robot, topic: str) -> None:
+def require_rate(session: Session, topic: str) -> None:
     """Count one publish. Raises a 429 Problem where the topic is published to too often."""
-    wait = robot.limiter.wait(topic, loop_time())
+    wait = session.limiter.wait(topic, loop_time())
     if wait > 0:
-        sentence = f"More than {robot.limiter.rate:g} messages a second on {topic} (--max-publish-rate)."
+        sentence = f"More than {session.limiter.rate:g} messages a second on {topic} (--max-publish-rate)."
         raise Problem(429, sentence, headers={"Retry-After": str(max(1, round(wait)))})
 
 

@@ -8,7 +8,6 @@ import time
 from collections.abc import Awaitable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING
 
 from rosld.adapters.model import Message, MessageSchema, RosError
 from rosld.ontology.lower import LoweringError, lowerer, parse_json
@@ -16,11 +15,10 @@ from rosld.server.access.agent import Agent
 from rosld.server.events.watches import Signal
 from rosld.server.gate import Standstill
 from rosld.server.goals import Goal
-from rosld.server.holds import Hold
+from rosld.server.holds import Hold, Holds
 from rosld.server.hypermedia.mapping import MappedStop
-
-if TYPE_CHECKING:
-    from rosld.server.robot import Robot
+from rosld.server.hypermedia.mappings import Mappings
+from rosld.server.session import Session
 
 _log = logging.getLogger("rosld")
 
@@ -47,8 +45,10 @@ class Step:
 class Stops:
     """Stops one robot. `steps` are those of the latest stop while it lasts, else what a stop would do."""
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+    def __init__(self, session: Session, holds: Holds, mappings: Mappings) -> None:
+        self._session = session
+        self._holds = holds
+        self._mappings = mappings
         self._steps: dict[str, Step] = {}
         self._running: set[asyncio.Task[None]] = set()
         self.revision = 0
@@ -57,12 +57,12 @@ class Stops:
     @property
     def standstill(self) -> Standstill | None:
         """Who stopped the robot, when and why; None while it is not stopped."""
-        return self._robot.gate.standstill
+        return self._session.gate.standstill
 
     @property
     def is_usable(self) -> bool:
         """Whether the robot can be stopped and released from here."""
-        return not self._robot.settings.read_only and self._robot.adapter.capabilities.writes
+        return not self._session.settings.read_only and self._session.adapter.capabilities.writes
 
     @property
     def is_running(self) -> bool:
@@ -82,50 +82,50 @@ class Stops:
         When this has run to its first await no write passes any more and every step has begun. Returns when all steps
         are done, at the latest after `call_deadline`.
         """
-        robot = self._robot
-        standstill = self.standstill or Standstill(by.name, time.time_ns(), reason, robot.space.stop)
-        robot.gate.shut(standstill)
-        deadline = robot.deadline(robot.settings.call_deadline)
-        space = robot.space
+        session = self._session
+        standstill = self.standstill or Standstill(by.name, time.time_ns(), reason, session.space.stop)
+        session.gate.shut(standstill)
+        deadline = session.deadline(session.settings.call_deadline)
+        space = session.space
         for each, iri in self._mapped():
             self._begin(_words(each), self._carried_out(each, deadline), *self._touched(each, iri))
-        for hold, ended in robot.holds.end_all(standstill.words):
+        for hold, ended in self._holds.end_all(standstill.words):
             self._begin(_end_of(hold), ended, space.hold(hold.id), space.topic(hold.topic))
         for goal in self._goals():
-            canceled = robot.goals.cancel(goal, deadline=deadline)
+            canceled = session.goals.cancel(goal, deadline=deadline)
             words = f"cancel the goal {goal.id} of {goal.action}"
             self._begin(words, canceled, space.goal(goal.id), space.action(goal.action))
         _log.warning("%s.", standstill.words.rstrip("."))
         self._revise()
-        robot.changes.give()
-        while self._running and robot.deadline(0) < deadline:
-            await asyncio.wait(self._running, timeout=deadline - robot.deadline(0))
+        session.changes.give()
+        while self._running and session.deadline(0) < deadline:
+            await asyncio.wait(self._running, timeout=deadline - session.deadline(0))
 
     def lift(self, by: Agent) -> None:
         """Let writes pass again; nothing happens where the robot is not stopped."""
         if self.standstill is None:
             return
-        self._robot.gate.lift()
+        self._session.gate.lift()
         self._steps.clear()
         _log.warning("The stop was lifted by %s.", by.name)
         self._revise()
-        self._robot.changes.give()
+        self._session.changes.give()
 
     def _mapped(self) -> Iterator[tuple[MappedStop, str]]:
         """The steps that mappings ask for, each with the IRI of the complex resource that does."""
-        for resource in self._robot.mappings.arrangement.resources.values():
+        for resource in self._mappings.arrangement.resources.values():
             yield from ((each, resource.iri) for each in resource.stops)
 
     def _touched(self, mapped: MappedStop, iri: str) -> tuple[str, ...]:
         """The URLs of what a step of a mapping is about: what it calls or publishes on, and the mapping."""
-        space = self._robot.space
+        space = self._session.space
         if mapped.service is not None:
             return space.service(mapped.service), iri
         assert mapped.topic is not None
         return space.topic(mapped.topic), iri
 
     def _goals(self) -> list[Goal]:
-        return [goal for goal in self._robot.goals.all() if goal.own and goal.is_cancelable]
+        return [goal for goal in self._session.goals.all() if goal.own and goal.is_cancelable]
 
     def _begin(self, does: str, work: Awaitable[None], *touches: str) -> None:
         self._steps[does] = Step(does, touches, Fate.RUNNING)
@@ -153,28 +153,28 @@ class Stops:
 
     async def _carried_out(self, mapped: MappedStop, deadline: float) -> None:
         """Call or publish what a mapping names, past the gate."""
-        robot, encoding = self._robot, self._robot.adapter.capabilities.encoding
+        session, encoding = self._session, self._session.adapter.capabilities.encoding
         if mapped.service is not None:
-            service = robot.graph.services.get(mapped.service)
+            service = session.graph.services.get(mapped.service)
             if service is None or service.type is None:
                 raise ValueError(f"there is no service {mapped.service} that can be called")
-            called = await robot.schemas.service(service.type)
+            called = await session.schemas.service(service.type)
             request = called.request.codec.encode(self._message(called.request, mapped), encoding)
-            answer = await robot.gated.call_at_last(mapped.service, called.ref, request, deadline=deadline)
+            answer = await session.adapter.call_at_last(mapped.service, called.ref, request, deadline=deadline)
             response = called.response.codec.decode(answer, encoding)
             if getattr(response, "success", True) is False:
                 raise ValueError(str(getattr(response, "message", "") or "it answered that it did not succeed"))
             return
         assert mapped.topic is not None
-        topic = robot.graph.topics.get(mapped.topic)
+        topic = session.graph.topics.get(mapped.topic)
         if topic is None or topic.type is None:
             raise ValueError(f"there is no topic {mapped.topic} that can be published to")
-        schema = await robot.schemas.message(topic.type)
+        schema = await session.schemas.message(topic.type)
         data = schema.codec.encode(self._message(schema, mapped), encoding)
-        await robot.gated.publish_at_last(mapped.topic, schema.ref, data, deadline=deadline)
+        await session.adapter.publish_at_last(mapped.topic, schema.ref, data, deadline=deadline)
 
     def _message(self, schema: MessageSchema, mapped: MappedStop) -> Message:
-        return lowerer(schema, self._robot.lifting).from_json(parse_json(mapped.content.encode()), defaults=True)
+        return lowerer(schema, self._session.lifting).from_json(parse_json(mapped.content.encode()), defaults=True)
 
     def _revise(self) -> None:
         self.revision += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -13,11 +14,18 @@ from rosld.server.hypermedia.mapping import Arrangement, ComplexResource, Condit
 
 
 class Mappings:
-    """The documents in force. Every change is whole or none, and what was handed out before it never changes."""
+    """The documents in force. Every change is whole or none, and what was handed out before it never changes.
 
-    def __init__(self) -> None:
+    `given` are those to begin with. Who changes what is kept of them takes their `turn`.
+    """
+
+    def __init__(self, given: Iterable[MappingDocument] = ()) -> None:
         self._documents: Mapping[str, MappingDocument] = MappingProxyType({})
         self._arrangement = Arrangement()
+        self.given = tuple(given)
+        self.turn = asyncio.Lock()
+        for document in self.given:
+            self.replace(document)
 
     @property
     def documents(self) -> Mapping[str, MappingDocument]:

@@ -11,7 +11,6 @@ import contextlib
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import ActionSchema, Descriptor, Graph, Kind, Operation, Ref, RosError, Schema, TypeRef
@@ -24,6 +23,8 @@ from rosld.server.hypermedia.conditions import Verdicts, url_of
 from rosld.server.hypermedia.conventions import CONVENTIONS, Conventions, catalogue, needed_types
 from rosld.server.hypermedia.layout import ActionPlan, ComplexPlan, Layout, MemberPlan, PropertyPlan
 from rosld.server.hypermedia.mapping import Arrangement, Condition
+from rosld.server.hypermedia.mappings import Mappings
+from rosld.server.hypermedia.readings import Readings
 from rosld.server.hypermedia.shape import as_declared, field_shape, value_shape
 from rosld.server.hypermedia.value import Reading
 from rosld.server.hypermedia.views import (
@@ -36,12 +37,11 @@ from rosld.server.hypermedia.views import (
     PropertyView,
 )
 from rosld.server.hypermedia.writing import writer_of
+from rosld.server.ldp.state import State, States
+from rosld.server.session import Session
+from rosld.server.settings import Settings
+from rosld.shapes.limits import Limits
 from rosld.shapes.value import NO_MEASURE
-
-if TYPE_CHECKING:
-    from rosld.server.ldp.state import State
-    from rosld.server.robot import Robot
-    from rosld.server.settings import Settings
 
 _LEAST_SECONDS = 0.1
 """How often a getter is asked at most for somebody who follows its value."""
@@ -62,9 +62,21 @@ class Sight:
 class Offers:
     """The resources of levels two and three of one robot."""
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
-        self.conventions = conventions_of(robot.settings)
+    def __init__(
+        self,
+        session: Session,
+        mappings: Mappings,
+        readings: Readings,
+        states: States,
+        limits: Callable[[], Limits],
+    ) -> None:
+        self._session = session
+        self._mappings = mappings
+        self._readings = readings
+        self._states = states
+        self._limits = limits
+        self.conventions = conventions_of(session.settings)
+        session.listen_to_writes(self._on_write)
         self._kept: tuple[Graph, int, Arrangement, Layout] | None = None
         self._making: asyncio.Lock = asyncio.Lock()
         self._turns: dict[str, asyncio.Lock] = {}
@@ -74,10 +86,10 @@ class Offers:
 
     def at_hand(self) -> Layout | None:
         """The layout if it is of the graph, the types and the mappings of now: at once."""
-        kept, robot = self._kept, self._robot
-        if kept is None or kept[0] is not robot.graph or kept[2] is not robot.mappings.arrangement:
+        kept, session = self._kept, self._session
+        if kept is None or kept[0] is not session.graph or kept[2] is not self._mappings.arrangement:
             return None
-        return kept[3] if kept[1] == robot.schemas.count else None
+        return kept[3] if kept[1] == session.schemas.count else None
 
     @property
     def latest(self) -> Layout | None:
@@ -93,12 +105,12 @@ class Offers:
             return self.at_hand() or await self._made()
 
     async def _made(self) -> Layout:
-        robot = self._robot
-        graph, arrangement = robot.graph, robot.mappings.arrangement
+        session = self._session
+        graph, arrangement = session.graph, self._mappings.arrangement
         goals = {name: graph.actions[name].type for name in _mapped_actions(arrangement) if name in graph.actions}
         types = tuple(ref for ref in goals.values() if ref is not None)
         await self._learn((*needed_types(graph, self.conventions), *types))
-        known, count = self._kept, robot.schemas.count
+        known, count = self._kept, session.schemas.count
         if known is not None and known[0] is graph and known[1] == count:
             found = known[3].catalogue
         else:
@@ -114,7 +126,7 @@ class Offers:
         return layout
 
     async def _learn(self, refs: Iterable[TypeRef]) -> None:
-        schemas = self._robot.schemas
+        schemas = self._session.schemas
         unknown = [ref for ref in refs if self._schema_at_hand(ref) is None]
         if not unknown:
             return
@@ -129,7 +141,7 @@ class Offers:
 
     def _schema_at_hand(self, ref: TypeRef) -> Schema | None:
         """The schema of a type, if it was learnt before; by its name alone where no hash is known of it."""
-        schemas = self._robot.schemas
+        schemas = self._session.schemas
         return schemas.at_hand(ref) or (schemas.named(ref.name) if ref.hash is None else None)
 
     def _action_at_hand(self, ref: TypeRef | None) -> ActionSchema | None:
@@ -140,7 +152,7 @@ class Offers:
 
     def known(self, reads: Sequence[Property]) -> tuple[Reading, ...] | None:
         """The readings of these properties if all are still good: at once."""
-        known = self._robot.readings.known
+        known = self._readings.known
         found = []
         for one in reads:
             reading = known(one)
@@ -151,14 +163,14 @@ class Offers:
 
     async def look(self, reads: Sequence[Property], *, anew: bool = False) -> tuple[Reading, ...]:
         """The readings of these properties, read together under one deadline; `anew`: none from before this call."""
-        robot = self._robot
-        deadline = robot.deadline(robot.settings.read_deadline)
-        found = await robot.readings.read(reads, deadline=deadline, anew=anew)
+        session = self._session
+        deadline = session.deadline(session.settings.read_deadline)
+        found = await self._readings.read(reads, deadline=deadline, anew=anew)
         return tuple(found[one.name] for one in reads)
 
     async def state(self, url: str, layout: Layout, reads: Sequence[Property], make: Callable[[Sight], State]) -> State:
         """The state of the resource at `url` that follows from some properties: kept while their readings are good."""
-        states = self._robot.states
+        states = self._states
         readings = self.known(reads) or await self.look(reads)
         version = (layout, readings)
         found = states.known(url, version)
@@ -167,21 +179,21 @@ class Offers:
     def sight(self, layout: Layout, readings: Iterable[Reading]) -> Sight:
         """What follows from readings."""
         by_name = {reading.name: reading for reading in readings}
-        return Sight(by_name, Verdicts(layout, by_name, self._robot.space, self._robot.lifting))
+        return Sight(by_name, Verdicts(layout, by_name, self._session.space, self._session.lifting))
 
     def max_age(self, readings: Sequence[Reading]) -> int:
         """For how many seconds these readings may be shown by others: 0 where one can change at any moment."""
         if not readings or any(one.fresh_until is None for one in readings):
             return 0
-        return int(self._robot.settings.freshness)
+        return int(self._session.settings.freshness)
 
     async def watch(self, reads: Sequence[Property], wake: Callable[[], None]) -> Watch:
         """Call `wake` when one of these properties may have another value, or anything else has changed."""
-        robot, names = self._robot, {one.name for one in reads}
-        watches = [robot.changes.watch(wake), self._changes.watch(wake, lambda name: name in names)]
-        watches += [await robot.topics.watch(one.readers[0].name, wake) for one in reads if is_observable(one)]
+        session, names = self._session, {one.name for one in reads}
+        watches = [session.changes.watch(wake), self._changes.watch(wake, lambda name: name in names)]
+        watches += [await session.topics.watch(one.readers[0].name, wake) for one in reads if is_observable(one)]
         if not all(map(is_observable, reads)):
-            watches.append(every(max(_LEAST_SECONDS, robot.settings.freshness), wake))
+            watches.append(every(max(_LEAST_SECONDS, session.settings.freshness), wake))
         return together(*watches)
 
     # What is seen
@@ -190,7 +202,7 @@ class Offers:
         """A complex resource with all that it offers now. Raises a 404 Problem where it is not there."""
         verdicts = sight.verdicts
         self.require(plan.exists_when, verdicts, plan.path)
-        space = self._robot.space
+        space = self._session.space
         mapped = plan.mapped
         return ComplexView(
             url_of(plan.path, space),
@@ -218,7 +230,7 @@ class Offers:
     def property_view(self, plan: PropertyPlan, sight: Sight) -> PropertyView:
         """A property by itself. Raises a 404 Problem where it is not there."""
         self.require(plan.exists_when, sight.verdicts, plan.of.name)
-        own, space = plan.of, self._robot.space
+        own, space = plan.of, self._session.space
         affordance = self.member_affordance(plan.member, sight.verdicts.hold(plan.guards))
         reading = sight.readings[own.name]
         return PropertyView(
@@ -233,7 +245,7 @@ class Offers:
     def action_view(self, plan: ActionPlan, sight: Sight) -> ActionView:
         """An action by itself. Raises a 404 Problem where it is not on offer."""
         self.require((*plan.exists_when, *plan.conditions), sight.verdicts, plan.name)
-        space = self._robot.space
+        space = self._session.space
         invokes = space.action(plan.service) if plan.sends_goals else space.service(plan.service)
         return ActionView(self.action_affordance(plan), invokes, url_of(plan.home, space))
 
@@ -256,15 +268,15 @@ class Offers:
 
     def member_affordance(self, plan: MemberPlan, write: bool) -> PropertyAffordance:
         """A property as it can be used; `write`: its conditions hold. What has no URL of its own affords nothing."""
-        own, mapped, robot = plan.of, plan.mapped, self._robot
-        url = url_of(plan.at or own.name, robot.space)
+        own, mapped, session = plan.of, plan.mapped, self._session
+        url = url_of(plan.at or own.name, session.space)
         measure = mapped.measure if mapped else NO_MEASURE
-        shape = value_shape(own.kind, robot.limits, url, measure)
+        shape = value_shape(own.kind, self._limits(), url, measure)
         declared = self._declared(own)
         if declared is not None:
             shape = as_declared(shape, declared)
         if plan.field is not None:
-            shape = field_shape(shape, plan.field, robot.limits.bounds_of_resource(url), measure)
+            shape = field_shape(shape, plan.field, self._limits().bounds_of_resource(url), measure)
         return PropertyAffordance(
             plan.name,
             url,
@@ -279,13 +291,13 @@ class Offers:
     def _declared(self, own: Property) -> Descriptor | None:
         """What its node declares of the parameter that a property is written by before anything else."""
         first = own.writers[0] if own.writers else None
-        parameter = self._robot.graph.parameters.get(first.name) if isinstance(first, ParameterSource) else None
+        parameter = self._session.graph.parameters.get(first.name) if isinstance(first, ParameterSource) else None
         return None if parameter is None else parameter.descriptor
 
     def action_affordance(self, plan: ActionPlan) -> ActionAffordance:
         """An action as it can be used."""
         request = plan.request if self.is_callable(plan) else None
-        url = url_of(plan.name, self._robot.space)
+        url = url_of(plan.name, self._session.space)
         name = plan.name.rpartition("/")[2]
         return ActionAffordance(name, url, request, plan.relation, sends_goals=plan.sends_goals)
 
@@ -293,16 +305,16 @@ class Offers:
 
     def is_writable(self, own: Property) -> bool:
         """Whether ROS and the settings let a property be written now, whatever conditions say."""
-        return writer_of(self._robot, own) is not None
+        return writer_of(self._session, own) is not None
 
     def is_callable(self, plan: ActionPlan) -> bool:
         """Whether ROS and the settings let an action be invoked now, whatever conditions say."""
-        robot = self._robot
-        if plan.schema is None or robot.settings.read_only:
+        session = self._session
+        if plan.schema is None or session.settings.read_only:
             return False
         if plan.sends_goals:
-            return Operation.SEND_GOAL in robot.adapter.allows(Ref(Kind.ACTION, plan.service))
-        return Operation.CALL in robot.adapter.allows(Ref(Kind.SERVICE, plan.service))
+            return Operation.SEND_GOAL in session.adapter.allows(Ref(Kind.ACTION, plan.service))
+        return Operation.CALL in session.adapter.allows(Ref(Kind.SERVICE, plan.service))
 
     @asynccontextmanager
     async def turn(self, layout: Layout, *names: str, changed: Iterable[str] = ()) -> AsyncIterator[None]:
@@ -318,17 +330,17 @@ class Offers:
             return
         async with contextlib.AsyncExitStack() as held:
             try:
-                await asyncio.wait_for(_take(held, locks), self._robot.settings.call_deadline)
+                await asyncio.wait_for(_take(held, locks), self._session.settings.call_deadline)
             except (asyncio.TimeoutError, TimeoutError):
                 sentence = f"Another write to what belongs to {names[0]} is not finished yet; nothing was done."
                 raise Problem(503, sentence, headers={"Retry-After": "1"}) from None
             yield
 
-    def written(self, kind: Kind, name: str) -> None:
+    def _on_write(self, kind: Kind, name: str) -> None:
         """Something was written to a topic, service or parameter: values that may have changed are no longer fresh."""
         if self._kept is not None:
             affected = self._kept[3].affected(kind, name)
-            self._robot.readings.end(affected)
+            self._readings.end(affected)
             for each in affected:
                 self._changes.give(each)
 

@@ -41,7 +41,7 @@ from rosld.ontology.lower import lowerer
 from rosld.ontology.vocab import xsd
 from rosld.server.ldp.state import digest
 
-WHOLE = LiftSettings(inline_limit=1 << 62)
+WHOLE = LiftSettings().unelided
 """Settings under which nothing is elided."""
 
 _WORDS = frozenset({"message", "status_message"})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from pyoxigraph import Literal
 
@@ -48,10 +48,8 @@ from rosld.server.hypermedia.value import (
     scalar_field,
 )
 from rosld.server.publication import Publication, publish
+from rosld.server.session import Session
 from rosld.server.writable import kept, refusal
-
-if TYPE_CHECKING:
-    from rosld.server.robot import Robot
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,81 +77,81 @@ class Written(Enum):
 # Who writes
 
 
-def writer_of(robot: Robot, property: Property) -> Writer | None:
+def writer_of(session: Session, property: Property) -> Writer | None:
     """What writes the property now: the first of its writers that may; None where none may."""
-    return next((one for one in property.writers if _refusal(robot, one) is None), None)
+    return next((one for one in property.writers if _refusal(session, one) is None), None)
 
 
-def why_not(robot: Robot, property: Property) -> str:
+def why_not(session: Session, property: Property) -> str:
     """Why nothing writes the property now, in sentences."""
-    if robot.settings.read_only:
+    if session.settings.read_only:
         return "This server is read-only."
-    reasons = [reason for one in property.writers if (reason := _refusal(robot, one)) is not None]
+    reasons = [reason for one in property.writers if (reason := _refusal(session, one)) is not None]
     return " ".join(reasons) or f"{property.name} has no setter, no parameter and no topic that could be written."
 
 
-def _refusal(robot: Robot, writer: Writer) -> str | None:
+def _refusal(session: Session, writer: Writer) -> str | None:
     """Why a writer must not be used now, in a sentence; None where it may be."""
-    if robot.settings.read_only:
+    if session.settings.read_only:
         return "This server is read-only."
     match writer:
         case Setter():
-            return _setter_refusal(robot, writer.name)
+            return _setter_refusal(session, writer.name)
         case ParameterSource():
-            return _parameter_refusal(robot, writer.name)
+            return _parameter_refusal(session, writer.name)
         case TopicSource():
-            return _topic_refusal(robot, writer)
+            return _topic_refusal(session, writer)
 
 
-def _setter_refusal(robot: Robot, name: str) -> str | None:
-    if Operation.CALL in robot.adapter.allows(Ref(Kind.SERVICE, name)):
+def _setter_refusal(session: Session, name: str) -> str | None:
+    if Operation.CALL in session.adapter.allows(Ref(Kind.SERVICE, name)):
         return None
-    service = robot.graph.services.get(name)
+    service = session.graph.services.get(name)
     if service is None:
         return f"There is no service {name} any more."
     return f"The service {name} cannot be called" + (f": {service.uncallable}." if service.uncallable else ".")
 
 
-def _parameter_refusal(robot: Robot, name: str) -> str | None:
-    if name not in robot.graph.parameters:
+def _parameter_refusal(session: Session, name: str) -> str | None:
+    if name not in session.graph.parameters:
         return f"There is no parameter {name} any more."
-    if (words := kept(robot.graph, name)) is not None:
+    if (words := kept(session.graph, name)) is not None:
         return words
-    if Operation.SET_PARAMETER in robot.adapter.allows(Ref(Kind.PARAMETER, name)):
+    if Operation.SET_PARAMETER in session.adapter.allows(Ref(Kind.PARAMETER, name)):
         return None
-    return f"The parameter {name} of this {robot.adapter.capabilities.system} cannot be set."
+    return f"The parameter {name} of this {session.adapter.capabilities.system} cannot be set."
 
 
-def _topic_refusal(robot: Robot, writer: TopicSource) -> str | None:
-    topic = robot.graph.topics.get(writer.name)
+def _topic_refusal(session: Session, writer: TopicSource) -> str | None:
+    topic = session.graph.topics.get(writer.name)
     if topic is None:
         return f"There is no topic {writer.name} any more."
     if writer.schema is None:
         return f"The type of {writer.name} is not known."
-    if Operation.PUBLISH not in robot.adapter.allows(Ref(Kind.TOPIC, writer.name)):
-        return f"Nothing can be published on {writer.name} of a {robot.adapter.capabilities.system}."
-    return refusal(topic, robot.graph, robot.settings.allow_publish)
+    if Operation.PUBLISH not in session.adapter.allows(Ref(Kind.TOPIC, writer.name)):
+        return f"Nothing can be published on {writer.name} of a {session.adapter.capabilities.system}."
+    return refusal(topic, session.graph, session.settings.allow_publish)
 
 
 # The plan
 
 
-def plan_write(robot: Robot, property: Property, content: object) -> PlannedWrite:
+def plan_write(session: Session, property: Property, content: object) -> PlannedWrite:
     """How the property comes to be what `content` says (plain JSON, or a literal of RDF): nothing moves yet.
 
     Raises a 405 Problem where nothing writes it now, and LoweringError for what does not fit; the `path` of a violation
     is "" for a scalar.
     """
-    writer = writer_of(robot, property)
+    writer = writer_of(session, property)
     match writer:
         case Setter(schema=service):
-            return _planned(robot, property, writer, service.request, content)
+            return _planned(session, property, writer, service.request, content)
         case TopicSource(schema=schema) if schema is not None:
-            return _planned(robot, property, writer, schema, content)
+            return _planned(session, property, writer, schema, content)
         case ParameterSource():
             return PlannedWrite(property.name, writer, StoredValue(_parameter_value(property.kind, content)))
         case _:
-            raise Problem(405, why_not(robot, property))
+            raise Problem(405, why_not(session, property))
 
 
 def _parameter_value(kind: ValueKind, content: object) -> ParameterValue:
@@ -176,10 +174,12 @@ def _fitted(kind: Primitive, content: object) -> object:
         raise LoweringError(Violation("", misfit.words, shortened(misfit.value))) from misfit
 
 
-def _planned(robot: Robot, property: Property, writer: Writer, schema: MessageSchema, content: object) -> PlannedWrite:
-    message = lowered(schema, content, robot.lifting)
-    data = schema.codec.encode(message, robot.adapter.capabilities.encoding)
-    url = robot.space.service(writer.name) if isinstance(writer, Setter) else robot.space.topic(writer.name)
+def _planned(
+    session: Session, property: Property, writer: Writer, schema: MessageSchema, content: object
+) -> PlannedWrite:
+    message = lowered(schema, content, session.lifting)
+    data = schema.codec.encode(message, session.adapter.capabilities.encoding)
+    url = session.space.service(writer.name) if isinstance(writer, Setter) else session.space.topic(writer.name)
     return PlannedWrite(property.name, writer, MessageValue(schema, message, schema.type.fields, url), data)
 
 
@@ -211,39 +211,39 @@ def _from_literal(schema: MessageSchema, field: Field | None, content: Literal, 
 # Carrying it out
 
 
-async def carry_out(robot: Robot, planned: PlannedWrite) -> Written:
-    """Move the robot. Raises RosError as the adapter does, Refused where the setter answers that it will not."""
+async def carry_out(session: Session, planned: PlannedWrite) -> Written:
+    """Move the session. Raises RosError as the adapter does, Refused where the setter answers that it will not."""
     writer, value = planned.writer, planned.value
     match writer:
         case Setter():
-            await _call(robot, writer, planned.data)
+            await _call(session, writer, planned.data)
         case TopicSource():
             assert isinstance(value, MessageValue)
-            published = await publish(robot, Publication(writer.name, value.schema.ref, planned.data))
+            published = await publish(session, Publication(writer.name, value.schema.ref, planned.data))
             return Written.DONE if published.matched else Written.UNHEARD
         case ParameterSource():
             assert isinstance(value, StoredValue)
-            await _set(robot, writer.name, value.value)
+            await _set(session, writer.name, value.value)
     return Written.DONE
 
 
-async def _set(robot: Robot, name: str, value: ParameterValue) -> None:
-    deadline = robot.deadline(robot.settings.call_deadline)
+async def _set(session: Session, name: str, value: ParameterValue) -> None:
+    deadline = session.deadline(session.settings.call_deadline)
     try:
-        await robot.adapter.set_parameters({name: value}, deadline=deadline)
+        await session.adapter.set_parameters({name: value}, deadline=deadline)
     finally:
-        robot.written(Kind.PARAMETER, name)
+        session.announce_write(Kind.PARAMETER, name)
 
 
-async def _call(robot: Robot, setter: Setter, request: bytes) -> None:
-    deadline = robot.deadline(robot.settings.call_deadline)
+async def _call(session: Session, setter: Setter, request: bytes) -> None:
+    deadline = session.deadline(session.settings.call_deadline)
     response = setter.schema.response
     try:
-        answer = await robot.adapter.call(setter.name, setter.schema.ref, request, deadline=deadline)
+        answer = await session.adapter.call(setter.name, setter.schema.ref, request, deadline=deadline)
     finally:
-        robot.written(Kind.SERVICE, setter.name)
+        session.announce_write(Kind.SERVICE, setter.name)
     try:
-        message = response.codec.decode(answer, robot.adapter.capabilities.encoding)
+        message = response.codec.decode(answer, session.adapter.capabilities.encoding)
     except ValueError as error:
         raise Unreadable(f"the answer of {setter.name} cannot be read: {error}", sent=Sent.YES) from error
     words = declined(response, message)

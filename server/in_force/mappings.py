@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from pyoxigraph import RdfFormat, parse
 
@@ -38,16 +38,14 @@ def given_mappings(settings: Settings, adapter: Adapter, space: Space) -> Iterat
         yield load_mapping(path, space)
 
 
-async def keep_mappings(
-    mappings: Mappings, given: Sequence[MappingDocument], records: Records, settings: Settings, space: Space
-) -> None:
+async def keep_mappings(mappings: Mappings, records: Records, settings: Settings, space: Space) -> None:
     """Keep the mappings to begin with, and put those into force that were kept by an earlier run.
 
     What the robot comes with gives way to what clients made of it; what the settings name does not.
     """
     named = {space.url("mappings", (path.stem,)) for path in settings.mapping}
     begun = set()
-    for document in given:
+    for document in mappings.given:
         path = document.url[len(space.base) :]
         if records.was_there(path):
             mappings.remove(document.url)

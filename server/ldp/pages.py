@@ -32,14 +32,16 @@ from rosld.server.html import (
 from rosld.server.html.page import Tone
 from rosld.server.html.site import SECTIONS
 from rosld.server.http import negotiation
+from rosld.server.http.csrf import FormKey
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.large import LargeDocuments, shortened
 from rosld.server.ldp.state import State
+from rosld.server.session import Session
+from rosld.server.stops import Stops
 
 if TYPE_CHECKING:
     from rosld.server.ldp.resource import Resource
-    from rosld.server.robot import Robot
 
 _PROBLEM_OFFERS = ("application/problem+json", "application/json", "text/turtle", "application/ld+json", "text/html")
 _MOST_FIELDS = 10_000
@@ -52,14 +54,16 @@ class Pages:
 
     headers: Mapping[str, str] = {name.lower(): value for name, value in html.HEADERS.items()}
 
-    def __init__(self, robot: Robot, large: LargeDocuments) -> None:
-        self._robot = robot
+    def __init__(self, session: Session, stops: Stops, large: LargeDocuments) -> None:
+        self._session = session
+        self._stops = stops
+        self._keys = FormKey()
         self._large = large
 
     @property
     def space(self) -> Space:
         """The URLs of this server."""
-        return self._robot.space
+        return self._session.space
 
     @property
     def site(self) -> Site:
@@ -68,19 +72,19 @@ class Pages:
 
     def site_for(self, judge: Judge) -> Site:
         """The same, for one who may do this much."""
-        robot, standstill = self._robot, self._robot.stops.standstill
-        state = robot.graph.state
+        session, standstill = self._session, self._stops.standstill
+        state = session.graph.state
         stale = f"since {_moment(state.since_ns)}: {state.why}" if isinstance(state, Stale) else None
         return Site(
-            robot.space.base,
-            robot.name,
-            robot.adapter.capabilities.system,
+            session.space.base,
+            session.name,
+            session.adapter.capabilities.system,
             stale,
-            robot.settings.read_only,
-            (*SECTIONS, "bags") if robot.adapter.recordings else SECTIONS,
-            robot.space.types,
+            session.settings.read_only,
+            (*SECTIONS, "bags") if session.adapter.recordings else SECTIONS,
+            session.space.types,
             stop_token=self._stop_token(judge),
-            stopped="" if standstill is None or not judge.may_read(robot.space.stop) else standstill.words,
+            stopped="" if standstill is None or not judge.may_read(session.space.stop) else standstill.words,
             may=judge.may,
             may_below=lambda method, url: (place := judge.place(url)) is None or judge.may_below(method, place),
             veiled=not judge.whole,
@@ -88,14 +92,14 @@ class Pages:
 
     def _stop_token(self, judge: Judge) -> str:
         """The token of the form that stops the robot, empty where it is not for this reader to stop."""
-        robot = self._robot
-        usable = robot.stops.is_usable and judge.may("POST", robot.space.stop)
-        return robot.forms.token(_of_agent(robot.space.stop, judge)) if usable else ""
+        session = self._session
+        usable = self._stops.is_usable and judge.may("POST", session.space.stop)
+        return self._keys.token(_of_agent(session.space.stop, judge)) if usable else ""
 
     @property
     def edition(self) -> Hashable:
         """Changes whenever what every page says does: who keeps a page keeps it for one edition."""
-        return self._robot.stops.standstill
+        return self._stops.standstill
 
     async def page(
         self, resource: Resource, state: State, notices: Sequence[Notice] = (), judge: Judge = EVERYTHING
@@ -136,7 +140,7 @@ class Pages:
         """
         pairs = await self._pairs(exchange)
         token, method, typed = html.split_hidden(pairs)
-        self._robot.forms.require(token, _of_agent(resource.url, exchange.judge))
+        self._keys.require(token, _of_agent(resource.url, exchange.judge))
         forms = await resource.forms()
         form = next((form for form in forms if form.method == method and not form.action), None)
         if form is None:
@@ -181,7 +185,7 @@ class Pages:
 
         not told.
         """
-        space = self._robot.space
+        space = self._session.space
         try:
             path = urlsplit(exchange.header("referer") or "").path
         except ValueError:
@@ -197,7 +201,7 @@ class Pages:
 
     def _csrf(self, resource: Resource, judge: Judge) -> Csrf:
         """Tokens for the forms of its page, each for the URL it posts to and for who reads the page."""
-        return lambda action: self._robot.forms.token(_of_agent(action or resource.url, judge))
+        return lambda action: self._keys.token(_of_agent(action or resource.url, judge))
 
 
 def _of_agent(url: str, judge: Judge) -> str:

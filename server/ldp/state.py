@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -72,6 +72,35 @@ class State:
     def tag(self) -> str:
         """The state part of the ETag."""
         return self.token if self.token is not None else digest(serialize(self.document, Syntax.N_TRIPLES))
+
+
+@dataclass(slots=True)
+class States:
+    """States that are made once for each version of what they show; the oldest go first."""
+
+    most: int = 4096
+    _kept: dict[str, tuple[Hashable, State]] = field(default_factory=dict)
+
+    def known(self, url: str, version: Hashable) -> State | None:
+        """The state kept of a resource, if it is of this version."""
+        kept = self._kept.get(url)
+        return kept[1] if kept is not None and kept[0] == version else None
+
+    def keep(self, url: str, version: Hashable, state: State) -> State:
+        """Keep a state; returns it."""
+        self._kept.pop(url, None)
+        self._kept[url] = (version, state)
+        if len(self._kept) > self.most:
+            self._kept.pop(next(iter(self._kept)))
+        return state
+
+    def clear(self) -> None:
+        """Make all of them anew from now on."""
+        self._kept.clear()
+
+    def get(self, url: str, version: Hashable, make: Callable[[], State]) -> State:
+        """The state of a resource at this version: kept, or made now."""
+        return self.known(url, version) or self.keep(url, version, make())
 
 
 def require_memory(state: State) -> None:

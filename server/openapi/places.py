@@ -41,7 +41,8 @@ from rosld.server.resources.namespaces import listed, namespaces
 from rosld.server.resources.nodes import TRANSITION
 from rosld.server.resources.sparql import FORMATS as RESULT_FORMATS
 from rosld.server.resources.sparql import formats_of
-from rosld.server.robot import Robot, used_types
+from rosld.server.robot import Robot
+from rosld.server.session import used_types
 from rosld.server.sparql.protocol import DIRECT, UPDATE
 from rosld.server.sparql.results import GRAPHS, SOLUTIONS
 from rosld.server.sparql.stored import Type

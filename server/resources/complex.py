@@ -187,5 +187,5 @@ class ComplexResource(Resource):
         view = robot.offers.complex_view(plan, sight)
         if media_type == MERGE_PATCH:
             return changes_in_json(parse_json(data), plan, view)
-        before = complex_document(view, robot.space, robot.whole)
+        before = complex_document(view, robot.space, robot.lifting.unelided)
         return changes_in_graph(updated(data, before.all_triples(), self.url, by_value=True), plan, view, robot)

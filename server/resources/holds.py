@@ -197,7 +197,7 @@ class HoldResource(Resource):
             return hold.command
         schema = hold.command.schema
         if exchange.media_type == MERGE_PATCH:
-            present = lifter(schema, self.robot.whole).json(hold.command.message, self.url)
+            present = lifter(schema, self.robot.lifting.unelided).json(hold.command.message, self.url)
             patched = merge_patch(parse_json(present), parse_json(data))
             message = lowerer(schema, self.robot.lifting).from_json(patched)
         else:

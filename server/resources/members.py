@@ -276,8 +276,8 @@ class MemberResource(Resource):
             why = view.reading.failure or "it has no value yet"
             raise Problem(409, f"{self.name} cannot be patched: {why}; PUT a whole value.")
         if exchange.media_type == MERGE_PATCH:
-            return merge_patch(parse_json(property_json(view, self.robot.whole)), parse_json(data))
-        before = property_document(view, self.robot.space, self.robot.whole)
+            return merge_patch(parse_json(property_json(view, self.robot.lifting.unelided)), parse_json(data))
+        before = property_document(view, self.robot.space, self.robot.lifting.unelided)
         return self._stated(plan, updated(data, before.all_triples(), self.url, by_value=True))
 
     async def post(self, exchange: Exchange) -> Answer:

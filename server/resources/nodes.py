@@ -116,7 +116,7 @@ class NodeResource(Resource):
             raise self._refusal(error) from error
         finally:
             if lifecycle is not None:
-                robot.written(Kind.SERVICE, lifecycle.service)
+                robot.announce_write(Kind.SERVICE, lifecycle.service)
         return Response(status_code=204)
 
     async def _require(self, transition: Transition, service: str) -> None:

@@ -169,7 +169,7 @@ class _Parameters(Resource):
     def _written(self, changed: Iterable[str]) -> None:
         for name in changed:
             for each in (name, *_below(name, self.robot)):
-                self.robot.written(Kind.PARAMETER, each)
+                self.robot.announce_write(Kind.PARAMETER, each)
 
     def _require_open(self, name: str, value: ParameterValue) -> None:
         """Raise a 409 Problem where a tree holds, or would hold, a name that is written under /resources/ only."""

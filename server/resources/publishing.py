@@ -10,7 +10,7 @@ from starlette.responses import Response
 
 from rosld.adapters.model import Kind, Message, MessageSchema, Topic, TypeRef, UnknownType
 from rosld.ontology.body import RdfBody, body_of, parse_body
-from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.lift import lifter
 from rosld.ontology.lower import find_message, lowerer, parse_json
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
@@ -22,8 +22,6 @@ from rosld.server.publication import Publication, publish, unheard
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.messages import decode
 from rosld.server.robot import Robot
-
-_WHOLE = 1 << 62
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +96,7 @@ class Publishing:
         base = await decode(self.robot, view.newest)
         if base.schema is None or base.message is None:
             raise Problem(409, f"The latest message of {self.name} cannot be read: {base.reason}.")
-        whole = lifter(base.schema, LiftSettings(self.robot.lifting.types, _WHOLE))
+        whole = lifter(base.schema, self.robot.lifting.unelided)
         if exchange.media_type == MERGE_PATCH:
             patched = merge_patch(parse_json(whole.json(base.message, self.url)), parse_json(data))
             message = lowerer(base.schema, self.robot.lifting).from_json(patched)

@@ -27,7 +27,8 @@ from rosld.server.resources.kept.bodies import require_small
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.room import kept_room
 from rosld.server.resources.kept.showing import all_members
-from rosld.server.robot import Robot, Same, used_types
+from rosld.server.robot import Robot, Same
+from rosld.server.session import used_types
 from rosld.shapes.data import data_shape, query_shape
 from rosld.shapes.mapping import mapping_shape
 from rosld.shapes.message import shape_document

@@ -53,7 +53,7 @@ class MappingJudge:
 
     @property
     def turn(self) -> asyncio.Lock:
-        return self._robot.mapping_turn
+        return self._robot.mappings.turn
 
     async def judged(self, write: Write) -> Callable[[], None]:
         robot, url = self._robot, self._robot.space.base + write.path

@@ -81,7 +81,7 @@ class Flight:
         self.adapter = Aircraft(AdapterOptions())
         self.robot = Robot(self.adapter, Settings(**settings))
         self.written: list[tuple[Kind, str]] = []
-        self.robot.written = lambda kind, name: self.written.append((kind, name))  # type: ignore[method-assign]
+        self.robot.listen_to_writes(lambda kind, name: self.written.append((kind, name)))
         self.catalogue: Catalogue = catalogue(self.adapter.graph, LIBRARY.find)
 
     def property(self, name: str) -> Property:
@@ -433,7 +433,7 @@ def test_what_becomes_of_a_setter_that_fails_is_told_as_it_is_and_freshness_ends
     async def main() -> None:
         own, fake = robot()
         written: list[tuple[Kind, str]] = []
-        own.written = lambda kind, name: written.append((kind, name))  # type: ignore[method-assign]
+        own.listen_to_writes(lambda kind, name: written.append((kind, name)))
         fake.answer = TimedOut("no answer", sent=Sent.MAYBE)
         with pytest.raises(TimedOut) as caught:
             await carry_out(own, plan_write(own, writable(), 1))

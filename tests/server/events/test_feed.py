@@ -86,7 +86,7 @@ def test_who_hangs_up_leaves_nothing_behind(opened: Any, reader: Any) -> None:
     async def main() -> None:
         async with opened() as app:
             before = asyncio.all_tasks()
-            feeds = app._verbs.feeds
+            feeds = app.feeds
             slow, stuck, waiting = (
                 reader(app, SPEED),
                 reader(app, DISPLAY),
@@ -201,7 +201,7 @@ def test_what_changes_unseen_is_not_read(opened: Any, reader: Any) -> None:
         async with opened() as app:
             slow = reader(app, f"{SPEED}?rate=1")
             await slow.until(lambda one: bool(one.events))
-            (followed,) = app._verbs.feeds._feeds.values()
+            (followed,) = app.feeds._feeds.values()
             read = followed._read
 
             async def counted() -> Any:

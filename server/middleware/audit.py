@@ -1,0 +1,45 @@
+"""The audit: every write leaves a receipt, also one that is refused, and its answer links it."""
+
+from __future__ import annotations
+
+from starlette.responses import Response
+
+from rosld.ontology.urls import Space
+from rosld.server.access import gate
+from rosld.server.access.agent import ANYBODY
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.middleware.handler import Handler
+from rosld.server.receipts.recorder import Recorder
+
+ABSENT = frozenset({404, 410})
+_REFUSED = frozenset({403, *ABSENT})
+
+
+class Audit:
+    """Notes writes when their answers are ready, before they are sent."""
+
+    def __init__(self, next: Handler, recorder: Recorder, space: Space) -> None:
+        self._next = next
+        self._recorder = recorder
+        self._space = space
+
+    async def __call__(self, exchange: Exchange) -> Response:
+        """Answer as the next handler does, with a link to the receipt of a write."""
+        scope = exchange.request.scope
+        response = await self._next(exchange)
+        if response.status_code in _REFUSED:
+            self._note_refusal(exchange, response.status_code)
+        if exchange.account.is_write:
+            response.raw_headers = [*response.raw_headers, self._recorder.note(exchange, scope, response)]
+        return response
+
+    def _note_refusal(self, exchange: Exchange, status: int) -> None:
+        """See to it that a write of a known agent leaves a receipt where it was refused for want of rights, or of
+
+        anything there; of nobody in particular, what is not there leaves none.
+        """
+        if exchange.agent == ANYBODY:
+            if status in ABSENT:
+                exchange.account.only_reads()
+        elif gate.is_write(exchange.method, gate.place_of(exchange.request.scope, self._space)):
+            exchange.account.begin()

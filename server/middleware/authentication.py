@@ -1,0 +1,63 @@
+"""Authentication and authorization: who asks, what the path alone forbids, and what an answer says of rights."""
+
+from __future__ import annotations
+
+from starlette.responses import Response
+
+from rosld.ontology.urls import Location, Space
+from rosld.server.access import gate
+from rosld.server.access.door import Door
+from rosld.server.access.judge import Judge
+from rosld.server.http import link
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.middleware.audit import ABSENT
+from rosld.server.middleware.handler import Handler
+
+_TELLING_NOTHING = frozenset({401, *ABSENT})
+"""Statuses of answers that say nothing of what may be done: it might tell whether anything is there."""
+
+
+class AccessHeaders:
+    """Says with every answer what its reader may do (WAC-Allow), and where rights are described (`rel="acl"`).
+
+    Until it is known who asks, it is nobody in particular.
+    """
+
+    def __init__(self, next: Handler, door: Door, space: Space) -> None:
+        self._next = next
+        self._door = door
+        self._space = space
+        self._acl = link.Link(f"{space.base}acl", "acl")
+
+    async def __call__(self, exchange: Exchange) -> Response:
+        """Answer as the next handler does, with the headers."""
+        exchange.visit = self._door.anybody
+        response = await self._next(exchange)
+        place = gate.place_of(exchange.request.scope, self._space)
+        judge, public = exchange.judge, self._door.anybody.judge
+        if response.status_code in _TELLING_NOTHING and not _may_know(judge, place, response.status_code):
+            place = None
+        response.raw_headers = gate.marked(response.raw_headers, judge, public, place, exchange.answering, self._acl)
+        return response
+
+
+class Authentication:
+    """Finds out who asks, and refuses what the path alone forbids (401, 403, 404)."""
+
+    def __init__(self, next: Handler, door: Door, space: Space) -> None:
+        self._next = next
+        self._door = door
+        self._space = space
+
+    async def __call__(self, exchange: Exchange) -> Response:
+        """Answer as the next handler does. Raises Problems."""
+        exchange.visit = await self._door.visit(exchange.header("authorization"))
+        if not exchange.judge.whole:
+            place = gate.place_of(exchange.request.scope, self._space)
+            gate.require_path(exchange.judge, exchange.method, place)
+        return await self._next(exchange)
+
+
+def _may_know(judge: Judge, place: Location | None, status: int) -> bool:
+    """Whether an agent may know that there is nothing at a place."""
+    return status in ABSENT and place is not None and judge.knows_any(place)

@@ -1,0 +1,78 @@
+"""Cross-origin resource sharing (the Fetch Standard): the hosts and origins that requests may name, and its headers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from starlette.responses import Response
+
+from rosld.server.http.origin import Site, check_host, check_origin, sharing
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.resource import Resource
+from rosld.server.ldp.verbs import options
+from rosld.server.middleware.handler import Handler, is_preflight
+
+
+class CrossOriginHeaders:
+    """Says with every answer which pages may read it, where any may or one asks."""
+
+    def __init__(self, next: Handler, site: Site) -> None:
+        self._next = next
+        self._site = site
+
+    async def __call__(self, exchange: Exchange) -> Response:
+        """Answer as the next handler does, with the headers."""
+        origin = exchange.header("origin")
+        response = await self._next(exchange)
+        if origin is not None or self._site.shared or self._site.anybody:
+            _share(response, sharing(self._site, exchange.method, origin))
+        return response
+
+
+class TrustedHosts:
+    """Refuses requests for another host (421), and writes of pages that nothing is shared with (403)."""
+
+    def __init__(self, next: Handler, site: Site) -> None:
+        self._next = next
+        self._site = site
+
+    async def __call__(self, exchange: Exchange) -> Response:
+        """Answer as the next handler does. Raises Problems."""
+        if exchange.header("host") not in self._site.hosts:  # several are joined, and then none of these
+            check_host(self._site, exchange.hosts)
+        check_origin(self._site, exchange.method, exchange.header("origin"), exchange.header("sec-fetch-site"))
+        return await self._next(exchange)
+
+
+class Preflight:
+    """Answers preflight requests, with the methods of the resource that `resolve` finds.
+
+    None: it is not known who asks, and nothing is told of the resource.
+    """
+
+    def __init__(self, next: Handler, site: Site, resolve: Callable[[Exchange], Resource | None]) -> None:
+        self._next = next
+        self._site = site
+        self._resolve = resolve
+
+    async def __call__(self, exchange: Exchange) -> Response:
+        """Answer a preflight request, and any other as the next handler does. Raises Problems as `resolve`."""
+        if not is_preflight(exchange):
+            return await self._next(exchange)
+        resource = self._resolve(exchange)
+        response = Response(status_code=204, headers={"vary": "Accept"} if resource is None else options(resource))
+        _share(response, sharing(self._site, "OPTIONS", exchange.header("origin"), preflight=True))
+        return response
+
+
+def _share(response: Response, headers: Mapping[str, str]) -> None:
+    """Add CORS headers to a response, joining Vary. The header list is copied: it may belong to a kept rendering."""
+    names = {name.encode("latin-1") for name in headers}
+    kept = [pair for pair in response.raw_headers if pair[0] not in names]
+    varied = [value.decode("latin-1") for name, value in response.raw_headers if name == b"vary"]
+    vary = dict.fromkeys(part.strip() for value in (*varied, headers.get("vary", "")) for part in value.split(","))
+    joined = {**headers, "vary": ", ".join(part for part in vary if part)} if "vary" in headers else headers
+    response.raw_headers = [
+        *kept,
+        *((name.encode("latin-1"), value.encode("latin-1")) for name, value in joined.items()),
+    ]

@@ -1,0 +1,77 @@
+"""Errors: what handlers raise, as answers."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from urllib.parse import quote
+
+from starlette.responses import Response
+
+from rosld.adapters.model import RosError
+from rosld.ontology.body import BodyError
+from rosld.ontology.lower import LoweringError
+from rosld.ontology.urls import Space
+from rosld.server.access import gate
+from rosld.server.clients import REFUSAL_SECONDS, TooMuch
+from rosld.server.errors import problem_of, problem_of_body, problem_of_shortage
+from rosld.server.http.problem import Problem
+from rosld.server.http.problem_details import render
+from rosld.server.http.tokens import without_tokens
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.pages import Pages
+from rosld.server.memory import is_shortage
+from rosld.server.middleware.handler import Handler
+from rosld.server.middleware.rate_limits import Admission
+from rosld.server.records.record import StorageError
+from rosld.server.sparql.protocol import UPDATE
+
+_log = logging.getLogger("rosld")
+
+
+class ErrorResponses:
+    """Answers what is raised with a page or problem details (RFC 9457) that say what the agent may know."""
+
+    def __init__(self, next: Handler, admission: Admission, pages: Pages, space: Space) -> None:
+        self._next = next
+        self._admission = admission
+        self._pages = pages
+        self._space = space
+
+    async def __call__(self, exchange: Exchange) -> Response:
+        """Answer as the next handler does, or tell what it raises."""
+        try:
+            return await self._next(exchange)
+        except Exception as raised:
+            error = self._admission.counted(exchange, raised)
+            if isinstance(error, TooMuch):
+                await asyncio.sleep(REFUSAL_SECONDS)
+            return self._failure(exchange, error)
+
+    def _failure(self, exchange: Exchange, error: Exception) -> Response:
+        """The response that tells of an error. What nobody foresaw is logged in full and told in one sentence."""
+        scope = exchange.request.scope
+        if isinstance(error, RosError):
+            error = problem_of(error)
+        elif isinstance(error, BodyError | LoweringError):
+            error = problem_of_body(error)
+        elif isinstance(error, StorageError):
+            error = Problem(507, str(error)) if error.full else Problem(503, str(error), headers={"Retry-After": "1"})
+        elif is_shortage(error):
+            _log.error("%s %s: %s", exchange.method, scope["path"], error or "no memory is left")
+            error = problem_of_shortage(error, is_write=self._would_write(exchange))
+        if not isinstance(error, Problem):
+            _log.exception("%s %s failed", exchange.method, scope["path"], exc_info=error)
+            error = Problem(500, "The server failed on this request; its log says more.")
+        error = gate.told(exchange.judge, error, gate.place_of(scope, self._space))
+        exchange.account.refused(error.detail)
+        path = quote(scope["raw_path"].lstrip(b"/"), safe="/%:@!$&'()*+,;=~")
+        url = without_tokens(self._space.base + path)
+        return self._pages.problem(exchange, error, url) or render(error, exchange.accept, url=url).response()
+
+    def _would_write(self, exchange: Exchange) -> bool:
+        """Whether a request is a write, as far as it was read: of a form for `/sparql`, only its content tells."""
+        if exchange.account.is_write or exchange.method in ("PUT", "PATCH"):
+            return True
+        is_write = gate.is_write(exchange.method, gate.place_of(exchange.request.scope, self._space))
+        return exchange.essence == UPDATE or is_write

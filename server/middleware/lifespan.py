@@ -1,0 +1,59 @@
+"""The lifespan of the application (ASGI): what runs beside its requests is started first, and ended in order."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from typing import TypeAlias
+
+from starlette.types import Receive, Scope, Send
+
+from rosld.server.robot import Robot
+from rosld.server.sparql.process.client import QueryProcess
+from rosld.server.watchdog import Watchdog
+
+Job: TypeAlias = Callable[[], Awaitable[None]]
+
+
+class Lifespan:
+    """Opens the robot after the query process, runs what goes on beside requests, and closes all of it.
+
+    `background` are what runs until the end, `closings` what is called when that has ended.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        process: QueryProcess,
+        watchdog: Watchdog,
+        background: Sequence[Job],
+        closings: Sequence[Job],
+    ) -> None:
+        self._robot = robot
+        self._process = process
+        self._watchdog = watchdog
+        self._background = background
+        self._closings = closings
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Start, and stop when told to. Raises what opening the robot raises."""
+        await receive()
+        await self._process.start()
+        try:
+            await self._robot.start()
+        except BaseException:
+            await self._process.close()
+            raise
+        self._watchdog.start()
+        background = [asyncio.ensure_future(run()) for run in self._background]
+        await send({"type": "lifespan.startup.complete"})
+        await receive()
+        self._watchdog.stop()
+        for each in background:
+            each.cancel()
+        await asyncio.wait(background)
+        for close in self._closings:
+            await close()
+        await self._process.close()
+        await self._robot.stop()
+        await send({"type": "lifespan.shutdown.complete"})

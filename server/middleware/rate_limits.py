@@ -1,0 +1,59 @@
+"""Rate limits: what one client may ask at a time. Stopping the robot is never too much."""
+
+from __future__ import annotations
+
+from starlette.responses import Response
+
+from rosld.server.access.agent import ANYBODY
+from rosld.server.clients import Clients, TooMuch
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.middleware.handler import Handler
+
+
+class Admission:
+    """Lets requests pass, each client's as many as it may have. `stop` is the path that stops the robot."""
+
+    def __init__(self, clients: Clients, stop: bytes) -> None:
+        self._clients = clients
+        self._stop = stop
+
+    def admit(self, exchange: Exchange) -> None:
+        """Count a request. Raises a 429 Problem for a client at its limit."""
+        scope = exchange.request.scope
+        if scope["raw_path"] != self._stop or exchange.method != "POST":
+            client = scope["client"]
+            exchange.client = self._clients.admit(exchange.agent, client[0] if client else None)
+
+    def is_urgent(self, method: bytes, path: bytes) -> bool:
+        """Whether a request is answered whatever limits there are: it stops the robot."""
+        return method == b"POST" and path == self._stop
+
+    def counted(self, exchange: Exchange, error: Exception) -> Exception:
+        """What became of a request: one that was refused before it was let pass counts like any other (429)."""
+        if exchange.client is None and not isinstance(error, TooMuch):
+            try:
+                self.admit(exchange)
+            except TooMuch as too_much:
+                return too_much
+        return error
+
+    def may_open(self, address: str | None) -> bool:
+        """Whether a client may open a WebSocket now; it counts as a request."""
+        try:
+            self._clients.leave(self._clients.admit(ANYBODY, address))
+        except TooMuch:
+            return False
+        return True
+
+
+class RateLimits:
+    """Refuses what is more than a client may ask (429)."""
+
+    def __init__(self, next: Handler, admission: Admission) -> None:
+        self._next = next
+        self._admission = admission
+
+    async def __call__(self, exchange: Exchange) -> Response:
+        """Answer as the next handler does. Raises a 429 Problem."""
+        self._admission.admit(exchange)
+        return await self._next(exchange)

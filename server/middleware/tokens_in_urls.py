@@ -1,0 +1,34 @@
+"""Tokens in URLs: refused, for URLs are logged, linked and remembered."""
+
+from __future__ import annotations
+
+from starlette.responses import Response
+
+from rosld.ontology.urls import Space
+from rosld.server.access import gate
+from rosld.server.http.problem import Problem
+from rosld.server.http.tokens import LENGTH, PREFIX, has_token
+from rosld.server.ldp.exchange import Exchange
+from rosld.server.middleware.handler import Handler
+
+_MARK = PREFIX.encode("ascii")
+
+
+class NoTokensInUrls:
+    """Refuses a URL that has a token of rosld in it (400). What has such a name already can be deleted."""
+
+    def __init__(self, next: Handler, space: Space) -> None:
+        self._next = next
+        self._space = space
+
+    async def __call__(self, exchange: Exchange) -> Response:
+        """Answer as the next handler does. Raises a 400 Problem."""
+        scope = exchange.request.scope
+        asked: bytes = scope["raw_path"] + b"?" + scope["query_string"]
+        may_have_one = len(asked) > LENGTH and (_MARK in asked or b"%" in asked)
+        if may_have_one and exchange.method != "DELETE" and has_token(asked.decode("latin-1")):
+            if gate.is_write(exchange.method, gate.place_of(scope, self._space)):
+                exchange.account.begin()
+            sentence = "The URL has a token in it: send it as 'Authorization: Bearer TOKEN', and have it replaced."
+            raise Problem(400, sentence)
+        return await self._next(exchange)

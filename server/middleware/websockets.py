@@ -1,0 +1,38 @@
+"""WebSockets: handshakes are checked as requests are, and lead to channels of notifications."""
+
+from __future__ import annotations
+
+import asyncio
+
+from starlette.types import Receive, Scope, Send
+
+from rosld.server.clients import REFUSAL_SECONDS
+from rosld.server.events import websocket
+from rosld.server.http.origin import Site
+from rosld.server.http.problem import Problem
+from rosld.server.middleware.rate_limits import Admission
+from rosld.server.resources.channels import Notifications
+
+
+class WebSockets:
+    """The ASGI application of WebSockets."""
+
+    def __init__(self, site: Site, admission: Admission, notifications: Notifications) -> None:
+        self._site = site
+        self._admission = admission
+        self._notifications = notifications
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a WebSocket, or refuse its handshake with a problem."""
+        client = scope["client"]
+        if not self._admission.may_open(client[0] if client else None):
+            await asyncio.sleep(REFUSAL_SECONDS)
+            await websocket.refuse(scope, send, Problem(429, "You open too many WebSockets a second: open fewer."))
+            return
+        try:
+            websocket.check_request(self._site, scope)
+            receiver = self._notifications.receiver(scope)
+        except Problem as problem:
+            await websocket.refuse(scope, send, problem)
+            return
+        await receiver(scope, receive, send)

@@ -15,7 +15,7 @@ from rosld.server.hypermedia.readings import Readings
 from rosld.server.in_force import limits, mappings, queries
 from rosld.server.in_force.limits import LimitsInForce, given_limits
 from rosld.server.in_force.mappings import given_mappings, keep_mappings
-from rosld.server.ldp.state import States
+from rosld.server.ldp.state import State
 from rosld.server.offload import Workers
 from rosld.server.receipts.journal import Journal
 from rosld.server.records import Changed
@@ -24,6 +24,7 @@ from rosld.server.session import Session
 from rosld.server.settings import Settings
 from rosld.server.sparql.syntax.lexer import Bounds
 from rosld.server.stops import Stops
+from rosld.server.version_cache import VersionCache
 from rosld.shapes.limits import Limits
 
 
@@ -33,7 +34,7 @@ class Robot(Session):
     def __init__(self, adapter: Adapter, settings: Settings) -> None:
         super().__init__(adapter, settings)
         self.boot = secrets.token_hex(4)
-        self.states = States()
+        self.states: VersionCache[State] = VersionCache()
         self.workers = Workers()
         self.limits_in_force = LimitsInForce(tuple(given_limits(settings, adapter, self.space)), self.space)
         self.records = open_records(settings.data, roots=(mappings.ROOM, queries.ROOM, limits.ROOM))
@@ -54,9 +55,9 @@ class Robot(Session):
             freshness=settings.freshness,
             patience=settings.call_deadline,
         )
-        self.offers = Offers(self, self.mappings, self.readings, self.states, lambda: self.limits)
+        self.offers: Offers[State] = Offers(self, self.mappings, self.readings, self.states, lambda: self.limits)
         self.holds = Holds(self)
-        self.stops = Stops(self, self.holds, self.mappings)
+        self.stops = Stops(self, self.holds, lambda: self.mappings.arrangement.stops())
 
     @property
     def revision(self) -> Hashable:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Awaitable, Iterator
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -16,8 +16,6 @@ from rosld.server.events.watches import Signal
 from rosld.server.gate import Standstill
 from rosld.server.goals import Goal
 from rosld.server.holds import Hold, Holds
-from rosld.server.hypermedia.mapping import MappedStop
-from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.session import Session
 
 _log = logging.getLogger("rosld")
@@ -42,13 +40,28 @@ class Step:
     words: str | None = None
 
 
-class Stops:
-    """Stops one robot. `steps` are those of the latest stop while it lasts, else what a stop would do."""
+@dataclass(frozen=True, slots=True)
+class MappedStop:
+    """What stops the robot: a `service` to call, or a `topic` to publish on, and the JSON of what it is told.
 
-    def __init__(self, session: Session, holds: Holds, mappings: Mappings) -> None:
+    What the JSON leaves out is ROS's default.
+    """
+
+    service: str | None = None
+    topic: str | None = None
+    content: str = "{}"
+
+
+class Stops:
+    """Stops one robot. `steps` are those of the latest stop while it lasts, else what a stop would do.
+
+    `mapped` tells the steps that mappings ask for, each with the IRI of the complex resource that does.
+    """
+
+    def __init__(self, session: Session, holds: Holds, mapped: Callable[[], Iterable[tuple[MappedStop, str]]]) -> None:
         self._session = session
         self._holds = holds
-        self._mappings = mappings
+        self._mapped = mapped
         self._steps: dict[str, Step] = {}
         self._running: set[asyncio.Task[None]] = set()
         self.revision = 0
@@ -110,11 +123,6 @@ class Stops:
         _log.warning("The stop was lifted by %s.", by.name)
         self._revise()
         self._session.changes.give()
-
-    def _mapped(self) -> Iterator[tuple[MappedStop, str]]:
-        """The steps that mappings ask for, each with the IRI of the complex resource that does."""
-        for resource in self._mappings.arrangement.resources.values():
-            yield from ((each, resource.iri) for each in resource.stops)
 
     def _touched(self, mapped: MappedStop, iri: str) -> tuple[str, ...]:
         """The URLs of what a step of a mapping is about: what it calls or publishes on, and the mapping."""

@@ -7,7 +7,9 @@ can guard a write in JSON.
 
 from __future__ import annotations
 
+import hashlib
 import re
+import secrets
 from dataclasses import dataclass
 from enum import Enum
 from typing import Literal, TypeAlias
@@ -21,6 +23,7 @@ _LIST = re.compile(rf'[ \t,]*(?:W/)?"{_OPAQUE}"[ \t]*(?:,[ \t]*(?:(?:W/)?"{_OPAQ
 _PART = re.compile(r"[0-9A-Za-z_+\-]+(?:\.[0-9A-Za-z_+\-]+)*")
 _VARIANT = re.compile(r"[0-9A-Za-z_+\-]+")
 _SAFE_METHODS = frozenset({"GET", "HEAD"})
+_SECRET = secrets.token_bytes(32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,3 +128,11 @@ def _any_tag(tags: Tags, current: ETag | None) -> bool:
     if current is None or isinstance(tags, str):
         return current is not None
     return any(f'"{tag.opaque}"' == str(current) for tag in tags)
+
+
+def digest(data: bytes) -> str:
+    """A short name for these bytes: another one for other bytes.
+
+    It tells nothing of them, not even to one who has all of them but a word to guess.
+    """
+    return hashlib.blake2b(data, digest_size=9, key=_SECRET).hexdigest()

@@ -31,8 +31,8 @@ from rosld.server.hypermedia.mapping import (
     MappedAction,
     MappedLink,
     MappedProperty,
-    MappedStop,
 )
+from rosld.server.stops import MappedStop
 from rosld.shapes.constraints import compiled
 from rosld.shapes.mapping import misfits
 from rosld.shapes.reading import ShapesGraph

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 from pyoxigraph import NamedNode
 
+from rosld.server.stops import MappedStop
 from rosld.shapes.constraints import NodeShape
 from rosld.shapes.value import NO_MEASURE, Measure
 
@@ -63,18 +64,6 @@ class MappedLink:
 
 
 @dataclass(frozen=True, slots=True)
-class MappedStop:
-    """What stops the robot: a `service` to call, or a `topic` to publish on, and the JSON of what it is told.
-
-    What the JSON leaves out is ROS's default.
-    """
-
-    service: str | None = None
-    topic: str | None = None
-    content: str = "{}"
-
-
-@dataclass(frozen=True, slots=True)
 class ComplexResource:
     """A complex resource as a mapping has it: what it lists is what there is at `path`."""
 
@@ -104,3 +93,8 @@ class Arrangement:
 
     revision: int = 0
     resources: Mapping[str, ComplexResource] = field(default_factory=dict)
+
+    def stops(self) -> Iterator[tuple[MappedStop, str]]:
+        """The steps that stop the robot, each with the IRI of the complex resource that asks for it."""
+        for resource in self.resources.values():
+            yield from ((each, resource.iri) for each in resource.stops)

@@ -11,6 +11,7 @@ import contextlib
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import ActionSchema, Descriptor, Graph, Kind, Operation, Ref, RosError, Schema, TypeRef
@@ -37,11 +38,13 @@ from rosld.server.hypermedia.views import (
     PropertyView,
 )
 from rosld.server.hypermedia.writing import writer_of
-from rosld.server.ldp.state import State, States
 from rosld.server.session import Session
 from rosld.server.settings import Settings
+from rosld.server.version_cache import VersionCache
 from rosld.shapes.limits import Limits
 from rosld.shapes.value import NO_MEASURE
+
+T = TypeVar("T")
 
 _LEAST_SECONDS = 0.1
 """How often a getter is asked at most for somebody who follows its value."""
@@ -59,7 +62,7 @@ class Sight:
     verdicts: Verdicts
 
 
-class Offers:
+class Offers(Generic[T]):
     """The resources of levels two and three of one robot."""
 
     def __init__(
@@ -67,7 +70,7 @@ class Offers:
         session: Session,
         mappings: Mappings,
         readings: Readings,
-        states: States,
+        states: VersionCache[T],
         limits: Callable[[], Limits],
     ) -> None:
         self._session = session
@@ -168,7 +171,7 @@ class Offers:
         found = await self._readings.read(reads, deadline=deadline, anew=anew)
         return tuple(found[one.name] for one in reads)
 
-    async def state(self, url: str, layout: Layout, reads: Sequence[Property], make: Callable[[Sight], State]) -> State:
+    async def state(self, url: str, layout: Layout, reads: Sequence[Property], make: Callable[[Sight], T]) -> T:
         """The state of the resource at `url` that follows from some properties: kept while their readings are good."""
         states = self._states
         readings = self.known(reads) or await self.look(reads)

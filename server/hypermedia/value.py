@@ -39,7 +39,7 @@ from rosld.ontology.literals import (
 )
 from rosld.ontology.lower import lowerer
 from rosld.ontology.vocab import xsd
-from rosld.server.ldp.state import digest
+from rosld.server.http.conditional import digest
 
 WHOLE = LiftSettings().unelided
 """Settings under which nothing is elided."""

@@ -15,20 +15,14 @@ from rosld.ontology.vocab import ldp, rdf
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.records import NO_MEMBER, Membership, Model
+from rosld.server.records.models import MODEL_TYPES
 
 _RDF = frozenset(syntax.media_type for syntax in Syntax)
-_PLAIN = (ldp.Resource, ldp.RDFSource)
-_TYPES: Mapping[Model, tuple[NamedNode, ...]] = {
-    Model.RDF_SOURCE: _PLAIN,
-    Model.NON_RDF_SOURCE: (ldp.Resource, ldp.NonRDFSource),
-    Model.BASIC_CONTAINER: (*_PLAIN, ldp.Container, ldp.BasicContainer),
-    Model.DIRECT_CONTAINER: (*_PLAIN, ldp.Container, ldp.DirectContainer),
-    Model.INDIRECT_CONTAINER: (*_PLAIN, ldp.Container, ldp.IndirectContainer),
-}
 _LINKS: Mapping[Model, tuple[Link, ...]] = {
-    model: tuple(Link(kind.value, "type") for kind in kinds if kind != ldp.Container) for model, kinds in _TYPES.items()
+    model: tuple(Link(kind.value, "type") for kind in kinds if kind != ldp.Container)
+    for model, kinds in MODEL_TYPES.items()
 }
-_KNOWN = frozenset(kind.value.removeprefix(ldp.iri) for kinds in _TYPES.values() for kind in kinds)
+_KNOWN = frozenset(kind.value.removeprefix(ldp.iri) for kinds in MODEL_TYPES.values() for kind in kinds)
 _SERVERS_OWN = frozenset({ldp.contains, rdf.type})
 """Properties that the server itself says: no membership is written with them."""
 
@@ -75,11 +69,6 @@ def model_links(model: Model) -> tuple[Link, ...]:
     is none of the types that 5.2.1.4 lists: it is said in the RDF only.
     """
     return _LINKS[model]
-
-
-def rdf_types(model: Model) -> tuple[NamedNode, ...]:
-    """The classes that a resource of this model is said to be of in its RDF (LDP 4.3.1.2, 5.2.1.2)."""
-    return _TYPES[model]
 
 
 def _asked(links: Sequence[Link], url: str) -> frozenset[str]:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
-import secrets
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
+from rosld.server.http.conditional import digest
 from rosld.server.memory import MEMORY, PER_CHARACTER
 
 if TYPE_CHECKING:
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
 
 LARGE = 256 * 1024
 """Bytes of N-Triples from which a document is large: some 2,500 triples, which take 10 ms to be rendered."""
-_SECRET = secrets.token_bytes(32)
 
 
 class Rendering(NamedTuple):
@@ -74,44 +72,7 @@ class State:
         return self.token if self.token is not None else digest(serialize(self.document, Syntax.N_TRIPLES))
 
 
-@dataclass(slots=True)
-class States:
-    """States that are made once for each version of what they show; the oldest go first."""
-
-    most: int = 4096
-    _kept: dict[str, tuple[Hashable, State]] = field(default_factory=dict)
-
-    def known(self, url: str, version: Hashable) -> State | None:
-        """The state kept of a resource, if it is of this version."""
-        kept = self._kept.get(url)
-        return kept[1] if kept is not None and kept[0] == version else None
-
-    def keep(self, url: str, version: Hashable, state: State) -> State:
-        """Keep a state; returns it."""
-        self._kept.pop(url, None)
-        self._kept[url] = (version, state)
-        if len(self._kept) > self.most:
-            self._kept.pop(next(iter(self._kept)))
-        return state
-
-    def clear(self) -> None:
-        """Make all of them anew from now on."""
-        self._kept.clear()
-
-    def get(self, url: str, version: Hashable, make: Callable[[], State]) -> State:
-        """The state of a resource at this version: kept, or made now."""
-        return self.known(url, version) or self.keep(url, version, make())
-
-
 def require_memory(state: State) -> None:
     """Raise NotEnoughMemory where there is none to work on what a state says."""
     if state.weight:
         MEMORY.require(state.weight * PER_CHARACTER, f"a document of {state.weight} bytes of N-Triples")
-
-
-def digest(data: bytes) -> str:
-    """A short name for these bytes: another one for other bytes.
-
-    It tells nothing of them, not even to one who has all of them but a word to guess.
-    """
-    return hashlib.blake2b(data, digest_size=9, key=_SECRET).hexdigest()

@@ -23,29 +23,21 @@ from rosld.server.events.feed import Feeds
 from rosld.server.events.stream import HEADERS, EventStream, Telling
 from rosld.server.events.waiting import changed_since
 from rosld.server.http import link, negotiation
-from rosld.server.http.conditional import ETag, guard
+from rosld.server.http.conditional import ETag, digest, guard
 from rosld.server.http.problem import Problem
 from rosld.server.http.text import FORM
 from rosld.server.ldp.alone import Alone
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.files import file_stream
+from rosld.server.ldp.formats import FORMATS, HTML, OFFERS, VARIANTS
 from rosld.server.ldp.large import LargeDocuments
 from rosld.server.ldp.pages import FormRefused, Pages
 from rosld.server.ldp.prepared import Prepared
-from rosld.server.ldp.resource import JSON, LDP, RDF_BODIES, Answer, Created, Resource, Shown, allow
+from rosld.server.ldp.resource import JSON, LDP, Answer, Created, Resource, Shown, allow
 from rosld.server.ldp.standing import ACCEPT_FIELDS, rendered, standing_headers
-from rosld.server.ldp.state import Rendering, State, digest
+from rosld.server.ldp.state import Rendering, State
 from rosld.server.records import StorageError
 
-HTML = "text/html"
-VARIANTS: Mapping[str, str] = {syntax.media_type: syntax.extension for syntax in Syntax} | {JSON: "json", HTML: "html"}
-FORMATS: Mapping[str, str] = {extension: media_type for media_type, extension in VARIANTS.items()} | {
-    "turtle": Syntax.TURTLE.media_type,
-    "rdfxml": Syntax.RDF_XML.media_type,
-}
-"""What `?format=` may ask for."""
-OFFERS = (*RDF_BODIES, JSON, HTML)
-"""What every resource can be read as, the default first. `application/json` is JSON-LD where there is no ROS value."""
 _JSON_IS_JSONLD = {JSON: Syntax.JSON_LD.media_type}
 
 

@@ -8,8 +8,8 @@ from http import HTTPStatus
 from rosld.adapters.model import Sent
 from rosld.server.events.asked import DEFAULT_RATE, EVENT_STREAM, LEAST_RATE, MOST_RATE, MOST_TIMEOUT
 from rosld.server.hypermedia.schema import Json
+from rosld.server.ldp.formats import HTML, OFFERS
 from rosld.server.ldp.resource import RDF_BODIES
-from rosld.server.ldp.verbs import HTML, OFFERS
 from rosld.server.openapi.json_schema import ANYTHING, JSON_LD, TEXT, Schema
 
 PROBLEM = "application/problem+json"

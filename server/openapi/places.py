@@ -30,8 +30,8 @@ from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.layout import ActionPlan, Layout
 from rosld.server.hypermedia.schema import DataSchema, Json, message_schema, value_schema
 from rosld.server.hypermedia.thing import MEDIA_TYPE as THING
+from rosld.server.ldp.formats import FORMATS, HTML, OFFERS
 from rosld.server.ldp.resource import MERGE_PATCH, RDF_BODIES, READ, SPARQL_UPDATE, Resource
-from rosld.server.ldp.verbs import FORMATS, HTML, OFFERS
 from rosld.server.openapi import json_schema
 from rosld.server.openapi.components import reference
 from rosld.server.openapi.json_schema import ANYTHING, OBJECT, TEXT, or_null

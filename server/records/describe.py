@@ -12,7 +12,7 @@ from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 from rosld.ontology.document import Document
 from rosld.ontology.triples import Statement, about, each, integer, moment, text
 from rosld.ontology.vocab import dcterms, ldp, rdf, ros
-from rosld.server.ldp.interaction import rdf_types
+from rosld.server.records.models import rdf_types
 from rosld.server.records.packing import beginning, unpack
 from rosld.server.records.record import Model, Record
 

@@ -14,9 +14,11 @@ from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.server.events import asked
 from rosld.server.html import Listing, Step
+from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.formats import OFFERS
 from rosld.server.ldp.paging import (
     Page,
     Place,
@@ -28,8 +30,7 @@ from rosld.server.ldp.paging import (
     send_to_first,
 )
 from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
-from rosld.server.ldp.state import State, digest
-from rosld.server.ldp.verbs import OFFERS
+from rosld.server.ldp.state import State
 from rosld.server.receipts.graphs import TITLE
 from rosld.server.receipts.journal import Entry, Forgotten
 from rosld.server.robot import Robot

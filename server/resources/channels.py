@@ -35,11 +35,12 @@ from rosld.server.events.subscriptions import JSON_LD, MEDIA_TYPES, MOST_BYTES, 
 from rosld.server.events.websocket import Receiver
 from rosld.server.http import negotiation
 from rosld.server.http.body import read_body
-from rosld.server.http.conditional import ETag
+from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.link import Link
 from rosld.server.http.origin import Site, normal_authority
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.formats import OFFERS
 from rosld.server.ldp.prepared import Prepared, held
 from rosld.server.ldp.resource import (
     BASIC_CONTAINER,
@@ -53,8 +54,7 @@ from rosld.server.ldp.resource import (
     moved,
 )
 from rosld.server.ldp.standing import standing_headers
-from rosld.server.ldp.state import State, digest
-from rosld.server.ldp.verbs import OFFERS
+from rosld.server.ldp.state import State
 from rosld.server.robot import Robot
 
 WEBSOCKET, STREAMING_HTTP = CHANNEL_TYPES

@@ -7,12 +7,11 @@ from collections.abc import Callable
 from starlette.responses import Response
 
 from rosld.server import html
-from rosld.server.http.conditional import ETag, guard
+from rosld.server.http.conditional import ETag, digest, guard
 from rosld.server.http.link import Link
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import LDP, RESOURCE, Resource
 from rosld.server.ldp.standing import standing_headers
-from rosld.server.ldp.state import digest
 from rosld.server.robot import Robot
 
 _DAY = 86400

@@ -15,12 +15,13 @@ from rosld.ontology.namespaces import Kept, Members, members_of
 from rosld.ontology.urls import Space, decode_segment, encode_segment
 from rosld.server.html import Listing, Step
 from rosld.server.html.page import Cell
+from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.paging import Page, Place, page_among, page_query, read_named_place, send_to_first
 from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
-from rosld.server.ldp.state import State, digest
+from rosld.server.ldp.state import State
 from rosld.server.robot import Robot
 
 Namespaces = Mapping[tuple[str, ...], Members]

@@ -14,14 +14,13 @@ from rosld.server.access import gate
 from rosld.server.access.door import OPEN
 from rosld.server.access.judge import Judge
 from rosld.server.http import negotiation
-from rosld.server.http.conditional import ETag
+from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.prepared import held
 from rosld.server.ldp.resource import LDP, RESOURCE, Resource
 from rosld.server.ldp.standing import standing_headers
-from rosld.server.ldp.state import digest
 from rosld.server.openapi.description import description
 from rosld.server.openapi.json_schema import Schema
 from rosld.server.openapi.place import Place

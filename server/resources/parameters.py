@@ -36,10 +36,12 @@ from rosld.server.events.watches import every, together
 from rosld.server.html import DeleteForm, Form, Listing, ParameterForm, Step, ValueForm
 from rosld.server.html.view import visible
 from rosld.server.http import negotiation
+from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
 from rosld.server.http.tokens import without_tokens
 from rosld.server.ldp.exchange import Exchange
+from rosld.server.ldp.formats import OFFERS
 from rosld.server.ldp.paging import MOST, Page, Place, page_among, page_query, read_named_place, send_to_first
 from rosld.server.ldp.patch import merge_patch, updated
 from rosld.server.ldp.plan import Move, Plan
@@ -57,9 +59,8 @@ from rosld.server.ldp.resource import (
     Resource,
     moved,
 )
-from rosld.server.ldp.state import State, digest
+from rosld.server.ldp.state import State
 from rosld.server.ldp.veiling import veiled_state
-from rosld.server.ldp.verbs import OFFERS
 from rosld.server.resources.limits import require_parameter
 from rosld.server.resources.namespaces import (
     HIDDEN,

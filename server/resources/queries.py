@@ -24,7 +24,7 @@ from rosld.server.html import Listing, Notice, QueryPage, QueryParameter, Result
 from rosld.server.html.page import Tone
 from rosld.server.http import negotiation
 from rosld.server.http.body import declared_length
-from rosld.server.http.conditional import ETag, guard
+from rosld.server.http.conditional import ETag, digest, guard
 from rosld.server.http.problem import Problem
 from rosld.server.in_force.queries import ROOM, query_triples
 from rosld.server.ldp.exchange import Exchange
@@ -32,7 +32,7 @@ from rosld.server.ldp.pages import Pages
 from rosld.server.ldp.prepared import Prepared
 from rosld.server.ldp.resource import Resource
 from rosld.server.ldp.standing import standing_headers
-from rosld.server.ldp.state import State, digest
+from rosld.server.ldp.state import State
 from rosld.server.records import Put, Record
 from rosld.server.records.describe import record_document
 from rosld.server.resources.kept.bodies import require_small

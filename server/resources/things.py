@@ -10,7 +10,7 @@ from starlette.responses import Response
 from rosld.server.access.door import OPEN
 from rosld.server.access.judge import EVERYTHING, Judge
 from rosld.server.http import negotiation
-from rosld.server.http.conditional import ETag
+from rosld.server.http.conditional import ETag, digest
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.layout import ComplexPlan, Layout
 from rosld.server.hypermedia.thing import MEDIA_TYPE, ThingLink, thing_description
@@ -19,7 +19,6 @@ from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.prepared import held
 from rosld.server.ldp.resource import RDF_BODIES, RESOURCE, Resource
-from rosld.server.ldp.state import digest
 from rosld.server.robot import Robot
 
 FORMAT = "td"

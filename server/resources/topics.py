@@ -18,12 +18,12 @@ from rosld.ontology.lower import parse_json
 from rosld.server.events.watches import together
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.html.inputs import Json
-from rosld.server.http.conditional import require_if_match
+from rosld.server.http.conditional import digest, require_if_match
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.plan import Move, Plan
 from rosld.server.ldp.resource import JSON, MERGE_PATCH, RDF_BODIES, READ, SPARQL_UPDATE, Answer, Resource
-from rosld.server.ldp.state import State, digest
+from rosld.server.ldp.state import State
 from rosld.server.live.view import View
 from rosld.server.publication import publish
 from rosld.server.resources.holds import hold_topic

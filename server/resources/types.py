@@ -16,11 +16,12 @@ from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import dcterms, rdf
+from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.in_force import limits
 from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
-from rosld.server.ldp.state import State, digest
+from rosld.server.ldp.state import State
 from rosld.server.records import Put, Record
 from rosld.server.records.describe import record_document
 from rosld.server.resources.kept.bodies import require_small

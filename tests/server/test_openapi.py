@@ -13,8 +13,8 @@ from openapi_spec_validator import OpenAPIV31SpecValidator
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
 from rosld.server.app import create_app
+from rosld.server.ldp.formats import OFFERS
 from rosld.server.ldp.resource import READ
-from rosld.server.ldp.verbs import OFFERS
 from rosld.server.openapi import json_schema
 from rosld.server.openapi.description import description
 from rosld.server.openapi.place import Place

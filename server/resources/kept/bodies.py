@@ -18,10 +18,10 @@ from rosld.server.ldp.files import exact_media_type
 from rosld.server.ldp.interaction import (
     membership_triples,
     model_asked,
-    rdf_types,
 )
 from rosld.server.records import Blob, Model, Record
 from rosld.server.records.describe import written
+from rosld.server.records.models import rdf_types
 from rosld.server.resources.kept.showing import all_members, stand_ins
 from rosld.server.resources.kept.stated import (
     CONTAINED,

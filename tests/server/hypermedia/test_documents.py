@@ -29,7 +29,8 @@ from rosld.server.hypermedia.documents import (
     mapping_of,
     read_mapping,
 )
-from rosld.server.hypermedia.mapping import ComplexResource, MappedProperty, MappedStop
+from rosld.server.hypermedia.mapping import ComplexResource, MappedProperty
+from rosld.server.stops import MappedStop
 from rosld.shapes.value import Measure
 
 SPACE = Space("http://127.0.0.1:8080/")

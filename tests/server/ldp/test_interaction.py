@@ -16,9 +16,9 @@ from rosld.server.ldp.interaction import (
     membership_triples,
     model_asked,
     model_links,
-    rdf_types,
 )
 from rosld.server.records import NO_MEMBER, Membership, Model
+from rosld.server.records.models import rdf_types
 
 ROOT = "http://host/data/"
 LEAF, BOX = f"{ROOT}leaf", f"{ROOT}box/"

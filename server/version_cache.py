@@ -1,0 +1,39 @@
+"""A cache with a version per entry: what was made for another version is not found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+@dataclass(slots=True)
+class VersionCache(Generic[T]):
+    """Values by URL, each of one version of what it was made of; the oldest go first."""
+
+    most: int = 4096
+    _entries: dict[str, tuple[Hashable, T]] = field(default_factory=dict)
+
+    def known(self, url: str, version: Hashable) -> T | None:
+        """Return what is kept for a URL, if it is of this version."""
+        entry = self._entries.get(url)
+        return entry[1] if entry is not None and entry[0] == version else None
+
+    def keep(self, url: str, version: Hashable, value: T) -> T:
+        """Keep a value; returns it."""
+        self._entries.pop(url, None)
+        self._entries[url] = (version, value)
+        if len(self._entries) > self.most:
+            self._entries.pop(next(iter(self._entries)))
+        return value
+
+    def clear(self) -> None:
+        """Have all of them made anew from now on."""
+        self._entries.clear()
+
+    def get(self, url: str, version: Hashable, make: Callable[[], T]) -> T:
+        """Return the value for a URL at this version: kept, or made now."""
+        found = self.known(url, version)
+        return found if found is not None else self.keep(url, version, make())

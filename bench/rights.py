@@ -11,16 +11,16 @@ import time
 from collections.abc import Callable
 
 from rosld.ontology.urls import Space
-from rosld.server.access.agent import Agent
-from rosld.server.access.globs import Glob
-from rosld.server.access.judge import Judge
-from rosld.server.access.rules import Mode, Policy, Rule
+from rosld.server.auth.agent import Agent
+from rosld.server.auth.globs import Glob
+from rosld.server.auth.permissions import Judge
+from rosld.server.auth.rules import Mode, Policy, Rule
+from rosld.server.dataset import MemoryStore
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import Answer, Query
 from rosld.server.sparql.restricted import RestrictedDatasets
-from rosld.server.store import MemoryStore
 
 SPACE = Space("http://robot.example/")
 QUERY = "SELECT ?o {{ <{subject}> <http://example.org/p3> ?o }}"

@@ -1,6 +1,6 @@
 """`python -m rosld` is `rosld`."""
 
-from rosld.server.cli import main
+from rosld.server.cli.main import main
 
 if __name__ == "__main__":
     main(prog_name="rosld")

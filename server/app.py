@@ -9,20 +9,14 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rosld.adapters.base import Adapter
-from rosld.server.access.door import Door
-from rosld.server.clients import Allowance, Clients
-from rosld.server.dataset import ELSEWHERE, Dataset
+from rosld.server.auth.authenticator import Door
+from rosld.server.auth.rate_limit import Allowance, Clients
 from rosld.server.events.channels import Channels
 from rosld.server.events.feed import Feeds
 from rosld.server.html import prepare_pages
 from rosld.server.http import link
 from rosld.server.http.origin import Site, site
 from rosld.server.hypermedia.mappings import relations
-from rosld.server.ldp.alone import Alone
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.large import LargeDocuments
-from rosld.server.ldp.pages import Pages
-from rosld.server.ldp.verbs import Verbs
 from rosld.server.middleware.audit import Audit
 from rosld.server.middleware.authentication import AccessHeaders, Authentication
 from rosld.server.middleware.cors import CrossOriginHeaders, Preflight, TrustedHosts
@@ -31,31 +25,37 @@ from rosld.server.middleware.errors import ErrorResponses
 from rosld.server.middleware.handler import Handler
 from rosld.server.middleware.lifespan import Job, Lifespan
 from rosld.server.middleware.rate_limits import Admission, RateLimits
+from rosld.server.middleware.recorder import Recorder
 from rosld.server.middleware.scheduling import Scheduling
 from rosld.server.middleware.tokens_in_urls import NoTokensInUrls
 from rosld.server.middleware.websockets import WebSockets
-from rosld.server.mirroring import mirror_of
-from rosld.server.receipts.graphs import ReceiptGraphs
-from rosld.server.receipts.recorder import Recorder
 from rosld.server.resources.acl import acl_room
 from rosld.server.resources.channels import Notifications, fixed, rooms
+from rosld.server.resources.context import Robot, Same
 from rosld.server.resources.kept.graphs import RecordGraphs
+from rosld.server.resources.live_graphs import ELSEWHERE, Dataset
 from rosld.server.resources.mirror import mirror_room
-from rosld.server.resources.router import ROOMS, Router
+from rosld.server.resources.mirroring import mirror_of
 from rosld.server.resources.status import status_room
 from rosld.server.resources.typed import types_at
 from rosld.server.resources.updating.service import Updates
-from rosld.server.robot import Robot, Same
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.keyed_lock import Alone
+from rosld.server.rest.large import LargeDocuments
+from rosld.server.rest.pages import Pages
+from rosld.server.routing.dispatcher import Verbs
+from rosld.server.routing.router import ROOMS, Router
+from rosld.server.runtime.watchdog import Watchdog
 from rosld.server.settings import Settings
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.endpoint import QueryService, QuerySettings, Unread
+from rosld.server.sparql.materializer import Synchroniser
 from rosld.server.sparql.mentions import Mentions, Noting
 from rosld.server.sparql.process.client import QueryProcess
+from rosld.server.sparql.receipt_graphs import ReceiptGraphs
 from rosld.server.sparql.restricted import RestrictedDatasets
-from rosld.server.sparql.sync import Synchroniser
 from rosld.server.sparql.syntax.lexer import Bounds, Reach
-from rosld.server.sparql.update.drawer import Drawer
-from rosld.server.watchdog import Watchdog
+from rosld.server.sparql.update.executor import Drawer
 
 
 def create_app(adapter: Adapter, settings: Settings) -> Application:

@@ -129,7 +129,55 @@ def test_the_directions_are_really_held() -> None:
     assert not permitted("rosld.adapters.model.graph", "rosld.adapters.base")
     assert not permitted("rosld.ontology.lift", "rosld.shapes")
     assert not permitted("rosld.ontology.lift", "rosld.adapters.base")
-    assert not permitted("rosld.server.http.link", "rosld.server.robot")
+    assert not permitted("rosld.server.http.link", "rosld.server.resources.context")
+
+
+LAYERS = [
+    "cli",
+    "app",
+    "serving",
+    "middleware",
+    "routing",
+    "openapi",
+    "resources",
+    "events",
+    "policies",
+    "ldp",
+    "sparql",
+    "rest",
+    "html",
+    "hypermedia",
+    "robot",
+    "dataset",
+    "receipts",
+    "storage",
+    "auth",
+    "runtime",
+    "settings",
+    "http",
+]
+"""The folders and files of `server/`, from the top: each imports only from those after it."""
+
+
+def layer_of(module: str) -> int:
+    return LAYERS.index(module.split(".")[2])
+
+
+def test_the_layers_of_the_server_import_downwards_only() -> None:
+    """Also under TYPE_CHECKING and within functions: so no two folders import each other."""
+    upwards = {
+        (module, name)
+        for module, path in modules().items()
+        if within(module, "rosld.server") and module != "rosld.server"
+        for name in imports(path)
+        if within(name, "rosld.server") and layer_of(name) < layer_of(module)
+    }
+    assert not upwards
+
+
+def test_every_part_of_the_server_is_in_a_folder() -> None:
+    assert {path.name for path in (ROOT / "server").glob("*.py")} == {"__init__.py", "app.py", "settings.py"}
+    assert {path.parent.name for path in (ROOT / "server").glob("*/__init__.py")} | {"app", "settings"} == set(LAYERS)
 
 
 def test_every_folder_with_an_init_is_packaged() -> None:

@@ -92,4 +92,4 @@ def test_what_is_imported_is_declared(folders: tuple[str, ...], extras: tuple[st
 
 
 def test_only_what_asks_for_openid_connect_needs_its_extra() -> None:
-    assert missing(PACKAGE, declared()) == {"jwt in server/access/oidc.py"}
+    assert missing(PACKAGE, declared()) == {"jwt in server/auth/oidc.py"}

@@ -71,7 +71,7 @@ def test_the_wheel_is_typed_and_licensed(wheel: Path) -> None:
 def test_what_the_wheel_holds_runs_and_finds_its_data(wheel: Path, tmp_path: Path) -> None:
     zipfile.ZipFile(wheel).extractall(tmp_path)
     code = (
-        "import importlib.resources as r, rosld, rosld.server.cli, rosld.adapters.registry; print(rosld.__file__);"
+        "import importlib.resources as r, rosld, rosld.server.cli.main, rosld.adapters.registry; print(rosld.__file__);"
         "assert r.files('rosld.ontology').joinpath('rosld.ttl').read_bytes()"
     )
     done = subprocess.run(

@@ -14,14 +14,14 @@ from pyoxigraph import NamedNode
 
 from rosld.ontology.notifications import Activity, Terms
 from rosld.ontology.vocab import ldp
-from rosld.server.access.door import OPEN, Visit
-from rosld.server.access.judge import Judge
+from rosld.server.auth.authenticator import OPEN, Visit
+from rosld.server.auth.permissions import Judge
 from rosld.server.events import asked
 from rosld.server.events.feed import Moment
 from rosld.server.events.subscriptions import Subscription
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.resource import Resource
-from rosld.server.ldp.state import State
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.state import State
 
 MOST_CHANNELS = 4000
 """Channels at a time. One more takes the place of the one that has been without a receiver longest."""

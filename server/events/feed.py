@@ -14,12 +14,12 @@ from starlette.types import Receive, Scope
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
-from rosld.server.clients import name_of
-from rosld.server.errors import problem_of
-from rosld.server.events.watches import Signal, every
+from rosld.server.auth.rate_limit import name_of
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.resource import Resource
-from rosld.server.ldp.state import State
+from rosld.server.rest.errors import problem_of
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.state import State
+from rosld.server.runtime.signals import Signal, every
 
 MOST_READERS = 2000
 """Streams and waiting requests at a time; one more is answered 503."""

@@ -17,8 +17,8 @@ from rosld.server.events.feed import RETRY_SECONDS, Feed, Feeds, Moment, Sleeper
 from rosld.server.events.pace import Pace
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
-from rosld.server.ldp.resource import Resource
-from rosld.server.ldp.state import State
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.state import State
 
 KEEP_ALIVE_SECONDS = 15.0
 GONE, PROBLEM = "gone", "problem"

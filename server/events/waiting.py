@@ -9,8 +9,8 @@ from starlette.requests import Request
 from rosld.server.events import asked
 from rosld.server.events.feed import Feed, Feeds, Sleeper
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.resource import Resource
-from rosld.server.ldp.state import State
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.state import State
 
 
 async def changed_since(

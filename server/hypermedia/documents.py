@@ -32,7 +32,7 @@ from rosld.server.hypermedia.mapping import (
     MappedLink,
     MappedProperty,
 )
-from rosld.server.stops import MappedStop
+from rosld.server.robot.stop import MappedStop
 from rosld.shapes.constraints import compiled
 from rosld.shapes.mapping import misfits
 from rosld.shapes.reading import ShapesGraph

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from pyoxigraph import NamedNode
 
-from rosld.server.stops import MappedStop
+from rosld.server.robot.stop import MappedStop
 from rosld.shapes.constraints import NodeShape
 from rosld.shapes.value import NO_MEASURE, Measure
 

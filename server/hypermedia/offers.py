@@ -17,7 +17,6 @@ from rosld.adapters.base import Watch
 from rosld.adapters.model import ActionSchema, Descriptor, Graph, Kind, Operation, Ref, RosError, Schema, TypeRef
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import in_words
-from rosld.server.events.watches import Signal, every, together
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, Reader, TopicSource, Writer
 from rosld.server.hypermedia.conditions import Verdicts, url_of
@@ -38,9 +37,10 @@ from rosld.server.hypermedia.views import (
     PropertyView,
 )
 from rosld.server.hypermedia.writing import writer_of
-from rosld.server.session import Session
+from rosld.server.robot.session import Session
+from rosld.server.runtime.signals import Signal, every, together
+from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
-from rosld.server.version_cache import VersionCache
 from rosld.shapes.limits import Limits
 from rosld.shapes.value import NO_MEASURE
 

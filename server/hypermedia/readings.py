@@ -18,9 +18,9 @@ from rosld.server.hypermedia.answers import Answers, Ask, Room
 from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource
 from rosld.server.hypermedia.sources import NOTHING, Found, Seen, Sources, decoded, late
 from rosld.server.hypermedia.value import Reading
-from rosld.server.live.schemas import Schemas
-from rosld.server.live.topics import LiveTopics
-from rosld.server.live.view import View
+from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.topic_view import View
+from rosld.server.robot.topics import LiveTopics
 
 _CALLS = 2
 """The most calls of one getter at a time: the second is for who needs an answer newer than the first's."""

@@ -6,7 +6,7 @@ from urllib.parse import urljoin
 
 import orjson
 
-from rosld.server.access.judge import Judge
+from rosld.server.auth.permissions import Judge
 
 _SECURITY: dict[str, dict[str, object]] = {
     "token_sc": {"scheme": "combo", "oneOf": ["bearer_sc", "basic_sc"]},

@@ -27,7 +27,6 @@ from rosld.ontology.lower import LoweringError, Violation, lowerer
 from rosld.ontology.lower_graph import term_leaf
 from rosld.ontology.parameters import lower_json, lower_term
 from rosld.ontology.violations import shortened
-from rosld.server.calls import Unreadable
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import (
     MessageKind,
@@ -47,9 +46,10 @@ from rosld.server.hypermedia.value import (
     part_of,
     scalar_field,
 )
-from rosld.server.publication import Publication, publish
-from rosld.server.session import Session
-from rosld.server.writable import kept, refusal
+from rosld.server.robot.calls import Unreadable
+from rosld.server.robot.publication import Publication, publish
+from rosld.server.robot.session import Session
+from rosld.server.robot.write_policy import kept, refusal
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,1 +1,1 @@
-"""Linked Data Platform: what a resource is to the web, and what the verbs do with one."""
+"""Patches of what clients keep (LDP 4.2.7): SPARQL Update, N3 Patch, JSON merge patch."""

@@ -7,11 +7,11 @@ from collections.abc import Iterable
 from pyoxigraph import NamedNode, Quad, Store, Triple
 
 from rosld.ontology.body import RdfBody, indexed
+from rosld.server.dataset.encoding import decode_triple, encode_triple
+from rosld.server.dataset.functions import FUNCTIONS
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.lexer import check_update_of_one_graph, tokens
 from rosld.server.sparql.update.reading import rewrite_update
-from rosld.server.store.encoding import decode_triple, encode_triple
-from rosld.server.store.functions import FUNCTIONS
 
 
 def merge_patch(target: object, patch: object) -> object:

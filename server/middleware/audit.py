@@ -5,11 +5,11 @@ from __future__ import annotations
 from starlette.responses import Response
 
 from rosld.ontology.urls import Space
-from rosld.server.access import gate
-from rosld.server.access.agent import ANYBODY
-from rosld.server.ldp.exchange import Exchange
+from rosld.server.auth import enforcement
+from rosld.server.auth.agent import ANYBODY
 from rosld.server.middleware.handler import Handler
-from rosld.server.receipts.recorder import Recorder
+from rosld.server.middleware.recorder import Recorder
+from rosld.server.rest.exchange import Exchange
 
 ABSENT = frozenset({404, 410})
 _REFUSED = frozenset({403, *ABSENT})
@@ -41,5 +41,5 @@ class Audit:
         if exchange.agent == ANYBODY:
             if status in ABSENT:
                 exchange.account.only_reads()
-        elif gate.is_write(exchange.method, gate.place_of(exchange.request.scope, self._space)):
+        elif enforcement.is_write(exchange.method, enforcement.place_of(exchange.request.scope, self._space)):
             exchange.account.begin()

@@ -5,13 +5,13 @@ from __future__ import annotations
 from starlette.responses import Response
 
 from rosld.ontology.urls import Location, Space
-from rosld.server.access import gate
-from rosld.server.access.door import Door
-from rosld.server.access.judge import Judge
+from rosld.server.auth import enforcement
+from rosld.server.auth.authenticator import Door
+from rosld.server.auth.permissions import Judge
 from rosld.server.http import link
-from rosld.server.ldp.exchange import Exchange
 from rosld.server.middleware.audit import ABSENT
 from rosld.server.middleware.handler import Handler
+from rosld.server.rest.exchange import Exchange
 
 _TELLING_NOTHING = frozenset({401, *ABSENT})
 """Statuses of answers that say nothing of what may be done: it might tell whether anything is there."""
@@ -33,11 +33,13 @@ class AccessHeaders:
         """Answer as the next handler does, with the headers."""
         exchange.visit = self._door.anybody
         response = await self._next(exchange)
-        place = gate.place_of(exchange.request.scope, self._space)
+        place = enforcement.place_of(exchange.request.scope, self._space)
         judge, public = exchange.judge, self._door.anybody.judge
         if response.status_code in _TELLING_NOTHING and not _may_know(judge, place, response.status_code):
             place = None
-        response.raw_headers = gate.marked(response.raw_headers, judge, public, place, exchange.answering, self._acl)
+        response.raw_headers = enforcement.marked(
+            response.raw_headers, judge, public, place, exchange.answering, self._acl
+        )
         return response
 
 
@@ -53,8 +55,8 @@ class Authentication:
         """Answer as the next handler does. Raises Problems."""
         exchange.visit = await self._door.visit(exchange.header("authorization"))
         if not exchange.judge.whole:
-            place = gate.place_of(exchange.request.scope, self._space)
-            gate.require_path(exchange.judge, exchange.method, place)
+            place = enforcement.place_of(exchange.request.scope, self._space)
+            enforcement.require_path(exchange.judge, exchange.method, place)
         return await self._next(exchange)
 
 

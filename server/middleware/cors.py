@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from starlette.responses import Response
 
 from rosld.server.http.origin import Site, check_host, check_origin, sharing
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import Resource
-from rosld.server.ldp.verbs import options
 from rosld.server.middleware.handler import Handler, is_preflight
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import Resource
+from rosld.server.routing.dispatcher import options
 
 
 class CrossOriginHeaders:

@@ -8,11 +8,11 @@ from starlette.responses import Response
 from starlette.types import Scope
 
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import Resource
-from rosld.server.ldp.verbs import Verbs
 from rosld.server.middleware.handler import Handler
 from rosld.server.middleware.rate_limits import Admission
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import Resource
+from rosld.server.routing.dispatcher import Verbs
 
 _OF_SERVER = {"allow": "DELETE, GET, HEAD, OPTIONS, PATCH, POST, PUT"}
 """The answer to `OPTIONS *`: methods that some resource here has (RFC 9110 9.3.7)."""

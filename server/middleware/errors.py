@@ -12,19 +12,19 @@ from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.urls import Space
-from rosld.server.access import gate
-from rosld.server.clients import REFUSAL_SECONDS, TooMuch
-from rosld.server.errors import problem_of, problem_of_body, problem_of_shortage
+from rosld.server.auth import enforcement
+from rosld.server.auth.rate_limit import REFUSAL_SECONDS, TooMuch
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.http.tokens import without_tokens
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.pages import Pages
-from rosld.server.memory import is_shortage
 from rosld.server.middleware.handler import Handler
 from rosld.server.middleware.rate_limits import Admission
-from rosld.server.records.record import StorageError
+from rosld.server.rest.errors import problem_of, problem_of_body, problem_of_shortage
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.pages import Pages
+from rosld.server.runtime.memory import is_shortage
 from rosld.server.sparql.protocol import UPDATE
+from rosld.server.storage.record import StorageError
 
 _log = logging.getLogger("rosld")
 
@@ -63,7 +63,7 @@ class ErrorResponses:
         if not isinstance(error, Problem):
             _log.exception("%s %s failed", exchange.method, scope["path"], exc_info=error)
             error = Problem(500, "The server failed on this request; its log says more.")
-        error = gate.told(exchange.judge, error, gate.place_of(scope, self._space))
+        error = enforcement.told(exchange.judge, error, enforcement.place_of(scope, self._space))
         exchange.account.refused(error.detail)
         path = quote(scope["raw_path"].lstrip(b"/"), safe="/%:@!$&'()*+,;=~")
         url = without_tokens(self._space.base + path)
@@ -73,5 +73,5 @@ class ErrorResponses:
         """Whether a request is a write, as far as it was read: of a form for `/sparql`, only its content tells."""
         if exchange.account.is_write or exchange.method in ("PUT", "PATCH"):
             return True
-        is_write = gate.is_write(exchange.method, gate.place_of(exchange.request.scope, self._space))
+        is_write = enforcement.is_write(exchange.method, enforcement.place_of(exchange.request.scope, self._space))
         return exchange.essence == UPDATE or is_write

@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 from starlette.responses import Response
 
-from rosld.server.ldp.exchange import Exchange
+from rosld.server.rest.exchange import Exchange
 
 Handler: TypeAlias = Callable[[Exchange], Awaitable[Response]]
 """Answers a request. What it raises is made an answer by `errors.py`.

@@ -8,9 +8,9 @@ from typing import TypeAlias
 
 from starlette.types import Receive, Scope, Send
 
-from rosld.server.robot import Robot
+from rosld.server.resources.context import Robot
+from rosld.server.runtime.watchdog import Watchdog
 from rosld.server.sparql.process.client import QueryProcess
-from rosld.server.watchdog import Watchdog
 
 Job: TypeAlias = Callable[[], Awaitable[None]]
 

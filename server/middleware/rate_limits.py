@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from starlette.responses import Response
 
-from rosld.server.access.agent import ANYBODY
-from rosld.server.clients import Clients, TooMuch
-from rosld.server.ldp.exchange import Exchange
+from rosld.server.auth.agent import ANYBODY
+from rosld.server.auth.rate_limit import Clients, TooMuch
 from rosld.server.middleware.handler import Handler
+from rosld.server.rest.exchange import Exchange
 
 
 class Admission:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from starlette.responses import Response
 
-from rosld.server.ldp.exchange import Exchange
 from rosld.server.middleware.handler import Handler
-from rosld.server.turns import Turns
+from rosld.server.rest.exchange import Exchange
+from rosld.server.runtime.scheduler import Turns
 
 
 class Scheduling:

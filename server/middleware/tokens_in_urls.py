@@ -5,11 +5,11 @@ from __future__ import annotations
 from starlette.responses import Response
 
 from rosld.ontology.urls import Space
-from rosld.server.access import gate
+from rosld.server.auth import enforcement
 from rosld.server.http.problem import Problem
 from rosld.server.http.tokens import LENGTH, PREFIX, has_token
-from rosld.server.ldp.exchange import Exchange
 from rosld.server.middleware.handler import Handler
+from rosld.server.rest.exchange import Exchange
 
 _MARK = PREFIX.encode("ascii")
 
@@ -27,7 +27,7 @@ class NoTokensInUrls:
         asked: bytes = scope["raw_path"] + b"?" + scope["query_string"]
         may_have_one = len(asked) > LENGTH and (_MARK in asked or b"%" in asked)
         if may_have_one and exchange.method != "DELETE" and has_token(asked.decode("latin-1")):
-            if gate.is_write(exchange.method, gate.place_of(scope, self._space)):
+            if enforcement.is_write(exchange.method, enforcement.place_of(scope, self._space)):
                 exchange.account.begin()
             sentence = "The URL has a token in it: send it as 'Authorization: Bearer TOKEN', and have it replaced."
             raise Problem(400, sentence)

@@ -6,7 +6,7 @@ import asyncio
 
 from starlette.types import Receive, Scope, Send
 
-from rosld.server.clients import REFUSAL_SECONDS
+from rosld.server.auth.rate_limit import REFUSAL_SECONDS
 from rosld.server.events import websocket
 from rosld.server.http.origin import Site
 from rosld.server.http.problem import Problem

@@ -8,9 +8,9 @@ from http import HTTPStatus
 from rosld.adapters.model import Sent
 from rosld.server.events.asked import DEFAULT_RATE, EVENT_STREAM, LEAST_RATE, MOST_RATE, MOST_TIMEOUT
 from rosld.server.hypermedia.schema import Json
-from rosld.server.ldp.formats import HTML, OFFERS
-from rosld.server.ldp.resource import RDF_BODIES
 from rosld.server.openapi.json_schema import ANYTHING, JSON_LD, TEXT, Schema
+from rosld.server.rest.formats import HTML, OFFERS
+from rosld.server.rest.resource import RDF_BODIES
 
 PROBLEM = "application/problem+json"
 _PROBLEM_SCHEMA: Schema = {

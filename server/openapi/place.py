@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from rosld.server.ldp.formats import OFFERS
 from rosld.server.openapi.json_schema import TEXT, Schema
+from rosld.server.rest.formats import OFFERS
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,10 +16,10 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from rosld.ontology.describe_activities import Receipt
-from rosld.server.events.watches import Signal
-from rosld.server.identifiers import new_identifier
-from rosld.server.receipts.asked import Asked, receipt_of
-from rosld.server.receipts.disk import Disk
+from rosld.server.receipts.entry import Asked, receipt_of
+from rosld.server.receipts.sqlite_log import Disk
+from rosld.server.runtime.identifiers import new_identifier
+from rosld.server.runtime.signals import Signal
 
 WRITE_SECONDS = 0.2
 """How long what was noted waits for more before it is written to the disk: what a process that is killed may lose."""

@@ -10,14 +10,14 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import about, boolean, each, text
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import acl, foaf, rdf, ros
-from rosld.server.access.agent import ANYBODY, Agent
-from rosld.server.access.door import Door
-from rosld.server.access.reading import MODES
-from rosld.server.access.rules import ACL, AUTHENTICATED, Policy, Rule
+from rosld.server.auth.agent import ANYBODY, Agent
+from rosld.server.auth.authenticator import Door
+from rosld.server.auth.config import MODES
+from rosld.server.auth.rules import ACL, AUTHENTICATED, Policy, Rule
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.resource import RDF_SOURCE, RESOURCE, Resource
-from rosld.server.ldp.state import State
-from rosld.server.robot import Robot
+from rosld.server.resources.context import Robot
+from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
+from rosld.server.rest.state import State
 
 _CLASSES = {ANYBODY.name: foaf.Agent, AUTHENTICATED: acl.AuthenticatedAgent}
 _MODES = {mode: term for term, mode in MODES.items()}

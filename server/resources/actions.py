@@ -27,27 +27,20 @@ from rosld.adapters.model import (
 from rosld.ontology.describe_actions import GoalView, action_document, goal_document
 from rosld.ontology.document import Document, Envelope
 from rosld.ontology.lift import lifter
-from rosld.server.calls import Gone, KeyReused
-from rosld.server.errors import problem_of
-from rosld.server.goals import Goal, Sending
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.http.link import uri
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import (
-    JSON,
-    RDF_BODIES,
-    READ,
-    Answer,
-    Created,
-    Resource,
-)
-from rosld.server.ldp.state import State
+from rosld.server.resources.context import Robot, Same
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
 from rosld.server.resources.requests import message_in
-from rosld.server.robot import Robot, Same
-from rosld.server.writable import closed
+from rosld.server.rest.errors import problem_of
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import JSON, RDF_BODIES, READ, Answer, Created, Resource
+from rosld.server.rest.state import State
+from rosld.server.robot.calls import Gone, KeyReused
+from rosld.server.robot.goals import Goal, Sending
+from rosld.server.robot.write_policy import closed
 
 _READ_ONLY = "This server is read-only."
 

@@ -17,9 +17,11 @@ from rosld.server.html import Listing, Step
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.formats import OFFERS
-from rosld.server.ldp.paging import (
+from rosld.server.receipts.journal import Entry, Forgotten
+from rosld.server.resources.context import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import OFFERS
+from rosld.server.rest.paging import (
     Page,
     Place,
     last_place,
@@ -29,11 +31,9 @@ from rosld.server.ldp.paging import (
     read_place,
     send_to_first,
 )
-from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
-from rosld.server.ldp.state import State
-from rosld.server.receipts.graphs import TITLE
-from rosld.server.receipts.journal import Entry, Forgotten
-from rosld.server.robot import Robot
+from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
+from rosld.server.rest.state import State
+from rosld.server.sparql.receipt_graphs import TITLE
 
 _NEWEST = 10**15
 """The keys of pages rise: that of a receipt is this minus its number, so that the newest is on the first page."""

@@ -16,11 +16,11 @@ from rosld.ontology.urls import Location
 from rosld.server.html import Step
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
-from rosld.server.ldp.state import State
+from rosld.server.resources.context import Robot
 from rosld.server.resources.messages import decode, field_response, lifted
-from rosld.server.robot import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
+from rosld.server.rest.state import State
 
 PAGE = 100
 """Messages on one page of `/bags/B/messages/`."""

@@ -14,7 +14,6 @@ from rosld.ontology.lower import parse_json
 from rosld.ontology.parameters import lower_term, parameter_json
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import rdf
-from rosld.server.errors import problem_of
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import Property
 from rosld.server.hypermedia.content import rdf_content
@@ -25,9 +24,10 @@ from rosld.server.hypermedia.value import WHOLE, MessageValue, Reading, literal,
 from rosld.server.hypermedia.views import ComplexView, Member
 from rosld.server.hypermedia.writing import PlannedWrite, Written, carry_out
 from rosld.server.ldp.patch import merge_patch
+from rosld.server.resources.context import Robot
 from rosld.server.resources.guarding import refuse
 from rosld.server.resources.writes import planned
-from rosld.server.robot import Robot
+from rosld.server.rest.errors import problem_of
 
 
 @dataclass(frozen=True, slots=True)

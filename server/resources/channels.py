@@ -25,9 +25,8 @@ from rosld.ontology.notifications import (
     with_context,
 )
 from rosld.ontology.urls import Location, locate
-from rosld.server.access import gate
-from rosld.server.access.judge import Judge
-from rosld.server.errors import problem_of
+from rosld.server.auth import enforcement
+from rosld.server.auth.permissions import Judge
 from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.feed import Feeds
 from rosld.server.events.source import Source, headers_of
@@ -39,10 +38,12 @@ from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.link import Link
 from rosld.server.http.origin import Site, normal_authority
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.formats import OFFERS
-from rosld.server.ldp.prepared import Prepared, held
-from rosld.server.ldp.resource import (
+from rosld.server.resources.context import Robot
+from rosld.server.rest.errors import problem_of
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import OFFERS
+from rosld.server.rest.prepared import Prepared, held
+from rosld.server.rest.resource import (
     BASIC_CONTAINER,
     JSON,
     RDF_SOURCE,
@@ -53,9 +54,8 @@ from rosld.server.ldp.resource import (
     Resource,
     moved,
 )
-from rosld.server.ldp.standing import standing_headers
-from rosld.server.ldp.state import State
-from rosld.server.robot import Robot
+from rosld.server.rest.resource_headers import standing_headers
+from rosld.server.rest.state import State
 
 WEBSOCKET, STREAMING_HTTP = CHANNEL_TYPES
 ROOM, SOURCE = "channels", "messages"
@@ -119,20 +119,20 @@ class Notifications:
         """The resource to tell of, and what it is like now. Raises a 422 Problem where nothing can be told of it."""
         scope = self._scope(url)
         exchange = Exchange(Request(scope), 0)
-        place = None if judge.whole else gate.place_of(scope, self.robot.space)
+        place = None if judge.whole else enforcement.place_of(scope, self.robot.space)
         try:
             if not judge.whole:
-                gate.require_path(judge, "GET", place)
+                enforcement.require_path(judge, "GET", place)
             resource = await _narrowed(self._resolve(scope), exchange)
             await resource.ready()
             if not judge.whole:
-                gate.require(judge, "GET", place, resource)
+                enforcement.require(judge, "GET", place, resource)
             return resource, await resource.state()
         except NotImplementedError as error:
             raise Problem(422, f"The topic {url} has no state that could change.") from error
         except (Problem, RosError) as error:
             problem = error if isinstance(error, Problem) else problem_of(error)
-            problem = gate.told(judge, problem, place)
+            problem = enforcement.told(judge, problem, place)
             if problem.status >= 500:
                 raise problem from error
             raise Problem(422, f"There is nothing to tell of the topic {url}: {problem.detail}") from error

@@ -13,7 +13,7 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.ontology.body import body_of
 from rosld.ontology.lower import parse_json
-from rosld.server.access.judge import Judge
+from rosld.server.auth.permissions import Judge
 from rosld.server.html import Form, forms_of
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
@@ -21,13 +21,18 @@ from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.describe import complex_document, complex_json
 from rosld.server.hypermedia.layout import ComplexPlan, Layout
 from rosld.server.hypermedia.offers import Sight
+from rosld.server.hypermedia.redaction import veiled_view
 from rosld.server.hypermedia.thing import MEDIA_TYPE
-from rosld.server.hypermedia.veiling import veiled_view
 from rosld.server.hypermedia.views import ComplexView
-from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.patch import updated
-from rosld.server.ldp.plan import Move, Plan
-from rosld.server.ldp.resource import (
+from rosld.server.resources.changes import Change, carried_out, changes_in_graph, changes_in_json, planned_changes
+from rosld.server.resources.context import Robot
+from rosld.server.resources.guarding import seen_anew
+from rosld.server.resources.things import complex_thing, thing_response, wants_thing
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.plan import Move, Plan
+from rosld.server.rest.redaction import veiled_state
+from rosld.server.rest.resource import (
     ABSENT,
     BASIC_CONTAINER,
     MERGE_PATCH,
@@ -39,12 +44,7 @@ from rosld.server.ldp.resource import (
     Resource,
     moved,
 )
-from rosld.server.ldp.state import State
-from rosld.server.ldp.veiling import veiled_state
-from rosld.server.resources.changes import Change, carried_out, changes_in_graph, changes_in_json, planned_changes
-from rosld.server.resources.guarding import seen_anew
-from rosld.server.resources.things import complex_thing, thing_response, wants_thing
-from rosld.server.robot import Robot
+from rosld.server.rest.state import State
 
 
 class ComplexResource(Resource):

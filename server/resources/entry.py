@@ -8,11 +8,11 @@ from rosld.ontology.describe_graph import ROOMS, entry_document
 from rosld.server.html import Count, Csrf, EntryPage, Form, Notice, Site, render_entry
 from rosld.server.html.page import Tone
 from rosld.server.http.link import Link
-from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
-from rosld.server.ldp.state import State
+from rosld.server.resources.context import Robot
 from rosld.server.resources.namespaces import listed
-from rosld.server.robot import Robot
-from rosld.server.writable import RESERVED
+from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
+from rosld.server.rest.state import State
+from rosld.server.robot.write_policy import RESERVED
 
 _FIRST = "What the robot is like now, and what it can do: values to read and to set, actions, links."
 

@@ -9,10 +9,10 @@ from starlette.responses import Response
 from rosld.server import html
 from rosld.server.http.conditional import ETag, digest, guard
 from rosld.server.http.link import Link
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import LDP, RESOURCE, Resource
-from rosld.server.ldp.standing import standing_headers
-from rosld.server.robot import Robot
+from rosld.server.resources.context import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import LDP, RESOURCE, Resource
+from rosld.server.rest.resource_headers import standing_headers
 
 _DAY = 86400
 

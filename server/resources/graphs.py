@@ -20,19 +20,19 @@ from rosld.ontology.body import parse_dataset
 from rosld.ontology.document import Document
 from rosld.ontology.triples import about, text
 from rosld.ontology.vocab import dcterms, rdf, rdfs, sd
-from rosld.server.access import gate
+from rosld.server.auth import enforcement
 from rosld.server.http.link import uri
 from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import RDF_BODIES, READ, SPARQL_UPDATE, Answer, Resource
-from rosld.server.ldp.state import State
+from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import Kept
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.room import AbsentResource
 from rosld.server.resources.kept.sources import N3_PATCH
 from rosld.server.resources.sparql import answered, formats_of, wished
-from rosld.server.robot import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import RDF_BODIES, READ, SPARQL_UPDATE, Answer, Resource
+from rosld.server.rest.state import State
 from rosld.server.sparql import results
 from rosld.server.sparql.endpoint import QueryService
 from rosld.server.sparql.protocol import QueryRequest, timeout_asked
@@ -165,7 +165,9 @@ class GraphStore(Resource):
     async def _graph(self, exchange: Exchange, graph: str, others: str) -> Resource:
         exchange.readdress(self._scope(exchange, graph, others))
         if not exchange.judge.whole:
-            gate.require_path(exchange.judge, exchange.method, gate.place_of(exchange.request.scope, self._robot.space))
+            enforcement.require_path(
+                exchange.judge, exchange.method, enforcement.place_of(exchange.request.scope, self._robot.space)
+            )
         resource = self._resolve(exchange.request.scope)
         if resource is self:
             raise Problem(400, f"<{graph[:200]}> is the graph store itself, and none of its graphs.")

@@ -11,7 +11,7 @@ from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.layout import ActionPlan, Layout, PropertyPlan
 from rosld.server.hypermedia.mapping import Condition
 from rosld.server.hypermedia.offers import Sight
-from rosld.server.robot import Robot
+from rosld.server.resources.context import Robot
 
 
 async def seen_anew(robot: Robot, layout: Layout, reads: Sequence[Property]) -> Sight:

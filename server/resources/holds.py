@@ -21,26 +21,18 @@ from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import LoweringError, find_message, lowerer, parse_json
 from rosld.ontology.zero import TWISTS, zeroed
-from rosld.server.access.refusals import nothing
-from rosld.server.errors import problem_of
-from rosld.server.holds import Command, Hold, HoldEnded, command, new
+from rosld.server.auth.errors import nothing
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http import field
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.patch import merge_patch
-from rosld.server.ldp.resource import (
-    JSON,
-    MERGE_PATCH,
-    RDF_BODIES,
-    READ,
-    Answer,
-    Created,
-    Resource,
-)
-from rosld.server.ldp.state import State
+from rosld.server.resources.context import Robot, Same
 from rosld.server.resources.publishing import Publishing
-from rosld.server.robot import Robot, Same
+from rosld.server.rest.errors import problem_of
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import JSON, MERGE_PATCH, RDF_BODIES, READ, Answer, Created, Resource
+from rosld.server.rest.state import State
+from rosld.server.robot.holds import Command, Hold, HoldEnded, command, new
 
 LEASE = 1.0
 """Seconds, where none are asked for."""

@@ -13,7 +13,7 @@ from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.hypermedia.conditions import url_of, value_triples
 from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Value
-from rosld.server.robot import Robot
+from rosld.server.resources.context import Robot
 from rosld.shapes.parameter import violations
 
 _LINKS = {"#message": ros.latest, "#request": ros.request, "#goal": ros.goal}

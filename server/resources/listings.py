@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 
 from rosld.adapters.base import Watch
 from rosld.ontology.describe_containers import container_document
-from rosld.server.events.watches import Signal
-from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
-from rosld.server.ldp.state import State
-from rosld.server.robot import Robot
+from rosld.server.resources.context import Robot
+from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
+from rosld.server.rest.state import State
+from rosld.server.runtime.signals import Signal
 
 
 class Listing(Resource):

@@ -16,7 +16,6 @@ from rosld.ontology.body import RdfBody, body_of, parse_body
 from rosld.ontology.fields import field_bytes
 from rosld.ontology.lower import parse_json
 from rosld.ontology.vocab import rdf, ros
-from rosld.server.calls import Outcome
 from rosld.server.html import Form, action_form, property_form
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
@@ -29,10 +28,18 @@ from rosld.server.hypermedia.value import MessageValue
 from rosld.server.hypermedia.views import PropertyView
 from rosld.server.hypermedia.writing import PlannedWrite, Written, carry_out
 from rosld.server.hypermedia.writing import why_not as why_not_writable
-from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.patch import merge_patch, updated
-from rosld.server.ldp.plan import Move, Plan
-from rosld.server.ldp.resource import (
+from rosld.server.resources.actions import ActionResource
+from rosld.server.resources.changes import all_of, with_field
+from rosld.server.resources.complex import ComplexResource
+from rosld.server.resources.context import Robot
+from rosld.server.resources.guarding import require_offered, require_writable, seen_anew
+from rosld.server.resources.limits import require_message
+from rosld.server.resources.requests import called, declined_by, failure, request_in
+from rosld.server.resources.writes import planned, told
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.plan import Move, Plan
+from rosld.server.rest.resource import (
     ABSENT,
     JSON,
     MERGE_PATCH,
@@ -44,15 +51,8 @@ from rosld.server.ldp.resource import (
     Shown,
     moved,
 )
-from rosld.server.ldp.state import State
-from rosld.server.resources.actions import ActionResource
-from rosld.server.resources.changes import all_of, with_field
-from rosld.server.resources.complex import ComplexResource
-from rosld.server.resources.guarding import require_offered, require_writable, seen_anew
-from rosld.server.resources.limits import require_message
-from rosld.server.resources.requests import called, declined_by, failure, request_in
-from rosld.server.resources.writes import planned, told
-from rosld.server.robot import Robot
+from rosld.server.rest.state import State
+from rosld.server.robot.calls import Outcome
 
 
 class MemberResource(Resource):

@@ -11,7 +11,7 @@ from rosld.ontology.document import Envelope, LiftedMessage
 from rosld.ontology.fields import field_bytes
 from rosld.ontology.lift import lifter
 from rosld.server.http.problem import Problem
-from rosld.server.robot import Robot
+from rosld.server.resources.context import Robot
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,12 +11,12 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, about, double, integer, moment, text
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import dcterms, rdf, ros
+from rosld.server.dataset.replication import Mirror, Status
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.resource import Resource
-from rosld.server.ldp.state import State
-from rosld.server.mirroring import ROOM
-from rosld.server.robot import Robot
-from rosld.server.store.mirror import Mirror, Status
+from rosld.server.resources.context import Robot
+from rosld.server.resources.mirroring import ROOM
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.state import State
 
 
 class MirrorResource(Resource):

@@ -18,11 +18,11 @@ from rosld.server.html.page import Cell
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.paging import Page, Place, page_among, page_query, read_named_place, send_to_first
-from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
-from rosld.server.ldp.state import State
-from rosld.server.robot import Robot
+from rosld.server.resources.context import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.paging import Page, Place, page_among, page_query, read_named_place, send_to_first
+from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
+from rosld.server.rest.state import State
 
 Namespaces = Mapping[tuple[str, ...], Members]
 

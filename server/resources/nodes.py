@@ -15,16 +15,16 @@ from rosld.ontology.describe_graph import NodeView, node_document, node_views
 from rosld.ontology.lower import lowerer, parse_json
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import ros
-from rosld.server.errors import problem_of
 from rosld.server.html import ChoiceForm, Form
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import JSON, RDF_BODIES, READ, Answer, Resource
-from rosld.server.ldp.state import State
+from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
-from rosld.server.robot import Robot
-from rosld.server.writable import closed
+from rosld.server.rest.errors import problem_of
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import JSON, RDF_BODIES, READ, Answer, Resource
+from rosld.server.rest.state import State
+from rosld.server.robot.write_policy import closed
 
 TRANSITION = "transition"
 """The member of a JSON body, and the field of a form, that names a transition."""

@@ -8,9 +8,9 @@ from importlib.resources import files
 from pyoxigraph import RdfFormat, Triple, parse
 
 from rosld.ontology.document import Document
-from rosld.server.ldp.resource import Resource
-from rosld.server.ldp.state import State
-from rosld.server.robot import Robot
+from rosld.server.resources.context import Robot
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.state import State
 
 FILES = ("rosld.ttl", "mapping.ttl", "aircraft.ttl", "align.ttl")
 """The vocabularies of rosld, and what aligns them with others."""

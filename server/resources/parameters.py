@@ -29,10 +29,9 @@ from rosld.ontology.parameters import (
 )
 from rosld.ontology.urls import encode_segment
 from rosld.ontology.vocab import ros
-from rosld.server.access.gate import require_below
-from rosld.server.access.judge import Judge
+from rosld.server.auth.enforcement import require_below
+from rosld.server.auth.permissions import Judge
 from rosld.server.events.asked import EVENT_STREAM
-from rosld.server.events.watches import every, together
 from rosld.server.html import DeleteForm, Form, Listing, ParameterForm, Step, ValueForm
 from rosld.server.html.view import visible
 from rosld.server.http import negotiation
@@ -40,12 +39,32 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
 from rosld.server.http.tokens import without_tokens
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.formats import OFFERS
-from rosld.server.ldp.paging import MOST, Page, Place, page_among, page_query, read_named_place, send_to_first
 from rosld.server.ldp.patch import merge_patch, updated
-from rosld.server.ldp.plan import Move, Plan
-from rosld.server.ldp.resource import (
+from rosld.server.resources.context import Robot
+from rosld.server.resources.limits import require_parameter
+from rosld.server.resources.namespaces import (
+    HIDDEN,
+    count,
+    is_of_hidden,
+    listed_members,
+    namespaces,
+    ordered,
+    with_hidden,
+)
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import OFFERS
+from rosld.server.rest.paging import (
+    MOST,
+    Page,
+    Place,
+    page_among,
+    page_query,
+    read_named_place,
+    send_to_first,
+)
+from rosld.server.rest.plan import Move, Plan
+from rosld.server.rest.redaction import veiled_state
+from rosld.server.rest.resource import (
     BASIC_CONTAINER,
     JSON,
     MERGE_PATCH,
@@ -59,20 +78,9 @@ from rosld.server.ldp.resource import (
     Resource,
     moved,
 )
-from rosld.server.ldp.state import State
-from rosld.server.ldp.veiling import veiled_state
-from rosld.server.resources.limits import require_parameter
-from rosld.server.resources.namespaces import (
-    HIDDEN,
-    count,
-    is_of_hidden,
-    listed_members,
-    namespaces,
-    ordered,
-    with_hidden,
-)
-from rosld.server.robot import Robot
-from rosld.server.writable import closed, kept
+from rosld.server.rest.state import State
+from rosld.server.robot.write_policy import closed, kept
+from rosld.server.runtime.signals import every, together
 from rosld.shapes.parameter import constraint_url, declared_shape, declared_triples
 from rosld.shapes.value import OpenShape
 

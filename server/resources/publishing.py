@@ -15,13 +15,13 @@ from rosld.ontology.lower import find_message, lowerer, parse_json
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
-from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.patch import merge_patch, updated
-from rosld.server.ldp.resource import JSON, MERGE_PATCH
-from rosld.server.publication import Publication, publish, unheard
+from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.messages import decode
-from rosld.server.robot import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import JSON, MERGE_PATCH
+from rosld.server.robot.publication import Publication, publish, unheard
 
 
 @dataclass(frozen=True, slots=True)

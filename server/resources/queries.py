@@ -26,15 +26,8 @@ from rosld.server.http import negotiation
 from rosld.server.http.body import declared_length
 from rosld.server.http.conditional import ETag, digest, guard
 from rosld.server.http.problem import Problem
-from rosld.server.in_force.queries import ROOM, query_triples
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.pages import Pages
-from rosld.server.ldp.prepared import Prepared
-from rosld.server.ldp.resource import Resource
-from rosld.server.ldp.standing import standing_headers
-from rosld.server.ldp.state import State
-from rosld.server.records import Put, Record
-from rosld.server.records.describe import record_document
+from rosld.server.policies.queries import ROOM, query_triples
+from rosld.server.resources.context import Robot, Same
 from rosld.server.resources.kept.bodies import require_small
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.files import KeptFile
@@ -51,11 +44,18 @@ from rosld.server.resources.sparql import (
     results_of,
     wished,
 )
-from rosld.server.robot import Robot, Same
-from rosld.server.sparql import hangup
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.pages import Pages
+from rosld.server.rest.prepared import Prepared
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.resource_headers import standing_headers
+from rosld.server.rest.state import State
+from rosld.server.sparql import disconnect
 from rosld.server.sparql.endpoint import QueryService
 from rosld.server.sparql.protocol import DIRECT, QueryRequest, timeout_asked
 from rosld.server.sparql.stored import OTHERS, StoredQuery, bind
+from rosld.server.storage import Put, Record
+from rosld.server.storage.describe import record_document
 
 _DESCRIPTIONS = frozenset(syntax.media_type for syntax in Syntax)
 _ANYTHING = {"iri": "/", "string": "", "integer": "0", "double": "0"}
@@ -88,7 +88,7 @@ class Runner:
         if is_description and negotiation.choose(accept, OFFERS) in _DESCRIPTIONS:
             return None
         request = QueryRequest(bind(query, given, self.base), timeout=timeout)
-        hung_up = hangup.of(exchange.request.receive)
+        hung_up = disconnect.of(exchange.request.receive)
         answer = await answered(self.service, request, accept, hung_up, exchange.judge)
         return self._identified(exchange, resource, answer, state)
 
@@ -126,7 +126,9 @@ class Runner:
         if given or all(one.default is not None for one in query.parameters):
             try:
                 request = QueryRequest(bind(query, given, self.base), timeout=timeout)
-                results = await results_of(self.service, request, hangup.of(exchange.request.receive), exchange.judge)
+                results = await results_of(
+                    self.service, request, disconnect.of(exchange.request.receive), exchange.judge
+                )
             except Problem as problem:
                 notices, status = (Notice(problem.detail, Tone.ERROR),), problem.status
         page = QueryPage(

@@ -5,13 +5,13 @@ from __future__ import annotations
 from rosld.adapters.model import Message, MessageSchema, Refused, Sent, ServiceSchema
 from rosld.ontology.body import parse_body
 from rosld.ontology.lower import find_message, lowerer, parse_json
-from rosld.server.calls import KeyReused, Outcome
-from rosld.server.errors import problem_of
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.value import declined
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import JSON
-from rosld.server.robot import Robot
+from rosld.server.resources.context import Robot
+from rosld.server.rest.errors import problem_of
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import JSON
+from rosld.server.robot.calls import KeyReused, Outcome
 
 
 async def request_in(exchange: Exchange, robot: Robot, schema: ServiceSchema, url: str) -> Message:

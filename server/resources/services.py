@@ -11,17 +11,17 @@ from rosld.adapters.model import Kind, Operation, Ref, RosError, Service, Servic
 from rosld.ontology.describe_services import CallView, call_document, service_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
-from rosld.server.calls import Call, Gone
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import JSON, RDF_BODIES, READ, Answer, Created, Resource
-from rosld.server.ldp.state import State
+from rosld.server.resources.context import Robot, Same
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
 from rosld.server.resources.requests import called, failure, request_in
-from rosld.server.robot import Robot, Same
-from rosld.server.writable import closed
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import JSON, RDF_BODIES, READ, Answer, Created, Resource
+from rosld.server.rest.state import State
+from rosld.server.robot.calls import Call, Gone
+from rosld.server.robot.write_policy import closed
 
 
 class ServiceResource(Resource):

@@ -11,22 +11,22 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import about, each
 from rosld.ontology.vocab import rdf, rdfs, ros, sd
 from rosld.server import html
-from rosld.server.access.judge import EVERYTHING, Judge
+from rosld.server.auth.permissions import EVERYTHING, Judge
 from rosld.server.html import Notice, Results, SparqlPage, StoredQuery
 from rosld.server.html.page import Tone
 from rosld.server.http import negotiation
 from rosld.server.http.problem import Problem
 from rosld.server.http.text import FORM
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.pages import Pages
-from rosld.server.ldp.prepared import Prepared
-from rosld.server.ldp.resource import RDF_BODIES, READ, Answer, Resource
-from rosld.server.ldp.state import State
-from rosld.server.robot import Robot
-from rosld.server.sparql import hangup
+from rosld.server.resources.context import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.pages import Pages
+from rosld.server.rest.prepared import Prepared
+from rosld.server.rest.resource import RDF_BODIES, READ, Answer, Resource
+from rosld.server.rest.state import State
+from rosld.server.sparql import disconnect
+from rosld.server.sparql.disconnect import HangUp
 from rosld.server.sparql.endpoint import QueryAnswer, QueryService
 from rosld.server.sparql.functions import functions
-from rosld.server.sparql.hangup import HangUp
 from rosld.server.sparql.limits import described
 from rosld.server.sparql.protocol import DIRECT, UPDATE, QueryRequest, UpdateRequest, posted, query_request
 from rosld.server.sparql.results import GRAPHS, SOLUTIONS, offers_of, without_xml
@@ -284,7 +284,7 @@ class SparqlResource(Resource):
         return await self._updates.answer(request, dry_run=dry_run, accept=wished(exchange), judge=judge)
 
     async def _answer(self, request: QueryRequest, accept: str | None, exchange: Exchange) -> Response:
-        hung_up, judge = hangup.of(exchange.request.receive), exchange.judge
+        hung_up, judge = disconnect.of(exchange.request.receive), exchange.judge
         if not prefers_page(accept):
             return await answered(self._service, request, accept, hung_up, judge)
         try:

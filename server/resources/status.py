@@ -12,10 +12,10 @@ from rosld.ontology.triples import RDF_SOURCE, about, double, moment, text
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.resource import Resource
-from rosld.server.ldp.state import State
-from rosld.server.robot import Robot
-from rosld.server.watchdog import Pauses, Watchdog
+from rosld.server.resources.context import Robot
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.state import State
+from rosld.server.runtime.watchdog import Pauses, Watchdog
 
 ROOM = "status"
 

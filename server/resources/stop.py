@@ -13,15 +13,15 @@ from rosld.ontology.describe_holds import StepView, stop_document
 from rosld.ontology.document import Document
 from rosld.ontology.triples import moment
 from rosld.ontology.vocab import ros
-from rosld.server.access.judge import EVERYTHING, Judge
+from rosld.server.auth.permissions import EVERYTHING, Judge
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http.problem import Problem
 from rosld.server.http.tokens import without_tokens
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import JSON, READ, Answer, Resource, Shown
-from rosld.server.ldp.state import State
-from rosld.server.ldp.veiling import veiled_state
-from rosld.server.robot import Robot
+from rosld.server.resources.context import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.redaction import veiled_state
+from rosld.server.rest.resource import JSON, READ, Answer, Resource, Shown
+from rosld.server.rest.state import State
 
 _LONGEST = 500
 """Characters of a reason."""

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from starlette.responses import Response
 
-from rosld.server.access.door import OPEN
-from rosld.server.access.judge import EVERYTHING, Judge
+from rosld.server.auth.authenticator import OPEN
+from rosld.server.auth.permissions import EVERYTHING, Judge
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.hypermedia.conditions import url_of
@@ -16,10 +16,10 @@ from rosld.server.hypermedia.layout import ComplexPlan, Layout
 from rosld.server.hypermedia.thing import MEDIA_TYPE, ThingLink, thing_description
 from rosld.server.hypermedia.thing_rights import thing_for
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.prepared import held
-from rosld.server.ldp.resource import RDF_BODIES, RESOURCE, Resource
-from rosld.server.robot import Robot
+from rosld.server.resources.context import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.prepared import held
+from rosld.server.rest.resource import RDF_BODIES, RESOURCE, Resource
 
 FORMAT = "td"
 _OFFERS = (*RDF_BODIES, "application/json", "text/html", MEDIA_TYPE)

@@ -15,23 +15,23 @@ from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import parse_json
-from rosld.server.events.watches import together
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import digest, require_if_match
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.plan import Move, Plan
-from rosld.server.ldp.resource import JSON, MERGE_PATCH, RDF_BODIES, READ, SPARQL_UPDATE, Answer, Resource
-from rosld.server.ldp.state import State
-from rosld.server.live.view import View
-from rosld.server.publication import publish
+from rosld.server.resources.context import Robot, Same
 from rosld.server.resources.holds import hold_topic
 from rosld.server.resources.messages import Decoded, decode, field_response, lifted
 from rosld.server.resources.namespaces import moved_to_namespace
 from rosld.server.resources.publishing import Publishing
-from rosld.server.robot import Robot, Same
-from rosld.server.writable import RESERVED, closed, refusal
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.plan import Move, Plan
+from rosld.server.rest.resource import JSON, MERGE_PATCH, RDF_BODIES, READ, SPARQL_UPDATE, Answer, Resource
+from rosld.server.rest.state import State
+from rosld.server.robot.publication import publish
+from rosld.server.robot.topic_view import View
+from rosld.server.robot.write_policy import RESERVED, closed, refusal
+from rosld.server.runtime.signals import together
 
 _LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
 

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 from rosld.adapters.model import Graph, Kind, TypeRef
 from rosld.ontology.urls import Location
-from rosld.server.access.rules import UNTYPED, Types
+from rosld.server.auth.rules import UNTYPED, Types
 from rosld.server.hypermedia.catalogue import ParameterSource, TopicSource
-from rosld.server.robot import Robot
+from rosld.server.resources.context import Robot
 
 
 def types_at(robot: Robot, location: Location) -> Types:

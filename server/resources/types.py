@@ -18,18 +18,18 @@ from rosld.ontology.urls import Location
 from rosld.ontology.vocab import dcterms, rdf
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
-from rosld.server.in_force import limits
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
-from rosld.server.ldp.state import State
-from rosld.server.records import Put, Record
-from rosld.server.records.describe import record_document
+from rosld.server.policies import limits
+from rosld.server.resources.context import Robot, Same
 from rosld.server.resources.kept.bodies import require_small
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.room import kept_room
 from rosld.server.resources.kept.showing import all_members
-from rosld.server.robot import Robot, Same
-from rosld.server.session import used_types
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
+from rosld.server.rest.state import State
+from rosld.server.robot.session import used_types
+from rosld.server.storage import Put, Record
+from rosld.server.storage.describe import record_document
 from rosld.shapes.data import data_shape, query_shape
 from rosld.shapes.mapping import mapping_shape
 from rosld.shapes.message import shape_document

@@ -9,9 +9,9 @@ from rosld.server.http.problem_details import render
 from rosld.server.hypermedia.catalogue import Property, Setter
 from rosld.server.hypermedia.value import MessageValue
 from rosld.server.hypermedia.writing import PlannedWrite, Written, plan_write
-from rosld.server.publication import unheard
+from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message, require_parameter
-from rosld.server.robot import Robot
+from rosld.server.robot.publication import unheard
 
 
 async def planned(robot: Robot, own: Property, content: object) -> PlannedWrite:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from rosld.ontology.vocab import PREFIXES
+from rosld.server.dataset import QueryError
+from rosld.server.dataset.encoding import NAMESPACE
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.functions import AGE
 from rosld.server.sparql.narrowing import needs
@@ -18,8 +20,6 @@ from rosld.server.sparql.syntax.lexer import BOUNDS, NOWHERE, Bounds, Checked, K
 from rosld.server.sparql.syntax.query import parse_query
 from rosld.server.sparql.syntax.tree import Group, Query, Variable, graphs_around
 from rosld.server.sparql.terms import Terms
-from rosld.server.store import QueryError
-from rosld.server.store.encoding import NAMESPACE
 
 _KEPT = 512
 _NO_RELATIONS = frozenset[str]()

@@ -11,13 +11,15 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
-from rosld.server.access.judge import EVERYTHING, Judge
+from rosld.server.auth.permissions import EVERYTHING, Judge
+from rosld.server.dataset import QueryError
 from rosld.server.http.problem import Problem
-from rosld.server.loop_time import loop_time
+from rosld.server.runtime.loop_time import loop_time
 from rosld.server.sparql import results
 from rosld.server.sparql.analysis import Analyser, Analysis, refusal
-from rosld.server.sparql.hangup import HangUp
+from rosld.server.sparql.disconnect import HangUp
 from rosld.server.sparql.limits import Limits, busy, out_of_time
+from rosld.server.sparql.materializer import Seen, Synchroniser
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import Answer, Query, Work
@@ -25,8 +27,6 @@ from rosld.server.sparql.process.work import Table as FirstRows
 from rosld.server.sparql.protocol import QueryRequest
 from rosld.server.sparql.restricted import RestrictedDatasets
 from rosld.server.sparql.results import Table
-from rosld.server.sparql.sync import Seen, Synchroniser
-from rosld.server.store import QueryError
 
 
 class QueryAnswer(NamedTuple):

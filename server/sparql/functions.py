@@ -11,8 +11,8 @@ import orjson
 from pyoxigraph import Literal, NamedNode, Store
 
 from rosld.ontology.vocab import rdf, ros, xsd
-from rosld.server.store import Function
-from rosld.server.store.base import Term
+from rosld.server.dataset import Function
+from rosld.server.dataset.base import Term
 
 AGE = ros.age.value
 Number: TypeAlias = int | float

@@ -8,7 +8,7 @@ from functools import partial
 from pyoxigraph import NamedNode, RdfFormat, parse
 
 from rosld.ontology.vocab import rdf, ros
-from rosld.server.sparql.kept import Changes, KeptSource
+from rosld.server.sparql.change_source import Changes, KeptSource
 from rosld.server.sparql.terms import document
 
 _LIVE = ("topics/", "parameters/", "resources/", "bags/")

@@ -17,12 +17,12 @@ from itertools import islice
 from pyoxigraph import RdfFormat, parse, serialize
 
 from rosld.ontology.document import Document
-from rosld.server.access.judge import Judge
-from rosld.server.access.veil import veiled
+from rosld.server.auth.permissions import Judge
+from rosld.server.auth.redaction import veiled
+from rosld.server.dataset import Edit
 from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import Dump, Graphs
-from rosld.server.store import Edit
 
 _MOST = 8
 """Restricted datasets at a time; the one that was asked longest ago goes first."""

@@ -21,12 +21,12 @@ from pyoxigraph import (
 from rosld.ontology.rdfxml import rdfxml
 from rosld.ontology.syntax import CannotCarry
 from rosld.ontology.vocab import PREFIXES
+from rosld.server.dataset import Results
+from rosld.server.dataset.base import Term
+from rosld.server.dataset.encoding import Decoder, decode_term, decode_triple
 from rosld.server.http import negotiation
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.xml_output import HELD, XmlOutput, not_in_xml
-from rosld.server.store import Results
-from rosld.server.store.base import Term
-from rosld.server.store.encoding import Decoder, decode_term, decode_triple
 
 Check: TypeAlias = Callable[[], None]
 """Raises once the time is over."""

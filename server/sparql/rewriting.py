@@ -1,9 +1,9 @@
-"""Rewrite queries for a dataset that stores some literals under private datatypes (`server/store/encoding.py`).
+"""Rewrite queries for a dataset that stores some literals under private datatypes (`server/dataset/encoding.py`).
 
 Constants in patterns, templates and inline data become the terms that are stored. In expressions each place takes
 either a term as it is stored, where it is only passed on (BIND, sameTerm, STR, a branch of IF), or a value that is
 computed with. Only there a variable is decoded, in SPARQL itself: that takes half the time of a Python function. ORDER
-BY, MIN and MAX compare sort keys (`server/store/sort_keys.py`). SERVICE is sent what was written.
+BY, MIN and MAX compare sort keys (`server/dataset/sort_keys.py`). SERVICE is sent what was written.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from enum import Enum
 from typing import NamedTuple
 
 from rosld.ontology.vocab import rdf, xsd
+from rosld.server.dataset.encoding import DOUBLE, INTEGER, NAMESPACE, NUMERIC, OTHER, PATTERN, encode_literal
+from rosld.server.dataset.functions import GREATER, KEY, LESS, NOTHING, ORDER, PACK, TYPED, UNPACK, VALUE
 from rosld.server.sparql.syntax.lexer import Kind
 from rosld.server.sparql.syntax.tree import (
     Call,
@@ -27,8 +29,6 @@ from rosld.server.sparql.syntax.tree import (
     Value,
     core,
 )
-from rosld.server.store.encoding import DOUBLE, INTEGER, NAMESPACE, NUMERIC, OTHER, PATTERN, encode_literal
-from rosld.server.store.functions import GREATER, KEY, LESS, NOTHING, ORDER, PACK, TYPED, UNPACK, VALUE
 
 _NAMES = (
     "STRLEN UCASE LCASE STRSTARTS STRENDS CONTAINS STRBEFORE STRAFTER ENCODE_FOR_URI CONCAT LANGMATCHES REGEX REPLACE "

@@ -23,10 +23,10 @@ from rosld.ontology.lift import TYPES
 from rosld.ontology.triples import double
 from rosld.ontology.urls import Space, locate
 from rosld.ontology.vocab import xsd
+from rosld.server.dataset import QueryError
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser, refusal
 from rosld.server.sparql.syntax.lexer import BOUNDS, Bounds, Kind, check, place, tokens, update_keyword
-from rosld.server.store import QueryError
 
 _SUFFIX = ".rq"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)

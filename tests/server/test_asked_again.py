@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
-from rosld.server.access.tokens import digest
+from rosld.server.auth.tokens import digest
 from tests.server.robots import asking
 from tests.server.robots.made_up import MadeUp, Serving
 

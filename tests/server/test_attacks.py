@@ -11,7 +11,7 @@ import httpx
 import pytest
 
 from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD
-from tests.server.access.conftest import RULES, TURTLE, Guarded, clients, guard, token, tokens
+from tests.server.auth.conftest import RULES, TURTLE, Guarded, clients, guard, token, tokens
 from tests.server.conftest import Served
 
 __all__ = ["guard", "tokens"]

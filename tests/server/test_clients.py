@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from rosld.server import clients as limits
-from rosld.server.access.agent import ANYBODY, Agent
-from rosld.server.clients import Allowance, Clients, name_of
+from rosld.server.auth import rate_limit as limits
+from rosld.server.auth.agent import ANYBODY, Agent
+from rosld.server.auth.rate_limit import Allowance, Clients, name_of
 from rosld.server.http.problem import Problem
 
 FAR, OTHER = "192.0.2.1", "192.0.2.2"

@@ -20,8 +20,8 @@ import rosld.server
 from rosld.adapters.model import ActionSchema, Encoding, GoalEvent, GoalId, GoalStatus, Schema, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.urls import locate
-from rosld.server.calls import Gone
-from rosld.server.goals import Goal, Goals, Told
+from rosld.server.robot.calls import Gone
+from rosld.server.robot.goals import Goal, Goals, Told
 
 FLY = TypeLibrary(ros_version=1).find(TypeRef("rosld_aircraft/action/Fly"))
 COUNT = TypeLibrary(ros_version=1).learn_action("made_up/action/Count", "int32 to\n---\n---\nint32[] sequence")

@@ -15,8 +15,8 @@ from click.testing import CliRunner
 from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.vocab import dcterms, ldp, rdf, ros
-from rosld.server.cli import main
-from rosld.server.records import Model, Put, open_records
+from rosld.server.cli.main import main
+from rosld.server.storage import Model, Put, open_records
 from tests.server.robots.durable import running
 
 QUERY = {"Content-Type": "application/sparql-query"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rosld.server.limiter import PublishLimiter
+from rosld.server.robot.publish_rate import PublishLimiter
 
 
 def passing(limiter: PublishLimiter, now: float, topic: str = "/a") -> int:

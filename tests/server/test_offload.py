@@ -13,7 +13,7 @@ import pytest
 from rosld.ontology.body import BodyError, read_ntriples
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.server.http.problem import Problem
-from rosld.server.offload import Workers
+from rosld.server.runtime.offload import Workers
 
 
 def _raise(error: Exception) -> None:

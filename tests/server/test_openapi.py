@@ -13,11 +13,11 @@ from openapi_spec_validator import OpenAPIV31SpecValidator
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
 from rosld.server.app import create_app
-from rosld.server.ldp.formats import OFFERS
-from rosld.server.ldp.resource import READ
 from rosld.server.openapi import json_schema
 from rosld.server.openapi.description import description
 from rosld.server.openapi.place import Place
+from rosld.server.rest.formats import OFFERS
+from rosld.server.rest.resource import READ
 from rosld.server.settings import Settings
 
 METHODS = {"get", "head", "options", "put", "post", "patch", "delete"}

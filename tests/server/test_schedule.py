@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.server.schedule import Lapse, Publish, Schedule, Wait
+from rosld.server.robot.schedule import Lapse, Publish, Schedule, Wait
 
 periods = st.floats(0.02, 10.0)
 origins = st.floats(0.0, 1e6)

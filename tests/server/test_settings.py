@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import Qos
 from rosld.server import settings as declared
-from rosld.server.cli import main
+from rosld.server.cli.main import main
 from rosld.server.settings import Settings
 
 ROOT = Path(__file__).parent.parent.parent
@@ -116,7 +116,7 @@ def test_the_adapter_gets_its_options() -> None:
 def test_profiles_are_for_topics_by_glob_in_the_order_given(monkeypatch: pytest.MonkeyPatch) -> None:
     served: list[AdapterOptions] = []
     monkeypatch.setattr(
-        "rosld.server.commands.serve.serve", lambda source, settings, **_: served.append(settings.adapter_options)
+        "rosld.server.cli.serve.serve", lambda source, settings, **_: served.append(settings.adapter_options)
     )
     given = ["--qos", "/scan=best_effort,volatile,depth:5", "--qos", "/odd=name/*=reliable"]
     result = CliRunner().invoke(main, ["serve", "aircraft", *given])

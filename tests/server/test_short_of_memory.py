@@ -20,12 +20,20 @@ import httpx
 import pytest
 from pyoxigraph import RdfFormat
 
+from rosld.server.dataset import MemoryStore
 from rosld.server.http.problem import Problem
-from rosld.server.memory import GOOD_FOR, MARGIN, Memory, NotEnoughMemory, available, is_shortage, of_groups
+from rosld.server.runtime.memory import (
+    GOOD_FOR,
+    MARGIN,
+    Memory,
+    NotEnoughMemory,
+    available,
+    is_shortage,
+    of_groups,
+)
 from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import Graphs
-from rosld.server.store import MemoryStore
 from tests.server.disks.server import Server, server_on
 from tests.server.sparql.processes import query_processes
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from pyoxigraph import Literal, NamedNode, RdfFormat, parse
 
-from rosld.server.watchdog import Watchdog
+from rosld.server.runtime.watchdog import Watchdog
 from tests.server.robots.made_up import MadeUp, served
 from tests.waiting import until
 
@@ -40,7 +40,9 @@ class Sluggish(MadeUp):
 def test_the_longest_pause_of_the_loop_is_told_at_status_with_the_code_that_ran(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rosld.server.watchdog.LOG_INTERVAL_SECONDS", 0.0)  # others may come before on a busy machine
+    monkeypatch.setattr(
+        "rosld.server.runtime.watchdog.LOG_INTERVAL_SECONDS", 0.0
+    )  # others may come before on a busy machine
     with caplog.at_level(logging.WARNING, "rosld"), served(Sluggish()) as http:
         assert http.post("services/sluggish", json={}).status_code == 201
         told = http.get("status", headers={"Accept": "application/json"}).json()

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from rosld.server.writable import RESERVED
+from rosld.server.robot.write_policy import RESERVED
 from tests.server.robots.asking import detail
 from tests.server.robots.made_up import MadeUp, Serving
 

@@ -11,18 +11,12 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.server.http.conditional import require_if_match
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import (
-    RDF_BODIES,
-    READ,
-    Answer,
-    Resource,
-    moved,
-)
-from rosld.server.records import Cause, Conflict, Record, Remove, Write
+from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.judging import judge_of
 from rosld.server.resources.kept.together import kept_together
-from rosld.server.robot import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import RDF_BODIES, READ, Answer, Resource, moved
+from rosld.server.storage import Cause, Conflict, Record, Remove, Write
 
 ANYTHING = "*/*"
 

@@ -13,15 +13,7 @@ from rosld.ontology.vocab import ldp
 from rosld.server.http.link import Link
 from rosld.server.http.link import parse as parse_links
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.files import exact_media_type
-from rosld.server.ldp.interaction import (
-    membership_triples,
-    model_asked,
-)
-from rosld.server.records import Blob, Model, Record
-from rosld.server.records.describe import written
-from rosld.server.records.models import rdf_types
+from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.showing import all_members, stand_ins
 from rosld.server.resources.kept.stated import (
     CONTAINED,
@@ -35,7 +27,12 @@ from rosld.server.resources.kept.stated import (
     read,
     stated,
 )
-from rosld.server.robot import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.files import exact_media_type
+from rosld.server.rest.interaction import membership_triples, model_asked
+from rosld.server.storage import Blob, Model, Record
+from rosld.server.storage.describe import written
+from rosld.server.storage.models import rdf_types
 
 
 def asked_model(exchange: Exchange, url: str, *, container: bool) -> Model:

@@ -7,30 +7,22 @@ from collections.abc import Sequence
 from rosld.ontology.urls import encode_segment
 from rosld.server.html import Form, Step
 from rosld.server.http.link import Link
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.interaction import (
-    model_links,
-)
-from rosld.server.ldp.paging import Place, page_query, read_place, send_to_first
-from rosld.server.ldp.parts import ALL, Parts, wanted
-from rosld.server.ldp.resource import (
-    RDF_BODIES,
-    SPARQL_UPDATE,
-    Answer,
-    Created,
-    Resource,
-)
-from rosld.server.ldp.slug import free_name
-from rosld.server.ldp.state import State
-from rosld.server.records import Blob, Cause, Conflict, Model
-from rosld.server.records.describe import META
+from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import Kept, told
 from rosld.server.resources.kept.bodies import asked_model, received
 from rosld.server.resources.kept.files import KeptFile
 from rosld.server.resources.kept.making import made
 from rosld.server.resources.kept.showing import page_at, page_shown, shown
 from rosld.server.resources.kept.sources import N3_PATCH, SourceResource
-from rosld.server.robot import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.interaction import model_links
+from rosld.server.rest.paging import Place, page_query, read_place, send_to_first
+from rosld.server.rest.prefer_container import ALL, Parts, wanted
+from rosld.server.rest.resource import RDF_BODIES, SPARQL_UPDATE, Answer, Created, Resource
+from rosld.server.rest.slug import free_name
+from rosld.server.rest.state import State
+from rosld.server.storage import Blob, Cause, Conflict, Model
+from rosld.server.storage.describe import META
 
 
 class ContainerResource(SourceResource):

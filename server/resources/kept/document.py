@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 from pyoxigraph import Triple
 
 from rosld.ontology.document import Document
-from rosld.server.ldp.interaction import declared, membership_triples, stand_ins
-from rosld.server.ldp.parts import Parts
-from rosld.server.records import Member, Record
-from rosld.server.records.describe import bare, record_document
+from rosld.server.rest.interaction import declared, membership_triples, stand_ins
+from rosld.server.rest.prefer_container import Parts
+from rosld.server.storage import Member, Record
+from rosld.server.storage.describe import bare, record_document
 
 
 def kept_document(

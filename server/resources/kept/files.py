@@ -16,26 +16,20 @@ from rosld.server.http.conditional import ETag, guard
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.http.text import as_utf8, codec_of
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.files import file_response
-from rosld.server.ldp.interaction import (
-    model_links,
-)
 from rosld.server.ldp.patch import merge_patch
-from rosld.server.ldp.resource import (
-    JSON,
-    MERGE_PATCH,
-    Answer,
-)
-from rosld.server.ldp.standing import standing_headers
-from rosld.server.ldp.state import State
-from rosld.server.records import Blob, Cause, Conflict, Model, Put, Record, Write
-from rosld.server.records.describe import META
+from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import ANYTHING, Kept
 from rosld.server.resources.kept.bodies import one_chunk, received, require_model
 from rosld.server.resources.kept.showing import shown
 from rosld.server.resources.kept.stated import LIGHT_BYTES
-from rosld.server.robot import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.files import file_response
+from rosld.server.rest.interaction import model_links
+from rosld.server.rest.resource import JSON, MERGE_PATCH, Answer
+from rosld.server.rest.resource_headers import standing_headers
+from rosld.server.rest.state import State
+from rosld.server.storage import Blob, Cause, Conflict, Model, Put, Record, Write
+from rosld.server.storage.describe import META
 
 
 class KeptFile(Kept):

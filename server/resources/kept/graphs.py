@@ -15,13 +15,13 @@ from pyoxigraph import Triple
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.vocab import dcterms, ldp
-from rosld.server.ldp.interaction import declared, stand_ins
-from rosld.server.records import Changed, Member, Membership, Model, Record, Records, Step
-from rosld.server.records.describe import META, bare, managed_triples, record_document, said_beside_times
-from rosld.server.records.packing import size_of
-from rosld.server.records.paths import container_of
-from rosld.server.sparql.kept import Changes
-from rosld.server.store import Edit
+from rosld.server.dataset import Edit
+from rosld.server.rest.interaction import declared, stand_ins
+from rosld.server.sparql.change_source import Changes
+from rosld.server.storage import Changed, Member, Membership, Model, Record, Records, Step
+from rosld.server.storage.describe import META, bare, managed_triples, record_document, said_beside_times
+from rosld.server.storage.packing import size_of
+from rosld.server.storage.paths import container_of
 
 _PAGE = 200
 """Changed records looked at before the loop gets its turn: some milliseconds."""

@@ -10,15 +10,15 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from rosld.server.http.problem import Problem
-from rosld.server.in_force.limits import ROOM as SHAPES
-from rosld.server.in_force.mappings import ROOM as MAPPINGS
-from rosld.server.in_force.mappings import mapping_kept
-from rosld.server.in_force.queries import ROOM as QUERIES
-from rosld.server.ldp.resource import RDF_BODIES
-from rosld.server.records import Model, Put, Remove, Write
-from rosld.server.records.packing import size_of, unpack
-from rosld.server.robot import Robot
+from rosld.server.policies.limits import ROOM as SHAPES
+from rosld.server.policies.mappings import ROOM as MAPPINGS
+from rosld.server.policies.mappings import mapping_kept
+from rosld.server.policies.queries import ROOM as QUERIES
+from rosld.server.resources.context import Robot
+from rosld.server.rest.resource import RDF_BODIES
 from rosld.server.sparql.protocol import DIRECT
+from rosld.server.storage import Model, Put, Remove, Write
+from rosld.server.storage.packing import size_of, unpack
 
 MOST_BYTES = 4 * 1024 * 1024
 """Bytes of N-Triples that a mapping, or limits, may say: some 40,000 triples."""

@@ -9,16 +9,16 @@ from functools import partial
 from pyoxigraph import Triple
 
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.interaction import membership_of
-from rosld.server.records import Blob, Model, Put, Record
-from rosld.server.records.paths import container_of
+from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import Kept
 from rosld.server.resources.kept.bodies import as_statements, statements
 from rosld.server.resources.kept.managed import first_times, managed_of, require_classes
 from rosld.server.resources.kept.stated import NOTHING, Statements, contained, own, stand_in
 from rosld.server.resources.kept.together import kept_together
-from rosld.server.robot import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.interaction import membership_of
+from rosld.server.storage import Blob, Model, Put, Record
+from rosld.server.storage.paths import container_of
 
 
 async def made(kept: Kept, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False) -> Record:

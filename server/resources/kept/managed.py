@@ -9,9 +9,9 @@ from pyoxigraph import Literal, NamedNode, Triple
 from rosld.ontology.literals import nanoseconds
 from rosld.ontology.vocab import dcterms, ldp, rdf
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.interaction import declared
-from rosld.server.records import Membership, Model, Record
-from rosld.server.records.describe import (
+from rosld.server.rest.interaction import declared
+from rosld.server.storage import Membership, Model, Record
+from rosld.server.storage.describe import (
     LONGEST_TIME,
     MEMBERSHIP,
     TIMES,
@@ -21,7 +21,7 @@ from rosld.server.records.describe import (
     said_times,
     written,
 )
-from rosld.server.records.models import rdf_types
+from rosld.server.storage.models import rdf_types
 
 _MILLISECOND = 1_000_000
 """Nanoseconds: many clients know times no better, JavaScript's do not."""

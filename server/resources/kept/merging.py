@@ -11,12 +11,12 @@ from rosld.server.http import media
 from rosld.server.http.multipart import MULTIPART, Part, parts
 from rosld.server.http.problem import Problem
 from rosld.server.http.text import as_utf8
-from rosld.server.ldp.exchange import Exchange
-from rosld.server.ldp.resource import RDF_BODIES
-from rosld.server.records.describe import written
-from rosld.server.records.packing import size_of, unpack
+from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.stated import Statements, apart, is_light, looked_through
-from rosld.server.robot import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import RDF_BODIES
+from rosld.server.storage.describe import written
+from rosld.server.storage.packing import size_of, unpack
 
 _N_TRIPLES = "application/n-triples"
 _MOST_UNITED = 4 * 1024 * 1024

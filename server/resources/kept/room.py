@@ -12,22 +12,8 @@ from rosld.ontology.document import Document
 from rosld.ontology.urls import Location
 from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.patch import deletes
-from rosld.server.ldp.plan import Keep
-from rosld.server.ldp.resource import (
-    ABSENT,
-    RDF_BODIES,
-    SPARQL_UPDATE,
-    Answer,
-    Created,
-    Resource,
-    moved,
-)
-from rosld.server.ldp.standing import standing_headers
-from rosld.server.ldp.state import State
-from rosld.server.records import Blob, Cause, Conflict, Model
-from rosld.server.records.describe import META
+from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import Kept, missing, told
 from rosld.server.resources.kept.bodies import asked_model, received, require_model
 from rosld.server.resources.kept.containers import creation, resource_of
@@ -38,7 +24,13 @@ from rosld.server.resources.kept.showing import shown
 from rosld.server.resources.kept.sources import DescriptionResource
 from rosld.server.resources.kept.stated import N3_PATCH, is_light, patched
 from rosld.server.resources.kept.together import kept_together
-from rosld.server.robot import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.plan import Keep
+from rosld.server.rest.resource import ABSENT, RDF_BODIES, SPARQL_UPDATE, Answer, Created, Resource, moved
+from rosld.server.rest.resource_headers import standing_headers
+from rosld.server.rest.state import State
+from rosld.server.storage import Blob, Cause, Conflict, Model
+from rosld.server.storage.describe import META
 
 _PATCHES = (SPARQL_UPDATE, N3_PATCH)
 

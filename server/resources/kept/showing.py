@@ -9,16 +9,14 @@ from functools import partial
 from pyoxigraph import Triple
 
 from rosld.server.http.link import render
-from rosld.server.ldp.interaction import (
-    model_links,
-)
-from rosld.server.ldp.paging import MOST, Page, Place, last_place, left_on_last, page_of
-from rosld.server.ldp.parts import ALL, Parts
-from rosld.server.ldp.state import State
-from rosld.server.records import Member, Record
-from rosld.server.records.packing import size_of
+from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.document import kept_document, members_stand_for
-from rosld.server.robot import Robot
+from rosld.server.rest.interaction import model_links
+from rosld.server.rest.paging import MOST, Page, Place, last_place, left_on_last, page_of
+from rosld.server.rest.prefer_container import ALL, Parts
+from rosld.server.rest.state import State
+from rosld.server.storage import Member, Record
+from rosld.server.storage.packing import size_of
 
 
 def all_members(robot: Robot, record: Record) -> list[Member]:

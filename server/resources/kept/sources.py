@@ -12,19 +12,8 @@ from pyoxigraph import Triple
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.exchange import Exchange
 from rosld.server.ldp.patch import Grown
-from rosld.server.ldp.plan import Keep
-from rosld.server.ldp.prepared import done
-from rosld.server.ldp.resource import (
-    RDF_BODIES,
-    SPARQL_UPDATE,
-    Answer,
-)
-from rosld.server.ldp.state import State, require_memory
-from rosld.server.records import NO_MEMBER, Model, Put, Record, Remove, Write
-from rosld.server.records.describe import META, said_times
-from rosld.server.records.paths import container_of
+from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import Kept
 from rosld.server.resources.kept.bodies import (
     as_statements,
@@ -46,7 +35,14 @@ from rosld.server.resources.kept.stated import (
     require_same_members,
     stand_in,
 )
-from rosld.server.robot import Robot
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.plan import Keep
+from rosld.server.rest.prepared import done
+from rosld.server.rest.resource import RDF_BODIES, SPARQL_UPDATE, Answer
+from rosld.server.rest.state import State, require_memory
+from rosld.server.storage import NO_MEMBER, Model, Put, Record, Remove, Write
+from rosld.server.storage.describe import META, said_times
+from rosld.server.storage.paths import container_of
 
 __all__ = ["N3_PATCH", "DescriptionResource", "SourceResource"]
 

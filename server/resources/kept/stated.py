@@ -16,13 +16,13 @@ from rosld.ontology.body import RdfBody, Term, body_of, read_ntriples
 from rosld.ontology.document import Document
 from rosld.ontology.vocab import ldp
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.interaction import member_of
 from rosld.server.ldp.n3patch import applied, read_patch
 from rosld.server.ldp.patch import updated
-from rosld.server.records import Difference, Membership, Model, Record
-from rosld.server.records.describe import is_managed, may_be_managed, unmanaged, written
-from rosld.server.records.differences import MOST as DIFFERENT
-from rosld.server.records.packing import is_packed, pack, unpack
+from rosld.server.rest.interaction import member_of
+from rosld.server.storage import Difference, Membership, Model, Record
+from rosld.server.storage.describe import is_managed, may_be_managed, unmanaged, written
+from rosld.server.storage.differences import MOST as DIFFERENT
+from rosld.server.storage.packing import is_packed, pack, unpack
 
 N3_PATCH = "text/n3"
 LIGHT_BYTES = 32 * 1024

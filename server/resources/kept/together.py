@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 
-from rosld.server.ldp.account import accounted_for
-from rosld.server.records import Put, Record, Write
+from rosld.server.receipts.account import accounted_for
+from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.judging import judge_of
-from rosld.server.robot import Robot
+from rosld.server.storage import Put, Record, Write
 
 
 async def kept_together(robot: Robot, writes: Sequence[Write]) -> Sequence[Record | None]:

@@ -8,11 +8,11 @@ from collections.abc import Iterator, Sequence
 from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.body import MEDIA_TYPES, parse_triples
+from rosld.server.dataset.endpoint import Endpoint, StoreError
 from rosld.server.http import media
 from rosld.server.http.problem import Problem
 from rosld.server.http.text import as_utf8
 from rosld.server.sparql.update.operations import Load, Modify, Operation, QuadTemplate
-from rosld.server.store.endpoint import Endpoint, StoreError
 
 
 async def loaded(

@@ -13,9 +13,9 @@ from starlette.responses import Response
 from rosld.adapters.model import RosError, Sent
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
-from rosld.server.errors import problem_of, problem_of_body
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import members
+from rosld.server.rest.errors import problem_of, problem_of_body
 
 
 class Fate(Enum):

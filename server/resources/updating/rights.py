@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rosld.server.access.judge import Judge
-from rosld.server.access.refusals import forbidden
-from rosld.server.ldp.resource import Resource
-from rosld.server.sparql.update.drawing import graphs_named
+from rosld.server.auth.errors import forbidden
+from rosld.server.auth.permissions import Judge
+from rosld.server.rest.resource import Resource
+from rosld.server.sparql.update.evaluate import graphs_named
 from rosld.server.sparql.update.operations import Manage, Modify, Operation
 
 

@@ -13,14 +13,11 @@ from starlette.responses import Response
 from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
-from rosld.server.access.judge import EVERYTHING, Judge
+from rosld.server.auth.permissions import EVERYTHING, Judge
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.account import accounted_for
-from rosld.server.ldp.alone import Alone
-from rosld.server.ldp.plan import Keep, Move, Plan
-from rosld.server.ldp.resource import READ, Resource
-from rosld.server.records import Cause, Conflict, Write
+from rosld.server.receipts.account import accounted_for
 from rosld.server.resources.complex import ComplexResource
+from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import Kept, told
 from rosld.server.resources.kept.together import kept_together
 from rosld.server.resources.members import MemberResource
@@ -28,14 +25,17 @@ from rosld.server.resources.updating.loading import loaded
 from rosld.server.resources.updating.report import Entry, Fate, RefusedGraphs, answer, failure, partly, reason
 from rosld.server.resources.updating.rights import require_change, require_rights
 from rosld.server.resources.updating.silent import without_silent_failures, without_silent_on
-from rosld.server.robot import Robot
+from rosld.server.rest.keyed_lock import Alone
+from rosld.server.rest.plan import Keep, Move, Plan
+from rosld.server.rest.resource import READ, Resource
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.syntax.lexer import Bounds
-from rosld.server.sparql.update.drawer import Drawer, Drawn
-from rosld.server.sparql.update.drawing import GraphChange, graphs_named
+from rosld.server.sparql.update.evaluate import GraphChange, graphs_named
+from rosld.server.sparql.update.executor import Drawer, Drawn
 from rosld.server.sparql.update.operations import Manage, Operation, Verb
 from rosld.server.sparql.update.reading import read_update
+from rosld.server.storage import Cause, Conflict, Write
 
 ATTEMPTS = 4
 """Times that an update is drawn where what it is drawn over changes before it is carried out."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence, Set
 
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.update.drawing import graphs_named
+from rosld.server.sparql.update.evaluate import graphs_named
 from rosld.server.sparql.update.operations import Operation
 
 

@@ -18,9 +18,17 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from itertools import count
 from typing import cast
 
+from rosld.server.dataset.base import Edit
+from rosld.server.dataset.encoding import NAMESPACE, VARIABLE
 from rosld.server.http.problem import Problem
-from rosld.server.memory import DATASET_PER_CHARACTER, DATASET_PER_TRIPLE, Memory, NotEnoughMemory, available
-from rosld.server.sparql.hangup import HangUp
+from rosld.server.runtime.memory import (
+    DATASET_PER_CHARACTER,
+    DATASET_PER_TRIPLE,
+    Memory,
+    NotEnoughMemory,
+    available,
+)
+from rosld.server.sparql.disconnect import HangUp
 from rosld.server.sparql.limits import Limits, busy, crashed, out_of_memory, out_of_time, restarting
 from rosld.server.sparql.process.fork import HEAD as FRAME
 from rosld.server.sparql.process.fork import OUT_OF_MEMORY, Ended, Piece
@@ -37,8 +45,6 @@ from rosld.server.sparql.process.frames import (
     packed,
 )
 from rosld.server.sparql.process.work import Work
-from rosld.server.store.base import Edit
-from rosld.server.store.encoding import NAMESPACE, VARIABLE
 
 _log = logging.getLogger("rosld.sparql")
 

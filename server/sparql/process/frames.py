@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from enum import IntEnum
 from typing import NamedTuple, TypeAlias
 
+from rosld.server.dataset.base import Edit
 from rosld.server.sparql.process.work import Work
-from rosld.server.store.base import Edit
 
 _LENGTH = struct.Struct("<I")
 _NUMBER = struct.Struct("<Q")

@@ -15,11 +15,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO, cast
 
-from rosld.server.memory import MEMORY, trim
+from rosld.server.dataset.memory import MemoryStore
+from rosld.server.runtime.memory import MEMORY, trim
 from rosld.server.sparql.limits import busy
 from rosld.server.sparql.process.fork import Fork, pickled
 from rosld.server.sparql.process.frames import AtWork, Buffer, Cancel, Change, Drop, Job, Kind, Reply, Tidy, packed
-from rosld.server.store.memory import MemoryStore
 
 _MOST_BYTES = 1024 * 1024
 """Bytes of a result that is not made in a fork."""

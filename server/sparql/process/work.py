@@ -22,15 +22,15 @@ from pyoxigraph import (
     serialize,
 )
 
+from rosld.server.dataset.base import Function, Results
+from rosld.server.dataset.encoding import decode_term
+from rosld.server.dataset.memory import MemoryStore
 from rosld.server.http.problem import Problem
 from rosld.server.sparql import results, rows
 from rosld.server.sparql.functions import functions, unknown
 from rosld.server.sparql.process.cost import Plan, may_take_long
-from rosld.server.sparql.update.drawing import Canvas, GraphChange, Row, asks_again, copies, draw, graphs_named
+from rosld.server.sparql.update.evaluate import Canvas, GraphChange, Row, asks_again, copies, draw, graphs_named
 from rosld.server.sparql.update.operations import Hole, Modify, Operation, QuadTemplate, Where
-from rosld.server.store.base import Function, Results
-from rosld.server.store.encoding import decode_term
-from rosld.server.store.memory import MemoryStore
 
 _MOST_GRAPHS = 8
 """Graphs of a dataset that is chosen for a query which does not take long."""

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from starlette.responses import Response
 
-from rosld.server.access.judge import EVERYTHING, Judge
+from rosld.server.auth.permissions import EVERYTHING, Judge
 from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.update.operations import Operation
 

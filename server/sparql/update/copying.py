@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.vocab import ldp, rdf
-from rosld.server.records import Model
-from rosld.server.records.describe import META, unmanaged
-from rosld.server.records.models import rdf_types
+from rosld.server.storage import Model
+from rosld.server.storage.describe import META, unmanaged
+from rosld.server.storage.models import rdf_types
 
 
 def unmanaged_triples(graph: str, triples: Sequence[Triple]) -> list[Triple]:

@@ -14,9 +14,9 @@ import pytest
 from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.vocab import ldp
-from rosld.server.records import Model, Put, Record, Remove, Write
-from rosld.server.records.ledger import Entry, Ledger
-from rosld.server.records.sqlite import connect
+from rosld.server.storage import Model, Put, Record, Remove, Write
+from rosld.server.storage.ledger import Entry, Ledger
+from rosld.server.storage.sqlite import connect
 
 if TYPE_CHECKING:
     from tests.conformance.ldp.conftest import Place, Served

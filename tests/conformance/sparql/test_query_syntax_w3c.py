@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from rosld.server.dataset import MemoryStore
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.functions import unknown
-from rosld.server.store import MemoryStore
 
 if TYPE_CHECKING:
     from tests.conformance.sparql.conftest import Endpoint

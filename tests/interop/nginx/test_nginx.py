@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.server.access.test_proxy import free_port, listening, nginx
+from tests.server.auth.test_proxy import free_port, listening, nginx
 
 TURTLE = ("-H", "Content-Type: text/turtle")
 CODE = ("-o", "/dev/null", "-w", "%{http_code}")

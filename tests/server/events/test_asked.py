@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rosld.server.events import asked
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.formats import OFFERS
+from rosld.server.rest.formats import OFFERS
 
 
 @pytest.mark.parametrize(

@@ -20,10 +20,10 @@ from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.delivery import Delivery
 from rosld.server.events.feed import Feeds
 from rosld.server.events.subscriptions import Subscription
-from rosld.server.events.watches import Signal
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.resource import BASIC_CONTAINER, Resource
-from rosld.server.ldp.state import State
+from rosld.server.rest.resource import BASIC_CONTAINER, Resource
+from rosld.server.rest.state import State
+from rosld.server.runtime.signals import Signal
 
 URL = "http://robot.example/things/"
 

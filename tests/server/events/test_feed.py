@@ -14,10 +14,10 @@ from rosld.adapters.base import Watch
 from rosld.adapters.model import TypeRef, Unreachable
 from rosld.ontology.document import Document
 from rosld.server.events import feed, frame, stream
-from rosld.server.events.watches import Signal
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.resource import Resource
-from rosld.server.ldp.state import State
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.state import State
+from rosld.server.runtime.signals import Signal
 
 SPEED = "/topics/aircraft/engine/speed"
 DISPLAY = "/topics/cockpit/display"

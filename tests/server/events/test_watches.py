@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from rosld.server.events.watches import Signal, every, together
+from rosld.server.runtime.signals import Signal, every, together
 
 
 def test_a_signal_wakes_its_watches_until_they_are_closed() -> None:

@@ -15,12 +15,12 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from rosld.server.commands import listening
 from rosld.server.http.body import read_body
-from rosld.server.http.connection import Bounds
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
-from rosld.server.http.transport import Together
+from rosld.server.serving import http_server
+from rosld.server.serving.connection import Bounds
+from rosld.server.serving.transport import Together
 from tests.server.conftest import servers
 
 _V = TypeVar("_V")
@@ -41,8 +41,8 @@ def with_server(work: Callable[[int], Awaitable[_V]], bounds: Bounds | None = No
 
     async def main() -> _V:
         listens = asyncio.Event()
-        server = listening.Server(app, listens.set, bounds)
-        sock = listening.bind("127.0.0.1", 0)
+        server = http_server.Server(app, listens.set, bounds)
+        sock = http_server.bind("127.0.0.1", 0)
         serving = asyncio.create_task(server.serve(sockets=[sock]))
         try:
             await asyncio.wait_for(listens.wait(), 60)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rosld.server.http.connections import SILENT_SECONDS, Connections
+from rosld.server.serving.connections import SILENT_SECONDS, Connections
 
 
 class One:

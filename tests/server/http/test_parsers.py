@@ -14,10 +14,10 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
-from rosld.server.http.connection import Bounded, Connection
 from rosld.server.http.origin import check_host, site
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
+from rosld.server.serving.connection import Bounded, Connection
 
 Seen: TypeAlias = list[tuple[bytes, bytes, bytes]]
 """Method, target and body of each whole request."""

@@ -13,9 +13,9 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from rosld.server.commands import listening, tls
-from rosld.server.http.connection import Bounds
-from tests.server.access.test_files import certificate
+from rosld.server.serving import http_server, tls
+from rosld.server.serving.connection import Bounds
+from tests.server.auth.test_files import certificate
 
 Seen: TypeAlias = list[tuple[str, str, bytes]]
 """Method, target and body of the requests that reached the application."""
@@ -63,12 +63,12 @@ def with_listener(work: Callable[[Talk], Awaitable[None]], tls_files: tuple[Path
 
     async def main() -> None:
         listens = asyncio.Event()
-        server = listening.Server(app, listens.set, Bounds())
+        server = http_server.Server(app, listens.set, Bounds())
         context = None
         if tls_files is not None:
             tls.apply(server.config, *tls_files)
             context = ssl.create_default_context(cafile=str(tls_files[0]))
-        sock = listening.bind("127.0.0.1", 0)
+        sock = http_server.bind("127.0.0.1", 0)
         serving = asyncio.create_task(server.serve(sockets=[sock]))
 
         async def talk(*pieces: bytes) -> tuple[Seen, bytes]:

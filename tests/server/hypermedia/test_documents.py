@@ -30,7 +30,7 @@ from rosld.server.hypermedia.documents import (
     read_mapping,
 )
 from rosld.server.hypermedia.mapping import ComplexResource, MappedProperty
-from rosld.server.stops import MappedStop
+from rosld.server.robot.stop import MappedStop
 from rosld.shapes.value import Measure
 
 SPACE = Space("http://127.0.0.1:8080/")

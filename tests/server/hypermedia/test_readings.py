@@ -40,8 +40,8 @@ from rosld.server.hypermedia.conventions import catalogue
 from rosld.server.hypermedia.readings import Readings
 from rosld.server.hypermedia.signatures import answered_fields
 from rosld.server.hypermedia.value import Reading, plain_json
-from rosld.server.live.schemas import Schemas
-from rosld.server.live.topics import LiveSettings, LiveTopics
+from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.topics import LiveSettings, LiveTopics
 
 T = TypeVar("T")
 

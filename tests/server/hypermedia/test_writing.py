@@ -36,7 +36,6 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.vocab import rdf, xsd
-from rosld.server.calls import Unreadable
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import (
     Catalogue,
@@ -60,7 +59,8 @@ from rosld.server.hypermedia.writing import (
     why_not,
     writer_of,
 )
-from rosld.server.robot import Robot
+from rosld.server.resources.context import Robot
+from rosld.server.robot.calls import Unreadable
 from rosld.server.settings import Settings
 
 T = TypeVar("T")

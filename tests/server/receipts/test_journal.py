@@ -14,11 +14,11 @@ import pytest
 
 from rosld.ontology.describe_activities import Receipt
 from rosld.ontology.urls import Space
-from rosld.server.access.agent import Agent
-from rosld.server.receipts.asked import Asked, held
-from rosld.server.receipts.disk import DATABASE
-from rosld.server.receipts.graphs import ReceiptGraphs
+from rosld.server.auth.agent import Agent
+from rosld.server.receipts.entry import Asked, held
 from rosld.server.receipts.journal import Forgotten, Journal
+from rosld.server.receipts.sqlite_log import DATABASE
+from rosld.server.sparql.receipt_graphs import ReceiptGraphs
 
 BASE = "http://robot.example/"
 
@@ -183,7 +183,7 @@ def test_a_disk_that_fails_refuses_no_write_and_is_tried_again(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rosld.server.receipts.journal._RETRY_SECONDS", 0.01)
-    monkeypatch.setattr("rosld.server.receipts.disk._OPEN_SECONDS", 0.01)
+    monkeypatch.setattr("rosld.server.receipts.sqlite_log._OPEN_SECONDS", 0.01)
 
     async def work() -> None:
         kept = journal(tmp_path)

@@ -50,8 +50,8 @@ from rosld.adapters.slots import Slot
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.lower import lowerer
 from rosld.server.app import create_app
-from rosld.server.commands import listening
-from rosld.server.commands.lifespan import lifespan
+from rosld.server.serving import http_server
+from rosld.server.serving.lifespan import lifespan
 from rosld.server.settings import Settings, address
 
 T = TypeVar("T")
@@ -365,7 +365,7 @@ class Counted:
 @contextmanager
 def served(adapter: Adapter, **settings: Any) -> Iterator[httpx.Client]:
     """A client of `rosld serve` on this adapter, on a free port and a thread of its own."""
-    sock = listening.bind("127.0.0.1", 0)
+    sock = http_server.bind("127.0.0.1", 0)
     port = sock.getsockname()[1]
     made = Settings(base_url=address("127.0.0.1", port), port=port, **settings)
     listens, failed = threading.Event(), []
@@ -373,7 +373,7 @@ def served(adapter: Adapter, **settings: Any) -> Iterator[httpx.Client]:
 
     async def serve() -> None:
         app = create_app(adapter, made)
-        server = listening.Server(app, listens.set)
+        server = http_server.Server(app, listens.set)
         loop = asyncio.get_running_loop()
 
         def end() -> None:
@@ -386,7 +386,7 @@ def served(adapter: Adapter, **settings: Any) -> Iterator[httpx.Client]:
 
     def run() -> None:
         try:
-            listening.run(serve())
+            http_server.run(serve())
         except BaseException as error:
             failed.append(error)
             listens.set()

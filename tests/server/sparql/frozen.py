@@ -9,16 +9,16 @@ from dataclasses import dataclass, field
 from pyoxigraph import NamedNode, Quad, QueryBoolean, QuerySolutions, RdfFormat, Store, parse
 
 from rosld.ontology.vocab import PREFIXES
-from rosld.server.dataset import Dataset
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.mappings import relations
+from rosld.server.resources.context import Robot
+from rosld.server.resources.live_graphs import Dataset
 from rosld.server.resources.namespaces import namespaces
-from rosld.server.robot import Robot
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.kept import Changes
+from rosld.server.sparql.change_source import Changes
+from rosld.server.sparql.materializer import Synchroniser
 from rosld.server.sparql.mentions import Mentions, Noting
 from rosld.server.sparql.needs import Demand, Needs
-from rosld.server.sparql.sync import Synchroniser
 from tests.server.sparql.local import LocalStore
 
 MOST_ROWS = 2000

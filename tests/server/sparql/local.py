@@ -6,11 +6,11 @@ import io
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import BinaryIO, cast
 
-from rosld.server.sparql.hangup import HangUp
+from rosld.server.dataset import Edit, MemoryStore
+from rosld.server.sparql.disconnect import HangUp
 from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import Work
-from rosld.server.store import Edit, MemoryStore
 
 
 class LocalStore(MemoryStore):

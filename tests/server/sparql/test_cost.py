@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rosld.server.dataset import MemoryStore
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.process.work import Query
-from rosld.server.store import MemoryStore
 
 TYPES = "https://w3id.org/rosld/types/"
 ROS = "https://w3id.org/rosld#"

@@ -16,7 +16,7 @@ from pyoxigraph import Quad
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
 from rosld.server.http.problem import Problem
-from rosld.server.robot import Robot
+from rosld.server.resources.context import Robot
 from rosld.server.settings import Settings
 from tests.server.sparql import frozen, recorded
 from tests.server.sparql.frozen import Comparison, Frozen, TooMany, freeze, quads_of

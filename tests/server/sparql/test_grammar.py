@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
+from rosld.server.dataset import MemoryStore
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser, Analysis
-from rosld.server.store import MemoryStore
 
 
 def analyse(text: str) -> Analysis:
@@ -109,7 +109,7 @@ def test_hostile_queries_that_are_let_through_leave_the_process_alive() -> None:
     script = """
 import sys, threading
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.store import MemoryStore
+from rosld.server.dataset import MemoryStore
 texts = [
     "SELECT * " + "{" * 127 + "?s ?p ?o" + "}" * 127,
     "SELECT * { ?s ?p ?o FILTER(" + "(" * 126 + "1" + ")" * 126 + ") }",

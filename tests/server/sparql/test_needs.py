@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import QueryBoolean, QuerySolutions
 
+from rosld.server.dataset import MemoryStore, QueryError
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.needs import Demand, Needs
-from rosld.server.store import MemoryStore, QueryError
 
 BASE = "http://robot/"
 TYPES = "https://w3id.org/rosld/types/"

@@ -13,11 +13,11 @@ from typing import BinaryIO, NamedTuple
 
 import pytest
 
+from rosld.server.dataset import Edit, MemoryStore
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import Dump, Graphs
-from rosld.server.store import Edit, MemoryStore
 
 LIMITS = Limits(20.0, 256 * 1024 * 1024)
 G, P = "http://h/g", "<http://h/p>"

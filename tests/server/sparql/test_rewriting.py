@@ -8,15 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import QuerySolutions
 
+from rosld.server.dataset import MemoryStore
+from rosld.server.dataset.base import Term
+from rosld.server.dataset.encoding import NAMESPACE, decode_term
+from rosld.server.dataset.sort_keys import sort_key
 from rosld.server.sparql.functions import AGE
 from rosld.server.sparql.rewriting import rewrite
 from rosld.server.sparql.syntax.lexer import BOUNDS, Reach, check
 from rosld.server.sparql.syntax.query import parse_query
 from rosld.server.sparql.update.reading import rewrite_update
-from rosld.server.store import MemoryStore
-from rosld.server.store.base import Term
-from rosld.server.store.encoding import NAMESPACE, decode_term
-from rosld.server.store.sort_keys import sort_key
 
 XSD = "http://www.w3.org/2001/XMLSchema#"
 PREFIXES = {"xsd": XSD}

@@ -15,8 +15,12 @@ from hypothesis import strategies as st
 from pyoxigraph import CanonicalizationAlgorithm, Dataset, NamedNode, Quad, QuerySolutions, RdfFormat, Triple, parse
 
 from rosld.ontology.vocab import ldp
-from rosld.server.ldp.interaction import declared, membership_triples
-from rosld.server.records import (
+from rosld.server.resources.kept.graphs import RecordGraphs
+from rosld.server.rest.interaction import declared, membership_triples
+from rosld.server.sparql.change_source import Changes
+from rosld.server.sparql.materializer import GraphEntry, Synchroniser
+from rosld.server.sparql.needs import Demand, Needs
+from rosld.server.storage import (
     Difference,
     Member,
     Membership,
@@ -27,11 +31,7 @@ from rosld.server.records import (
     SqliteRecords,
     open_records,
 )
-from rosld.server.records.describe import META, record_document
-from rosld.server.resources.kept.graphs import RecordGraphs
-from rosld.server.sparql.kept import Changes
-from rosld.server.sparql.needs import Demand, Needs
-from rosld.server.sparql.sync import GraphEntry, Synchroniser
+from rosld.server.storage.describe import META, record_document
 from tests.server.sparql.local import LocalStore
 
 BASE = "http://robot/"

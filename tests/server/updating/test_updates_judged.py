@@ -23,12 +23,12 @@ from pyoxigraph import BlankNode, CanonicalizationAlgorithm, Dataset, DefaultGra
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.endpoint import QueryService
+from rosld.server.sparql.materializer import GraphEntry, Synchroniser
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.protocol import UpdateRequest
-from rosld.server.sparql.sync import GraphEntry, Synchroniser
 from rosld.server.sparql.syntax.lexer import BOUNDS
-from rosld.server.sparql.update.drawer import Drawer
-from rosld.server.sparql.update.drawing import GraphChange
+from rosld.server.sparql.update.evaluate import GraphChange
+from rosld.server.sparql.update.executor import Drawer
 from rosld.server.sparql.update.operations import Modify
 from rosld.server.sparql.update.reading import read_update
 from tests.server.sparql.local import LocalProcess

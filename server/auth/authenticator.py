@@ -1,0 +1,166 @@
+"""The door: from the Authorization field of a request to who that is, and what they may do. Keeps up with its file."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+from rosld.ontology.urls import Space
+from rosld.server.auth import config
+from rosld.server.auth.agent import ANYBODY, Agent
+from rosld.server.auth.config import Access
+from rosld.server.auth.errors import unproven
+from rosld.server.auth.oidc import Claims, Unverified, Verifier, issuer_of, require_library
+from rosld.server.auth.permissions import EVERYTHING, Judge, TypesAt
+from rosld.server.auth.rules import AUTHENTICATED
+from rosld.server.auth.tokens import credentials
+from rosld.server.runtime.signals import Signal
+
+_GLANCE = 1.0
+"""Seconds between looks at whether the file has changed."""
+_MOST = 1000
+"""Agents whose judges are kept."""
+_log = logging.getLogger("rosld")
+_Stamp: TypeAlias = tuple[int, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """One who asks: what they may do, and whether they still may after a while (streams last); what anybody may do."""
+
+    judge: Judge
+    still: Callable[[], bool]
+    public: Judge
+
+
+def _always() -> bool:
+    return True
+
+
+OPEN = Visit(EVERYTHING, _always, EVERYTHING)
+"""Everybody, where there is no door."""
+
+
+class Door:
+    """The door of one server. Belongs to one loop. Raises ValueError where its file cannot be read to begin with."""
+
+    def __init__(self, path: Path, space: Space, types: TypesAt) -> None:
+        self._path = path
+        self._space = space
+        self._types = types
+        self._stamp = _stamp(path)
+        self.access = config.read(path, space.base)
+        if self.access.issuers:
+            require_library()
+        self.changed = Signal()
+        """Given when rights may have changed."""
+        self._verifier = Verifier()
+        self._judges: dict[Agent, Judge] = {}
+
+    @property
+    def anybody(self) -> Visit:
+        """Who has not said who they are."""
+        return self._visit(ANYBODY, lambda: ANYBODY, None)
+
+    async def visit(self, field: str | None) -> Visit:
+        """Who sends this Authorization field, None for none. Raises a 401 Problem for what proves nothing."""
+        if field is None:
+            return self.anybody
+        sent = credentials(field)
+        if sent is None:
+            raise unproven("Authorization is neither Bearer nor Basic with a token as its password.")
+        token = sent.token
+        agent = self._holder(token)
+        if agent is not None:
+            if sent.name not in ("", agent.name):
+                raise unproven("That token is another's.")
+            return self._visit(agent, lambda: self._holder(token), None)
+        claims = await self._claims(token)
+        if claims is None:
+            raise unproven("That token is not known.")
+        return self._visit(self._named(claims), lambda: self._named(claims), claims.expires)
+
+    def judge(self, agent: Agent) -> Judge:
+        """What an agent may do now."""
+        found = self._judges.get(agent)
+        if found is None:
+            if len(self._judges) >= _MOST:
+                self._judges.clear()
+            found = Judge(agent, self.access.policy.rights(agent), self._space, self._types)
+            self._judges[agent] = found
+        return found
+
+    async def keep_up(self) -> None:
+        """Read the file again whenever it changes, for ever: to be cancelled. What cannot be read changes nothing."""
+        while True:
+            await asyncio.sleep(_GLANCE)
+            await self.look()
+
+    async def look(self) -> None:
+        """Read the file again if it has changed."""
+        stamp = await asyncio.to_thread(_stamp, self._path)
+        if stamp == self._stamp:
+            return
+        self._stamp = stamp
+        try:
+            found = await asyncio.to_thread(config.read, self._path, self._space.base)
+        except ValueError as error:
+            _log.error("%s. The rights stay as they were.", error)
+            return
+        self._replace(found)
+        _log.info("the rights in %s have been read anew", self._path)
+
+    def _replace(self, access: Access) -> None:
+        self.access = access
+        self._judges.clear()
+        self.changed.give()
+
+    def _visit(self, agent: Agent, now: Callable[[], Agent | None], until: float | None) -> Visit:
+        judge, access = self.judge(agent), self.access
+
+        def still() -> bool:
+            if until is not None and time.time() >= until:
+                return False
+            if self.access is access:
+                return True
+            found = now()
+            return found == agent and self.judge(found).rights.key == judge.rights.key
+
+        return Visit(judge, still, self.judge(ANYBODY))
+
+    def _holder(self, token: str) -> Agent | None:
+        name = self.access.tokens.whose(token)
+        return None if name is None else self.access.policy.agents[name]
+
+    async def _claims(self, token: str) -> Claims | None:
+        """What a token of an issuer says, None where it is of none that counts. Raises a 401 Problem."""
+        issuer = issuer_of(token, self.access.issuers)
+        if issuer is None:
+            return None
+        try:
+            return await self._verifier.verify(token, issuer)
+        except Unverified as error:
+            raise unproven(f"{error}.") from error
+
+    def _named(self, claims: Claims) -> Agent:
+        """The agent of a subject: the one that the file names, else one called by issuer and subject."""
+        name = self.access.subjects.get((claims.issuer, claims.subject))
+        if name is not None:
+            return self.access.policy.agents[name]
+        if all(issuer.url != claims.issuer for issuer in self.access.issuers):
+            return Agent(AUTHENTICATED)
+        return Agent(f"{claims.issuer}#{claims.subject}", claims.webid)
+
+
+def _stamp(path: Path) -> _Stamp:
+    """What is another whenever a file was written."""
+    try:
+        found = path.stat()
+    except OSError:
+        return (0, 0, 0)
+    return found.st_mtime_ns, found.st_size, found.st_ino

@@ -1,0 +1,385 @@
+"""Reading the file of `--auth`: agents, their tokens, whose word counts for others, and the rules. TOML or Turtle.
+
+TOML has the tables `[[token]]` (agent, sha256), `[[agent]]` (name, webid, issuer, subject), `[[issuer]]` (url,
+audience, algorithms, keys) and `[[rule]]` (agents, modes, paths, types, deny). Turtle says agents and rules with Web
+Access Control (acl:Authorization) and, for what that lacks, terms of rosld. What is not understood is refused.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+from urllib.parse import urlsplit
+
+from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, parse
+
+from rosld.ontology.vocab import acl, foaf, rdf, ros
+from rosld.server.auth.agent import ANYBODY, Agent
+from rosld.server.auth.globs import Glob
+from rosld.server.auth.rules import AUTHENTICATED, Mode, Policy, Rule
+from rosld.server.auth.tokens import DIGEST, Tokens
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+_log = logging.getLogger("rosld")
+_V = TypeVar("_V")
+_ALGORITHMS = ("RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES384", "ES512", "EdDSA")
+"""What a token of an issuer may be signed with: never a secret that both have, and never nothing."""
+_USUAL = ("RS256", "ES256")
+MODES: Mapping[NamedNode, Mode] = {
+    acl.Read: Mode.READ,
+    acl.Write: Mode.WRITE,
+    acl.Control: Mode.ADMINISTER,
+    ros.Command: Mode.CONTROL,
+}
+"""The modes as RDF says them: acl:Control is about the rules themselves."""
+_MOST = 4 * 1024 * 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Issuer:
+    """An OpenID Connect issuer whose access tokens count, if they are for `audience`; `keys` is where its keys are,
+
+    None where its configuration says that.
+    """
+
+    url: str
+    audience: str
+    algorithms: tuple[str, ...] = _USUAL
+    keys: str | None = None
+
+
+@dataclass(frozen=True)
+class Access:
+    """What the file says. `subjects` are the names of agents by issuer and subject."""
+
+    policy: Policy
+    tokens: Tokens
+    issuers: tuple[Issuer, ...] = ()
+    subjects: Mapping[tuple[str, str], str] = field(default_factory=dict)
+
+
+def read(path: Path, base: str) -> Access:
+    """What a file says; `base` resolves the relative IRIs of one in Turtle. Raises ValueError with a sentence."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"--auth {path}: {error.strerror or error}") from error
+    if len(data) > _MOST:
+        raise ValueError(f"--auth {path}: larger than {_MOST} bytes")
+    try:
+        return from_turtle(data, base) if path.suffix in (".ttl", ".turtle") else from_toml(data)
+    except (ValueError, SyntaxError) as error:
+        raise ValueError(f"--auth {path}: {error}") from error
+
+
+# TOML
+
+
+class _Table:
+    """One table of the file: its members are taken one by one, and none may be left over."""
+
+    def __init__(self, kind: str, number: int, members: object) -> None:
+        self._where = f"{kind} {number}"
+        if not isinstance(members, dict):
+            raise ValueError(f"{self._where}: write it as a table, [[{kind}]]")
+        self._left = dict(members)
+
+    def text(self, name: str) -> str:
+        """A text that must be there."""
+        found = self.maybe(name)
+        if found is None:
+            raise ValueError(f"{self._where} has no {name}")
+        return found
+
+    def maybe(self, name: str) -> str | None:
+        """A text, None where it is not there."""
+        found = self._left.pop(name, None)
+        if found is not None and (not isinstance(found, str) or not found):
+            raise ValueError(f"{self._where}: {name} is a text, not {found!r}")
+        return found
+
+    def texts(self, name: str, default: Sequence[str] | None = None) -> tuple[str, ...]:
+        """Texts; one may stand without brackets."""
+        found = self._left.pop(name, default)
+        found = [found] if isinstance(found, str) else found
+        if not isinstance(found, Sequence) or not all(isinstance(each, str) and each for each in found):
+            raise ValueError(
+                f"{self._where}: {name} is a list of texts" + ("" if found is None else f", not {found!r}")
+            )
+        if not found and default is None:
+            raise ValueError(f"{self._where}: {name} is empty")
+        return tuple(found)
+
+    def flag(self, name: str) -> bool:
+        """True or false; false where it is not there."""
+        found = self._left.pop(name, False)
+        if not isinstance(found, bool):
+            raise ValueError(f"{self._where}: {name} is true or false, not {found!r}")
+        return found
+
+    def drop(self, *names: str) -> None:
+        """Pass over members that are for people."""
+        for name in names:
+            self._left.pop(name, None)
+
+    def end(self) -> None:
+        """Raise where something is left that is not known."""
+        if self._left:
+            raise ValueError(f"{self._where}: {next(iter(self._left))!r} is not known here")
+
+    def checked(self, make: Callable[[], _V]) -> _V:
+        """What `make` makes; what it raises says where."""
+        try:
+            return make()
+        except ValueError as error:
+            raise ValueError(f"{self._where}: {error}") from error
+
+
+def from_toml(data: bytes) -> Access:
+    """What TOML says. Raises ValueError naming the table and what is wrong in it."""
+    said = tomllib.loads(data.decode("utf-8"))
+    kinds = ("agent", "token", "issuer", "rule")
+    for kind, tables in said.items():
+        if kind not in kinds or not isinstance(tables, list):
+            raise ValueError(f"{kind!r} is not known; there are {', '.join(f'[[{each}]]' for each in kinds)}")
+    agents, subjects = _agents(_tables(said, "agent"))
+    tokens: dict[str, str] = {}
+    for table in _tables(said, "token"):
+        name = table.checked(lambda table=table: _name(table.text("agent")))  # type: ignore[misc]
+        tokens[table.checked(lambda table=table: _digest(table.text("sha256")))] = name  # type: ignore[misc]
+        table.drop("created", "note")
+        table.end()
+        agents.setdefault(name, Agent(name))
+    issuers = tuple(map(_issuer, _tables(said, "issuer")))
+    rules = tuple(map(_rule, _tables(said, "rule")))
+    return _whole(agents, tokens, issuers, subjects, rules)
+
+
+def _tables(said: Mapping[str, object], kind: str) -> Iterator[_Table]:
+    found = said.get(kind, [])
+    assert isinstance(found, list)
+    return (_Table(kind, number, members) for number, members in enumerate(found, 1))
+
+
+def _agents(tables: Iterable[_Table]) -> tuple[dict[str, Agent], dict[tuple[str, str], str]]:
+    agents: dict[str, Agent] = {}
+    subjects: dict[tuple[str, str], str] = {}
+    for table in tables:
+        name = table.checked(lambda table=table: _name(table.text("name")))  # type: ignore[misc]
+        webid, issuer, subject = table.maybe("webid"), table.maybe("issuer"), table.maybe("subject")
+        if name in agents:
+            raise ValueError(f"there are two agents called {name!r}")
+        if (issuer is None) != (subject is None):
+            raise ValueError(f"agent {name!r}: issuer and subject stand together")
+        agents[name] = Agent(name, webid)
+        if issuer is not None and subject is not None:
+            subjects[issuer, subject] = name
+        table.end()
+    return agents, subjects
+
+
+def _issuer(table: _Table) -> Issuer:
+    found = table.checked(
+        lambda: _checked_issuer(
+            Issuer(
+                table.text("url"),
+                table.text("audience"),
+                table.texts("algorithms", _USUAL),
+                table.maybe("keys"),
+            )
+        )
+    )
+    table.end()
+    return found
+
+
+def _rule(table: _Table) -> Rule:
+    rule = table.checked(
+        lambda: Rule(
+            frozenset(table.texts("agents")),
+            frozenset(map(_mode, table.texts("modes"))),
+            tuple(map(Glob, table.texts("paths"))),
+            table.texts("types", ()),
+            table.flag("deny"),
+        )
+    )
+    table.drop("note")
+    table.end()
+    return rule
+
+
+def _mode(name: str) -> Mode:
+    try:
+        return Mode(name)
+    except ValueError:
+        raise ValueError(f"{name!r} is no mode; there are {', '.join(mode.value for mode in Mode)}") from None
+
+
+# Both
+
+
+def _name(name: str) -> str:
+    if name in (ANYBODY.name, AUTHENTICATED):
+        raise ValueError(f"nobody can be called {name!r}: that means all of them")
+    if not name.isprintable() or ":" in name or len(name) > 200:
+        raise ValueError(f"{name[:200]!r} is no name of an agent: letters without colons, at most 200")
+    return name
+
+
+def _digest(text: str) -> str:
+    found = text if text.startswith("sha256:") else f"sha256:{text}"
+    if not DIGEST.fullmatch(found):
+        raise ValueError(f"{text[:20]!r}... is no SHA-256 digest of a token: `rosld token add` writes one")
+    return found
+
+
+def _checked_issuer(issuer: Issuer) -> Issuer:
+    for url in filter(None, (issuer.url, issuer.keys)):
+        parts = urlsplit(url)
+        is_local = parts.hostname in ("localhost", "127.0.0.1", "::1")
+        if not (parts.scheme == "https" or (parts.scheme == "http" and is_local)) or parts.username is not None:
+            raise ValueError(f"{url!r} is no https URL: keys that come otherwise may be anybody's")
+    for one in issuer.algorithms:
+        if one not in _ALGORITHMS:
+            raise ValueError(f"the algorithm {one!r} is not taken; there are {', '.join(_ALGORITHMS)}")
+    return issuer
+
+
+def _whole(
+    agents: Mapping[str, Agent],
+    tokens: Mapping[str, str],
+    issuers: tuple[Issuer, ...],
+    subjects: Mapping[tuple[str, str], str],
+    rules: tuple[Rule, ...],
+) -> Access:
+    """All of it, once it is known that it fits together."""
+    urls = {issuer.url for issuer in issuers}
+    for issuer, subject in subjects:
+        if issuer not in urls:
+            raise ValueError(f"agent {subjects[issuer, subject]!r}: there is no [[issuer]] {issuer}")
+    known = {ANYBODY.name, AUTHENTICATED, *agents, *(one.webid for one in agents.values() if one.webid)}
+    for rule in rules:
+        for name in rule.agents:
+            if name not in known and not issuers:
+                _log.warning("--auth: a rule is about %r, whom no [[agent]] or [[token]] names", name)
+    return Access(Policy(rules, agents), Tokens(tokens), issuers, subjects)
+
+
+# Turtle
+
+
+def from_turtle(data: bytes, base: str) -> Access:
+    """What Turtle says; IRIs below `base` are paths of this server. Raises ValueError, SyntaxError."""
+    graph = _Graph((quad.subject, quad.predicate, quad.object) for quad in parse(data, RdfFormat.TURTLE, base_iri=base))
+    agents: dict[str, Agent] = {}
+    tokens: dict[str, str] = {}
+    called: dict[str, str] = {}
+    for node in graph.of(foaf.Agent):
+        name = _name(graph.text(node, ros.name))
+        agents[name] = Agent(name, node.value if isinstance(node, NamedNode) else None)
+        called[node.value] = name
+        for each in graph.all(node, ros.tokenDigest):
+            tokens[_digest(_text(each))] = name
+    rules = tuple(_authorization(graph, node, base, called) for node in graph.of(acl.Authorization))
+    return _whole(agents, tokens, (), {}, rules)
+
+
+_Node = NamedNode | BlankNode
+
+
+class _Graph:
+    """Triples, looked up by subject."""
+
+    def __init__(self, triples: Iterable[tuple[object, NamedNode, object]]) -> None:
+        self._by_subject: dict[object, list[tuple[NamedNode, object]]] = {}
+        for subject, predicate, object in triples:
+            self._by_subject.setdefault(subject, []).append((predicate, object))
+
+    def of(self, kind: NamedNode) -> list[_Node]:
+        """The subjects of a class."""
+        found = (node for node, said in self._by_subject.items() if (rdf.type, kind) in said)
+        return [node for node in found if isinstance(node, NamedNode | BlankNode)]
+
+    def all(self, node: _Node, predicate: NamedNode) -> list[object]:
+        """The objects of a subject."""
+        return [object for found, object in self._by_subject.get(node, ()) if found == predicate]
+
+    def said(self, node: _Node) -> frozenset[NamedNode]:
+        """All predicates of a subject."""
+        return frozenset(predicate for predicate, _ in self._by_subject.get(node, ()))
+
+    def text(self, node: _Node, predicate: NamedNode) -> str:
+        """The one text of a subject."""
+        found = self.all(node, predicate)
+        if len(found) != 1:
+            raise ValueError(f"{node} has {len(found)} of {predicate}, and needs one")
+        return _text(found[0])
+
+
+def _text(term: object) -> str:
+    if not isinstance(term, Literal) or not term.value:
+        raise ValueError(f"{term} should be a text")
+    return term.value
+
+
+def _iri(term: object) -> str:
+    if not isinstance(term, NamedNode):
+        raise ValueError(f"{term} should be an IRI")
+    return term.value
+
+
+_AUTHORIZATION = frozenset(
+    {
+        rdf.type, acl.agent, acl.agentClass, acl.accessTo, acl.default_, acl.mode,
+        ros.glob, ros.typeGlob, ros.deny,
+    }
+)  # fmt: skip
+_CLASSES: Mapping[object, str] = {foaf.Agent: ANYBODY.name, acl.AuthenticatedAgent: AUTHENTICATED}
+
+
+def _authorization(graph: _Graph, node: _Node, base: str, called: Mapping[str, str]) -> Rule:
+    """A rule as an acl:Authorization (Web Access Control 4)."""
+    if unknown := graph.said(node) - _AUTHORIZATION:
+        raise ValueError(f"the authorization {node} has {next(iter(unknown))}, which is not known here")
+    agents = {called.get(_iri_or_label(each), _iri_or_label(each)) for each in graph.all(node, acl.agent)}
+    for each in graph.all(node, acl.agentClass):
+        if each not in _CLASSES:
+            raise ValueError(f"the authorization {node}: acl:agentClass is foaf:Agent or acl:AuthenticatedAgent")
+        agents.add(_CLASSES[each])
+    modes = set()
+    for each in graph.all(node, acl.mode):
+        if not isinstance(each, NamedNode) or each not in MODES:
+            raise ValueError(f"the authorization {node}: {each} is no mode; there are {', '.join(map(str, MODES))}")
+        modes.add(MODES[each])
+    globs = [Glob(_text(each)) for each in graph.all(node, ros.glob)]
+    globs += [Glob(_local(_iri(each), base)) for each in graph.all(node, acl.accessTo)]
+    globs += [Glob(_local(_iri(each), base).rstrip("/") + "/**") for each in graph.all(node, acl.default_)]
+    deny = graph.all(node, ros.deny)
+    if not agents or not modes or not globs:
+        raise ValueError(f"the authorization {node} lacks an agent, a mode, or what it is about")
+    types = tuple(map(_text, graph.all(node, ros.typeGlob)))
+    return Rule(frozenset(agents), frozenset(modes), tuple(globs), types, [_text(each) for each in deny] == ["true"])
+
+
+def _iri_or_label(term: object) -> str:
+    if not isinstance(term, NamedNode | BlankNode):
+        raise ValueError(f"acl:agent {term} should be an agent that is described")
+    return term.value
+
+
+def _local(iri: str, base: str) -> str:
+    """The path of an IRI of this server, as a glob that is about nothing else."""
+    if not iri.startswith(base):
+        raise ValueError(f"{iri} is not of this server, which is {base}")
+    path = iri[len(base) - 1 :].partition("#")[0]
+    if "*" in path:
+        raise ValueError(f"{iri} holds a *: say it by ros:glob")
+    return path

@@ -1,0 +1,182 @@
+"""OpenID Connect: access tokens of issuers, checked against the issuers' keys by PyJWT (the extra `oidc`).
+
+Checked are the signature (by an algorithm that the file names, never `none` and never a shared secret), the issuer, the
+audience, and the times. Keys are fetched from the issuer alone, in a thread, within limits of time and size, and kept.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+from urllib.parse import urlsplit
+
+from rosld.server.auth.config import Issuer
+
+_SECONDS = 5.0
+_MOST_BYTES = 256 * 1024
+_KEPT_SECONDS = 3600.0
+_AGAIN_SECONDS = 10.0
+"""How long keys are at least kept: a token with a key that is not known has them fetched again no sooner."""
+_LEEWAY = 10.0
+_LONGEST_TOKEN = 16 * 1024
+
+
+class Unverified(Exception):
+    """A token that does not count; its words are for whoever sent it, and tell nothing of keys."""
+
+
+class Claims(NamedTuple):
+    """What a token that counts says; `expires` in seconds of the epoch."""
+
+    issuer: str
+    subject: str
+    expires: float
+    webid: str | None = None
+
+
+class _Keys(NamedTuple):
+    """Keys of an issuer by their ids, and when they were fetched (monotonic, s)."""
+
+    by_id: Mapping[str, object]
+    fetched: float
+
+
+def issuer_of(token: str, issuers: Iterable[Issuer]) -> Issuer | None:
+    """The issuer that a token says it is of, if that one counts; None for what is no such token."""
+    if not issuers or token.count(".") != 2 or len(token) > _LONGEST_TOKEN:
+        return None
+    try:
+        import jwt
+    except ImportError:
+        return None
+    try:
+        said = jwt.decode(token, options={"verify_signature": False}).get("iss")
+    except jwt.PyJWTError:
+        return None
+    return next((issuer for issuer in issuers if issuer.url == said), None)
+
+
+@dataclass
+class Verifier:
+    """Verifies tokens. Belongs to one loop."""
+
+    _keys: dict[Issuer, _Keys] = field(default_factory=dict)
+    _fetching: dict[Issuer, asyncio.Lock] = field(default_factory=dict)
+
+    async def verify(self, token: str, issuer: Issuer) -> Claims:
+        """What a token says. Raises Unverified for one that does not count."""
+        import jwt
+
+        try:
+            key_id = jwt.get_unverified_header(token).get("kid")
+        except jwt.PyJWTError as error:
+            raise Unverified("That token is malformed") from error
+        key = await self._key(issuer, key_id)
+        try:
+            said = jwt.decode(
+                token,
+                key,  # type: ignore[arg-type]
+                algorithms=list(issuer.algorithms),
+                audience=issuer.audience,
+                issuer=issuer.url,
+                leeway=_LEEWAY,
+                options={"require": ["exp", "iss", "aud", "sub"], "verify_signature": True},
+            )
+        except jwt.ExpiredSignatureError as error:
+            raise Unverified("That token has expired") from error
+        except (jwt.PyJWTError, ValueError, TypeError) as error:
+            raise Unverified("That token does not hold") from error
+        webid = said.get("webid")
+        return Claims(issuer.url, str(said["sub"]), float(said["exp"]), webid if isinstance(webid, str) else None)
+
+    async def _key(self, issuer: Issuer, key_id: object) -> object:
+        """The key of an id; the only one there is where a token names none."""
+        lock = self._fetching.setdefault(issuer, asyncio.Lock())
+        async with lock:
+            known = self._keys.get(issuer)
+            now = time.monotonic()
+            age = float("inf") if known is None else now - known.fetched
+            if known is None or age > _KEPT_SECONDS or (_found(known, key_id) is None and age > _AGAIN_SECONDS):
+                try:
+                    known = _Keys(await asyncio.to_thread(_fetched, issuer), now)
+                except (OSError, ValueError) as error:
+                    if known is None:
+                        raise Unverified("The issuer's keys cannot be had now") from error
+                self._keys[issuer] = known
+        found = _found(known, key_id)
+        if found is None:
+            raise Unverified("The issuer has no such key")
+        return found
+
+
+def _found(keys: _Keys, key_id: object) -> object | None:
+    if key_id is None and len(keys.by_id) == 1:
+        return next(iter(keys.by_id.values()))
+    return keys.by_id.get(key_id) if isinstance(key_id, str) else None
+
+
+def _fetched(issuer: Issuer) -> Mapping[str, object]:
+    """The keys of an issuer by their ids. Raises OSError and ValueError. Runs in a thread."""
+    import jwt
+
+    found: dict[str, object] = {}
+    keys = _json(issuer.keys or _keys_url(issuer)).get("keys")
+    for number, each in enumerate(keys if isinstance(keys, list) else ()):
+        if not isinstance(each, dict) or each.get("kty") == "oct" or each.get("use", "sig") != "sig":
+            continue
+        try:
+            found[str(each.get("kid", number))] = jwt.PyJWK(each)
+        except (jwt.PyJWTError, ValueError, TypeError):
+            continue
+    return found
+
+
+def _keys_url(issuer: Issuer) -> str:
+    """Where an issuer says that its keys are (OpenID Connect Discovery 4). Raises OSError and ValueError."""
+    url = _json(f"{issuer.url.rstrip('/')}/.well-known/openid-configuration").get("jwks_uri")
+    if not isinstance(url, str) or not _is_safe(url, issuer.url):
+        raise ValueError("the issuer's configuration names no keys")
+    return url
+
+
+def _is_safe(url: str, issuer: str) -> bool:
+    """Whether keys may be fetched there: by https, or as the issuer itself is reached."""
+    return urlsplit(url).scheme == "https" or urlsplit(url)[:2] == urlsplit(issuer)[:2]
+
+
+class _NoRedirects(urllib.request.HTTPRedirectHandler):
+    def redirect_request(self, *_: object) -> None:
+        return None
+
+
+def _json(url: str) -> dict[str, object]:
+    """The JSON object at a URL; nothing else is followed."""
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}), _NoRedirects())
+    try:
+        with opener.open(
+            urllib.request.Request(url, headers={"Accept": "application/json"}), timeout=_SECONDS
+        ) as answer:
+            data = answer.read(_MOST_BYTES + 1)
+    except urllib.error.HTTPError as error:
+        error.close()
+        raise
+    if len(data) > _MOST_BYTES:
+        raise ValueError(f"{url} says more than {_MOST_BYTES} bytes")
+    found = json.loads(data)
+    if not isinstance(found, dict):
+        raise ValueError(f"{url} is no JSON object")
+    return found
+
+
+def require_library() -> None:
+    """Raises ValueError where issuers are named and nothing can check their tokens."""
+    try:
+        import jwt  # noqa: F401
+    except ImportError:
+        raise ValueError("tokens of issuers are checked by PyJWT: pip install '.[oidc]' in a clone of rosld") from None

@@ -1,0 +1,120 @@
+"""Judges: what one agent may do with the URLs of one server. One a set of rights; no judgement has an effect."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from functools import lru_cache
+from typing import TypeAlias
+
+from rosld.ontology.urls import Location, Space
+from rosld.server.auth.agent import ANYBODY, Agent
+from rosld.server.auth.globs import path_of
+from rosld.server.auth.rules import UNTYPED, Mode, Rights, Types, everybody, mode_of
+from rosld.server.auth.tokens import digest
+
+TypesAt: TypeAlias = Callable[[Location], Types]
+"""The types of the resource at a location."""
+
+_PAGE = re.compile(r"(?:^|&)page=[0-9]*:([^&]+)")
+
+
+def _untyped(location: Location) -> Types:
+    return UNTYPED
+
+
+class Judge:
+    """What an agent with these rights may do with the URLs of a space; URLs of other servers are no secret.
+
+    `whole`: everything, so that nothing need be asked. `key` names the rights, for what is kept of them.
+    """
+
+    def __init__(self, agent: Agent, rights: Rights, space: Space | None = None, types: TypesAt = _untyped) -> None:
+        self.agent = agent
+        self.rights = rights
+        self.whole = rights.whole
+        self.reads_all = rights.reads_all
+        self.key = "" if self.whole else rights.key
+        self.mark = "" if agent == ANYBODY else f"-{digest(agent.name)[-12:]}"
+        """What tells what is made for this agent alone from what is made for others."""
+        self._space = space
+        self._types = types
+        self._located = lru_cache(maxsize=16384)(self._locate)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """For a worker process. Raises TypeError where types matter: what is where is known to the server only."""
+        if self.rights.is_typed:
+            raise TypeError("rights that depend on types are judged in the server only")
+        return Judge, (self.agent, Rights(self.rights.rules), self._space)
+
+    def may_read(self, url: str) -> bool:
+        """Whether what is at a URL may be read, whatever its query and fragment."""
+        return self.may("GET", url)
+
+    def may(self, method: str, url: str) -> bool:
+        """Whether a request with this method may be made of this URL."""
+        if self.whole:
+            return True
+        location = self._located(url)
+        if location is None:
+            return self._space is None or not url.startswith(self._space.base)
+        return self.may_at(method, location) and self._may_know_page(url)
+
+    def _may_know_page(self, url: str) -> bool:
+        """Whether the member may be read that the URL of a page names, if it is one (`?page=:NAME`)."""
+        container, _, query = url.partition("#")[0].partition("?")
+        found = _PAGE.search(query)
+        return found is None or self.may_read(container + found[1])
+
+    def place(self, url: str) -> Location | None:
+        """Where a URL points, None for one of another server."""
+        return self._located(url)
+
+    def may_at(self, method: str, location: Location) -> bool:
+        """Whether a request with this method may be made of what is at a location."""
+        path = path_of(location)
+        if method == "OPTIONS":
+            return self.rights.knows(path, self._types(location))
+        return self.rights.may(mode_of(method, path), path, self._types(location))
+
+    def knows(self, location: Location) -> bool:
+        """Whether the agent may know if anything is there."""
+        return self.whole or self.rights.knows(path_of(location), self._types(location))
+
+    def might_know(self, location: Location) -> bool:
+        """The same, as far as the path says: what is there is not looked at."""
+        return self.whole or self.rights.knows(path_of(location), None)
+
+    def knows_any(self, location: Location) -> bool:
+        """Whether the agent may know if anything is there, whatever it would be."""
+        return self.whole or self.rights.knows_any(path_of(location))
+
+    def may_below(self, method: str, location: Location) -> bool:
+        """Whether a request may be made of a location and of everything below, whatever lies there."""
+        path = path_of(location)
+        return self.whole or self.rights.may_below(mode_of(method, path), path)
+
+    def may_somewhere(self, method: str, url: str) -> bool:
+        """Whether a request may be made of a URL, or of one that a template of URLs (`/data/{name}`) stands for."""
+        if "{" not in url:
+            return self.may(method, url)
+        place = self._located(url.partition("{")[0])
+        return self.whole or (
+            place is not None and self.rights.might_below(mode_of(method, path_of(place)), path_of(place))
+        )
+
+    def allowed(self, methods: Iterable[str], url: str) -> frozenset[str]:
+        """Those methods that the agent may use there."""
+        return frozenset(methods) if self.whole else frozenset(each for each in methods if self.may(each, url))
+
+    def modes(self, location: Location) -> frozenset[Mode]:
+        """All that may be done at a location."""
+        path, types = path_of(location), self._types(location)
+        return frozenset(mode for mode in Mode if self.rights.may(mode, path, types))
+
+    def _locate(self, url: str) -> Location | None:
+        return None if self._space is None else self._space.location(url)
+
+
+EVERYTHING = Judge(ANYBODY, Rights(everybody()))
+"""Of a server without rules: everybody may do everything."""

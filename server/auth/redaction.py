@@ -1,0 +1,176 @@
+"""The veil: what a document says to one who may not read everything it speaks of. Pure.
+
+Left out are triples that mention a URL of this server which the agent may not read, affordances of which they may not
+use any form, and whatever hung on what was left out and on nothing else. What is left is as true as it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import TypeAlias
+from urllib.parse import unquote
+
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+
+from rosld.ontology.document import Document, LiftedMessage
+from rosld.ontology.vocab import hctl, htv, mapping, rdf, ros, td
+from rosld.server.auth.permissions import Judge
+
+_Term: TypeAlias = "NamedNode | BlankNode | Literal | Triple"
+
+
+def veiled(document: Document, judge: Judge) -> Document:
+    """The document as an agent with these rights may read it; it may read what the document is about."""
+    if judge.whole:
+        return document
+    seen = _Veil(document, judge)
+    triples = seen.triples()
+    messages = tuple(each for message in document.messages if (each := seen.message(message)) is not None)
+    return replace(document, triples=tuple(triples), messages=messages)
+
+
+class _Veil:
+    """One document, looked at by one agent."""
+
+    def __init__(self, document: Document, judge: Judge) -> None:
+        self._document = document
+        self._judge = judge
+        self._own = document.url.partition("?")[0].partition("#")[0]
+        self._names = frozenset(self._hidden_names())
+
+    def triples(self) -> list[Triple]:
+        """The description as it may be read."""
+        before = self._document.triples
+        parts = self._hidden_parts()
+        after = [
+            each
+            for each in before
+            if not (self._is_hidden(each.subject) or self._is_hidden(each.object) or each.subject in parts)
+        ]
+        after = self._without_forms(after)
+        if len(after) == len(before):
+            return after
+        return _without_hanging(_relinked(before, after), before, self._own)
+
+    def message(self, message: LiftedMessage) -> LiftedMessage | None:
+        """A message as it may be read; None for one that is there by the name of who may not be known."""
+        envelope = message.envelope
+        if envelope is None or envelope.publisher is None or self._judge.may_read(envelope.publisher):
+            return message
+        if self._names_hidden(self._own + message.node):
+            return None
+        return replace(message, envelope=envelope._replace(publisher=None))
+
+    def _hidden_names(self) -> Iterable[str]:
+        """The paths, below their rooms, of those hidden URLs by whose names fragments of this document are called."""
+        urls = {
+            term.value
+            for triple in self._document.triples
+            for term in (triple.subject, triple.object)
+            if isinstance(term, NamedNode)
+        }
+        urls |= {one.envelope.publisher for one in self._document.messages if one.envelope and one.envelope.publisher}
+        for url in urls:
+            place = self._judge.place(url)
+            if place is not None and place.segments and not self._judge.may_read(url):
+                yield "/" + "/".join(place.segments)
+
+    def _hidden_parts(self) -> frozenset[_Term]:
+        """The parts of this document that are about something hidden, such as the steps of a stop."""
+        return frozenset(
+            each.subject
+            for each in self._document.triples
+            if each.predicate == ros.touches and _is_part(each.subject, self._own) and self._is_hidden(each.object)
+        )
+
+    def _is_hidden(self, term: _Term) -> bool:
+        if not isinstance(term, NamedNode):
+            return False
+        url = term.value
+        if url.partition("#")[0].partition("?")[0] == self._own:
+            return ("?" in url and not self._judge.may_read(url)) or self._names_hidden(url)
+        return not self._judge.may_read(url)
+
+    def _names_hidden(self, url: str) -> bool:
+        """Whether a fragment of this document is called by a name that may not be known (`#from/talker`)."""
+        fragment = url.partition("#")[2].partition(";")[0]
+        return bool(self._names) and "/" in fragment and unquote(fragment).endswith(tuple(self._names))
+
+    def _without_forms(self, triples: list[Triple]) -> list[Triple]:
+        """Without forms that may not be used, affordances that have none left, and the values of what these are about.
+
+        Forms are judged as the whole document has them: that a target is hidden is what makes a form unusable.
+        """
+        usable = self._usable_forms()
+        dropped: set[_Term] = set()
+        values: set[_Term] = set()
+        for affordance, (forms, predicate) in self._affordances().items():
+            left = forms & usable.keys()
+            dropped |= forms - left
+            if not left and (forms or predicate is not None):
+                dropped.add(affordance)
+            if predicate is not None and "GET" not in map(usable.get, left):
+                values.add(predicate)
+        return [
+            each
+            for each in triples
+            if each.subject not in dropped
+            and each.object not in dropped
+            and not (each.predicate in values and each.subject == NamedNode(self._document.url))
+        ]
+
+    def _usable_forms(self) -> dict[_Term, str]:
+        """The method of each form that the agent may use, by its node."""
+        said = self._document.triples
+        methods = {each.subject: each.object.value for each in said if each.predicate == htv.methodName and
+                   isinstance(each.object, Literal)}  # fmt: skip
+        targets = {each.subject: each.object.value.partition("{")[0] for each in said
+                   if each.predicate == hctl.hasTarget and isinstance(each.object, NamedNode | Literal)}  # fmt: skip
+        return {
+            form: method for form, url in targets.items() if self._judge.may(method := methods.get(form, "GET"), url)
+        }
+
+    def _affordances(self) -> dict[_Term, tuple[set[_Term], _Term | None]]:
+        """The forms of each affordance, and by which predicate this document tells its value, if it does."""
+        told = {each.predicate for each in self._document.triples if each.subject == NamedNode(self._document.url)}
+        found: dict[_Term, tuple[set[_Term], _Term | None]] = {}
+        for each in self._document.triples:
+            if each.predicate == td.hasForm:
+                found.setdefault(each.subject, (set(), None))[0].add(each.object)
+            elif each.predicate == mapping.predicate and each.object in told:
+                found[each.subject] = (found.get(each.subject, (set(), None))[0], each.object)
+        return found
+
+
+def _relinked(before: Iterable[Triple], after: list[Triple]) -> list[Triple]:
+    """With lists closed over the members that were left out of them."""
+    firsts = {each.subject for each in after if each.predicate == rdf.first}
+    broken = {each.subject for each in before if each.predicate == rdf.first} - firsts
+    if not broken:
+        return after
+    rests = {each.subject: each.object for each in before if each.predicate == rdf.rest}
+
+    def beyond(term: _Term) -> _Term:
+        while term in broken and isinstance(term, NamedNode | BlankNode):
+            term = rests.get(term, rdf.nil)
+        return term
+
+    return [Triple(each.subject, each.predicate, beyond(each.object)) for each in after if each.subject not in broken]
+
+
+def _without_hanging(after: list[Triple], before: Iterable[Triple], own: str) -> list[Triple]:
+    """Without what nothing leads to any more: blank nodes and fragments to which something led before."""
+    led = {each.object for each in before if _is_part(each.object, own)}
+    while True:
+        leads = {each.object for each in after if each.object in led and each.subject != each.object}
+        lost = led - leads
+        kept = [each for each in after if each.subject not in lost]
+        if len(kept) == len(after):
+            return kept
+        after = kept
+
+
+def _is_part(term: _Term, own: str) -> bool:
+    """Whether it is there by way of something else only."""
+    return isinstance(term, BlankNode) or (isinstance(term, NamedNode) and term.value.startswith(f"{own}#"))

@@ -1,0 +1,1 @@
+"""The command line: serve, lift, types, token, dump, load."""

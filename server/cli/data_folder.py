@@ -1,0 +1,87 @@
+"""The folder of `--data`: it belongs to one base URL, because its data is full of that URL, and to one server."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from rosld.server.storage.blobs import sync_folder
+from rosld.server.storage.lock import Lock
+
+NAME = "base-url"
+LOCK = "lock"
+_MOMENT = 1.0
+"""Seconds that a process which was killed may take to be gone for good."""
+
+
+@contextmanager
+def hold(folder: Path) -> Iterator[None]:
+    """Within it no other process serves the folder, which is made where it is missing.
+
+    Raises ValueError where another process still does after a moment, OSError where the folder cannot be written. What
+    a process that died left behind is no obstacle: a child of it lets go as soon as it comes to run.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = Lock(folder / LOCK)
+    try:
+        if not _taken(lock):
+            raise ValueError(
+                f"{folder} is served by another rosld (process {lock.read() or 'unknown'}): "
+                "end that one first, or give this one another folder with --data"
+            )
+        with suppress(OSError):  # a full disk: the lock holds without it
+            lock.write(f"{os.getpid()}\n")
+        yield
+    finally:
+        lock.close()
+
+
+def _taken(lock: Lock) -> bool:
+    end = time.monotonic() + _MOMENT
+    while not lock.take():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def owner(folder: Path) -> str | None:
+    """The base that a folder belongs to, None for one that belongs to none yet."""
+    note = folder / NAME
+    return note.read_text("utf-8").strip() if note.exists() else None
+
+
+def claim(folder: Path, base: str) -> None:
+    """Make the folder where it is missing, and this base its own.
+
+    Raises ValueError where it belongs to another base, OSError where it cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    found = owner(folder)
+    if found is None:
+        _write(folder / NAME, base)
+    elif found != base:
+        raise ValueError(f"the data in {folder} belongs to {found}, not {base}: start with --base-url {found}")
+
+
+def disown(folder: Path) -> None:
+    """The folder, which holds nothing, belongs to no base any more."""
+    (folder / NAME).unlink(missing_ok=True)
+
+
+def _write(note: Path, base: str) -> None:
+    """Whole or not at all, and durably: a note cut off by a crash would lock the folder for ever."""
+    draft = note.with_name(f"{NAME}.{os.getpid()}")
+    try:
+        with draft.open("w", encoding="utf-8") as file:
+            file.write(base + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(note)
+        sync_folder(note.parent)
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise

@@ -1,0 +1,50 @@
+"""`rosld load`: brings a dump back."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from pathlib import Path
+
+import click
+
+from rosld.server.cli import data_folder
+from rosld.server.cli.failure import Failure, told
+from rosld.server.settings import canonical_base
+from rosld.server.storage.archive import Unpacking
+from rosld.server.storage.blobs import Blobs
+from rosld.server.storage.record import StorageError
+from rosld.server.storage.sqlite import BLOBS, LOOK_SECONDS
+
+NOTICED_SECONDS = 4 * LOOK_SECONDS
+"""Seconds after which a server that runs on the folder reads the new records, and no file of the old ones."""
+
+
+def load(archive: Path, folder: Path, base: str | None) -> None:
+    """Put what a dump holds in place of everything in a data folder. Raises Failure, with nothing changed.
+
+    `base` is what its IRIs shall begin with; a folder that is there knows it, else it is the dump's own.
+    """
+    with told(), archive.open("rb") as file:
+        unpacking = Unpacking(file)
+        owner = data_folder.owner(folder)
+        to = base or owner or canonical_base(unpacking.base)
+        if to != unpacking.base and base is None:
+            raise Failure(
+                f"{archive} belongs to {unpacking.base}, the data in {folder} to {owner}: "
+                f"--base-url {owner} rewrites its IRIs, or load it into another folder"
+            )
+        data_folder.claim(folder, to)
+        try:
+            packed, freed = unpacking.into(folder, to)
+        except BaseException as error:
+            if owner is None:
+                data_folder.disown(folder)
+            if isinstance(error, StorageError):
+                raise Failure(str(error)) from error
+            raise
+    click.echo(f"rosld: {packed.records} resources, {packed.blobs} of them files, are in {folder}", err=True)
+    if freed:
+        time.sleep(NOTICED_SECONDS)
+        with contextlib.closing(Blobs(folder / BLOBS, durable=True)) as blobs:
+            blobs.remove(freed)  # or whoever keeps them still: then the next start of a server removes them

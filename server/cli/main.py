@@ -1,0 +1,306 @@
+"""The command line: `rosld serve`, `lift`, `types`, `token`, `dump`, `load`. What they do is in `commands/`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+import rosld
+from rosld.adapters.base import AdapterOptions
+from rosld.adapters.model import Qos, read_profile
+from rosld.server import settings as declared
+from rosld.server.cli.failure import told
+from rosld.server.settings import Declaration, Settings
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+_DEFAULT_BASE = "http://127.0.0.1:8080/"
+_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+_FOLDER = click.Path(file_okay=False, path_type=Path)
+_KINDS: Mapping[str, click.ParamType[Any]] = {
+    "int": click.INT,
+    "float": click.FLOAT,
+    "str": click.STRING,
+    "Path | None": _FOLDER,
+    "tuple[Path, ...]": _FOLDER,
+}
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(rosld.__version__, prog_name="rosld", message="%(prog)s %(version)s")
+def main() -> None:
+    """rosld turns a robot into Linked Data: a web site to browse, query with SPARQL, and drive.
+
+    \b
+    Examples:
+      rosld serve aircraft                 an embedded aircraft to try things on
+      rosld serve run.bag                  a recording, played in a loop
+      rosld serve ros1://localhost:11311   a live ROS 1 system
+      rosld lift run.bag -o run.nq.gz      a whole recording as RDF
+      rosld types run.bag                  the message types in it
+      rosld token add anna --file a.toml   a token for somebody who may use a server with --auth
+      rosld dump DIR -o data.tar.gz        a copy of what clients have put; rosld load brings it back
+
+    A SOURCE is `aircraft`, the path of a recording (.bag, .mcap, .db3, a rosbag2 folder), `ros1://HOST:PORT`
+    (`ros1:` takes ROS_MASTER_URI), or `ros2:?domain=42&namespace=/robot1` (`ros2:` takes ROS_DOMAIN_ID).
+    """
+
+
+def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """The pairs in NAME=IP options."""
+    pairs = tuple((name, address) for name, _, address in (value.partition("=") for value in values))
+    for value, pair in zip(values, pairs, strict=True):
+        if not all(pair):
+            raise click.BadParameter(f"{value!r} is not NAME=IP")
+    return pairs
+
+
+def _profiles(
+    context: click.Context, parameter: click.Parameter, values: tuple[str, ...]
+) -> tuple[tuple[str, Qos], ...]:
+    """The globs and profiles in GLOB=PROFILE options; a glob may hold an equals sign, a profile does not."""
+    profiles: list[tuple[str, Qos]] = []
+    for value in values:
+        glob, _, profile = value.rpartition("=")
+        if not glob.startswith(("/", "*")):
+            raise click.BadParameter(f"{value!r} is not GLOB=PROFILE with the GLOB of a topic, such as '/camera/*'")
+        try:
+            profiles.append((glob, read_profile(profile)))
+        except ValueError as error:
+            raise click.BadParameter(f"in {value!r} {error}") from error
+    return tuple(profiles)
+
+
+_CALLBACKS: Mapping[str, Callable[[click.Context, click.Parameter, tuple[str, ...]], object]] = {
+    "host_map": _pairs,
+    "qos": _profiles,
+}
+
+
+def _option(one: Declaration) -> Callable[[_F], _F]:
+    """The click option of a declared setting."""
+    assert one.option is not None
+    if one.type == "bool":
+        return click.option(one.option, one.name, is_flag=True, help=one.help)
+    shown = one.default not in (None, ()) and one.name != "base_url"
+    return click.option(
+        one.option,
+        one.name,
+        type=_FILE if one.metavar == "FILE" else _KINDS.get(one.type, click.STRING),
+        multiple=one.type.startswith("tuple"),
+        callback=_CALLBACKS.get(one.name),
+        default=None if one.name == "base_url" else one.default,
+        show_default=shown,
+        metavar=one.metavar,
+        help=one.help,
+    )
+
+
+def _options(*names: str) -> Callable[[_F], _F]:
+    """The options of these settings, of all that have one where none is named."""
+
+    def decorate(command: _F) -> _F:
+        for one in reversed(declared.declarations()):
+            if one.option is not None and (not names or one.name in names):
+                command = _option(one)(command)
+        return command
+
+    return decorate
+
+
+def _others() -> str:
+    """The settings that are no options, as text for the help."""
+    rows = (
+        f"  {one.name} ({one.default}{' ' + one.unit if one.unit else ''})"
+        for one in declared.declarations()
+        if not one.option
+    )
+    return "\b\nWith --setting NAME VALUE (and their defaults):\n" + "\n".join(rows)
+
+
+@main.command(epilog=_others())
+@click.argument("source")
+@_options()
+@click.option("--setting", "others", nargs=2, multiple=True, metavar="NAME VALUE", help="Any other setting; see below.")
+def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> None:
+    """Serve SOURCE on the web.
+
+    Listens once the source is open, then prints one line, the URL to begin with. Ends on Ctrl-C, SIGTERM, SIGQUIT,
+    and SIGHUP unless that is ignored (nohup).
+
+    \b
+    Examples:
+      rosld serve aircraft --port 0
+      rosld serve run.mcap --rate 0.5 --subscribe '/camera/*'
+      rosld serve ros1://robot:11311 --ros-ip 10.0.0.7 --allow-publish /cmd_vel
+      rosld serve ros1: --host 0.0.0.0 --base-url http://robot.example:8080/
+    """
+    with told():
+        options |= {name.replace("-", "_"): declared.parse(name, text) for name, text in others}
+        if base_url is not None:
+            options["base_url"] = declared.canonical_base(base_url)
+        settings = Settings(**options)
+    from rosld.server.cli.serve import serve as run
+
+    run(source, settings, base_given=base_url is not None)
+
+
+@main.command()
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Where to write: .nq, .nt, .ttl or .trig, each also with .gz.",
+)
+@click.option("--base-url", default=_DEFAULT_BASE, show_default=True, metavar="URL", help="What every URL begins with.")
+@click.option(
+    "--inline-limit",
+    type=click.IntRange(0),
+    default=Settings.inline_limit,
+    show_default=True,
+    metavar="BYTES",
+    help="A larger array or string is elided: its length and the URL of its bytes stand for it.",
+)
+@_options("types")
+def lift(recording: Path, output: Path, base_url: str, inline_limit: int, types: tuple[Path, ...]) -> None:
+    """Turn a whole RECORDING into RDF.
+
+    Each message gets its own URL (BASE/bags/NAME/messages/K) and, in .nq and .trig, a named graph of that name. FILE is
+    there when it is whole, not before.
+
+    \b
+    Examples:
+      rosld lift run.bag -o run.nq
+      rosld lift run.mcap -o run.trig.gz --base-url https://data.example/
+    """
+    from rosld.ontology.lift import LiftSettings
+    from rosld.server.cli.lift import lift as run
+
+    with told():
+        base = declared.canonical_base(base_url)
+    run(recording, output, base, AdapterOptions(types=types), LiftSettings(inline_limit=inline_limit))
+
+
+@main.command(short_help="List the message and service types of SOURCE.")
+@click.argument("source")
+@_options("types")
+def types(source: str, types: tuple[Path, ...]) -> None:
+    """List the message and service types that SOURCE uses: name, tab, hash.
+
+    \b
+    Examples:
+      rosld types run.bag
+      rosld types ros1://localhost:11311
+    """
+    from rosld.server.cli.types import types as run
+
+    run(source, AdapterOptions(types=types))
+
+
+@main.group(short_help="Tokens of those who may use a server with --auth.")
+def token() -> None:
+    """Make, list and take away tokens, in the file that `rosld serve --auth FILE` reads again whenever it changes.
+
+    \b
+    Examples:
+      rosld token add anna --mode read --glob '/topics/**' --file auth.toml
+      rosld token list --file auth.toml
+      rosld token remove anna --file auth.toml
+    """
+
+
+_AUTH = click.option("--file", required=True, type=click.Path(dir_okay=False, path_type=Path), metavar="FILE")
+
+
+@token.command("add", short_help="Make a token for NAME, and print it once.")
+@click.argument("name")
+@click.option(
+    "--mode",
+    "modes",
+    multiple=True,
+    type=click.Choice(["read", "write", "control", "administer"]),
+    help="What NAME may do. Repeatable; read where only --glob is given.",
+)
+@click.option("--glob", "globs", multiple=True, metavar="GLOB", help="Where, such as '/topics/**'. Repeatable.")
+@_AUTH
+def token_add(name: str, modes: tuple[str, ...], globs: tuple[str, ...], file: Path) -> None:
+    """Make a token for NAME and print it: it is kept nowhere, only its digest is.
+
+    Without --mode and --glob the rules stay as they are.
+    """
+    from rosld.server.cli.tokens import add
+
+    add(file, name, modes, globs)
+
+
+@token.command("list", short_help="Who has tokens, and how many.")
+@_AUTH
+def token_list(file: Path) -> None:
+    """List who has tokens: name, tab, how many."""
+    from rosld.server.cli.tokens import listed
+
+    listed(file)
+
+
+@token.command("remove", short_help="Take all tokens of NAME away.")
+@click.argument("name")
+@_AUTH
+def token_remove(name: str, file: Path) -> None:
+    """Take all tokens of NAME away. A server that runs on FILE refuses them within a second or two."""
+    from rosld.server.cli.tokens import remove
+
+    remove(file, name)
+
+
+@main.command(short_help="Copy what clients have put in DIR into a file.")
+@click.argument("folder", metavar="DIR", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Where to write: a .tar.gz.",
+)
+def dump(folder: Path, output: Path) -> None:
+    """Copy what clients have put in DIR (`rosld serve --data DIR`) into FILE, RDF and files.
+
+    It is as it was at one moment, whether a server runs on DIR or not. FILE is there when it is whole, not before.
+
+    \b
+    Examples:
+      rosld dump /var/lib/rosld -o monday.tar.gz
+    """
+    from rosld.server.cli.dump import dump as run
+
+    run(folder, output)
+
+
+@main.command(short_help="Bring back into DIR what a dump holds.")
+@click.argument("file", type=_FILE)
+@click.argument("folder", metavar="DIR", type=_FOLDER)
+@click.option(
+    "--base-url", default=None, metavar="URL", help="What IRIs of the dump's own base begin with from now on."
+)
+def load(file: Path, folder: Path, base_url: str | None) -> None:
+    """Put what FILE holds in place of everything that clients have put in DIR, at once or not at all.
+
+    A server may run on DIR: it goes on with what FILE holds. What is not in FILE is deleted; what was deleted and is in
+    FILE comes back. DIR belongs to the base URL of the dump, unless --base-url rewrites its IRIs (those in RDF; files
+    stay as they are).
+
+    \b
+    Examples:
+      rosld load monday.tar.gz /var/lib/rosld
+      rosld load monday.tar.gz new --base-url https://data.example/
+    """
+    from rosld.server.cli.load import load as run
+
+    with told():
+        base = None if base_url is None else declared.canonical_base(base_url)
+    run(file, folder, base)

@@ -1,0 +1,143 @@
+"""`rosld serve`: opens the source, listens, says where, and leaves cleanly and soon when told to."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import socket
+import sys
+import threading
+from typing import TYPE_CHECKING
+
+import click
+
+from rosld.adapters.base import Adapter
+from rosld.adapters.registry import adapter_for
+from rosld.server import settings as settings_module
+from rosld.server.cli import data_folder
+from rosld.server.cli.failure import told
+from rosld.server.serving import http_server, tls
+from rosld.server.serving.connection import Bounds
+from rosld.server.serving.lifespan import lifespan
+from rosld.server.serving.signals import end_signals
+from rosld.server.settings import Settings
+
+if TYPE_CHECKING:
+    from rosld.server.app import Application
+
+FILES = 256
+"""Open files that are left to everything else than clients: databases, recordings, robots, connections in reserve."""
+LAST_SECONDS = 4.5
+"""Seconds after which a server that was told to end is ended, whatever still holds it: five are promised."""
+
+
+def serve(source: str, settings: Settings, *, base_given: bool) -> None:
+    """Serve a source until a signal comes. Raises Failure where it cannot begin."""
+    http_server.quiet_logs()
+    allow_open_files()
+    with told():
+        adapter = adapter_for(source, settings.adapter_options)
+        sock = http_server.bind(settings.host, settings.port)
+    with contextlib.closing(sock), told(), contextlib.ExitStack() as lasting:
+        settings = settings_module.bound(settings, sock.getsockname()[1], base_given=base_given)
+        if settings.data is not None:
+            lasting.enter_context(data_folder.hold(settings.data))
+            data_folder.claim(settings.data, settings.base_url)
+        if settings.tls_cert is not None:
+            tls.require(settings.tls_cert, settings.tls_key)
+        _warn(settings)
+        from rosld.server.app import create_app
+
+        http_server.run(Serving(create_app(adapter, settings), adapter, sock, settings.base_url).until_stopped())
+
+
+class Serving:
+    """A server's life: open the source, listen, serve, leave."""
+
+    def __init__(self, app: Application, adapter: Adapter, sock: socket.socket, url: str) -> None:
+        self._app = app
+        self._adapter = adapter
+        self._sock = sock
+        self._url = url
+        settings = app.robot.settings
+        limits = (settings.head_limit, settings.head_timeout, settings.read_timeout)
+        bounds = Bounds(*limits, app.clients.connect, app.clients.open_websocket, app.is_urgent)
+        most = min(settings.connections, most_open_files() - FILES)
+        self._server = http_server.Server(app, self._listening, bounds, max(most, 1))
+        tls.apply(self._server.config, app.robot.settings.tls_cert, app.robot.settings.tls_key)
+        self._work: asyncio.Task[None] | None = None
+
+    async def until_stopped(self) -> None:
+        """Serve until a signal. Raises what opening the source raises; the adapter is closed in any case."""
+        loop = asyncio.get_running_loop()
+        for number in end_signals():
+            loop.add_signal_handler(number, self._told_to_stop)
+        self._work = loop.create_task(self._open_and_serve())
+        try:
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._work
+        finally:
+            await self._adapter.close()
+
+    async def _open_and_serve(self) -> None:
+        async with lifespan(self._app):
+            await self._server.serve(sockets=[self._sock])
+
+    def _listening(self) -> None:
+        """The one line on stdout; a reader that has gone is no reason to stop."""
+        with contextlib.suppress(OSError):
+            print(self._url, flush=True)
+
+    def _told_to_stop(self) -> None:
+        end_at_the_latest(LAST_SECONDS)
+        if not self._server.started and self._work is not None:
+            self._work.cancel()
+        self._app.end_streams()
+        self._server.force_exit = self._server.should_exit
+        self._server.should_exit = True
+
+
+def end_at_the_latest(seconds: float) -> None:
+    """End the process so many seconds from now, if it still runs: a stuck thread must not hold it."""
+
+    def end() -> None:
+        with contextlib.suppress(OSError):  # the terminal may have gone
+            os.write(2, b"rosld: ended by force, something did not let go in time\n")
+        os._exit(1)
+
+    timer = threading.Timer(seconds, end)
+    timer.daemon = True
+    timer.start()
+
+
+def allow_open_files() -> None:
+    """As many open files as the system lets this process have: each subscription and each client takes one."""
+    if sys.platform == "win32":
+        return
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = 65536 if hard == resource.RLIM_INFINITY else min(hard, 65536)
+    if soft != resource.RLIM_INFINITY and soft < most:
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+
+
+def most_open_files() -> int:
+    """How many files this process may have open, sockets among them."""
+    if sys.platform == "win32":
+        return 65536
+    import resource
+
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return 65536 if soft == resource.RLIM_INFINITY else soft
+
+
+def _warn(settings: Settings) -> None:
+    if settings.open_beyond_loopback:
+        sentence = "is reached by other machines, so this server is read-only: --auth says who may write"
+        click.echo(f"rosld: {settings.host} {sentence}", err=True)
+    elif settings.beyond_loopback and settings.tls_cert is None:
+        sentence = "is reached by other machines, and tokens go there in the clear: give --tls-cert, or have a proxy"
+        click.echo(f"rosld: {settings.host} {sentence} before it that speaks TLS", err=True)

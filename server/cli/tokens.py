@@ -1,0 +1,106 @@
+"""`rosld token`: tokens made, listed and taken away, in the file of `--auth` (TOML). A server reads the file again."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+
+import click
+
+from rosld.server.auth import config, tokens
+from rosld.server.auth.config import Access
+from rosld.server.cli.failure import told
+
+_TABLE = re.compile(r"^[ \t]*\[", re.MULTILINE)
+_TOKEN = re.compile(r"^[ \t]*\[\[[ \t]*token[ \t]*\]\]")
+
+
+def add(file: Path, name: str, modes: Sequence[str], globs: Sequence[str]) -> None:
+    """Give an agent a new token, and these rights where there are any; the token is told once, here."""
+    token = tokens.made()
+    made = datetime.now(timezone.utc).strftime("%Y-%m-%d")
+    more = f'\n[[token]]\nagent = {_text(name)}\nsha256 = "{tokens.digest(token)}"\ncreated = "{made}"\n'
+    if modes or globs:
+        more += (
+            f"\n[[rule]]\nagents = [{_text(name)}]\nmodes = [{', '.join(map(_text, modes or ('read',)))}]\n"
+            f"paths = [{', '.join(map(_text, globs or ('/**',)))}]\n"
+        )
+    with told():
+        before = _content(file)
+        _write(file, before + (more if before.strip() else more.lstrip("\n")))
+    click.echo(token)
+
+
+def listed(file: Path) -> None:
+    """Who has tokens, and how many."""
+    with told():
+        found = _read(file)
+    counts: dict[str, int] = {}
+    for agent in found.tokens.agents.values():
+        counts[agent] = counts.get(agent, 0) + 1
+    for agent, count in sorted(counts.items()):
+        click.echo(f"{agent}\t{count}")
+
+
+def remove(file: Path, name: str) -> None:
+    """Take all tokens of an agent away; the rules about it stay, and are about nobody."""
+    with told():
+        found = _read(file)
+        if name not in found.tokens.agents.values():
+            raise ValueError(f"{file}: {name!r} has no token")
+        text = _content(file)
+        _write(file, "".join(part for part in _parts(text) if not _is_token_of(part, name)))
+
+
+def _parts(text: str) -> Iterator[str]:
+    """The text table by table, each from its heading to the next one."""
+    starts = [0, *(match.start() for match in _TABLE.finditer(text)), len(text)]
+    return (text[start:end] for start, end in itertools.pairwise(starts))
+
+
+def _is_token_of(part: str, name: str) -> bool:
+    if not _TOKEN.match(part):
+        return False
+    agents = set(config.from_toml(part.encode()).tokens.agents.values())
+    return agents == {name}
+
+
+def _content(file: Path) -> str:
+    if file.suffix in (".ttl", ".turtle"):
+        raise ValueError(f"{file}: tokens are added to TOML; to Turtle add ros:tokenDigest by hand")
+    return file.read_text("utf-8") if file.exists() else ""
+
+
+def _read(file: Path) -> Access:
+    return config.read(file, "http://localhost/")
+
+
+def _text(text: str) -> str:
+    """A text as TOML has it."""
+    escaped = "".join(f"\\u{ord(char):04x}" if char in '"\\' or not char.isprintable() else char for char in text)
+    return f'"{escaped}"'
+
+
+def _write(file: Path, text: str) -> None:
+    """Put a whole file in the place of another at once, readable by its owner alone; it must be in order."""
+    try:
+        config.from_toml(text.encode())
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from error
+    handle, name = tempfile.mkstemp(dir=file.absolute().parent, prefix=".auth-")
+    try:
+        with open(handle, "w", encoding="utf-8") as written:  # noqa: PTH123 - it is a handle
+            written.write(text)
+            written.flush()
+            os.fsync(written.fileno())
+        if file.exists():
+            Path(name).chmod(file.stat().st_mode & 0o777)
+        Path(name).replace(file)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise

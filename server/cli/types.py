@@ -1,0 +1,64 @@
+"""`rosld types`: the message, service and action types that a source uses."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import click
+
+from rosld.adapters.base import Adapter, AdapterOptions
+from rosld.adapters.model import GoalEvent, GoalId, Graph, TypeRef
+from rosld.adapters.registry import adapter_for
+from rosld.server.cli.failure import told
+
+OPEN_SECONDS = 5.0
+
+
+class Nobody:
+    """A `Sink` for who looks once and is told nothing."""
+
+    def graph_changed(self, graph: Graph) -> None:
+        """Not of interest."""
+
+    def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
+        """Not of interest."""
+
+    def parameter_changed(self, name: str) -> None:
+        """Not of interest."""
+
+
+@contextmanager
+def opened(source: str, options: AdapterOptions) -> Iterator[Adapter]:
+    """The adapter of a source, open; it is closed at the end. Raises ValueError and the adapter's errors.
+
+    Its loop stands still between the two, so that Ctrl-C ends what is done with it at once.
+    """
+    adapter = adapter_for(source, options)
+    loop = asyncio.new_event_loop()
+    try:
+        loop.run_until_complete(adapter.open(Nobody(), deadline=loop.time() + OPEN_SECONDS))
+        yield adapter
+    finally:
+        loop.run_until_complete(adapter.close())
+        loop.close()
+
+
+def used(graph: Graph) -> set[TypeRef]:
+    """The types that topics, services and actions of the graph have."""
+    topics = {ref for topic in graph.topics.values() for ref in topic.types}
+    services = {service.type for service in graph.services.values() if service.type is not None}
+    return topics | services | {action.type for action in graph.actions.values() if action.type is not None}
+
+
+def types(source: str, options: AdapterOptions) -> None:
+    """Print one line a type: its name and, after a tab, its hash where it is known."""
+    with told(), opened(source, options) as adapter:
+        found = used(adapter.graph) | set(adapter.known_types())
+    hashed = {ref.name for ref in found if ref.hash is not None}
+    for ref in sorted(found, key=lambda ref: (ref.name, ref.hash or "")):
+        if ref.hash is not None:
+            click.echo(f"{ref.name}\t{ref.hash}")
+        elif ref.name not in hashed:
+            click.echo(ref.name)

@@ -1,0 +1,141 @@
+"""Many documents in one file: as lines (N-Triples, N-Quads), fast, or as paragraphs (Turtle, TriG), for people."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Protocol
+
+from rosld.adapters.base import RecordedMessage
+from rosld.adapters.model import TypeRef
+from rosld.ontology.document import Document
+from rosld.ontology.literals import date_time
+from rosld.ontology.serialize import Syntax, serialize_named
+from rosld.server.cli.lifting import Lifting, Told
+
+_HEADER = re.compile(rb"(?:@(?:base|prefix) [^\n]*\n)+")
+_PLACE = 8_172_635_445_362_718
+_PLACE_NS = 7_263_544_536_271_829_123
+"""Stand for a message's index and time in a template: numbers that occur nowhere else."""
+_INDEX = b"%d" % _PLACE
+_RECEIVED = date_time(0, _PLACE_NS).encode()
+_PROOFS = 3
+"""Messages of each stream that are described in full, to see that the template says the same."""
+
+
+class Writer(Protocol):
+    """Writes the parts of one file, each as bytes to append."""
+
+    def document(self, document: Document) -> bytes:
+        """A document that stands by itself."""
+        ...
+
+    def message(self, told: Told) -> bytes:
+        """The document of one recorded message."""
+        ...
+
+
+def writer(syntax: Syntax, lifting: Lifting) -> Writer:
+    """The writer of a syntax."""
+    return Paragraphs(syntax, lifting) if syntax in (Syntax.TURTLE, Syntax.TRIG) else Lines(syntax, lifting)
+
+
+class Paragraphs:
+    """Turtle and TriG; a prefix is declared when it is new or stands for something else than before."""
+
+    def __init__(self, syntax: Syntax, lifting: Lifting) -> None:
+        self._syntax = syntax
+        self._lifting = lifting
+        self._declared: dict[bytes, bytes] = {}
+
+    def document(self, document: Document) -> bytes:
+        """The document, without what the file has already declared."""
+        text = serialize_named(document, self._syntax)
+        header = _HEADER.match(text)
+        return text if header is None else self._new(header[0]) + text[header.end() :]
+
+    def message(self, told: Told) -> bytes:
+        """The document of one recorded message."""
+        return self.document(self._lifting.document(told))
+
+    def _new(self, header: bytes) -> bytes:
+        """The lines of a header that say something new, of which the base is always one."""
+        base, *prefixes = header.splitlines(keepends=True)
+        declared = {line.split(b" ", 2)[1]: line for line in prefixes}
+        fresh = [line for name, line in declared.items() if self._declared.get(name) != line]
+        self._declared |= declared
+        return base + b"".join(fresh)
+
+
+class Template:
+    """The description of the messages of one stream, with gaps for index and time: made once, filled in for each.
+
+    The first few are described in full as well. Should one of them differ otherwise, all are.
+    """
+
+    def __init__(self, text: bytes) -> None:
+        self._text = text
+        self._proofs = 0
+        self._holds = True
+
+    def text(self, recorded: RecordedMessage) -> bytes:
+        """The description of a message."""
+        received = date_time(0, recorded.sample.received_ns)
+        return self._text.replace(_INDEX, b"%d" % recorded.index).replace(_RECEIVED, received.encode())
+
+    def prove(self, recorded: RecordedMessage, described: bytes) -> None:
+        """Compare with a description made in full."""
+        self._proofs += 1
+        self._holds = self._holds and self.text(recorded) == described
+
+    @property
+    def proven(self) -> bool:
+        """Whether it holds and has been compared often enough."""
+        return self._holds and self._proofs >= _PROOFS
+
+    @property
+    def open(self) -> bool:
+        """Whether it still is to be compared."""
+        return self._holds and self._proofs < _PROOFS
+
+
+class Lines:
+    """N-Triples and N-Quads."""
+
+    def __init__(self, syntax: Syntax, lifting: Lifting) -> None:
+        self._syntax = syntax
+        self._lifting = lifting
+        self._templates: dict[tuple[str, str, TypeRef], Template] = {}
+
+    def document(self, document: Document) -> bytes:
+        """The document's lines."""
+        return serialize_named(document, self._syntax)
+
+    def message(self, told: Told) -> bytes:
+        """The lines of one recorded message: its description by the stream's template, its values by its lifter."""
+        if told.lifted is None:
+            return self.document(self._lifting.document(told))
+        recorded = told.recorded
+        key = (recorded.topic, recorded.sample.publisher, recorded.sample.schema)
+        template = self._templates.get(key)
+        if template is None:
+            template = self._templates[key] = self._template(told)
+        if not template.proven:
+            return self._in_full(told, template)
+        bare = self._lifting.bare(told)
+        end = f" <{bare.url}> .\n" if self._syntax.datasets else " .\n"
+        return template.text(recorded) + told.lifted.ntriples(bare, end).encode()
+
+    def _in_full(self, told: Told, template: Template) -> bytes:
+        document = self._lifting.document(told)
+        if template.open:
+            template.prove(told.recorded, self._description(document))
+        return self.document(document)
+
+    def _template(self, told: Told) -> Template:
+        sample = told.recorded.sample._replace(received_ns=_PLACE_NS)
+        placed = replace(told.recorded, index=_PLACE, sample=sample)
+        return Template(self._description(self._lifting.document(told._replace(recorded=placed))))
+
+    def _description(self, document: Document) -> bytes:
+        return self.document(replace(document, messages=()))

@@ -1,0 +1,218 @@
+"""Encode literals that pyoxigraph would change, so that the dataset gives back every RDF term as it was written.
+
+pyoxigraph stores numbers and times by their values: `"7"^^xsd:unsignedByte` is read back as an xsd:integer, `01` as `1`
+(https://github.com/oxigraph/oxigraph/issues/526). A literal that would not come back the same is stored with a private
+datatype instead, which keeps its lexical form and the name of its datatype. The private namespace holds a random
+number of this process: nobody else can name it, so each occurrence in an answer stands for an XSD datatype.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import secrets
+from functools import lru_cache
+from typing import BinaryIO
+
+import pyoxigraph
+from pyoxigraph import Literal, NamedNode, Quad, Triple
+
+from rosld.ontology.vocab import xsd
+from rosld.server.dataset.base import Term
+
+VARIABLE = "ROSLD_PRIVATE_NAMESPACE"
+"""The environment variable by which the server tells the query process what the namespace is."""
+NAMESPACE = os.environ.get(VARIABLE) or f"urn:x-{secrets.token_hex(16)}:"
+"""What all private IRIs begin with: plain ASCII, which no syntax escapes."""
+NUMERIC = f"{NAMESPACE}n:"
+"""What the private datatypes of numbers begin with."""
+INTEGER = f"{NUMERIC}i:"
+"""What those of integers begin with; the local name of the XSD datatype follows."""
+DOUBLE = f"{NUMERIC}d:"
+"""The same for doubles."""
+_OTHER_NUMBER = f"{NUMERIC}n:"
+OTHER = f"{NAMESPACE}o:o:"
+"""The same for all datatypes that are none of numbers."""
+PATTERN = f"{NAMESPACE}[no]:[idno]:"
+"""What stands before the local name, as a regular expression."""
+_NAMES = (
+    "byte short int long unsignedByte unsignedShort unsignedInt unsignedLong "
+    "nonNegativeInteger positiveInteger nonPositiveInteger negativeInteger"
+)
+_DERIVED = frozenset(_NAMES.split())
+_PREFIXES = {
+    **dict.fromkeys((*_DERIVED, "integer"), INTEGER),
+    "double": DOUBLE,
+    **dict.fromkeys(("decimal", "float"), _OTHER_NUMBER),
+}
+"""By the local name of a numeric datatype, what stands before it."""
+_COMMON = 9
+_REPLACED = tuple(
+    (f'{end}"^^<{xsd.iri}{name}>', f'{end}"^^<{_PREFIXES[name]}{name}>')
+    for end, name in ((".0", "double"), *(("", name) for name in _NAMES.split()))
+)
+"""What is always stored otherwise: replacing text takes a tenth of the time of a match. The last ones are rare."""
+_XSD = re.escape(xsd.iri)
+_LEXICAL = "[0-9A-Za-z+.: -]+"
+"""What the lexical forms consist of that pyoxigraph changes."""
+_FRACTION = r"-?(?:0|[1-9][0-9]{0,5})\.[0-9]{0,8}[1-9]"
+_MOMENT = (
+    r"[0-9]{4}-[0-9]{2}-[0-9]{2}T(?!24)[0-9]{2}:[0-9]{2}:[0-9]{2}"
+    r"(?:\.[0-9]{0,17}[1-9])?(?:Z|[+-](?!00:00)[0-9]{2}:[0-9]{2})?"
+)
+_TYPED = re.compile(
+    r'>[ \t]*"(?!'
+    rf'(?:0|-?[1-9][0-9]{{0,17}})"\^\^<{_XSD}integer>|(?:0|-?[1-9][0-9]{{0,5}}|{_FRACTION})"\^\^<{_XSD}double>'
+    rf'|{_MOMENT}"\^\^<{_XSD}dateTime>|(?:true|false)"\^\^<{_XSD}boolean>'
+    rf')({_LEXICAL})"\^\^<{_XSD}([A-Za-z]+)>'
+)
+"""An object of N-Triples that pyoxigraph may change. The most frequent that it does not are left out."""
+_LITERAL = re.compile(rf'>[ \t]*"((?:[^"\\]|\\.)*)"\^\^<{_XSD}([A-Za-z]+)>')
+_CHANGEABLE = re.compile(_LEXICAL)
+_PLAIN = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]*[1-9])?")
+_DATE_TIME = re.compile(_MOMENT)
+_SPECIAL = frozenset({"INF", "-INF", "NaN", "-0"})
+_REMEMBERED = 16 * 1024
+_BITS = 2.0**26
+"""A double that is no whole number with so many bits more is no tie of two shortest forms: all write it alike."""
+_LONGEST_DECIMAL = 18
+"""Characters of a decimal that is surely within pyoxigraph's range."""
+_SHORT = 7
+"""Characters of a plain number that comes back the same: xsd:float holds any six digits."""
+
+
+def encode_ntriples(text: str) -> str:
+    """Return N-Triples with a private datatype for each literal that the dataset would change."""
+    if xsd.iri not in text:
+        return text
+    if r"\"^^<" in text:  # it may stand within a literal
+        return _LITERAL.sub(_encode_match, text)
+    for written, stored in _REPLACED if "Integer>" in text else _REPLACED[:_COMMON]:
+        text = text.replace(written, stored)
+    return _TYPED.sub(_encode_match, text)
+
+
+def decode_ntriples(text: bytes) -> bytes:
+    """Return text of any RDF or result syntax with the datatypes that the private ones stand for."""
+    return _PRIVATE.sub(_TARGET, text)
+
+
+_NAMESPACE, _PRIVATE, _TARGET = NAMESPACE.encode(), re.compile(PATTERN.encode()), xsd.iri.encode()
+
+
+def encode_literal(literal: Literal) -> Literal:
+    """Return the literal as it is stored."""
+    datatype = literal.datatype.value
+    if not datatype.startswith(xsd.iri) or not is_changed(literal.value, name := datatype[len(xsd.iri) :]):
+        return literal
+    return Literal(literal.value, datatype=private_datatype(name))
+
+
+def encode_triple(triple: Triple) -> Triple:
+    """Return the triple as it is stored."""
+    if not isinstance(triple.object, Literal):
+        return triple
+    return Triple(triple.subject, triple.predicate, encode_literal(triple.object))
+
+
+def decode_term(term: Term) -> Term:
+    """Return the term that a stored one stands for."""
+    if isinstance(term, Literal):
+        datatype = term.datatype.value
+        if datatype.startswith(NAMESPACE):
+            return Literal(term.value, datatype=NamedNode(xsd.iri + datatype[len(OTHER) :]))
+    return term
+
+
+def decode_triple(triple: Triple) -> Triple:
+    """Return the triple that a stored one stands for."""
+    object = decode_term(triple.object)
+    return triple if object is triple.object else Triple(triple.subject, triple.predicate, object)
+
+
+def private_datatype(name: str) -> NamedNode:
+    """Return the private datatype of the XSD datatype with this local name."""
+    return NamedNode(_PREFIXES.get(name, OTHER) + name)
+
+
+def is_changed(lexical: str, name: str) -> bool:
+    """Return whether a literal of the XSD datatype with this local name is stored with a private one."""
+    if name in _DERIVED or (name == "double" and lexical.endswith(".0")):
+        return True
+    if name == "string" or not _CHANGEABLE.fullmatch(lexical):
+        return False
+    if name in _PREFIXES:
+        return _is_changed_number(lexical, name)
+    if name == "dateTime" and _DATE_TIME.fullmatch(lexical):
+        return False
+    return _comes_back_changed(lexical, name)
+
+
+def _is_changed_number(lexical: str, name: str) -> bool:
+    """Return whether a number would be changed, or not be taken for a number (one out of range, one that is none)."""
+    if not _PLAIN.fullmatch(lexical) or lexical == "-0":
+        return lexical not in _SPECIAL or name in ("integer", "decimal")
+    if name == "integer":
+        return "." in lexical or not -(2**63) <= int(lexical[:20]) < 2**63
+    if name == "decimal":
+        return len(lexical) > _LONGEST_DECIMAL
+    if name == "double" and not ((value := float(lexical)) * _BITS).is_integer():
+        written = repr(value)
+        if "e" not in written:
+            return written != lexical
+    return len(lexical) > _SHORT and _comes_back_changed(lexical, name)
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def _comes_back_changed(lexical: str, name: str) -> bool:
+    """Ask the library itself."""
+    literal = Literal(lexical, datatype=NamedNode(xsd.iri + name))
+    store = pyoxigraph.Store()
+    store.add(Quad(literal.datatype, literal.datatype, literal))
+    [quad] = store
+    return bool(quad.object != literal)
+
+
+def _encode_match(match: re.Match[str]) -> str:
+    lexical, name = match.groups()
+    if is_changed(lexical, name):
+        return f'> "{lexical}"^^<{_PREFIXES.get(name, OTHER)}{name}>'
+    return match[0]
+
+
+class Decoder(io.RawIOBase):
+    """Output that passes bytes on decoded; `finish` passes on what was held back because more might have followed."""
+
+    def __init__(self, output: BinaryIO) -> None:
+        super().__init__()
+        self._output = output
+        self._rest = b""
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: bytes) -> int:  # type: ignore[override]
+        """Take bytes. Raises what the output raises."""
+        text = self._rest + bytes(data)
+        border = _border(text)
+        self._rest = text[border:]
+        if border:
+            self._output.write(decode_ntriples(text[:border]))
+        return len(data)
+
+    def finish(self) -> None:
+        """Pass on the rest. Raises what the output raises."""
+        rest, self._rest = self._rest, b""
+        if rest:
+            self._output.write(decode_ntriples(rest))
+
+
+def _border(text: bytes) -> int:
+    """Return where the end of the text begins that may be the beginning of a private datatype, or its length."""
+    start = max(0, len(text) - len(OTHER) + 1)
+    while (start := text.find(_NAMESPACE[:1], start)) >= 0:
+        if _NAMESPACE.startswith(text[start : start + len(_NAMESPACE)]):
+            return start
+        start += 1
+    return len(text)

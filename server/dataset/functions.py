@@ -1,0 +1,100 @@
+"""The private functions that rewritten queries call (`server/sparql/rewriting.py`). Nobody else can name them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+
+from pyoxigraph import Literal, NamedNode, RdfFormat, parse
+
+from rosld.ontology.vocab import rdf, xsd
+from rosld.server.dataset.base import Function, Term
+from rosld.server.dataset.encoding import NAMESPACE, decode_term, encode_literal
+from rosld.server.dataset.sort_keys import sort_key
+
+KEY = f"{NAMESPACE}f:key"
+"""The function that gives the sort key of a term."""
+ORDER = f"{NAMESPACE}f:order"
+"""The same, but for a dateTime the dateTime with a time zone: of these pyoxigraph's own order is total."""
+GREATER = f"{NAMESPACE}f:greater"
+"""The greater one of a number and a term: the one an IRI for none, the other as `PACK` has it, or empty for none."""
+LESS = f"{NAMESPACE}f:less"
+"""The lesser one, with `NOTHING` for none."""
+NOTHING = "~"
+"""What pyoxigraph takes to be greater than every number and than every key."""
+PACK = f"{NAMESPACE}f:pack"
+"""The function that gives a sort key from which `UNPACK` makes the term again: MIN and MAX compare these."""
+UNPACK = f"{NAMESPACE}f:unpack"
+"""The function that gives the term of a key, as it is stored."""
+VALUE = f"{NAMESPACE}f:value"
+"""The function that gives a term whose value pyoxigraph knows for one that is stored."""
+TYPED = f"{NAMESPACE}f:typed"
+"""STRDT, with a result as it is stored."""
+_LENGTH = 8
+"""Digits of the length of a term at the end of its key."""
+
+
+def _key(term: Term) -> Term:
+    return Literal(sort_key(term))
+
+
+def _order(term: Term) -> Term:
+    decoded = decode_term(term)
+    if not isinstance(decoded, Literal) or decoded.datatype != xsd.dateTime:
+        return Literal(sort_key(term))
+    return decoded if _ZONE.search(decoded.value) else Literal(f"{decoded.value}Z", datatype=xsd.dateTime)
+
+
+_ZONE = re.compile(r"(?:Z|[+-][0-9]{2}:[0-9]{2})$")
+
+
+def _pack(term: Term) -> Term:
+    text = str(term)
+    return Literal(f"{sort_key(term)}\x00{text}{len(text):0{_LENGTH}}")
+
+
+def _unpack(key: Term) -> Term | None:
+    if not isinstance(key, Literal):
+        return None
+    end = len(key.value) - _LENGTH
+    text = key.value[end - int(key.value[end:]) : end]
+    [quad] = parse(f"{rdf.first} {rdf.first} {text} .", RdfFormat.N_TRIPLES)
+    object: Term = quad.object
+    return object
+
+
+def _greater(number: Term, packed: Term) -> Term | None:
+    return _first(number, packed, lambda key, other: key > other)
+
+
+def _less(number: Term, packed: Term) -> Term | None:
+    return _first(number, packed, lambda key, other: key < other)
+
+
+def _first(number: Term, packed: Term, precedes: Callable[[str, str], bool]) -> Term | None:
+    if not isinstance(packed, Literal) or packed.value in ("", NOTHING):
+        return number
+    if not isinstance(number, Literal) or number.value == NOTHING:
+        return _unpack(packed)
+    return number if precedes(sort_key(number), packed.value) else _unpack(packed)
+
+
+def _typed(text: Term, datatype: Term) -> Term | None:
+    if not isinstance(text, Literal) or text.datatype != xsd.string or not isinstance(datatype, NamedNode):
+        return None
+    if datatype == rdf.langString:
+        return None
+    return encode_literal(Literal(text.value, datatype=datatype))
+
+
+FUNCTIONS: Mapping[str, Function] = {
+    KEY: _key,
+    ORDER: _order,
+    PACK: _pack,
+    UNPACK: _unpack,
+    GREATER: _greater,
+    LESS: _less,
+    VALUE: decode_term,
+    TYPED: _typed,
+}
+"""The functions by IRI."""

@@ -1,0 +1,121 @@
+"""What a mirror has still to tell: at most one entry a graph, for what a graph says newest is all that counts."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import islice
+from typing import NamedTuple, TypeAlias
+
+from rosld.server.dataset.base import Edit
+
+FREE = 100_000
+"""Graphs that may wait beyond those that the dataset has."""
+_EDITS = 256 * 1024
+"""Characters of edits from which on their graph is told whole instead."""
+_ALL_EDITS = 8 * 1024 * 1024
+"""The same for all graphs together."""
+
+Entry: TypeAlias = tuple[Edit, ...] | None
+"""The edits of a graph in their order; None: the whole of it is to be told as it is by then, or that it is gone."""
+
+
+class Taken(NamedTuple):
+    """Entries on their way, and the moment (`time.monotonic`) of the oldest change among them."""
+
+    entries: Mapping[str, Entry]
+    since: float
+
+
+class Pending:
+    """Graphs that wait to be told, in the order of their changes. Thread-safe.
+
+    Where more wait than there may, all are forgotten, and `overflowed` says that everything is to be told anew.
+    """
+
+    def __init__(self, most: int = FREE) -> None:
+        self.most = most
+        self.overflowed = False
+        self._entries: dict[str, Entry] = {}
+        self._size = 0
+        self._since: float | None = None
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    @property
+    def since(self) -> float | None:
+        """No later than the oldest change that waits; None where none does."""
+        return self._since
+
+    def note(self, graphs: Iterable[str], edits: Sequence[Edit] = ()) -> None:
+        """These graphs were replaced, and then these edits done."""
+        with self._lock:
+            for graph in graphs:
+                self._put(graph, None)
+            for edit in edits:
+                before = self._entries.get(edit.graph, ())
+                self._put(edit.graph, None if before is None else (*before, edit))
+            if self._entries and self._since is None:
+                self._since = time.monotonic()
+            if len(self._entries) > self.most:
+                self._forget()
+                self.overflowed = True
+
+    def begin_anew(self) -> None:
+        """Forget what waits: everything is about to be noted. What changes meanwhile is noted as ever."""
+        with self._lock:
+            self._forget()
+            self.overflowed = False
+
+    def note_all(self, graphs: Collection[str]) -> None:
+        """These graphs, however many they are, and what was noted besides, are all that is to be told."""
+        with self._lock:
+            self.most = FREE + len(graphs)
+            for graph in graphs:
+                self._put(graph, None)
+            if self._entries and self._since is None:
+                self._since = time.monotonic()
+
+    def take(self, most: int) -> Taken | None:
+        """The first of what waits, which waits no more; None where nothing does."""
+        with self._lock:
+            if not self._entries or self._since is None:
+                return None
+            taken = Taken({graph: self._entries[graph] for graph in islice(self._entries, most)}, self._since)
+            for graph in taken.entries:
+                self._size -= _size(self._entries.pop(graph))
+            if not self._entries:
+                self._since = None
+            return taken
+
+    def give_back(self, taken: Taken) -> None:
+        """It was not told after all: it waits again, before what came since."""
+        with self._lock:
+            if self.overflowed:
+                return
+            later = self._entries
+            self._entries, self._size = {}, 0
+            for graph, entry in taken.entries.items():
+                self._put(graph, entry)
+            for graph, entry in later.items():
+                before = self._entries.get(graph, ())
+                self._put(graph, None if before is None or entry is None else before + entry)
+            self._since = taken.since if self._since is None else min(self._since, taken.since)
+
+    def _put(self, graph: str, entry: Entry) -> None:
+        before = self._entries.get(graph, ())
+        size = _size(entry)
+        if size > _EDITS or self._size - _size(before) + size > _ALL_EDITS:
+            entry, size = None, 0
+        self._size += size - _size(before)
+        self._entries[graph] = entry
+
+    def _forget(self) -> None:
+        self._entries, self._size, self._since = {}, 0, None
+
+
+def _size(entry: Entry) -> int:
+    return sum(len(edit.added) + len(edit.removed) for edit in entry or ())

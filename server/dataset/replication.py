@@ -1,0 +1,421 @@
+"""The mirror: another store is told, in the background, whatever the dataset of this server holds.
+
+The dataset here stays what queries are answered from; the other store follows at a rate, and may hold the graphs of
+other servers too: which graphs are ours their IRIs tell, and no other is ever touched. What is to be told is kept as
+names (`pending.py`) and read from the dataset when it is told, and of a small graph only what differs is (`told.py`):
+stores age by what is replaced in them. While the other store cannot be reached nothing else waits for it.
+
+A graph of its own there, the seal, says which run of which server told what is there, and when it did so last. A store
+that lost something, or was put back to an earlier day, does not hold the seal as it was left: it is told all anew.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import random
+import threading
+import time
+from collections.abc import Awaitable, Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, TypeVar
+
+from pyoxigraph import Literal, NamedNode, QuerySolutions
+
+from rosld.ontology.triples import moment as instant
+from rosld.ontology.vocab import dcterms, rdf, ros
+from rosld.server.dataset.base import Edit
+from rosld.server.dataset.endpoint import Refused, StoreError
+from rosld.server.dataset.ntriples import parts
+from rosld.server.dataset.pending import Pending, Taken
+from rosld.server.dataset.remote import RemoteStore
+from rosld.server.dataset.replica_state import Told
+
+_log = logging.getLogger("rosld.store")
+
+_REQUEST = 1024 * 1024
+"""Characters that one request holds; more only where one blank node holds more together."""
+_ROUND = 2000
+"""Graphs told between two looks at what changed."""
+_FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 60.0
+"""Seconds until a store that failed is tried again: doubled each time, less a random part."""
+_REFUSALS = 64
+"""Requests refused in one round before the rest waits for another."""
+_AGAIN = 60.0
+"""Seconds until a graph that was refused is tried again."""
+_LAST = 1.5
+"""Seconds that the last request may take."""
+_MOMENTS = 32
+"""Requests in a row of which it is not known whether they were carried out, before all is told anew."""
+_CONTENT = (400, 413, 422, 500)
+"""Statuses that may concern what was sent rather than the endpoint."""
+
+_T = TypeVar("_T")
+
+
+class Territory(Protocol):
+    """Which graphs of a shared store are this server's."""
+
+    @property
+    def base(self) -> str:
+        """What the IRIs of all of them begin with."""
+        ...
+
+    @property
+    def seal(self) -> str:
+        """The IRI of the graph that says who told what last: what it is about, too."""
+        ...
+
+    def is_ours(self, graph: str) -> bool:
+        """Whether a graph whose IRI begins so was told by this server or an earlier run of it."""
+        ...
+
+    def passing(self) -> Collection[str]:
+        """The graphs that are true only while this server runs. Called on the loop."""
+        ...
+
+
+class Source(Protocol):
+    """The dataset that is told. `graphs` and `ntriples` are called in any thread, and raise StoreError."""
+
+    def watch(self, told: Callable[[Collection[str], Sequence[Edit]], None], begun: Callable[[], None]) -> None:
+        """Call `told` with the names of graphs that are replaced and with edits, `begun` when all begins anew."""
+        ...
+
+    def graphs(self) -> Collection[str]:
+        """The names of all graphs."""
+        ...
+
+    def ntriples(self, graph: str) -> str | None:
+        """What a graph holds now, None where there is none of that name."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How far a mirror is. `lag` is the age, in seconds, of the oldest change that is not there yet; 0 for none.
+
+    `failure` says why the store cannot be told now, None where it can. `pending` graphs wait, `refused` ones were not
+    taken. `told_ns` is when it last took something, in nanoseconds since the epoch.
+    """
+
+    url: str
+    lag: float
+    pending: int
+    refused: int
+    failure: str | None
+    told_ns: int | None
+
+
+class _Part(NamedTuple):
+    """What one request can say of one graph: the whole of it (or that it is gone), else edits."""
+
+    graph: str
+    text: str | None
+    edits: Sequence[Edit]
+
+    @property
+    def size(self) -> int:
+        return len(self.graph) + len(self.text or "") + sum(len(edit.added) + len(edit.removed) for edit in self.edits)
+
+
+class Mirror:
+    """Keeps a remote store in step with a dataset. `run` belongs to one loop; requests are made in their own thread.
+
+    `refresh` brings the dataset to what the robot says now. `interval` is the seconds between rounds. `run_name` names
+    this run of the server, unlike any other.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        target: RemoteStore,
+        territory: Territory,
+        refresh: Callable[[], Awaitable[None]],
+        *,
+        interval: float,
+        run_name: str,
+        first_pause: float = _FIRST_PAUSE,
+    ) -> None:
+        self._source = source
+        self._target = target
+        self._territory = territory
+        self._refresh = refresh
+        self._interval = interval
+        self._run_name = run_name
+        self._first_pause = first_pause
+        self._pending = Pending()
+        self._told = Told()
+        self._refused: dict[str, float] = {}
+        self._on_its_way: float | None = None
+        self._told_ns: int | None = None
+        self._failure: str | None = None
+        self._failures = 0
+        self._moments: list[str] = []  # what the seal may say of when: one line unless requests failed
+        self._whole = False  # whether everything was noted since this server began
+        self._confirmed = False  # whether the seal was found since
+        self._renewed = 0.0  # when that was begun
+        self._seen = -1  # the connections at which the seal was found to be right
+        self._ending = False
+        self._unrefreshed = False
+        self._round: asyncio.Future[bool] | None = None
+        source.watch(self._pending.note, self._forget)
+
+    def _forget(self) -> None:
+        """The dataset begins anew: what goes is not told any more, so everything is."""
+        self._whole = False
+
+    @property
+    def status(self) -> Status:
+        """How far it is; from any thread."""
+        oldest = [moment for moment in (self._on_its_way, self._pending.since) if moment is not None]
+        lag = time.monotonic() - min(oldest) if oldest else 0.0
+        return Status(self._target.url, lag, len(self._pending), len(self._refused), self._failure, self._told_ns)
+
+    async def run(self) -> None:
+        """Tell the other store what changes, for ever: to be cancelled."""
+        while True:
+            begun = time.monotonic()
+            try:
+                await self._refreshed()
+                self._round = _in_thread(self._tell_round)
+                more = await asyncio.shield(self._round)
+            except StoreError as error:
+                self._failed(error)
+                await asyncio.sleep(self._pause())
+                continue
+            except Exception as error:
+                _log.exception("telling %s failed", self._target.url)
+                self._failed(StoreError(f"{type(error).__name__}: {error}."))
+                await asyncio.sleep(self._pause())
+                continue
+            self._succeeded()
+            if not more:
+                await asyncio.sleep(max(0.0, begun + self._interval - time.monotonic()))
+
+    async def close(self) -> None:
+        """After `run` was cancelled: take away there what is true only while this server runs. Within some seconds."""
+        self._ending = True
+        if self._round is not None and not self._round.done():
+            await asyncio.wait([self._round], timeout=_LAST / 3)
+            self._target.interrupt()
+            await asyncio.wait([self._round], timeout=_LAST / 3)
+        if self._failure is None and self._told_ns is not None and (self._round is None or self._round.done()):
+            self._target.hurry(_LAST)
+            gone = [_Part(graph, None, ()) for graph in self._territory.passing()]
+            ended = _in_thread(lambda: self._seal(ros.Stale, gone))
+            await asyncio.wait([ended], timeout=_LAST)
+            if not ended.done() or ended.exception() is not None:
+                _log.warning("%s keeps graphs of this server that are true no more", self._target.url)
+
+    async def _refreshed(self) -> None:
+        """What the robot does not say now must not keep back what else there is."""
+        try:
+            await self._refresh()
+        except Exception as error:
+            if not self._unrefreshed:
+                _log.warning("the live values cannot be read for %s: %s", self._target.url, error)
+            self._unrefreshed = True
+        else:
+            self._unrefreshed = False
+
+    def _pause(self) -> float:
+        longest = min(_LONGEST_PAUSE, self._first_pause * 2.0 ** min(self._failures - 1, 16))
+        return longest * random.uniform(0.5, 1.0)
+
+    def _failed(self, error: StoreError) -> None:
+        self._failures += 1
+        self._seen = -1
+        if self._failure is None:
+            _log.warning("the store is behind from now on: %s It is tried again.", error)
+        self._failure = str(error)
+
+    def _succeeded(self) -> None:
+        if self._failure is not None:
+            _log.warning("the store at %s takes what it is told again", self._target.url)
+        self._failure, self._failures = None, 0
+
+    # --- in the thread of a round
+
+    def _tell_round(self) -> bool:
+        """Tell the first of what waits, the seal at least; whether more waits. Raises StoreError."""
+        if self._pending.overflowed:
+            self._whole = False
+            _log.warning("more changes wait for %s than are kept apart: all is told anew", self._target.url)
+        if not self._whole or self._seen != self._target.connections:
+            self._look()
+        now = time.monotonic()
+        self._pending.note([graph for graph, again in self._refused.items() if again <= now])
+        taken = self._pending.take(_ROUND)
+        if taken is None:
+            self._tell(())
+            return False
+        self._on_its_way = taken.since
+        try:
+            self._tell_all(taken, now)
+        except BaseException:
+            self._told.clear()
+            self._pending.give_back(taken)
+            raise
+        finally:
+            self._on_its_way = None
+        return len(self._pending) > 0
+
+    def _look(self) -> None:
+        """See whether the other store holds what it was told, and have everything told where it does not."""
+        if self._whole and self._is_sealed():
+            self._confirmed = True
+            self._seen = self._target.connections
+        elif self._confirmed or not self._whole or time.monotonic() > self._renewed + _AGAIN:
+            self._begin_anew()
+        # else it does not show what it was told a moment ago: telling all of it again at once would not help
+
+    def _begin_anew(self) -> None:
+        self._whole, self._confirmed, self._renewed = False, False, time.monotonic()
+        self._pending.begin_anew()
+        there = [name for name in self._target.graphs_below(self._territory.base) if self._is_subject(name)]
+        self._pending.note_all(dict.fromkeys((*there, *self._source.graphs())))
+        self._refused.clear()
+        self._told.clear()
+        self._seal(ros.Live)
+        self._whole = True
+
+    def _is_subject(self, graph: str) -> bool:
+        return graph != self._territory.seal and self._territory.is_ours(graph)
+
+    def _is_sealed(self) -> bool:
+        seal = NamedNode(self._territory.seal)
+        found = self._target.query(f"SELECT ?p ?o {{ GRAPH {seal} {{ {seal} ?p ?o }} }}")
+        assert isinstance(found, QuerySolutions)
+        said = [(row["p"], row["o"]) for row in found]
+        runs = [value for predicate, value in said if predicate == ros.revision]
+        moments = [f"{seal} {predicate} {value} .\n" for predicate, value in said if predicate == dcterms.modified]
+        return runs == [Literal(self._run_name)] and len(moments) == 1 and moments[0] in self._moments
+
+    def _seal(self, state: NamedNode, batch: Sequence[_Part] = ()) -> None:
+        """Tell these graphs, and the seal whole."""
+        seal = NamedNode(self._territory.seal)
+        said = ((rdf.type, ros.Mirror), (ros.revision, Literal(self._run_name)), (ros.state, state))
+        moment = self._moment()
+        text = "".join(f"{seal} {predicate} {value} .\n" for predicate, value in said) + moment
+        self._moments.append(moment)
+        self._replace({**{part.graph: part.text for part in batch}, seal.value: text}, ())
+        self._moments = [moment]
+
+    def _moment(self) -> str:
+        return f"{NamedNode(self._territory.seal)} {dcterms.modified} {instant(time.time_ns())} .\n"
+
+    def _tell_all(self, taken: Taken, now: float) -> None:
+        left = _REFUSALS
+        batch: list[_Part] = []
+        size = 0
+        for part in self._parts(taken, now):
+            if batch and size + part.size > _REQUEST:
+                left = self._push(batch, left)
+                batch, size = [], 0
+            batch.append(part)
+            size += part.size
+        if batch:
+            self._push(batch, left)
+        else:
+            self._tell(())
+
+    def _parts(self, taken: Taken, now: float) -> Iterator[_Part]:
+        for graph, edits in taken.entries.items():
+            again = self._refused.get(graph)
+            if again is not None and again > now:
+                continue  # it is told whole when its time comes
+            if edits is not None and again is None:
+                self._told.forget(graph)
+                yield _Part(graph, None, edits)
+                continue
+            text = self._source.ntriples(graph)
+            if not text:
+                self._told.forget(graph)
+                yield _Part(graph, None, ())
+                continue
+            difference = self._told.difference(graph, text)
+            if difference is not None:
+                if difference.added or difference.removed:
+                    yield _Part(graph, None, (difference,))
+                continue
+            first, *others = parts(text, _REQUEST)
+            yield _Part(graph, first, ())
+            yield from (_Part(graph, None, (Edit(graph, added=other),)) for other in others)
+
+    def _push(self, batch: Sequence[_Part], left: int) -> int:
+        """Tell these; what is refused is found by halves and left out. How many refusals are left. StoreError."""
+        if self._ending:
+            raise StoreError("This server ends.")
+        batch = [part for part in batch if not part.edits or part.graph not in self._refused]
+        if not batch:
+            return left
+        try:
+            self._tell(batch)
+        except Refused as error:
+            if error.status not in _CONTENT or left <= 0:
+                raise
+            self._tell(())  # an endpoint that does not even take this is at fault itself: it raises
+            if len(batch) == 1:
+                self._leave_out(batch[0].graph, error)
+                return left - 1
+            middle = len(batch) // 2
+            return self._push(batch[middle:], self._push(batch[:middle], left - 1))
+        for part in batch:
+            self._refused.pop(part.graph, None)
+        return left
+
+    def _leave_out(self, graph: str, error: Refused) -> None:
+        """A graph that cannot be told is better not there than as it was once."""
+        if graph not in self._refused:
+            _log.error("%s is left out of the store: %s", graph, error)
+        self._refused[graph] = time.monotonic() + _AGAIN
+        self._told.forget(graph)
+        self._tell((_Part(graph, None, ()),))
+
+    def _tell(self, batch: Sequence[_Part]) -> None:
+        """One request: these parts, and when that was."""
+        if len(self._moments) > _MOMENTS:
+            self._whole = False  # too much is unknown
+        moment = self._moment()
+        sealing = Edit(self._territory.seal, moment, "".join(self._moments))
+        self._moments.append(moment)
+        graphs = {part.graph: part.text for part in batch if not part.edits}
+        self._replace(graphs, [*(edit for part in batch for edit in part.edits), sealing])
+        self._moments = [moment]
+
+    def _replace(self, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> None:
+        try:
+            self._target.replace(graphs, edits)
+        except ValueError as error:
+            raise Refused(f"It cannot be told: {error}.", 422) from error
+        self._told_ns = time.time_ns()
+
+
+def _in_thread(work: Callable[[], _T]) -> asyncio.Future[_T]:
+    """Done in a thread of its own, which a process that ends does not wait for."""
+    loop = asyncio.get_running_loop()
+    future: asyncio.Future[_T] = loop.create_future()
+
+    def settle(found: _T | None, error: BaseException | None) -> None:
+        if future.cancelled():
+            return
+        if error is not None:
+            future.set_exception(error)
+        else:
+            future.set_result(found)  # type: ignore[arg-type]
+
+    def run() -> None:
+        found: _T | None = None
+        failure: BaseException | None = None
+        try:
+            found = work()
+        except BaseException as error:
+            failure = error
+        with contextlib.suppress(RuntimeError):  # the loop is closed
+            loop.call_soon_threadsafe(settle, found, failure)
+
+    future.add_done_callback(lambda done: done.cancelled() or done.exception())  # nobody may ask for it
+    threading.Thread(target=run, name="store", daemon=True).start()
+    return future

@@ -1,1 +1,0 @@
-"""Live values: subscriptions on demand, views of topics, and folding."""

@@ -1,5 +1,0 @@
-"""Worker processes for what would keep the event loop from running: large documents parsed, patched and rendered."""
-
-from rosld.server.offload.pool import Work, Workers
-
-__all__ = ["Work", "Workers"]

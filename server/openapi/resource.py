@@ -1,0 +1,156 @@
+"""`/openapi.json`: the description, in OpenAPI 3.1, of everything that is here now."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache, partial
+
+from starlette.responses import Response
+
+from rosld import __version__
+from rosld.server.auth import enforcement
+from rosld.server.auth.authenticator import OPEN
+from rosld.server.auth.permissions import Judge
+from rosld.server.http import negotiation
+from rosld.server.http.conditional import ETag, digest
+from rosld.server.http.link import Link
+from rosld.server.http.problem import Problem
+from rosld.server.openapi.description import description
+from rosld.server.openapi.json_schema import Schema
+from rosld.server.openapi.place import Place
+from rosld.server.openapi.places import OPENAPI, Places, Resolve, learn
+from rosld.server.openapi.rights import places_for, with_security
+from rosld.server.resources.context import Robot, Same
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.prepared import held
+from rosld.server.rest.resource import LDP, RESOURCE, Resource
+from rosld.server.rest.resource_headers import standing_headers
+
+_ABOUT = (
+    "A robot as Linked Data. Every resource links to others, begin at `/`; every answer about a resource says in Allow "
+    "what may be done with it, and problems say what to do next (RFC 9457). Everything can be had as RDF in several "
+    "syntaxes by Accept; `application/json` is ROS's own JSON where there is a ROS value, in which integers beyond 53 "
+    "bits are strings of digits and what is too large, or no UTF-8, is an object that says so."
+)
+
+
+_MANY = 500
+"""Places from which a description is written by a worker process: to write one holds the interpreter's lock."""
+_AT_ONCE = 25
+"""Places that are found before the loop has its turn: some milliseconds."""
+_digest = lru_cache(maxsize=4)(digest)
+_MOST = 8
+"""Sets of rights for which descriptions are kept."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Described:
+    """A description, what it is made from, and of which version that is."""
+
+    version: Hashable
+    data: bytes
+    places: tuple[Place, ...]
+    schemas: Mapping[str, Schema]
+
+
+class OpenApiResource(Resource):
+    """The description, made once for each state of the graph, the types at hand and the mappings in force."""
+
+    kind = "Description"
+    links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
+
+    def __init__(self, robot: Robot, resolve: Resolve) -> None:
+        super().__init__(f"{robot.space.base}openapi.json")
+        self.robot = robot
+        self._resolve = resolve
+        self._kept: dict[bool, _Described] = {}
+        self._of_agents: dict[tuple[bool, str, str], tuple[_Described, bytes]] = {}
+        self._making = asyncio.Lock()
+
+    async def special(self, exchange: Exchange) -> Response | None:
+        media_type = negotiation.choose(exchange.accept, OPENAPI)
+        if media_type is None:
+            raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(OPENAPI)}.")
+        hidden = exchange.flag("hidden") and self.robot.adapter.capabilities.hidden_names
+        kept = await self._described(hidden)
+        data = kept.data
+        if exchange.visit is not OPEN:
+            data = await self._for_agent(kept, hidden, exchange.judge, exchange.visit.public)
+        etag = ETag(f"{self.robot.boot}-{_digest(data)}", media_type.partition("/")[2].replace(".", "-"))
+        return held(exchange, data, media_type, etag, standing_headers(self).items())
+
+    async def _for_agent(self, kept: _Described, hidden: bool, judge: Judge, public: Judge) -> bytes:
+        """The description as it is for an agent, kept for as long as it is the same."""
+        key = (hidden, judge.key, public.key)
+        known = self._of_agents.get(key)
+        if known is None or known[0] is not kept:
+            if len(self._of_agents) >= _MOST:
+                self._of_agents.clear()
+            made = await asyncio.to_thread(self._made_for, kept, judge, public)
+            known = self._of_agents[key] = (kept, made)
+        return known[1]
+
+    def _made_for(self, kept: _Described, judge: Judge, public: Judge) -> bytes:
+        """What is described to an agent is described anew, so that not even a number tells of anything else."""
+        data = kept.data
+        if not judge.whole:
+            data = self._written(places_for(kept.places, partial(self._may, judge), judge.may_read), kept.schemas)
+        return with_security(data, partial(self._may, public), whole=judge.whole)
+
+    def _may(self, judge: Judge, method: str, path: str) -> bool:
+        """Whether a method may be used at a path below the base, or at some that a template stands for."""
+        url = self.robot.space.base.rstrip("/") + path
+        place = judge.place(url)
+        if judge.whole or "{" in path or place is None:
+            return judge.may_somewhere(method, url)
+        try:
+            return method in enforcement.allowed(judge, place, self._resolve(path))
+        except Problem:
+            return False
+
+    async def _described(self, hidden: bool) -> _Described:
+        kept = self._kept.get(hidden)
+        if kept is not None and kept.version == self._version():
+            return kept
+        async with self._making:
+            kept = self._kept.get(hidden)
+            if kept is None or kept.version != self._version():
+                kept = self._kept[hidden] = await self._made(hidden)
+            return kept
+
+    def _version(self) -> Hashable:
+        robot = self.robot
+        return (Same(robot.graph), robot.schemas.count, Same(robot.mappings.arrangement), robot.queries.version)
+
+    async def _made(self, hidden: bool) -> _Described:
+        """A version and its description: found on the loop, written on a thread, for a large one takes its time."""
+        robot = self.robot
+        await learn(robot)
+        layout = await robot.offers.layout()
+        version = self._version()
+        found = Places(robot, layout, self._resolve, hidden=hidden)
+        places = await _in_turns(found.all())
+        if len(places) > _MANY:
+            data = await robot.workers.run(self._writing(places, found.schemas))
+        else:
+            data = await asyncio.to_thread(self._written, places, found.schemas)
+        return _Described(version, data, places, found.schemas)
+
+    def _writing(self, places: Iterable[Place], schemas: Mapping[str, Schema]) -> Callable[[], bytes]:
+        title, base = f"rosld: {self.robot.name}", self.robot.space.base
+        return partial(description, title, base, __version__, _ABOUT, places, schemas)
+
+    def _written(self, places: Iterable[Place], schemas: Mapping[str, Schema]) -> bytes:
+        return self._writing(places, schemas)()
+
+
+async def _in_turns(places: Iterable[Place]) -> tuple[Place, ...]:
+    """All places; whatever else waits for the loop has its turn after every few."""
+    found: list[Place] = []
+    for place in places:
+        found.append(place)
+        if len(found) % _AT_ONCE == 0:
+            await asyncio.sleep(0)
+    return tuple(found)

@@ -1,0 +1,90 @@
+"""Limits on what is written: those that a server begins with, and those that clients keep under `/shapes/`."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Iterator, Sequence
+
+from pyoxigraph import RdfFormat, Triple, parse
+
+from rosld.adapters.base import Adapter
+from rosld.ontology.urls import Space
+from rosld.server.settings import Settings
+from rosld.server.storage import Records
+from rosld.server.storage.packing import unpack
+from rosld.shapes.limits import Limits, read_limits
+
+ROOM = "shapes/"
+MOST_TRIPLES = 5000
+"""Of a document that is kept: all of them are looked at again whenever one changes."""
+_log = logging.getLogger("rosld")
+
+
+class LimitsInForce:
+    """The limits of all documents together. Every change is whole or none."""
+
+    def __init__(self, given: Sequence[Sequence[Triple]], space: Space) -> None:
+        self.now = Limits.of(given, space)
+        """All of them; a change makes another object."""
+        self.turn = asyncio.Lock()
+        """Held while a write is judged and done."""
+        self._given = tuple(given)
+        self._kept: dict[str, tuple[Triple, ...]] = {}
+        self._space = space
+
+    def check(self, url: str, triples: bytes) -> tuple[Triple, ...]:
+        """The shapes graph of a document that may be kept at a URL, given as N-Triples.
+
+        Raises ValueError with a sentence where it cannot be used, alone or beside the others.
+        """
+        graph = tuple(quad.triple for quad in parse(triples, RdfFormat.N_TRIPLES))
+        if len(graph) > MOST_TRIPLES:
+            raise ValueError(f"it has {len(graph)} triples, and {MOST_TRIPLES} are the most: make several of it")
+        try:
+            if not Limits.of([graph], self._space):
+                raise ValueError("it limits nothing: there is no shape with a sh:targetNode or a sh:targetClass in it")
+            Limits.of(self._with(url, graph), self._space)
+        except RecursionError as error:
+            raise ValueError("its shapes nest too deep") from error
+        return graph
+
+    def replace(self, url: str, graph: tuple[Triple, ...]) -> None:
+        """Put a document into force that was found good, in the place of the one of the same URL."""
+        self._kept[url] = graph
+        self.now = Limits.of(self._with(), self._space)
+
+    def remove(self, url: str) -> None:
+        """Take the document of this URL out of force; nothing happens where there is none."""
+        if self._kept.pop(url, None) is not None:
+            self.now = Limits.of(self._with(), self._space)
+
+    def begin(self, records: Records) -> None:
+        """Put into force what was kept by an earlier run. What cannot be used (any more) is logged and left aside."""
+        last = 0
+        while found := records.members(ROOM, after=last):
+            last = found[-1].number
+            for member in found:
+                record, url = records.get(member.path), self._space.base + member.path
+                if record is None or record.model.is_container:
+                    continue
+                try:
+                    self.replace(url, self.check(url, unpack(record.triples)))
+                except ValueError as error:
+                    _log.error("The limits %s are kept and not in force: %s", url, error)
+
+    def _with(self, url: str = "", graph: tuple[Triple, ...] = ()) -> list[Sequence[Triple]]:
+        kept = {**self._kept, url: graph} if url else self._kept
+        return [*self._given, *kept.values()]
+
+
+def given_limits(settings: Settings, adapter: Adapter, space: Space) -> Iterator[tuple[Triple, ...]]:
+    """The limits to begin with: the robot's own, and those of the settings. Raises ValueError with the file's name."""
+    shipped = adapter.capabilities.limits
+    for path in (*((shipped,) if shipped is not None else ()), *settings.shapes):
+        try:
+            graph = read_limits(path.read_bytes(), space.base)
+            Limits.of([graph], space)
+        except ValueError as error:
+            raise ValueError(f"{path} holds no limits: {error}") from error
+        yield graph

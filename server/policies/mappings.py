@@ -1,0 +1,62 @@
+"""Mapping documents: those that a server begins with, and those that are kept."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+
+from pyoxigraph import RdfFormat, parse
+
+from rosld.adapters.base import Adapter
+from rosld.ontology.body import indexed
+from rosld.ontology.urls import Space
+from rosld.server.hypermedia.documents import MappingDocument, load_mapping, mapping_of
+from rosld.server.hypermedia.mappings import Mappings
+from rosld.server.settings import Settings
+from rosld.server.storage import Model, Put, Records
+from rosld.server.storage.describe import written
+from rosld.server.storage.packing import unpack
+
+ROOM = "mappings/"
+_log = logging.getLogger("rosld")
+
+
+def mapping_kept(triples: bytes, url: str) -> MappingDocument:
+    """The mapping that is kept as these N-Triples. Raises MappingRefused."""
+    return mapping_of(indexed(parse(triples, RdfFormat.N_TRIPLES), url), url)
+
+
+def given_mappings(settings: Settings, adapter: Adapter, space: Space) -> Iterator[MappingDocument]:
+    """The mapping documents to begin with: the robot's own, and those of the settings. Raises ValueError.
+
+    What is shipped was judged when it was made.
+    """
+    shipped = adapter.capabilities.mapping
+    if shipped is not None:
+        yield load_mapping(shipped, space, adapter.capabilities.system, judged=True)
+    for path in settings.mapping:
+        yield load_mapping(path, space)
+
+
+async def keep_mappings(mappings: Mappings, records: Records, settings: Settings, space: Space) -> None:
+    """Keep the mappings to begin with, and put those into force that were kept by an earlier run.
+
+    What the robot comes with gives way to what clients made of it; what the settings name does not.
+    """
+    named = {space.url("mappings", (path.stem,)) for path in settings.mapping}
+    begun = set()
+    for document in mappings.given:
+        path = document.url[len(space.base) :]
+        if records.was_there(path):
+            mappings.remove(document.url)
+        elif records.get(path) is None or document.url in named:
+            await records.write(Put(path, Model.RDF_SOURCE, written(document.triples)))
+            begun.add(document.url)
+    for member in records.members(ROOM):
+        record, url = records.get(member.path), space.base + member.path
+        if record is None or url in begun or (url in mappings.documents and url in named):
+            continue
+        try:
+            mappings.replace(mapping_kept(unpack(record.triples), url))
+        except ValueError as error:
+            _log.error("The mapping %s is kept and not in force: %s", url, error)

@@ -1,0 +1,168 @@
+"""Stored queries: those that come with rosld, and those that clients keep under `/queries/`."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping
+from typing import Generic, TypeVar
+
+from pyoxigraph import NamedNode, Triple
+
+from rosld.ontology.charsets import UTF_8, codec, decode
+from rosld.ontology.triples import about, text
+from rosld.ontology.urls import Space, decode_segment
+from rosld.ontology.vocab import dcterms, rdf, ros
+from rosld.server.http import media
+from rosld.server.http.problem import Problem
+from rosld.server.sparql.stored import StoredQuery, outline, read, shipped
+from rosld.server.sparql.syntax.lexer import Bounds
+from rosld.server.storage import Blob, Changed, Model, Record, Records
+
+ROOM = "queries/"
+_KEPT = 256
+"""Texts that are remembered."""
+_T = TypeVar("_T")
+
+
+class Queries:
+    """The stored queries. What is kept is read when it is asked for, so that records are the only copy."""
+
+    def __init__(self, records: Records, space: Space, bounds: Bounds) -> None:
+        self.shipped: Mapping[str, StoredQuery] = shipped()
+        self.bounds = bounds
+        self.version = records.version
+        """The number of the last change of records in the room: it rises, from one run to the next too."""
+        self.turn = asyncio.Lock()
+        """Held while a write is judged and done."""
+        self._records = records
+        self._space = space
+        self._outlines: _Remembered[StoredQuery] = _Remembered(_KEPT)
+        self._checked: _Remembered[StoredQuery | str] = _Remembered(_KEPT)
+
+    def changed(self, change: Changed) -> None:
+        """A record has changed."""
+        if change.path.startswith(ROOM):
+            self.version = max(self.version, change.version)
+
+    def kept(self, *, most: int | None = None) -> Iterator[Record]:
+        """What clients keep in the room, in the order in which it was made; the first `most` of it."""
+        last = 0
+        while most is None or most > 0:
+            found = self._records.members(ROOM, after=last, most=1000 if most is None else min(most, 1000))
+            if not found:
+                return
+            last = found[-1].number
+            most = None if most is None else most - len(found)
+            for member in found:
+                record = self._records.get(member.path)
+                if record is not None and record.model is Model.NON_RDF_SOURCE:
+                    yield record
+
+    def all(self, *, most: int | None = None) -> Iterator[tuple[str, StoredQuery]]:
+        """The queries with their URLs, the shipped ones first, then at most so many of those that are kept."""
+        kept = {self._space.base + record.path: self.outline(record) for record in self.kept(most=most)}
+        for name, query in self.shipped.items():
+            if self._space.query(name) not in kept:
+                yield self._space.query(name), query
+        yield from kept.items()
+
+    def is_shipped(self, path: str) -> bool:
+        """Whether rosld ships the query that has this path."""
+        return self._space.base + path in map(self._space.query, self.shipped)
+
+    def outline(self, record: Record) -> StoredQuery:
+        """What a kept query says of itself; of one that is none (any more) the purpose says why. In any thread."""
+        assert record.blob is not None
+        return self._outlines.get(record.blob, lambda: self._outlined(record))
+
+    def said(self, record: Record) -> list[Triple]:
+        """What the text of a kept query says, as RDF; nothing of other records. In any thread."""
+        if record.model is not Model.NON_RDF_SOURCE or not record.path.startswith(ROOM):
+            return []
+        return query_triples(self._space.base + record.path, self.outline(record))
+
+    async def usable(self, record: Record) -> StoredQuery:
+        """A kept query that can be run; a 409 Problem with the reason where it is none (any more)."""
+        assert record.blob is not None
+        found = self._checked.known(record.blob)
+        if found is None:
+            found = await asyncio.to_thread(self._checked.get, record.blob, lambda: self._judged(record))
+        if isinstance(found, str):
+            url = self._space.base + record.path
+            raise Problem(409, f"What is kept at {url} is no stored query (any more): {found}. PUT one that is.")
+        return found
+
+    def check(self, path: str, blob: Blob) -> None:
+        """Raise ValueError where the bytes of a blob are no stored query, naming the line."""
+        name = name_of(path)
+        read(name, self._text(name, blob), self.bounds)
+
+    def _outlined(self, record: Record) -> StoredQuery:
+        name = name_of(record.path)
+        assert record.blob is not None
+        try:
+            content = self._text(name, record.blob)
+        except (OSError, ValueError) as error:
+            return StoredQuery(name, f"It cannot be read: {error}", (), "")
+        try:
+            return outline(name, content)
+        except ValueError as error:
+            return StoredQuery(name, f"It is no stored query (any more): {error}", (), content)
+
+    def _judged(self, record: Record) -> StoredQuery | str:
+        name = name_of(record.path)
+        assert record.blob is not None
+        try:
+            return read(name, self._text(name, record.blob), self.bounds)
+        except (OSError, ValueError) as error:
+            return str(error)
+
+    def _text(self, name: str, blob: Blob) -> str:
+        if blob.size > 4 * self.bounds.size:
+            raise ValueError(f"{name}: {blob.size} bytes are more than a query may have")
+        data = self._records.file(blob).read_bytes()
+        charset = media.parse(blob.media_type).parameter("charset") or UTF_8
+        try:
+            return data.decode("utf-8") if codec(charset) == UTF_8 else decode(data, codec(charset))
+        except UnicodeDecodeError as error:
+            line = data[: error.start].count(b"\n") + 1
+            raise ValueError(f"{name}:{line}: what stands there is not {charset.upper()} ({error.reason})") from error
+
+
+def query_triples(url: str, query: StoredQuery) -> list[Triple]:
+    """A stored query as RDF: its purpose, its parameters, its text."""
+    return about(
+        NamedNode(url),
+        (rdf.type, ros.Query),
+        (ros.name, text(query.name)),
+        (dcterms.description, text(query.purpose)),
+        *((ros.queryParameter, text(parameter.name)) for parameter in query.parameters),
+        (ros.text, text(query.text)),
+    )
+
+
+def name_of(path: str) -> str:
+    """The name of the query that has this path."""
+    return decode_segment(path.removeprefix(ROOM))
+
+
+class _Remembered(Generic[_T]):
+    """What was made of the bytes of blobs, which never change: that of the last few. In any thread."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._found: OrderedDict[str, _T] = OrderedDict()
+
+    def known(self, blob: Blob) -> _T | None:
+        """What is remembered."""
+        return self._found.get(blob.id)
+
+    def get(self, blob: Blob, make: Callable[[], _T]) -> _T:
+        """What is remembered, or made now."""
+        found = self._found.get(blob.id)
+        if found is None:
+            found = self._found[blob.id] = make()
+            while len(self._found) > self._most:
+                self._found.popitem(last=False)
+        return found

@@ -1,0 +1,111 @@
+"""What was asked and answered, as it is noted while the answer waits, and the receipt that is made of it later.
+
+Noting is quick. Looking through what was sent for secrets is not, so it is done when somebody first looks at the
+receipt, or when it is written to the disk: before that it is nowhere but here.
+"""
+
+from __future__ import annotations
+
+import base64
+import codecs
+import hashlib
+import re
+from typing import NamedTuple
+
+from rosld.ontology.describe_activities import Receipt
+from rosld.server.auth.agent import Agent
+from rosld.server.http.tokens import PREFIX, without_tokens
+from rosld.server.receipts.secrets import SCANNED, holds_credentials
+
+_MOST_STEPS = 100
+_LONGEST = 500
+"""Characters of a step, of the words of a refusal, of a media type."""
+_LONGEST_URL = 2000
+_WITHHELD = "(withheld)"
+_CUT_TOKEN = re.compile(rf"{PREFIX}[\w-]*\Z")
+"""What may be the beginning of a token at the end of what is looked through."""
+
+
+class Asked(NamedTuple):
+    """A request and its answer. `body` is what is held of the body, all of it where `digest` (SHA-256) is None."""
+
+    agent: Agent
+    started_ns: int
+    ended_ns: int
+    method: str
+    url: str
+    query: bytes
+    media_type: str | None
+    body: bytes | None
+    length: int
+    digest: bytes | None
+    plan: tuple[str, ...]
+    touched: tuple[str, ...]
+    matched: int | None
+    status: int
+    made: str | None
+    words: str | None
+
+
+def held(body: bytes) -> tuple[bytes, bytes | None]:
+    """What is held of a body, and its digest where that is not all of it."""
+    return (body, None) if len(body) <= SCANNED else (body[:SCANNED], hashlib.sha256(body).digest())
+
+
+def receipt_of(asked: Asked, number: int, id: str, excerpt_bytes: int) -> Receipt:
+    """The receipt, with nothing in it that looks like a secret: where one is, what it came to is withheld as well."""
+    query = asked.query.decode("latin-1")
+    hides_query = bool(query) and holds_credentials(query)
+    text = _text(asked.body) if asked.body else None
+    withheld = bool(asked.body) and (holds_credentials(asked.url) or (text is not None and holds_credentials(text)))
+    digest = asked.digest if withheld or asked.digest or not asked.body else hashlib.sha256(asked.body).digest()
+    return Receipt(
+        number,
+        id,
+        asked.agent.name,
+        asked.agent.webid,
+        asked.started_ns,
+        asked.ended_ns,
+        asked.method,
+        _url(asked.url, _WITHHELD.strip("()") if hides_query else query),
+        None if asked.media_type is None else without_tokens(asked.media_type)[:_LONGEST],
+        asked.length,
+        None if withheld or digest is None else f"sha-256=:{base64.b64encode(digest).decode()}:",
+        None if withheld or text is None or not excerpt_bytes else _begin(text, excerpt_bytes),
+        withheld or hides_query,
+        tuple(dict.fromkeys(_said(step, withheld) for step in asked.plan[:_MOST_STEPS])),
+        tuple(map(without_tokens, asked.touched[:_MOST_STEPS])),
+        asked.matched,
+        asked.status,
+        None if asked.made is None else without_tokens(asked.made),
+        None if asked.words is None else _said(asked.words, withheld),
+    )
+
+
+def _text(body: bytes) -> str | None:
+    """How a body begins, if it is text in UTF-8; it may end within a character."""
+    try:
+        text = codecs.getincrementaldecoder("utf-8")().decode(body[:SCANNED])
+    except UnicodeDecodeError:
+        return None
+    if len(body) > SCANNED:
+        text = _CUT_TOKEN.sub("", text)
+    return None if "\0" in text else text
+
+
+def _begin(text: str, most: int) -> str:
+    """At most so many bytes of a text."""
+    cut = text.encode()[:most].decode("utf-8", "ignore")
+    return cut if len(cut) == len(text) else f"{cut}..."
+
+
+def _said(words: str, withheld: bool) -> str:
+    """A sentence that may tell a value: not where the value is a secret, or looks like one."""
+    if withheld or holds_credentials(words):
+        return _WITHHELD
+    return words if len(words) <= _LONGEST else f"{words[:_LONGEST]}..."
+
+
+def _url(url: str, query: str) -> str:
+    whole = f"{url}?{query}" if query else url
+    return without_tokens(whole)[:_LONGEST_URL]

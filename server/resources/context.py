@@ -1,0 +1,128 @@
+"""The robot as the server has it: the session with it, and everything that one run of the server remembers."""
+
+from __future__ import annotations
+
+import gc
+import secrets
+from collections.abc import Hashable, Sequence
+
+from rosld.adapters.base import Adapter
+from rosld.server.hypermedia.mappings import Mappings
+from rosld.server.hypermedia.offers import Offers
+from rosld.server.hypermedia.readings import Readings
+from rosld.server.policies import limits, mappings, queries
+from rosld.server.policies.limits import LimitsInForce, given_limits
+from rosld.server.policies.mappings import given_mappings, keep_mappings
+from rosld.server.receipts.journal import Journal
+from rosld.server.rest.state import State
+from rosld.server.robot.holds import Holds
+from rosld.server.robot.session import Session
+from rosld.server.robot.stop import Stops
+from rosld.server.runtime.offload import Workers
+from rosld.server.runtime.signals import Signal
+from rosld.server.runtime.version_cache import VersionCache
+from rosld.server.settings import Settings
+from rosld.server.sparql.syntax.lexer import Bounds
+from rosld.server.storage import Changed
+from rosld.server.storage.sqlite import open_records
+from rosld.shapes.limits import Limits
+
+
+class Robot(Session):
+    """The session with a robot, what is in force for it, what is kept beside it, and what is known of its resources."""
+
+    def __init__(self, adapter: Adapter, settings: Settings) -> None:
+        super().__init__(adapter, settings)
+        self.boot = secrets.token_hex(4)
+        self.states: VersionCache[State] = VersionCache()
+        self.workers = Workers()
+        self.limits_in_force = LimitsInForce(tuple(given_limits(settings, adapter, self.space)), self.space)
+        self.records = open_records(settings.data, roots=(mappings.ROOM, queries.ROOM, limits.ROOM))
+        self.receipts = Journal(
+            settings.data,
+            most=settings.receipts_kept,
+            age=settings.receipts_age,
+            excerpt_bytes=settings.receipt_excerpt,
+        )
+        self.kept_changes = Signal()
+        self.queries = queries.Queries(self.records, self.space, Bounds(size=settings.query_size_limit))
+        self.mappings = Mappings(given_mappings(settings, adapter, self.space))
+        self.readings = Readings(
+            adapter,
+            self.topics,
+            self.schemas,
+            self.space,
+            freshness=settings.freshness,
+            patience=settings.call_deadline,
+        )
+        self.offers: Offers[State] = Offers(self, self.mappings, self.readings, self.states, lambda: self.limits)
+        self.holds = Holds(self)
+        self.stops = Stops(self, self.holds, lambda: self.mappings.arrangement.stops())
+
+    @property
+    def revision(self) -> Hashable:
+        """Another one whenever anything has changed but values and what clients keep."""
+        return (
+            Same(self.adapter.graph),
+            self.schemas.count,
+            self.calls.revision,
+            self.goals.revision,
+            self.holds.revision,
+            self.stops.revision,
+            self.queries.version,
+            Same(self.limits_in_force.now),
+            Same(self.mappings.arrangement),
+        )
+
+    @property
+    def storage_problems(self) -> tuple[str, ...]:
+        """Why not everything can be stored just now, in sentences; none where it can."""
+        found = (self.records.trouble, self.receipts.trouble)
+        return tuple(problem for problem in found if problem is not None)
+
+    @property
+    def limits(self) -> Limits:
+        """The limits on what is written that are in force now."""
+        return self.limits_in_force.now
+
+    async def start(self) -> None:
+        """Open the session, and put into force what is kept. Raises what `Adapter.open` raises."""
+        await self.open()
+        self.records.watch(self._kept)
+        self.receipts.start()
+        self.limits_in_force.begin(self.records)
+        await keep_mappings(self.mappings, self.records, self.settings, self.space)
+        gc.collect()
+        gc.freeze()  # what is loaded now stays: looking through it again and again would hold everybody up
+        self.follow()
+
+    async def stop(self) -> None:
+        """Give everything back to the robot; idempotent."""
+        self.holds.close("rosld ended")
+        await self.workers.close()
+        await self.holds.closed()
+        await self.stops.ended()
+        await self.receipts.close()
+        await self.readings.stop()
+        await self.close()
+        await self.records.close()
+
+    def _kept(self, changes: Sequence[Changed]) -> None:
+        for each in changes:
+            self.queries.changed(each)
+            self.kept_changes.give(each.path)
+
+
+class Same:
+    """Compares by identity: a version that costs nothing to compare."""
+
+    __slots__ = ("value",)
+
+    def __init__(self, value: object) -> None:
+        self.value = value
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Same) and other.value is self.value
+
+    def __hash__(self) -> int:
+        return id(self.value)

@@ -1,0 +1,453 @@
+"""The dataset that SPARQL sees: one named graph a resource, exactly what a GET of it says.
+
+Graphs without live values (the computation graph, containers, types, shapes, the vocabulary) are descriptions, listed
+all. Topics with their messages, parameters with their values, resources whose getters are called and recorded messages
+are made when a query needs them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Collection, Coroutine, Hashable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from itertools import chain, product
+
+from pyoxigraph import NamedNode
+
+from rosld.adapters.model import (
+    MessageSchema,
+    Parameter,
+    ParameterValue,
+    RosError,
+    Schema,
+    Topic,
+    TypeRef,
+    halves_of,
+    names,
+)
+from rosld.ontology.describe_bags import bag_document
+from rosld.ontology.describe_containers import container_document, type_container_document
+from rosld.ontology.describe_graph import entry_document, node_document, node_views
+from rosld.ontology.describe_services import service_document
+from rosld.ontology.describe_topics import topic_document
+from rosld.ontology.describe_types import type_document
+from rosld.ontology.document import Document
+from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.triples import RDF_SOURCE, about, text
+from rosld.ontology.urls import Location, Space
+from rosld.ontology.vocab import rdf, ros
+from rosld.server.auth.permissions import Judge
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.conditions import url_of
+from rosld.server.hypermedia.layout import path_of
+from rosld.server.hypermedia.mappings import related
+from rosld.server.policies import limits, queries
+from rosld.server.resources import types
+from rosld.server.resources.actions import ActionResource, GoalResource
+from rosld.server.resources.bags import BagMessage
+from rosld.server.resources.complex import ComplexResource
+from rosld.server.resources.context import Robot, Same
+from rosld.server.resources.holds import HoldResource
+from rosld.server.resources.members import MemberResource
+from rosld.server.resources.namespaces import listed, listed_members, namespace_described, namespaces, of_room
+from rosld.server.resources.nodes import NodeResource
+from rosld.server.resources.ontology import vocabulary
+from rosld.server.resources.parameters import ParameterResource, ParameterTree
+from rosld.server.resources.queries import shipped_document, whole_container
+from rosld.server.resources.services import CallResource
+from rosld.server.resources.stop import StopResource
+from rosld.server.resources.topics import TopicResource
+from rosld.server.resources.types import WHOLE, ShapeResource, TypeResource, known_types, names_below, whole_shape
+from rosld.server.rest.resource import Resource
+from rosld.server.rest.state import State
+from rosld.server.runtime.loop_time import loop_time
+from rosld.server.sparql.materializer import GraphEntry
+from rosld.server.sparql.needs import Needs
+from rosld.server.sparql.terms import ACTIONS, COMPLEX, PROPERTIES
+from rosld.shapes.message import shape_document
+from rosld.shapes.parameter import declared_triples
+
+_KEPT = 256
+"""Needs whose resources are remembered."""
+ELSEWHERE = frozenset({queries.ROOM, limits.ROOM})
+"""The containers of what clients keep in which something else lies too: they are described here, whole."""
+_AT_ONCE = 64
+"""Looks that are begun before the loop has its turn."""
+_TURNS = 4
+"""Times that topics are looked at to have their values all of one moment."""
+
+
+class Dataset:
+    """The graphs of one robot: the `GraphSource` of its SPARQL endpoint."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._described: tuple[Hashable, Mapping[str, GraphEntry]] = (None, {})
+        self._found: dict[Needs, tuple[Hashable, Sequence[Resource]]] = {}
+        self._fixed: Mapping[str, Callable[[], Document]] = {}
+        self._live: Mapping[str, Resource] = {}
+
+    def add(self, fixed: Mapping[str, Callable[[], Document]], live: Iterable[Resource]) -> None:
+        """Add documents that never change, by URL, and resources that are read whenever a query may mean them."""
+        self._fixed = fixed
+        self._live = {resource.url: resource for resource in live}
+
+    @property
+    def revision(self) -> Hashable:
+        """Changes whenever a description may have changed."""
+        return self._robot.revision
+
+    @property
+    def writes(self) -> int:
+        """How many writes have ended that the robot was told of."""
+        return self._robot.gate.writes
+
+    def descriptions(self) -> Mapping[str, GraphEntry]:
+        """Every graph without live values, by IRI."""
+        revision = self.revision
+        if self._described[0] != revision:
+            self._described = (revision, {entry.iri: entry for entry in self._describe()})
+        return self._described[1]
+
+    async def documents_of(self, terms: Collection[str]) -> Collection[str]:
+        """The URLs of the complex resources, properties and actions that these terms may be said of."""
+        layout, space = await self._robot.offers.layout(), self._robot.space
+        paths: set[str] = set()
+        for term in terms:
+            paths |= set(layout.paths) if term in COMPLEX else related(layout.arrangement, term)
+        if not PROPERTIES.isdisjoint(terms):
+            paths.update(layout.properties)
+        if not ACTIONS.isdisjoint(terms):
+            paths.update(layout.actions)
+        return {url_of(path, space) for path in paths}
+
+    async def unread(self, needs: Needs, judge: Judge) -> Mapping[str, int]:
+        """How many graphs that are there only on demand the needs could match without asking for them, by container.
+
+        Only those count that the judge lets be read.
+        """
+        robot, space = self._robot, self._robot.space
+        found: dict[str, int] = {}
+        if needs.everything:
+            wanted = {one.url for one in self._resources(needs)}
+            urls = {space.topic(name) for name in robot.graph.topics}
+            found["topics"] = sum(map(judge.may_read, urls - wanted))
+        if needs.resources:
+            layout = await robot.offers.layout()
+            urls = {url_of(path, space) for path in (*layout.paths, *layout.properties, *layout.actions)}
+            found["resources"] = sum(map(judge.may_read, urls - needs.documents))
+            left = () if needs.everything else (url for url in self._live if url not in needs.documents)
+            found |= {url.removeprefix(space.base): int(judge.may_read(url)) for url in left}
+        if needs.trees:
+            urls = {space.container("parameters", path) for path in namespaces(robot.graph, "parameters")}
+            found["parameters"] = sum(map(judge.may_read, urls - needs.graph_names))
+        if needs.records:
+            recordings = [one for one in robot.adapter.recordings.values() if judge.may_read(space.bag(one.name))]
+            named = (space.location(url) for url in needs.documents)
+            count = sum(one is not None and one.kind == "bags" and len(one.segments) == 3 for one in named)
+            found["bags"] = sum(one.count for one in recordings) - count
+        return {container: count for container, count in found.items() if count > 0}
+
+    async def live(self, needs: Needs, *, deadline: float) -> Sequence[GraphEntry]:
+        """The graphs of topics and parameters whose values a query needs, as of now.
+
+        What a query names is subscribed to and waited for, at most until `deadline` (loop time); where it names
+        nothing, what is subscribed to already is all there is.
+        """
+        resources = self._resources(needs)
+        parameters = [one for one in resources if isinstance(one, ParameterResource | ParameterTree)]
+        topics = [one for one in resources if isinstance(one, TopicResource)]
+        others = [one for one in resources if not isinstance(one, ParameterResource | ParameterTree | TopicResource)]
+        found = await self._look(topics, others, deadline)
+        stored = await self._parameters(parameters, deadline)
+        return [*stored, *found, *await self._of_topics(topics)]
+
+    def _resources(self, needs: Needs) -> Sequence[Resource]:
+        """The resources of `_wanted`, kept for as long as they are the same: where needs name what they are about."""
+        if any(demand.anything for demand in needs.demands):
+            return list(self._wanted(needs))
+        version = (self._robot.graph.revision, self._robot.schemas.count)
+        known = self._found.get(needs)
+        if known is None or known[0] != version:
+            if len(self._found) >= _KEPT:
+                self._found.clear()
+            known = self._found[needs] = (version, list(self._wanted(needs)))
+        return known[1]
+
+    def _wanted(self, needs: Needs) -> Iterator[Resource]:
+        robot = self._robot
+        if needs.messages:
+            at_hand = {*robot.topics.subscribed(), *robot.adapter.published}
+            definite = Needs(tuple(demand for demand in needs.demands if not demand.anything))
+            for topic in self._candidates(needs.graphs):
+                url = robot.space.topic(topic.name)
+                asked = needs if topic.name in at_hand else definite  # looking at anything subscribes to nothing new
+                if asked.wants_topic(url, self._types_within(topic)):
+                    yield TopicResource(robot, topic.name)
+        if needs.parameters:
+            for name in robot.graph.parameters:
+                if needs.wants_parameter(robot.space.parameter(name)):
+                    yield ParameterResource(robot, name)
+            for path in namespaces(robot.graph, "parameters") if needs.graph_names else ():
+                url = robot.space.container("parameters", path)
+                if url in needs.graph_names and needs.wants_parameter(url):
+                    yield ParameterTree(robot, path)
+        anything = any(demand.anything for demand in needs.demands)
+        yield from (one for url, one in self._live.items() if anything or url in needs.documents)
+        yield from self._named(needs.documents)
+
+    def _candidates(self, named: frozenset[str] | None) -> Iterator[Topic]:
+        """The topics among these URLs; all where none are named."""
+        topics = self._robot.graph.topics
+        if named is None:
+            yield from topics.values()
+            return
+        for url in named:
+            location = self._robot.space.location(url)
+            if location is not None and location.kind == "topics" and location.name in topics:
+                yield topics[location.name]
+
+    def _types_within(self, topic: Topic) -> frozenset[str]:
+        """The names of a topic's types and of all types nested in them, as far as they are known."""
+        found: set[str] = set()
+        for ref in topic.types:
+            found.add(ref.name)
+            schema = self._robot.schemas.at_hand(ref) or self._robot.schemas.named(ref.name)
+            if isinstance(schema, MessageSchema):
+                found.update(schema.types)
+        return frozenset(found)
+
+    def _is_known(self, type: str) -> bool:
+        return self._robot.schemas.named(type) is not None
+
+    def _named(self, documents: frozenset[str]) -> Iterator[Resource]:
+        """What is in the dataset only where it is named: recorded messages, resources whose getters are called, types
+
+        that nobody has asked for yet.
+        """
+        for url in documents:
+            location = self._robot.space.location(url)
+            match location:
+                case Location("bags", (bag, "messages", index), False) if index.isdecimal():
+                    recording = self._robot.adapter.recordings.get(bag)
+                    if recording is not None and int(index) < recording.count:
+                        yield BagMessage(self._robot, recording, int(index))
+                case Location("types" | "shapes", (_, _, _) as path, False) if not self._is_known("/".join(path)):
+                    make = TypeResource if location.kind == "types" else ShapeResource
+                    yield make(self._robot, "/".join(path))
+                case Location("resources", segments, True):
+                    yield ComplexResource(self._robot, path_of(segments))
+                case Location("resources", (_, *_), False):
+                    yield MemberResource(self._robot, location.name)
+
+    async def _look(
+        self, topics: Iterable[TopicResource], others: Iterable[Resource], deadline: float
+    ) -> Sequence[GraphEntry]:
+        """The graphs of `others`. What must be waited for is looked at together: what getters answer, and the first
+
+        values of topics.
+        """
+        is_settled = self._robot.topics.is_settled
+        firsts = (self._first(topic) for topic in topics if not is_settled(topic.name))
+        shown = (self._entry(one.url, one.state()) for one in others)
+        tasks: list[asyncio.Future[GraphEntry | None]] = []
+        try:
+            for coming in chain(firsts, shown):
+                tasks.append(asyncio.ensure_future(coming))
+                if len(tasks) % _AT_ONCE == 0:
+                    await asyncio.sleep(0)
+            if tasks:
+                seconds = max(0.0, deadline - loop_time())
+                await asyncio.wait(tasks, timeout=seconds)
+        finally:
+            for task in tasks:
+                if not task.done():
+                    task.cancel()
+        entries = [task.result() for task in tasks if task.done() and not task.cancelled()]
+        return [entry for entry in entries if entry is not None]
+
+    async def _first(self, topic: TopicResource) -> None:
+        """Have the first value of a topic come; what fails is seen again when it is shown."""
+        with contextlib.suppress(Problem, RosError):
+            await self._robot.topics.look(topic.name)
+
+    async def _parameters(
+        self, resources: Sequence[ParameterResource | ParameterTree], deadline: float
+    ) -> Sequence[GraphEntry]:
+        """The graphs of parameters and of trees of them, asked for all together."""
+        if not resources:
+            return ()
+        robot = self._robot
+        until = min(deadline, robot.deadline(robot.settings.call_deadline))
+        try:
+            values = await robot.adapter.get_parameters([one.name for one in resources], deadline=until)
+        except RosError:
+            return ()
+        found = ((one, values.get(one.name)) for one in resources)
+        return [entry for one, value in found if (entry := _of_parameter(one, value)) is not None]
+
+    async def _of_topics(self, resources: Sequence[TopicResource]) -> Sequence[GraphEntry]:
+        """The graphs of topics, all of one turn of the loop, in which no message comes.
+
+        Where something must be fetched first (the type of a message), they are all looked at again.
+        """
+        known = self._robot.topics.known
+        for _ in range(_TURNS):
+            turns: list[None] = []
+            asyncio.get_running_loop().call_soon(turns.append, None)
+            entries = [await self._entry(one.url, one.shown(known(one.name))) for one in resources]
+            if not turns:
+                break
+        return [entry for entry in entries if entry is not None]
+
+    async def _entry(self, iri: str, coming: Coroutine[object, object, State]) -> GraphEntry | None:
+        """The graph of one resource, None where it cannot be read now."""
+        try:
+            return _live(iri, await coming)
+        except (Problem, RosError):
+            return None
+
+    def _describe(self) -> Iterator[GraphEntry]:
+        robot, space, graph = self._robot, self._robot.space, self._robot.graph
+        system = robot.adapter.capabilities.system
+        problems = robot.storage_problems
+        entry = partial(entry_document, listed(robot), space, system, problems)
+        yield _described(space.base, (graph.revision, problems), entry)
+        simulated = graph.simulated_time
+        for name, known in node_views(graph).items():
+            view = NodeResource(robot, name).seen(known)
+            describe = partial(node_document, view, space, simulated_time=simulated)
+            yield _described(space.node(name), (view, simulated), describe)
+        for topic in graph.topics.values():
+            hold = robot.holds.on(topic.name)
+            can = "POST" in TopicResource(robot, topic.name).methods()
+            yield _described(
+                space.topic(topic.name),
+                (topic, hold and hold.id, can),
+                partial(topic_document, topic, space, graph, holdable=can, hold=hold.id if hold else None),
+            )
+        for service in graph.services.values():
+            yield _described(space.service(service.name), service, partial(service_document, service, space, graph))
+        for name, action in graph.actions.items():
+            one = ActionResource(robot, name)
+            goals = tuple(goal.id for goal in robot.goals.of(name))
+            yield _described(one.url, (action, goals, one.methods()), one.document)
+        for parameter in graph.parameters.values():
+            url = space.parameter(parameter.name)
+            yield _described(url, parameter, partial(described_parameter, parameter, space))
+        yield from self._containers()
+        yield from self._types()
+        yield from self._records()
+        for iri, fixed in self._fixed.items():
+            yield _described(iri, 0, fixed)
+        ontology = Document(f"{space.base}ontology", vocabulary())
+        yield _described(ontology.url, 0, lambda: ontology)
+
+    def _containers(self) -> Iterator[GraphEntry]:
+        space, graph = self._robot.space, self._robot.graph
+        for path in namespaces(graph, "parameters"):
+            tree = ParameterTree(self._robot, path)
+            yield _described(tree.url, Same(graph.parameters), partial(_of_itself, tree))
+        for room in ("nodes", "topics", "services", "actions"):
+            for path, whole in namespaces(graph, room).items():
+                members = listed_members(self._robot, room, path)
+                assert members is not None
+                is_name = names.join(path) in of_room(graph, room)
+                describe = partial(namespace_described, self._robot, room, path, members)
+                yield _described(space.container(room, path), (members, is_name, members == whole), describe)
+        recordings = tuple(map(space.bag, self._robot.adapter.recordings))
+        bags = partial(container_document, space.container("bags"), recordings, "Recordings")
+        yield _described(space.container("bags"), recordings, bags)
+        yield _described(space.container("queries"), self._robot.queries.version, whole_container(self._robot))
+        for name, query in self._robot.queries.shipped.items():
+            url = space.query(name)
+            yield _described(url, 0, partial(shipped_document, url, query))
+
+    def _types(self) -> Iterator[GraphEntry]:
+        space = self._robot.space
+        listed = tuple(sorted({ref.name for ref in known_types(self._robot)}))
+        paths = {tuple(name.split("/"))[:depth] for name in listed for depth in range(3)} | {()}
+        for room, path in product(("types", "shapes"), sorted(paths)):
+            if room == "shapes" and not path:
+                continue
+            below = names_below(listed, room, path)
+            describe = partial(type_container_document, room, path, below, space)
+            yield _described(space.container(room, path), below, describe)
+        shapes = types.whole_container(self._robot)
+        yield _described(shapes.url, Same(shapes), lambda: shapes)
+        for name in WHOLE:
+            yield _described(space.shape(name), Same(self._robot.limits), partial(whole_shape, self._robot, name))
+        variants = known_types(self._robot)
+        for schema in self._robot.schemas.all():
+            yield from self._type(schema, variants)
+
+    def _type(self, schema: Schema, variants: Sequence[TypeRef]) -> Iterator[GraphEntry]:
+        space = self._robot.space
+        for one in (schema,) if isinstance(schema, MessageSchema) else (schema, *halves_of(schema)):
+            same = tuple(ref for ref in variants if ref.name == one.ref.name)
+            yield _described(space.type(one.ref.name), (one.ref, same), partial(type_document, one, space, same))
+            yield _described(space.shape(one.ref.name), one.ref, partial(shape_document, one, space))
+
+    def _records(self) -> Iterator[GraphEntry]:
+        space = self._robot.space
+        for recording in self._robot.adapter.recordings.values():
+            yield _described(space.bag(recording.name), 0, partial(bag_document, recording, space))
+        calls = tuple(space.call(call.id) for call in self._robot.calls.all())
+        listed = partial(container_document, space.container("calls"), calls, "Calls")
+        yield _described(space.container("calls"), calls, listed)
+        for call in self._robot.calls.all():
+            resource = CallResource(self._robot, call.id)
+            yield _described(resource.url, (call.id, call.state), partial(resource.document, call))
+        holds = self._robot.holds.all()
+        held, room = tuple(space.hold(hold.id) for hold in holds), space.container("holds")
+        yield _described(room, held, partial(container_document, room, held, "Holds"))
+        for hold in holds:
+            of = HoldResource(self._robot, hold.id)
+            yield _described(of.url, Same(hold), partial(of.document, hold))
+        stop = StopResource(self._robot)
+        yield _described(stop.url, (self._robot.stops.revision, self._robot.stops.steps), stop.document)
+        goals = self._robot.goals.all()
+        known = tuple(space.goal(goal.id) for goal in goals)
+        yield _described(
+            space.container("goals"), known, partial(container_document, space.container("goals"), known, "Goals")
+        )
+        for goal in goals:
+            told = GoalResource(self._robot, goal.id)
+            yield _described(told.url, Same(goal), partial(told.document, goal))
+
+
+def described_parameter(parameter: Parameter, space: Space) -> Document:
+    """A parameter without its value, which is read when a query needs it."""
+    url, descriptor = space.parameter(parameter.name), parameter.descriptor
+    triples = about(NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(parameter.name)))
+    return Document(url, (*triples, *(declared_triples(descriptor, url, space) if descriptor is not None else ())))
+
+
+def _of_itself(tree: ParameterTree) -> Document:
+    """What a tree of parameters says of itself alone: the union has what it says of its members from their graphs."""
+    document = tree.outline()
+    itself = NamedNode(document.url)
+    return Document(document.url, tuple(triple for triple in document.all_triples() if triple.subject == itself))
+
+
+def _of_parameter(resource: ParameterResource | ParameterTree, value: ParameterValue | None) -> GraphEntry | None:
+    """The graph of a parameter or a tree, None where it has no value that can be shown."""
+    if value is None or isinstance(value, dict) == isinstance(resource, ParameterResource):
+        return None
+    try:
+        return _live(resource.url, resource.shown(value))._replace(passing=isinstance(resource, ParameterTree))
+    except Problem:
+        return None
+
+
+def _live(iri: str, state: State) -> GraphEntry:
+    return GraphEntry(iri, state.tag, lambda: _ntriples(state.document), lambda: state.document.all_triples())
+
+
+def _described(iri: str, token: Hashable, describe: Callable[[], Document]) -> GraphEntry:
+    return GraphEntry(iri, token, lambda: _ntriples(describe()))
+
+
+def _ntriples(document: Document) -> str:
+    return serialize(document, Syntax.N_TRIPLES).decode()

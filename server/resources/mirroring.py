@@ -1,0 +1,153 @@
+"""What a robot tells another store (`--store`): its dataset, with the values of the topics that are always followed."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import logging
+import pickle
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from rosld.server.dataset import Edit
+from rosld.server.dataset.endpoint import Endpoint, StoreError
+from rosld.server.dataset.remote import RemoteStore
+from rosld.server.dataset.replication import Mirror
+from rosld.server.http.origin import is_loopback
+from rosld.server.http.problem import Problem
+from rosld.server.resources.context import Robot
+from rosld.server.runtime.loop_time import loop_time
+from rosld.server.settings import Settings
+from rosld.server.sparql.materializer import Synchroniser
+from rosld.server.sparql.needs import Demand, Needs
+from rosld.server.sparql.process.client import QueryProcess
+from rosld.server.sparql.process.work import Dump, Graphs, Work
+
+ROOM = "mirror"
+"""Where a robot tells of its mirror, and the graph that its store has of it."""
+_PARAMETERS_EVERY = 10.0
+"""Seconds between two readings of all parameters: each may be a question to the robot."""
+_LONGEST_READING = 5.0
+"""Seconds that the robot has to say what it is like, before the store is told without."""
+_log = logging.getLogger("rosld.store")
+
+
+def mirror_of(robot: Robot, process: QueryProcess, synchroniser: Synchroniser, rooms: Collection[str]) -> Mirror | None:
+    """The mirror that the settings ask for, None for none. `rooms` are the first segments of all paths of this server.
+
+    Raises ValueError where the credentials cannot be used, OSError where they cannot be read.
+    """
+    settings = robot.settings
+    endpoints = settings.store_endpoints
+    if endpoints is None:
+        return None
+    header = None if settings.store_credentials is None else authorization(settings.store_credentials)
+    _warn(settings, endpoints)
+    query, update = (Endpoint(url, header, seconds=settings.store_time_limit) for url in endpoints)
+    return Mirror(
+        _Dataset(process, synchroniser),
+        RemoteStore(query, update),
+        _Graphs(robot.space.base, rooms, synchroniser),
+        _Reading(robot, synchroniser).refresh,
+        interval=1 / settings.store_rate,
+        run_name=robot.boot,
+    )
+
+
+def authorization(file: Path) -> str:
+    """The value of the Authorization header that a file stands for. Raises ValueError, OSError.
+
+    `USER:PASSWORD` is Basic (RFC 7617, in UTF-8); what begins with `Bearer` or `Basic` is sent as it is.
+    """
+    try:
+        text = file.read_text("utf-8").strip()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"--store-credentials {file}: it is no UTF-8") from error
+    scheme, _, rest = text.partition(" ")
+    if scheme.lower() in ("basic", "bearer") and rest and rest.isascii() and rest.isprintable():
+        return text
+    if ":" not in text or not text.isprintable():
+        raise ValueError(f"--store-credentials {file}: it must hold one line, USER:PASSWORD or 'Bearer TOKEN'")
+    return "Basic " + base64.b64encode(text.encode()).decode("ascii")
+
+
+def _warn(settings: Settings, endpoints: tuple[str, str]) -> None:
+    for url in endpoints:
+        parts = urlsplit(url)
+        if settings.store_credentials is not None and parts.scheme == "http" and not is_loopback(parts.hostname or ""):
+            _log.warning("the credentials for %s can be read on their way: it is not https", url)
+
+
+class _Dataset:
+    """What the query process holds, as a mirror reads it."""
+
+    def __init__(self, process: QueryProcess, synchroniser: Synchroniser) -> None:
+        self._process = process
+        self._synchroniser = synchroniser
+
+    def watch(self, told: Callable[[Collection[str], Sequence[Edit]], None], begun: Callable[[], None]) -> None:
+        self._process.watch(told)
+        self._process.watch_start(begun)
+
+    def graphs(self) -> Collection[str]:
+        names: list[str] = pickle.loads(self._result(Graphs()))  # from our own process
+        return names
+
+    def ntriples(self, graph: str) -> str | None:
+        texts: dict[str, str | None] = pickle.loads(self._result(Dump((graph,))))
+        return texts[graph]
+
+    def _result(self, work: Work) -> bytes:
+        if self._synchroniser.progress is not None:
+            raise StoreError(self._synchroniser.progress)
+        try:
+            return self._process.result_for_thread(work, _LONGEST_READING)
+        except (Problem, TimeoutError) as error:
+            raise StoreError(f"The dataset cannot be read now: {error}.") from error
+
+
+class _Graphs:
+    """The graphs of this server in a store that others use too: those in its rooms. A base may begin with another."""
+
+    def __init__(self, base: str, rooms: Collection[str], synchroniser: Synchroniser) -> None:
+        self.base = base
+        self.seal = base + ROOM
+        self._rooms = frozenset(rooms)
+        self._synchroniser = synchroniser
+
+    def is_ours(self, graph: str) -> bool:
+        path = graph.removeprefix(self.base)
+        room = path.partition("/")[0].partition("?")[0].partition("#")[0]
+        return len(path) < len(graph) and room in self._rooms
+
+    def passing(self) -> Collection[str]:
+        return self._synchroniser.held
+
+
+class _Reading:
+    """Brings the dataset to now: descriptions, what clients keep, followed topics, and parameters now and then."""
+
+    def __init__(self, robot: Robot, synchroniser: Synchroniser) -> None:
+        self._robot = robot
+        self._synchroniser = synchroniser
+        self._parameters_at = float("-inf")
+
+    async def refresh(self) -> None:
+        await asyncio.wait_for(self._read(self._topics()), _LONGEST_READING)
+        now = loop_time()
+        if now - self._parameters_at >= _PARAMETERS_EVERY:
+            self._parameters_at = now
+            await asyncio.wait_for(self._read(self._parameters()), _LONGEST_READING)
+
+    async def _read(self, needs: Needs) -> None:
+        async with self._synchroniser.synced(needs, deadline=self._robot.deadline(_LONGEST_READING)):
+            pass
+
+    def _topics(self) -> Needs:
+        urls = frozenset(map(self._robot.space.topic, self._robot.topics.kept()))
+        return Needs((Demand(graphs=urls),)) if urls else Needs()
+
+    def _parameters(self) -> Needs:
+        urls = frozenset(map(self._robot.space.parameter, self._robot.graph.parameters))
+        return Needs((Demand(graphs=urls, messages=False, parameters=True),)) if urls else Needs()

@@ -1,0 +1,1 @@
+"""The framework of resources: requests, the contract of a resource, representations, problems."""

@@ -1,0 +1,58 @@
+"""The one table from ROS's errors, and from lifting's and lowering's, to HTTP's."""
+
+from __future__ import annotations
+
+from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, UnknownType, Unreachable
+from rosld.ontology.body import BodyError, UnreadCharset
+from rosld.ontology.lower import LoweringError
+from rosld.ontology.triples import moment
+from rosld.server.http.problem import Problem
+from rosld.server.robot.interlock import Stopped, TopicHeld
+from rosld.server.runtime.memory import NotEnoughMemory
+
+RETRY_AFTER_SECONDS = 2
+
+_STATUS: tuple[tuple[type[RosError], int], ...] = (
+    (NotFound, 404),
+    (Refused, 422),
+    (TimedOut, 504),
+    (Unreachable, 503),
+    (UnknownType, 404),
+    (Stopped, 423),
+    (TopicHeld, 409),
+)
+
+
+def problem_of(error: RosError) -> Problem:
+    """The Problem that tells of a ROS error: its sentence, the robot's words, whether it may have been done."""
+    status = next((status for kind, status in _STATUS if isinstance(error, kind)), 502)
+    extra: dict[str, object] = {"sent": error.sent.value}
+    about: tuple[str, ...] = ()
+    if error.words is not None:
+        extra["words"] = error.words
+    match error:
+        case Stopped(standstill=standstill):
+            since = moment(standstill.since_ns)
+            extra |= {"stoppedBy": standstill.by, "since": since.value if since else None, "reason": standstill.reason}
+            about = () if standstill.url is None else (standstill.url,)
+        case TopicHeld(holder=holder):
+            extra |= {"holder": holder.name, "hold": holder.hold}
+            about = (holder.hold,)
+    headers = {"Retry-After": str(RETRY_AFTER_SECONDS)} if status == 503 and error.sent is Sent.NO else {}
+    return Problem(status, error.sentence, title=type(error).__name__, headers=headers, extra=extra, about=about)
+
+
+def problem_of_shortage(error: BaseException, *, is_write: bool) -> Problem:
+    """507 for a write that there is no memory for, 503 for anything else."""
+    words = str(error) if isinstance(error, NotEnoughMemory) else "The server is short of memory: try again later."
+    headers = {"Retry-After": str(RETRY_AFTER_SECONDS)}
+    return Problem(507 if is_write else 503, words, headers=headers, extra={"reason": "memory"})
+
+
+def problem_of_body(error: BodyError | LoweringError) -> Problem:
+    """400 for a body that cannot be read (415 for its charset), 422 for one that does not fit, with every violation."""
+    if isinstance(error, LoweringError):
+        return Problem(422, str(error), title="Does not fit", violations=error.violations)
+    if isinstance(error, UnreadCharset):
+        return Problem(415, str(error))
+    return Problem(400, str(error), title="Malformed body")

@@ -1,0 +1,191 @@
+"""One request being answered, as resources see it: its query, its headers and its body, each checked when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from functools import cached_property, lru_cache
+from types import MappingProxyType
+from urllib.parse import parse_qsl
+
+from starlette.requests import Request
+from starlette.types import Receive, Scope
+
+from rosld.ontology.charsets import UTF_8
+from rosld.server.auth.agent import Agent
+from rosld.server.auth.authenticator import OPEN
+from rosld.server.auth.enforcement import Judged
+from rosld.server.auth.permissions import Judge
+from rosld.server.auth.rate_limit import Client
+from rosld.server.http import media, prefer, text
+from rosld.server.http.body import TIMEOUT, read_body, read_chunks
+from rosld.server.http.problem import Problem
+from rosld.server.receipts.account import Account
+from rosld.server.runtime.memory import MEMORY, PER_BYTE
+
+
+class Exchange:
+    """A request: `method` (after a form said which), `query` (the first value of each name), headers, body."""
+
+    def __init__(self, request: Request, body_limit: int, body_seconds: float = TIMEOUT) -> None:
+        self.request = request
+        self.method = request.method
+        self.headers = _fields(request.scope["headers"])
+        """The header fields by lower-case name; several of one name are joined by commas (RFC 9110 5.3)."""
+        self._body_limit = body_limit
+        self._body_seconds = body_seconds
+        self._body: bytes | None = None
+        self.typed: Sequence[tuple[str, str]] = ()
+        self.visit = OPEN
+        """Who asks, and what they may do."""
+        self.client: Client | None = None
+        """Whose limits it counts against, once it was let pass."""
+        self.account = Account()
+        """What it tells of its write, for its receipt."""
+        self.answering: Judged | None = None
+        """The resource that answers, once it is known."""
+
+    @property
+    def agent(self) -> Agent:
+        """Who asks."""
+        return self.visit.judge.agent
+
+    @property
+    def judge(self) -> Judge:
+        """What who asks may do."""
+        return self.visit.judge
+
+    @cached_property
+    def query(self) -> Mapping[str, str]:
+        """The query's parameters; of a name that occurs twice the first counts. Raises a 400 Problem."""
+        raw = self.request.scope["query_string"]
+        return _remembered(raw) if len(raw) <= 4096 else _query(raw)
+
+    def header(self, name: str) -> str | None:
+        """The value of a header field, None where it is missing; `name` is in lower case."""
+        return self.headers.get(name)
+
+    @property
+    def hosts(self) -> Sequence[str]:
+        """Every Host field of the request."""
+        return [value.decode("latin-1") for name, value in self.request.scope["headers"] if name == b"host"]
+
+    @property
+    def receive(self) -> Receive:
+        """Gives the body, message by message."""
+        return self.request.receive
+
+    @property
+    def accept(self) -> str | None:
+        """The Accept field."""
+        return self.headers.get("accept")
+
+    @property
+    def prefer(self) -> prefer.Preferences:
+        """The request's preferences (RFC 7240)."""
+        return prefer.parse(self.header("prefer"))
+
+    @property
+    def media_type(self) -> str:
+        """The media type of a body that is to be read, without parameters.
+
+        Raises a 415 Problem where the body states none, or a charset that is not read here.
+        """
+        found = self._content_type
+        if found is None:
+            raise Problem(415, "The request has a body of unknown type: send Content-Type.")
+        text.codec_of(found)
+        return found.essence
+
+    @property
+    def codec(self) -> str:
+        """The Python codec of the charset that the body states, UTF-8 where it states none. Raises a 415 Problem."""
+        found = self._content_type
+        return UTF_8 if found is None else text.codec_of(found)
+
+    @property
+    def essence(self) -> str | None:
+        """The media type of the body without parameters, whatever its charset; None where it states none."""
+        found = self._content_type
+        return None if found is None else found.essence
+
+    @property
+    def _content_type(self) -> media.MediaType | None:
+        stated = self.header("content-type")
+        try:
+            return None if stated is None else media.parse(stated)
+        except ValueError as error:
+            raise Problem(415, f"Content-Type: {error}.") from error
+
+    @property
+    def is_conditional(self) -> bool:
+        """Whether it has If-Match or If-None-Match (RFC 9110 13.1)."""
+        return "if-match" in self.headers or "if-none-match" in self.headers
+
+    def become(self, method: str, media_type: str, body: bytes) -> None:
+        """Turn into the request that a form meant."""
+        self.method = method
+        self.headers = {**self.headers, "content-type": media_type}
+        self._body = body
+
+    def readdress(self, scope: Scope) -> None:
+        """Turn into the same request to another URL of this server, which `scope` has."""
+        self.request = Request(scope, self.request.receive)
+        self.__dict__.pop("query", None)
+
+    async def octets(self) -> bytes:
+        """The whole body as it was sent; raises Problems for one too large (413), compressed (415) or cut off (400)."""
+        if self._body is None:
+            self._body = await read_body(self, limit=self._body_limit, timeout=self._body_seconds)
+            MEMORY.require(len(self._body) * PER_BYTE, f"a body of {len(self._body)} bytes")
+        return self._body
+
+    async def body(self) -> bytes:
+        """The whole body in UTF-8, whatever charset it states; raises Problems as `octets`.
+
+        Raises a 415 Problem for a charset that is not read here, and a 400 Problem for bytes that are none of it.
+        """
+        return self.as_utf8(await self.octets() if self._body is None else self._body)
+
+    def as_utf8(self, data: bytes) -> bytes:
+        """What was read of the body in UTF-8. Raises a 415 and a 400 Problem as `body`."""
+        found = self._content_type
+        return data if found is None else text.as_utf8(data, found)
+
+    @property
+    def received(self) -> bytes | None:
+        """The body as far as it was asked for and read whole: what a form meant, where it was one."""
+        return self._body
+
+    async def chunks(self, *, limit: int) -> AsyncIterator[bytes]:
+        """The body as it comes, for a write that streams; raises the Problems of `body`."""
+        async for chunk in read_chunks(self, limit=limit, timeout=self._body_seconds):
+            self.account.passes(chunk)
+            yield chunk
+
+    def flag(self, name: str) -> bool:
+        """Whether `?name=true` is asked for; raises a 400 Problem for anything but true and false."""
+        if not self.request.scope["query_string"]:
+            return False
+        value = self.query.get(name, "false").lower()
+        if value not in ("true", "false", ""):
+            raise Problem(400, f"?{name}={value} is neither true nor false.")
+        return value != "false"
+
+
+def _fields(raw: Iterable[tuple[bytes, bytes]]) -> Mapping[str, str]:
+    found: dict[str, str] = {}
+    for raw_name, raw_value in raw:
+        name, value = raw_name.decode("latin-1"), raw_value.decode("latin-1")
+        found[name] = f"{found[name]}, {value}" if name in found else value
+    return found
+
+
+def _query(raw: bytes) -> Mapping[str, str]:
+    try:
+        pairs = parse_qsl(raw.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=200)
+    except (UnicodeDecodeError, ValueError) as error:
+        raise Problem(400, f"The query string cannot be read: {error}.") from error
+    return MappingProxyType(dict(reversed(pairs)))
+
+
+_remembered = lru_cache(maxsize=256)(_query)

@@ -1,0 +1,210 @@
+"""Files: the bytes of a non-RDF source, streamed from disk, whole or in ranges (LDP 4.4, RFC 9110 8.3, 14).
+
+A stored file may be a page or a drawing with scripts in it. Every file is sent with a Content-Security-Policy whose
+`sandbox` gives the document an origin of its own that nobody shares, with no scripts, forms or plugins; so it can be
+looked at where it lies and still do nothing in the name of this server. `nosniff` keeps browsers from taking one media
+type for another.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from io import FileIO
+from pathlib import Path
+from typing import TypeAlias
+from urllib.parse import quote
+
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+
+from rosld.server.http import field, media, ranges
+from rosld.server.http.problem import Problem
+from rosld.server.rest.prepared import Prepared
+
+CHUNK = 128 * 1024
+"""Bytes read at a time; answers of no more are read at once."""
+PATIENCE = 60.0
+"""Seconds after which a reader who takes nothing more is taken for gone."""
+UNKNOWN = "application/octet-stream"
+"""The media type of a body that states none (RFC 9110 8.3)."""
+CONTENT_SECURITY_POLICY = (
+    "sandbox; default-src 'none'; img-src 'self' data:; media-src 'self' data:; "
+    "style-src 'self' 'unsafe-inline'; font-src 'self' data:"
+)
+_ATTACHED = frozenset({"application/pdf"})
+"""What browsers refuse to show in a sandbox: it is offered for saving."""
+_PLAIN_NAME = frozenset("!#$&+-.^_`|~ ()[]{},;=@'")
+
+Piece: TypeAlias = "bytes | ranges.Span"
+
+
+def exact_media_type(stated: str | None) -> str:
+    """The Content-Type of a body to be kept, exactly as it was stated; a 415 Problem where it is none.
+
+    Parameters are kept, and any charset is: nothing here reads such a body.
+    """
+    if stated is None:
+        return UNKNOWN
+    try:
+        media.parse(stated)
+        return field.safe(stated.strip(" \t"))
+    except ValueError as error:
+        raise Problem(415, f"Content-Type: {error}.") from error
+
+
+async def file_response(
+    path: Path,
+    size: int,
+    media_type: str,
+    etag: str,
+    *,
+    headers: Mapping[str, str],
+    name: str | None = None,
+    range_: str | None = None,
+    if_range: str | None = None,
+    head: bool = False,
+) -> Response:
+    """The answer to a GET (or HEAD) of the file at `path` of `size` bytes, with `headers` (lower-case names) beside
+    its own.
+
+    200 with all of it, or 206 with what Range asks for while If-Range holds. `etag` is quoted; If-Match and
+    If-None-Match are judged before (RFC 9110 13.2.2). `name` is what it is called when it is saved. The file is opened
+    here, off the loop, and what is removed afterwards is still sent whole. Raises a 416 Problem and FileNotFoundError.
+    """
+    spans = None if head else ranges.selected(range_, if_range, etag, size)
+    pieces: list[Piece]
+    added = {"content-type": media_type}
+    if spans is None:
+        pieces = [ranges.Span(0, size)]
+    elif len(spans) == 1:
+        pieces = [spans[0]]
+        added["content-range"] = spans[0].content_range(size)
+    else:
+        frame = ranges.framing(spans, size, media_type)
+        pieces = [each for pair in zip(frame.heads, spans, strict=True) for each in pair] + [frame.tail]
+        added["content-type"] = frame.content_type
+    length = sum(map(len, pieces))
+    added |= {"content-length": str(length), "etag": etag, **_standing(media_type, name)}
+    status, encoded = 200 if spans is None else 206, _encoded({"cache-control": "no-cache", **headers, **added})
+    if head:
+        return Prepared(status, b"", encoded)
+    if length <= CHUNK:
+        return Prepared(status, await asyncio.to_thread(_whole, path, pieces), encoded)
+    return _FileStream(status, encoded, await asyncio.to_thread(FileIO, path), pieces)
+
+
+def file_stream(headers: list[tuple[bytes, bytes]], file: FileIO, size: int) -> Response:
+    """200 with all of a file that is open, which is closed when it was sent."""
+    return _FileStream(200, headers, file, [ranges.Span(0, size)])
+
+
+class _FileStream(Response):
+    """A response that reads its file as fast as its reader takes it, and closes it when that one is done or gone."""
+
+    def __init__(self, status: int, headers: list[tuple[bytes, bytes]], file: FileIO, pieces: Sequence[Piece]) -> None:
+        self.status_code = status
+        self.body = b""
+        self.background = None
+        self.raw_headers = headers
+        self._file = file
+        self._pieces = pieces
+        self._reading: asyncio.Future[bytes] | None = None
+        self._sent = 0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send it."""
+        working = asyncio.ensure_future(self._send(send))
+        listening = asyncio.ensure_future(_gone(receive))
+        try:
+            while not working.done() and not listening.done():
+                sent = self._sent
+                await asyncio.wait({working, listening}, timeout=PATIENCE, return_when=asyncio.FIRST_COMPLETED)
+                if self._sent == sent:
+                    break
+        finally:
+            for task in (working, listening):
+                task.cancel()
+            await asyncio.wait({working, listening})
+            self._close()
+        if not working.cancelled():
+            working.result()
+
+    async def _send(self, send: Send) -> None:
+        await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
+        for part in _parts(self._pieces):
+            data = part if isinstance(part, bytes) else await self._read(part)
+            await send({"type": "http.response.body", "body": data, "more_body": True})
+            self._sent += 1
+        await send({"type": "http.response.body", "body": b"", "more_body": False})
+
+    async def _read(self, span: ranges.Span) -> bytes:
+        self._reading = asyncio.get_running_loop().run_in_executor(None, _bytes, self._file, span)
+        return await asyncio.shield(self._reading)
+
+    def _close(self) -> None:
+        """Close the file, but not under a thread that is reading it."""
+        if self._reading is None or self._reading.done():
+            self._file.close()
+        else:
+            self._reading.add_done_callback(lambda _: self._file.close())
+
+
+async def _gone(receive: Receive) -> None:
+    """Return when the client has gone."""
+    while (await receive())["type"] != "http.disconnect":
+        pass
+
+
+def _parts(pieces: Iterable[Piece]) -> Iterator[Piece]:
+    """The pieces with long spans cut into chunks."""
+    for piece in pieces:
+        if isinstance(piece, bytes):
+            yield piece
+        else:
+            for start in range(piece.start, piece.stop, CHUNK):
+                yield ranges.Span(start, min(start + CHUNK, piece.stop))
+
+
+def _bytes(file: FileIO, span: ranges.Span) -> bytes:
+    """Exactly these bytes of a file."""
+    file.seek(span.start)
+    parts: list[bytes] = []
+    missing = len(span)
+    while missing:
+        data = file.read(missing)
+        if not data:
+            raise OSError(f"the file ends {missing} bytes before what was promised")
+        parts.append(data)
+        missing -= len(data)
+    return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+def _whole(path: Path, pieces: Iterable[Piece]) -> bytes:
+    with FileIO(path) as file:
+        return b"".join(piece if isinstance(piece, bytes) else _bytes(file, piece) for piece in pieces)
+
+
+def _standing(media_type: str, name: str | None) -> dict[str, str]:
+    """What every answer with a file says, whole or in part."""
+    return {
+        "accept-ranges": "bytes",
+        "x-content-type-options": "nosniff",
+        "content-security-policy": CONTENT_SECURITY_POLICY,
+        "content-disposition": _disposition(media_type, name),
+    }
+
+
+def _disposition(media_type: str, name: str | None) -> str:
+    """Content-Disposition (RFC 6266): to be shown where browsers can, saved under its name."""
+    essence = media_type.partition(";")[0].strip(" \t").lower()
+    kind = "attachment" if essence in _ATTACHED else "inline"
+    if not name:
+        return kind
+    plain = "".join(char if char.isascii() and (char.isalnum() or char in _PLAIN_NAME) else "_" for char in name)
+    extended = "" if plain == name else f"; filename*=UTF-8''{quote(name, safe='', errors='replace')}"
+    return f"{kind}; filename={field.quote(plain)}{extended}"
+
+
+def _encoded(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
+    return [(name.encode("ascii"), field.safe(value).encode("ascii")) for name, value in headers.items()]

@@ -1,0 +1,18 @@
+"""The media types that every resource can be read as, and the names that `?format=` has for them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from rosld.ontology.serialize import Syntax
+from rosld.server.rest.resource import JSON, RDF_BODIES
+
+HTML = "text/html"
+VARIANTS: Mapping[str, str] = {syntax.media_type: syntax.extension for syntax in Syntax} | {JSON: "json", HTML: "html"}
+FORMATS: Mapping[str, str] = {extension: media_type for media_type, extension in VARIANTS.items()} | {
+    "turtle": Syntax.TURTLE.media_type,
+    "rdfxml": Syntax.RDF_XML.media_type,
+}
+"""What `?format=` may ask for."""
+OFFERS = (*RDF_BODIES, JSON, HTML)
+"""What every resource can be read as, the default first. `application/json` is JSON-LD where there is no ROS value."""

@@ -1,0 +1,236 @@
+"""Interaction models: which one a request asks for, how it is told, and what members of containers are (LDP 4, 5).
+
+Pure: links, triples and names go in, values come out; what cannot be is a Problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+from pyoxigraph import NamedNode, Triple
+
+from rosld.ontology.body import RdfBody
+from rosld.ontology.syntax import Syntax
+from rosld.ontology.vocab import ldp, rdf
+from rosld.server.http.link import Link
+from rosld.server.http.problem import Problem
+from rosld.server.storage import NO_MEMBER, Membership, Model
+from rosld.server.storage.models import MODEL_TYPES
+
+_RDF = frozenset(syntax.media_type for syntax in Syntax)
+_LINKS: Mapping[Model, tuple[Link, ...]] = {
+    model: tuple(Link(kind.value, "type") for kind in kinds if kind != ldp.Container)
+    for model, kinds in MODEL_TYPES.items()
+}
+_KNOWN = frozenset(kind.value.removeprefix(ldp.iri) for kinds in MODEL_TYPES.values() for kind in kinds)
+_SERVERS_OWN = frozenset({ldp.contains, rdf.type})
+"""Properties that the server itself says: no membership is written with them."""
+
+
+# Models
+
+
+def model_asked(links: Sequence[Link], url: str, media_type: str | None, *, container_hint: bool) -> Model:
+    """The interaction model that a request asks for (LDP 5.2.3.4), by its Link headers, its body and its URL.
+
+    `url` is the URL that the request is sent to, `media_type` that of its body, None where it has none.
+    `container_hint`: what is to be made has a URL that ends in a slash. A PUT says where, so there both must agree.
+    Raises Problems: 400 for an unknown model and for models that exclude each other, 409 for a model that does not fit
+    the URL or the body.
+    """
+    asked = _asked(links, url)
+    container = _container(asked)
+    _check_together(asked, container)
+    is_rdf = media_type is None or media_type in _RDF
+    if container is not None or (container_hint and not asked):
+        _check_container(container or Model.BASIC_CONTAINER, url, media_type, is_rdf)
+        return container or Model.BASIC_CONTAINER
+    if container_hint:
+        raise Problem(
+            409,
+            f"{_words(asked)} is asked for, but the URL of a container: leave out the slash at the end, "
+            "or ask for ldp:BasicContainer.",
+        )
+    if "NonRDFSource" in asked:
+        return Model.NON_RDF_SOURCE
+    if "RDFSource" in asked and not is_rdf:
+        raise Problem(
+            409,
+            f"ldp:RDFSource is asked for with a body of {media_type}: send one of {', '.join(sorted(_RDF))}, "
+            "or ask for ldp:NonRDFSource.",
+        )
+    return Model.RDF_SOURCE if is_rdf else Model.NON_RDF_SOURCE
+
+
+def model_links(model: Model) -> tuple[Link, ...]:
+    """The links of relation `type` in every answer about a resource of this model.
+
+    LDP 4.2.1.4 wants ldp:Resource, 5.2.1.4 the one type of container, 4.4.1.2 allows ldp:NonRDFSource. ldp:Container
+    is none of the types that 5.2.1.4 lists: it is said in the RDF only.
+    """
+    return _LINKS[model]
+
+
+def _asked(links: Sequence[Link], url: str) -> frozenset[str]:
+    """The local names of the models that the links ask for; other types and links of other things mean nothing here."""
+    found = [
+        link.target.removeprefix(ldp.iri)
+        for link in links
+        if "type" in link.rel.lower().split() and link.anchor in (None, "", url) and link.target.startswith(ldp.iri)
+    ]
+    for name in found:
+        if name not in _KNOWN:
+            raise Problem(
+                400, f"<{ldp.iri}{name}> is no interaction model; there are {', '.join(_prefixed(sorted(_KNOWN)))}."
+            )
+    return frozenset(found)
+
+
+def _container(asked: frozenset[str]) -> Model | None:
+    """The one kind of container that is asked for; ldp:Container alone is a Basic one."""
+    kinds = [model for model in Model if model.is_container and model.value in asked]
+    if len(kinds) > 1:
+        raise Problem(400, f"A container is of one kind, not of {_words(asked & {kind.value for kind in kinds})}.")
+    if kinds:
+        return kinds[0]
+    return Model.BASIC_CONTAINER if "Container" in asked else None
+
+
+def _check_together(asked: frozenset[str], container: Model | None) -> None:
+    if "NonRDFSource" in asked and ("RDFSource" in asked or container is not None):
+        raise Problem(400, f"{_words(asked - {'Resource'})} exclude each other: ask for one interaction model.")
+
+
+def _check_container(model: Model, url: str, media_type: str | None, is_rdf: bool) -> None:
+    if not url.endswith("/"):
+        raise Problem(
+            409, f"ldp:{model.value} is asked for, and the URL of a container ends in a slash: send it to {url}/"
+        )
+    if not is_rdf:
+        raise Problem(
+            409,
+            f"A container is described in RDF, and the body is {media_type}: send one of {', '.join(sorted(_RDF))}, "
+            "or make no container of it.",
+        )
+
+
+def _words(names: Iterable[str]) -> str:
+    return " and ".join(_prefixed(sorted(names)))
+
+
+def _prefixed(names: Iterable[str]) -> Iterator[str]:
+    return (f"ldp:{name}" for name in names)
+
+
+# Membership
+
+
+def membership_of(triples: Iterable[Triple], url: str, model: Model) -> Membership | None:
+    """What membership triples of the container at `url` are made of, as its body says; None for a Basic container.
+
+    The membership resource is the container itself, and the relation ldp:member, where nothing else is said (LDP
+    5.4.1.2, 5.4.1.3); an Indirect container must say its ldp:insertedContentRelation (LDP 5.5.1.2). Raises 409 Problems
+    for what is said twice, both ways round (LDP 5.4.1.4), or by no IRI.
+    """
+    if model not in (Model.DIRECT_CONTAINER, Model.INDIRECT_CONTAINER):
+        return None
+    container = NamedNode(url)
+    said = [triple for triple in triples if triple.subject == container]
+    resource = _one(said, ldp.membershipResource)
+    forward, inverse = _one(said, ldp.hasMemberRelation), _one(said, ldp.isMemberOfRelation)
+    if forward is not None and inverse is not None:
+        raise Problem(
+            409, "A container says either ldp:hasMemberRelation or ldp:isMemberOfRelation, not both (LDP 5.4.1.4)."
+        )
+    relation = forward or inverse or ldp.member
+    if relation in _SERVERS_OWN:
+        raise Problem(
+            409, f"{relation} is what the server says of resources: name another property as the membership relation."
+        )
+    content = _content(_one(said, ldp.insertedContentRelation), model)
+    return Membership(
+        (resource or container).value, relation.value, inverse is not None, None if content is None else content.value
+    )
+
+
+def member_of(membership: Membership | None, body: RdfBody, url: str) -> str:
+    """What stands for a new member at `url` in membership triples: the member-derived URI (LDP 5.4.1.5, 5.5.1.2).
+
+    It is the member itself, or the object of the inserted content relation in the body it is made from, `NO_MEMBER`
+    where that says none. What is said of the member itself comes before what is said of others. Raises 409 Problems
+    where there is more than one, or one that is no IRI.
+    """
+    if membership is None or membership.content in (None, ldp.MemberSubject.value):
+        return url
+    relation = NamedNode(membership.content)
+    objects = body.objects(NamedNode(url), relation) or list(
+        dict.fromkeys(each for properties in body.subjects.values() for each in properties.get(relation, ()))
+    )
+    if not objects:
+        return NO_MEMBER
+    if len(objects) > 1:
+        raise Problem(
+            409,
+            f"What is put into this container says by one triple with {relation} what the member is (LDP 5.5.1.2); "
+            f"the body has {len(objects)} triples with it.",
+        )
+    if not isinstance(objects[0], NamedNode):
+        raise Problem(409, f"What {relation} says is the member must be an IRI, not {objects[0]}.")
+    return objects[0].value
+
+
+def stand_ins(members: Iterable[tuple[str, str | None]]) -> Iterator[str]:
+    """What stands in membership triples for members, each its URL and what its record says stands for it."""
+    return (url if stated is None else stated for url, stated in members if stated != NO_MEMBER)
+
+
+def declared(membership: Membership, container_url: str) -> list[Triple]:
+    """What a Direct or Indirect container says of its own membership triples, each exactly once (LDP 5.4.1.3, 5.4.1.4,
+    5.5.1.2), whether its client said it or left it to the defaults."""
+    container = NamedNode(container_url)
+    relation = ldp.isMemberOfRelation if membership.inverse else ldp.hasMemberRelation
+    said = [
+        Triple(container, ldp.membershipResource, NamedNode(membership.resource)),
+        Triple(container, relation, NamedNode(membership.relation)),
+    ]
+    if membership.content is not None:
+        said.append(Triple(container, ldp.insertedContentRelation, NamedNode(membership.content)))
+    return said
+
+
+def membership_triples(membership: Membership, members: Iterable[str]) -> list[Triple]:
+    """The membership triples of these member-derived URIs (LDP 5.4.1.4.1, 5.4.1.4.2)."""
+    constant, relation = NamedNode(membership.resource), NamedNode(membership.relation)
+    if membership.inverse:
+        return [Triple(NamedNode(member), relation, constant) for member in members]
+    return [Triple(constant, relation, NamedNode(member)) for member in members]
+
+
+def _one(said: Sequence[Triple], predicate: NamedNode) -> NamedNode | None:
+    """The one IRI that a container says by a predicate, None where it says nothing."""
+    found = list(dict.fromkeys(triple.object for triple in said if triple.predicate == predicate))
+    if len(found) > 1:
+        values = " and ".join(map(str, found[:5]))
+        raise Problem(409, f"A container says {predicate} once, not as {values}.")
+    if found and not isinstance(found[0], NamedNode):
+        raise Problem(409, f"What a container says by {predicate} must be an IRI, not {found[0]}.")
+    return found[0] if found and isinstance(found[0], NamedNode) else None
+
+
+def _content(said: NamedNode | None, model: Model) -> NamedNode | None:
+    """The inserted content relation: an Indirect container's own, none of a Direct one (LDP 5.4.1.5, 5.5.1.2)."""
+    if model is Model.INDIRECT_CONTAINER:
+        if said is None:
+            raise Problem(
+                409,
+                "An Indirect container says by ldp:insertedContentRelation what stands for its members (LDP 5.5.1.2): "
+                "add it, or ask for ldp:DirectContainer.",
+            )
+        return said
+    if said not in (None, ldp.MemberSubject):
+        raise Problem(
+            409,
+            f"The members of a Direct container are what was put into it (LDP 5.4.1.5): leave out {said}, "
+            "or ask for ldp:IndirectContainer.",
+        )
+    return said

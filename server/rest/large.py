@@ -1,0 +1,133 @@
+"""Large documents: their representations are made in worker processes, and sent from files.
+
+A file is made once for all who ask for it meanwhile, and the last few are kept. A page shows the first triples only.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import tempfile
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+from functools import partial
+from io import FileIO
+from pathlib import Path
+from typing import TypeVar
+
+from pyoxigraph import RdfFormat, Triple, parse
+from pyoxigraph import serialize as pyoxigraph_serialize
+
+from rosld.ontology.document import Document
+from rosld.ontology.serialize import serialize
+from rosld.server.rest.state import State, require_memory
+from rosld.server.runtime.offload import Work, Workers
+
+_T = TypeVar("_T")
+
+EXCERPT = 250
+"""Triples of a large document that a page shows."""
+KEPT_BYTES = 512 * 1024 * 1024
+"""Bytes of files that are kept, beside the newest."""
+KEPT_FILES = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Excerpt:
+    """The first triples of a document of so many."""
+
+    document: Document
+    total: int
+
+
+class LargeDocuments:
+    """Files with representations of large documents. Belongs to one loop."""
+
+    def __init__(self, workers: Workers) -> None:
+        self._workers = workers
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._numbers = itertools.count()
+        self._files: OrderedDict[Hashable, tuple[Path, int]] = OrderedDict()
+        self._making: dict[Hashable, asyncio.Future[tuple[Path, int]]] = {}
+
+    async def file(self, name: Hashable, state: State, media_type: str) -> tuple[FileIO, int]:
+        """The representation of a state in a media type, opened, and its size; `name` tells it from all others.
+
+        Raises CannotCarry, and the Problems of `Workers.run`.
+        """
+        while True:
+            path, size = await self._made(name, state, media_type)
+            try:
+                return await asyncio.to_thread(FileIO, path), size
+            except FileNotFoundError:  # pushed out by others meanwhile
+                continue
+
+    async def _made(self, name: Hashable, state: State, media_type: str) -> tuple[Path, int]:
+        found = self._files.get(name)
+        if found is not None:
+            self._files.move_to_end(name)
+            return found
+        making = self._making.get(name)
+        if making is None:
+            making = self._making[name] = asyncio.ensure_future(self._make(name, state, media_type))
+            making.add_done_callback(lambda _: self._making.pop(name, None))
+        return await asyncio.shield(making)
+
+    async def _make(self, name: Hashable, state: State, media_type: str) -> tuple[Path, int]:
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="rosld-large-", ignore_cleanup_errors=True)
+        path = Path(self._folder.name) / f"{next(self._numbers)}"
+        try:
+            size = await self._run(state, partial(write_document, state.describe, media_type, path))
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
+        self._files[name] = (path, size)
+        self._push_out()
+        return path, size
+
+    def _push_out(self) -> None:
+        """Remove the files that were used the longest ago, until the others are few enough. Who reads one goes on."""
+        files = self._files
+        while len(files) > 1 and (len(files) > KEPT_FILES or sum(size for _, size in files.values()) > KEPT_BYTES):
+            _, (path, _) = files.popitem(last=False)
+            path.unlink(missing_ok=True)
+
+    async def excerpt(self, state: State, most: int = EXCERPT) -> Excerpt:
+        """The first triples of a large state's document; with those about the document's own subject first."""
+        url, ntriples, total = await self._run(state, partial(first_triples, state.describe, most))
+        triples = tuple(quad.triple for quad in parse(ntriples, RdfFormat.N_TRIPLES))
+        return Excerpt(Document(url, triples), total)
+
+    async def _run(self, state: State, work: Work[_T]) -> _T:
+        """Work on a state's document: in a worker, or in a thread where it cannot be told to another process."""
+        require_memory(state)
+        return await (self._workers.run(work) if isinstance(state.describe, partial) else asyncio.to_thread(work))
+
+    async def close(self) -> None:
+        """Remove all files. Idempotent."""
+        folder, self._folder = self._folder, None
+        self._files.clear()
+        if folder is not None:
+            await asyncio.to_thread(folder.cleanup)
+
+
+def shortened(state: State, excerpt: Excerpt) -> State:
+    """A state that says the excerpt only."""
+    return replace(state, describe=lambda: excerpt.document, weight=0, renderings={}, veils={}, token=state.tag)
+
+
+# In a worker
+
+
+def write_document(describe: Callable[[], Document], media_type: str, path: Path) -> int:
+    """Write a document in the syntax of a media type to a file; its size. Raises CannotCarry."""
+    return path.write_bytes(serialize(describe(), media_type))
+
+
+def first_triples(describe: Callable[[], Document], most: int) -> tuple[str, bytes, int]:
+    """The URL of a document, its first triples as N-Triples, and how many it has in all."""
+    document = describe()
+    triples: list[Triple] = list(itertools.islice(document.triples, most))
+    return document.url, pyoxigraph_serialize(triples, format=RdfFormat.N_TRIPLES) or b"", len(document.triples)

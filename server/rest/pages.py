@@ -1,0 +1,239 @@
+"""Pages and their forms: how a browser reads resources and writes to them."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Hashable, Mapping, Sequence
+from datetime import datetime, timezone
+from typing import TYPE_CHECKING
+from urllib.parse import parse_qsl, urlsplit
+
+from starlette.responses import Response
+
+from rosld.adapters.model import Stale
+from rosld.ontology.lower import LoweringError
+from rosld.ontology.urls import Space
+from rosld.server import html
+from rosld.server.auth.permissions import EVERYTHING, Judge
+from rosld.server.html import (
+    ChoiceForm,
+    Csrf,
+    DeleteForm,
+    Form,
+    Notice,
+    NoticeLink,
+    ParameterForm,
+    ProblemPage,
+    Site,
+    ValueForm,
+)
+from rosld.server.html.page import Tone
+from rosld.server.html.site import SECTIONS
+from rosld.server.http import negotiation
+from rosld.server.http.csrf import FormKey
+from rosld.server.http.problem import Problem
+from rosld.server.rest.errors import problem_of_body
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.large import LargeDocuments, shortened
+from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
+from rosld.server.robot.stop import Stops
+
+if TYPE_CHECKING:
+    from rosld.server.rest.resource import Resource
+
+_PROBLEM_OFFERS = ("application/problem+json", "application/json", "text/turtle", "application/ld+json", "text/html")
+_MOST_FIELDS = 10_000
+_SHORT_PAGE = 300
+"""Triples of a page that the loop renders itself: some 8 ms."""
+
+
+class Pages:
+    """Draws the pages of one robot's resources."""
+
+    headers: Mapping[str, str] = {name.lower(): value for name, value in html.HEADERS.items()}
+
+    def __init__(self, session: Session, stops: Stops, large: LargeDocuments) -> None:
+        self._session = session
+        self._stops = stops
+        self._keys = FormKey()
+        self._large = large
+
+    @property
+    def space(self) -> Space:
+        """The URLs of this server."""
+        return self._session.space
+
+    @property
+    def site(self) -> Site:
+        """What every page says of this server."""
+        return self.site_for(EVERYTHING)
+
+    def site_for(self, judge: Judge) -> Site:
+        """The same, for one who may do this much."""
+        session, standstill = self._session, self._stops.standstill
+        state = session.graph.state
+        stale = f"since {_moment(state.since_ns)}: {state.why}" if isinstance(state, Stale) else None
+        return Site(
+            session.space.base,
+            session.name,
+            session.adapter.capabilities.system,
+            stale,
+            session.settings.read_only,
+            (*SECTIONS, "bags") if session.adapter.recordings else SECTIONS,
+            session.space.types,
+            stop_token=self._stop_token(judge),
+            stopped="" if standstill is None or not judge.may_read(session.space.stop) else standstill.words,
+            may=judge.may,
+            may_below=lambda method, url: (place := judge.place(url)) is None or judge.may_below(method, place),
+            veiled=not judge.whole,
+        )
+
+    def _stop_token(self, judge: Judge) -> str:
+        """The token of the form that stops the robot, empty where it is not for this reader to stop."""
+        session = self._session
+        usable = self._stops.is_usable and judge.may("POST", session.space.stop)
+        return self._keys.token(_of_agent(session.space.stop, judge)) if usable else ""
+
+    @property
+    def edition(self) -> Hashable:
+        """Changes whenever what every page says does: who keeps a page keeps it for one edition."""
+        return self._stops.standstill
+
+    async def page(
+        self, resource: Resource, state: State, notices: Sequence[Notice] = (), judge: Judge = EVERYTHING
+    ) -> bytes:
+        """The page of a resource as it is, for one who may do this much."""
+        return await self._page(resource, state, await resource.forms(), notices, judge)
+
+    async def _page(
+        self, resource: Resource, state: State, forms: Sequence[Form], notices: Sequence[Notice], judge: Judge
+    ) -> bytes:
+        """A page with these forms; of what is large it shows the beginning, and says so."""
+        if state.is_large:
+            excerpt = await self._large.excerpt(state)
+            state = shortened(state, excerpt)
+            words = f"This page shows the first {len(excerpt.document.triples):,} of {excerpt.total:,} triples."
+            notices = (*notices, Notice(words, link=NoticeLink("?format=ttl", "All of them, as Turtle")))
+        page = resource.page(self.site_for(judge), state, forms, self._csrf(resource, judge), notices)
+        if isinstance(page, bytes):
+            return page
+        if len(page.document.triples) <= _SHORT_PAGE:
+            return html.render_page(page)
+        return await asyncio.to_thread(html.render_page, page)
+
+    def problem(self, exchange: Exchange, problem: Problem, url: str) -> Response | None:
+        """A problem with the resource at `url` as a page, for those who prefer one; None for all others."""
+        if negotiation.choose(exchange.accept, _PROBLEM_OFFERS) != "text/html":
+            return None
+        page = ProblemPage(
+            self.site_for(exchange.judge), problem.status, problem.title, problem.detail, url, problem.violations
+        )
+        headers = {**problem.headers, **self.headers, "Vary": "Accept", "Cache-Control": "no-store"}
+        return Response(html.render_problem(page), problem.status, headers, "text/html; charset=utf-8")
+
+    async def meant(self, exchange: Exchange, resource: Resource) -> Form:
+        """Check a posted form and turn the request into the one it means; the form, for `refused`.
+
+        Raises Problems (403 for a foreign form, 400 for one without a method) and Refused where it does not fit.
+        """
+        pairs = await self._pairs(exchange)
+        token, method, typed = html.split_hidden(pairs)
+        self._keys.require(token, _of_agent(resource.url, exchange.judge))
+        forms = await resource.forms()
+        form = next((form for form in forms if form.method == method and not form.action), None)
+        if form is None:
+            raise Problem(405, resource.why_not(method or "POST"), headers={"Allow": ", ".join(resource.methods())})
+        try:
+            value = _value(form, typed)
+        except LoweringError as error:
+            raise FormRefused(form, typed, problem_of_body(error)) from error
+        exchange.become(form.method, "application/json", b"" if value is None else json.dumps(value).encode())
+        exchange.typed = typed
+        return form
+
+    async def refused(self, resource: Resource, refusal: FormRefused, judge: Judge = EVERYTHING) -> Response:
+        """The page again with the form as it was filled in, and with what is wrong: beside the fields that do not fit.
+
+        Raises the problem itself where there is no page to tell it on.
+        """
+        form, problem = refusal.form, refusal.problem
+        if isinstance(form, DeleteForm):
+            raise problem
+        fields = problem.violations if problem.status == 422 else ()
+        notice = Notice(_sentence(len(fields)) if fields else problem.detail, Tone.ERROR, problem.violations)
+        again = await resource.forms() if isinstance(form, ChoiceForm) else [form.refilled(refusal.typed, fields)]
+        try:
+            state = await resource.state()
+            state = state if judge.whole else resource.veiled(state, judge)
+        except Problem:
+            raise problem from None
+        body = await self._page(resource, state, again, [notice], judge)
+        headers = {**problem.headers, **self.headers, "Cache-Control": "no-store"}
+        return Response(body, problem.status, headers, "text/html; charset=utf-8")
+
+    async def told(self, resource: Resource, sentence: str, judge: Judge = EVERYTHING) -> Response:
+        """The page with a notice, after a form that was carried out with a reservation (202)."""
+        state = await resource.state()
+        state = state if judge.whole else resource.veiled(state, judge)
+        body = await self.page(resource, state, [Notice(sentence, Tone.WARNING)], judge)
+        return Response(body, 202, {**self.headers, "Cache-Control": "no-store"}, "text/html; charset=utf-8")
+
+    def came_from(self, exchange: Exchange) -> str | None:
+        """The URL of the page that a form stood on (RFC 9110 10.1.3), under the name of this site; None where that is
+
+        not told.
+        """
+        space = self._session.space
+        try:
+            path = urlsplit(exchange.header("referer") or "").path
+        except ValueError:
+            return None
+        return space.base + path[len(space.path) :].lstrip("/") if path.startswith(space.path) else None
+
+    async def _pairs(self, exchange: Exchange) -> list[tuple[str, str]]:
+        try:
+            text, codec = (await exchange.octets()).decode("ascii"), exchange.codec
+            return parse_qsl(text, True, encoding=codec, errors="strict", max_num_fields=_MOST_FIELDS)
+        except (UnicodeDecodeError, ValueError) as error:
+            raise Problem(400, f"The form cannot be read: {error}.") from error
+
+    def _csrf(self, resource: Resource, judge: Judge) -> Csrf:
+        """Tokens for the forms of its page, each for the URL it posts to and for who reads the page."""
+        return lambda action: self._keys.token(_of_agent(action or resource.url, judge))
+
+
+def _of_agent(url: str, judge: Judge) -> str:
+    """What a form's token is for: a URL, and who may send it where that is known."""
+    return f"{url} {judge.mark}" if judge.mark else url
+
+
+class FormRefused(Exception):
+    """What was typed into a form does not fit, or what it asks for was not done."""
+
+    def __init__(self, form: Form, typed: Sequence[tuple[str, str]], problem: Problem) -> None:
+        super().__init__(problem.detail)
+        self.form = form
+        self.typed = tuple(typed)
+        self.problem = problem
+
+
+def _sentence(count: int) -> str:
+    return f"Nothing was sent: {count} field{'s do' if count != 1 else ' does'} not fit."
+
+
+def _value(form: Form, typed: Sequence[tuple[str, str]]) -> object:
+    if isinstance(form, DeleteForm):
+        return None
+    if isinstance(form, ChoiceForm):
+        return html.parse_choice(form.name, typed)
+    if isinstance(form, ParameterForm):
+        return html.parse_parameter(typed)
+    if isinstance(form, ValueForm):
+        return html.parse_value(form.shape, typed)
+    return html.parse_form(form.schema, typed)
+
+
+def _moment(nanoseconds: int) -> str:
+    return datetime.fromtimestamp(nanoseconds / 1e9, timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")

@@ -1,0 +1,212 @@
+"""Pages of large containers (LDP Paging 1.0): where one begins, which are its neighbours, how that is told. Pure.
+
+A page is named by the member before its first: by its number where members are ordered by when they were made, by its
+name where they are ordered by their names. So whoever follows `next` meets every member that was there all the while
+exactly once, whatever comes and goes meanwhile.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+from urllib.parse import quote
+
+from pyoxigraph import NamedNode, Triple
+
+from rosld.ontology.document import Document
+from rosld.ontology.triples import about
+from rosld.ontology.vocab import ldp, rdf, xhv
+from rosld.server.html import Step
+from rosld.server.http.link import Link, uri
+from rosld.server.http.prefer import Preferences
+from rosld.server.http.problem import Problem
+from rosld.server.rest.exchange import Exchange
+
+MOST = 1000
+"""Members of one page; a container with more comes in pages."""
+Key: TypeAlias = "int | str"
+"""What members are ordered by: numbers, or names as they stand in URLs, those of containers with their slash."""
+_TOKEN = re.compile(r"(0|[1-9][0-9]{0,17})(?:-([1-9][0-9]{0,3}))?")
+_NAMED = re.compile(r"([1-9][0-9]{0,3})?:([!-~]{1,4096})")
+_COUNT = re.compile(r"0*([1-9][0-9]{0,8})")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """The members after the one of number or name `after`, of which a page tells `most`; 0 is before all of them."""
+
+    after: Key = 0
+    most: int = MOST
+
+    @property
+    def token(self) -> str:
+        """What stands for it in `?page=`."""
+        most = "" if self.most == MOST else str(self.most)
+        if isinstance(self.after, str):
+            return f"{most}:{self.after}"
+        return f"{self.after}-{most}" if most else str(self.after)
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A page of the container at URL `container`: its own token and those of its neighbours, None where it has none."""
+
+    container: str
+    token: str
+    first: str
+    prev: str | None = None
+    next: str | None = None
+    last: str | None = None
+
+    @property
+    def url(self) -> str:
+        """Its URL."""
+        return page_url(self.container, self.token)
+
+    def steps(self) -> tuple[Step, ...]:
+        """The neighbours: first, prev, next and last, as far as they are known and there."""
+        tokens = {"first": self.first, "prev": self.prev, "next": self.next, "last": self.last}
+        return tuple(Step(rel, page_url(self.container, token)) for rel, token in tokens.items() if token is not None)
+
+    def links(self, etag: str | None = None) -> tuple[Link, ...]:
+        """The links of every answer with it, beside those of the container: that it is a page, its neighbours, and the
+        container it is a page of, with the container's entity tag (`"x"` or `x`), so that a change is noticed."""
+        noted = () if etag is None else (("etag", etag.removeprefix('"').removesuffix('"')),)
+        return (
+            Link(ldp.Page.value, "type"),
+            *(Link(step.url, step.rel) for step in self.steps()),
+            Link(self.container, "canonical", attributes=noted),
+        )
+
+    def told_with(self, document: Document) -> Document:
+        """A document of the members on this page, and what the page itself is."""
+        return replace(document, triples=(*document.triples, *self.triples()))
+
+    def triples(self) -> list[Triple]:
+        """The same in RDF."""
+        relations = {"first": xhv.first, "prev": xhv.prev, "next": xhv.next, "last": xhv.last}
+        return about(
+            NamedNode(self.url),
+            (rdf.type, ldp.Page),
+            (ldp.pageSequence, NamedNode(self.container)),
+            *((relations[step.rel], NamedNode(step.url)) for step in self.steps()),
+        )
+
+
+def send_to_first(exchange: Exchange, container: str, count: int) -> None:
+    """Raise the 303 to the first page where a request is to be answered by pages."""
+    query = exchange.request.scope["query_string"].decode("latin-1")
+    first = first_page(container, count, exchange.prefer, query)
+    if first is not None:
+        raise first
+
+
+def page_url(container: str, token: str) -> str:
+    """The URL of a page of a container, whose own URL may have a query."""
+    return f"{container}{'&' if '?' in container else '?'}{page_query(token)}"
+
+
+def page_query(token: str) -> str:
+    """What the URL of a page has behind the question mark."""
+    return f"page={quote(token, safe=':/')}"
+
+
+def read_place(token: str) -> Place:
+    """The place among numbered members that `?page=` names; a 404 Problem for what names none."""
+    found = _TOKEN.fullmatch(token)
+    if found is None or int(found[2] or 1) > MOST:
+        raise _no_page(token)
+    return Place(int(found[1]), int(found[2] or MOST))
+
+
+def read_named_place(token: str) -> Place:
+    """The place among members ordered by name that `?page=` names; a 404 Problem for what names none."""
+    found = _NAMED.fullmatch(token)
+    if found is None:
+        place = read_place(token)
+        if place.after != 0:
+            raise _no_page(token)
+        return place
+    if int(found[1] or 1) > MOST:
+        raise _no_page(token)
+    return Place(found[2], int(found[1] or MOST))
+
+
+def _no_page(token: str) -> Problem:
+    return Problem(404, f"?page={token[:100]} is no page of this container: follow the links from ?page=0.")
+
+
+def page_among(container: str, place: Place, names: Sequence[str]) -> tuple[Page, Sequence[str]]:
+    """The page at a place, and what it tells of `names`: those of all members, in order."""
+    start = bisect_right(names, place.after) if isinstance(place.after, str) else 0
+    most = place.most
+    found, before = names[start : start + most + 1], names[max(0, start - most - 1) : start]
+    last = last_place(most, len(names), names[: -left_on_last(len(names), most) - 2 : -1])
+    return page_of(container, place, found, before[::-1], last), found[:most]
+
+
+def page_of(
+    container: str, place: Place, keys: Sequence[Key], before: Sequence[Key] = (), last: Place | None = None
+) -> Page:
+    """The page at a place, where `keys` are those of the members after it: one more than it tells, if there are.
+
+    So the last page has no `next`, though it be full. `before` are the keys up to the place, the last one first: one
+    more than a page tells, if there are. So the page before ends where this one begins; where fewer than a page are
+    left it is the first one. `last` is where the last page begins, if that is known.
+    """
+    next_ = Place(keys[place.most - 1], place.most) if len(keys) > place.most else None
+    prev = Place(before[place.most] if len(before) > place.most else 0, place.most) if before else None
+    final = last if next_ is not None else place
+    return Page(
+        container,
+        place.token,
+        Place(0, place.most).token,
+        None if prev is None else prev.token,
+        None if next_ is None else next_.token,
+        None if final is None else final.token,
+    )
+
+
+def left_on_last(count: int, most: int) -> int:
+    """How many members the last page tells of `count`: that page to which `next` leads from the first."""
+    return (count - 1) % most + 1 if count else 0
+
+
+def last_place(most: int, count: int, latest: Sequence[Key]) -> Place:
+    """Where the last page begins of `count` members; `latest` are the keys of the last ones, the last one first: one
+
+    more than that page tells, if there are.
+    """
+    left = left_on_last(count, most)
+    return Place(latest[left] if len(latest) > left else 0, most)
+
+
+def most_asked(preferences: Preferences) -> int | None:
+    """The members of a page that a request prefers: max-member-count of return=representation, None where there is
+    none, at most `MOST`."""
+    if not preferences.representation:
+        return None
+    parameters = dict(reversed(preferences.named["return"].parameters))
+    found = _COUNT.fullmatch(parameters.get("max-member-count", ""))
+    return None if found is None else min(MOST, int(found[1]))
+
+
+def first_page(container: str, count: int, preferences: Preferences, query: str = "") -> Problem | None:
+    """The 303 to the first page of a container of `count` members, None where it is told at once.
+
+    It comes in pages where it has more members than `MOST`, or than the request prefers. What its `query` asks for
+    besides (`format=ttl`) is asked of the page.
+    """
+    most = most_asked(preferences) or MOST
+    if count <= most:
+        return None
+    first = page_url(container, Place(0, most).token) + (f"&{query}" if query else "")
+    return Problem(
+        303,
+        f"Its {count} members come in pages; the first is {first}",
+        title="See Other",
+        headers={"Location": uri(first), "Vary": "Accept, Prefer"},
+    )

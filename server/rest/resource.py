@@ -1,0 +1,258 @@
+"""The contract of resources: everything that has a URL is one of these.
+
+A resource is made for a request and holds no state of its own: `state()` tells what it is like now. Verbs it lists in
+`methods` are its coroutines of the same names; `verbs.py` has done negotiation, `Allow` and preconditions before them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from pyoxigraph import Triple
+from starlette.responses import Response
+
+from rosld.adapters.base import Watch
+from rosld.adapters.model import RosError
+from rosld.ontology.serialize import Syntax
+from rosld.server.auth.permissions import Judge
+from rosld.server.html import Csrf, Form, Listing, Notice, Page, Site, Step
+from rosld.server.http.link import Link, uri
+from rosld.server.http.problem import Problem
+from rosld.server.rest.errors import problem_of
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.plan import Plan
+from rosld.server.rest.redaction import veiled_state
+from rosld.server.rest.state import State
+
+READ = frozenset({"GET", "HEAD", "OPTIONS"})
+ABSENT = frozenset({"OPTIONS"})
+"""What is answered of what is not there, and is not made by a write to its URL."""
+LDP = "http://www.w3.org/ns/ldp#"
+RESOURCE = Link(f"{LDP}Resource", "type")
+RDF_SOURCE = Link(f"{LDP}RDFSource", "type")
+BASIC_CONTAINER = Link(f"{LDP}BasicContainer", "type")
+
+JSON = "application/json"
+MERGE_PATCH = "application/merge-patch+json"
+SPARQL_UPDATE = "application/sparql-update"
+RDF_BODIES = tuple(syntax.media_type for syntax in Syntax)
+
+
+class Resource:
+    """Base of all resources: readable, nothing else."""
+
+    kind = "Resource"
+    links: tuple[Link, ...] = (RESOURCE, RDF_SOURCE)
+    accepts: Mapping[str, Sequence[str]] = {}
+    """The media types that PUT, POST and PATCH take, by method."""
+    in_turn: frozenset[str] = frozenset()
+    """The methods whose outcome depends on what is there: such writes of one URL are carried out in turn."""
+    lasting = True
+    """Whether the same path means the same kind of resource for ever."""
+    takes_forms = True
+    """Whether a posted form is one of our pages' (else the resource reads it itself)."""
+    title = ""
+    """What its page is called: a ROS name as a rule."""
+
+    def __init__(self, url: str) -> None:
+        self.url = url
+
+    @property
+    def shows(self) -> Hashable:
+        """What of its URL's state it shows, where that is not the whole: a page, some parts."""
+        return None
+
+    def __eq__(self, other: object) -> bool:
+        """One may be made for each request: those that show the same are the same, to whoever follows them."""
+        return (
+            isinstance(other, Resource)
+            and type(other) is type(self)
+            and (other.url, other.shows) == (self.url, self.shows)
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.url, self.shows))
+
+    async def ready(self) -> None:
+        """Learn what must be known before anything else can be told. Called first on each request."""
+
+    @property
+    def is_absent(self) -> bool:
+        """Whether there is nothing at its URL, and no write to it would make something, as far as is known unread."""
+        return False
+
+    def methods(self) -> frozenset[str]:
+        """The verbs it answers now; what `Allow` says, unless it is absent."""
+        return READ
+
+    async def methods_now(self) -> frozenset[str]:
+        """The verbs it answers in its present state, which may have to be read: what OPTIONS says."""
+        return ABSENT if self.is_absent else self.methods()
+
+    async def methods_if_there(self) -> frozenset[str]:
+        """Its methods, as its state tells, read now, whether there is anything to GET."""
+        try:
+            await self.state()
+        except (RosError, Problem) as error:  # another one may pass, and tells nothing of what is there
+            problem = problem_of(error) if isinstance(error, RosError) else error
+            if problem.status in (404, 410):
+                return self.methods() - {"GET", "HEAD"}
+        return self.methods()
+
+    def why_not(self, method: str) -> str:
+        """Why a verb is not allowed, in a sentence for a 405."""
+        return f"{self.kind} resources do not answer {method}."
+
+    async def state(self) -> State:
+        """What it is like now. Raises a 404 (or 410) Problem where there is nothing."""
+        raise NotImplementedError
+
+    def veiled(self, state: State, judge: Judge) -> State:
+        """Its state as an agent may see it who may not know of everything."""
+        return veiled_state(state, judge)
+
+    async def watch(self, wake: Callable[[], None]) -> Watch | None:
+        """Call `wake` on the loop whenever its state may have changed, until the watch is closed.
+
+        It may wake for nothing: whoever is woken reads the state again. Whenever anything in general has changed (the
+        graph, the mappings) the state is read and the watch is made anew in any case. None where nothing in particular
+        tells of it: then it is looked at every few seconds as well.
+        """
+        return None
+
+    async def forms(self) -> Sequence[Form]:
+        """What its page offers to send."""
+        return ()
+
+    @property
+    def reaches_below(self) -> bool:
+        """Whether its writes change what lies below it, too, so that they take the right to all of that."""
+        return False
+
+    @property
+    def also_changes(self) -> Sequence[str]:
+        """The URLs of what its writes change beside itself, so that they take the right to each."""
+        return ()
+
+    @property
+    def constrained_by(self) -> str | None:
+        """The URL of what constrains the bodies it takes, such as the shape of its type."""
+        return None
+
+    def page(
+        self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]
+    ) -> Page | bytes:
+        """Its page for people, rendered already where it has a template of its own."""
+        return Page(
+            site,
+            self.kind,
+            self.title or self.url.removeprefix(site.base),
+            state.document,
+            tuple(sorted(each for each in self.methods() if self._is_for(site, each))),
+            tuple(forms),
+            csrf,
+            tuple(notices),
+            self.listing(),
+            self.steps(),
+            offer=state.view,
+            query=self.query,
+        )
+
+    def _is_for(self, site: Site, method: str) -> bool:
+        """Whether the reader of a page may use a method of this resource."""
+        if method in READ or not site.veiled:
+            return site.may(method, self.url)
+        may = all(site.may(method, url) for url in (self.url, *self.also_changes))
+        return may and (not self.reaches_below or site.may_below(method, self.url))
+
+    @property
+    def query(self) -> str:
+        """What its URL ends in after the question mark: which page of several it is, or which variant."""
+        return self.url.partition("?")[2]
+
+    def listing(self) -> Listing | None:
+        """What its page tells of its members beside their names."""
+        return None
+
+    def steps(self) -> tuple[Step, ...]:
+        """The neighbours that its page links to."""
+        return ()
+
+    async def narrowed(self, exchange: Exchange) -> Resource:
+        """The resource that query and preferences ask for: a page of this one, a variant, itself."""
+        return self
+
+    def streams(self, exchange: Exchange) -> bool:
+        """Whether a write reads its body itself, as it comes, because it may be larger than memory."""
+        return False
+
+    def followed(self, exchange: Exchange) -> AbstractContextManager[float | None]:
+        """What lasts as long as an event stream of its changes. Raises Problems; entering what it gives raises nothing.
+
+        Entered, that gives the seconds after which the stream says that it is alive, None for the usual.
+        """
+        return nullcontext()
+
+    async def special(self, exchange: Exchange) -> Response | None:
+        """An answer to a GET that is no representation of the whole, such as the bytes of one field."""
+        return None
+
+    async def planned(self, triples: Sequence[Triple] | None) -> Plan:
+        """How its graph comes to say these triples and nothing else; None: how it comes to be no more.
+
+        Everything that can be refused is, and nothing moves. Raises Problems (403 where it cannot be written at all),
+        LoweringError for what does not fit, and RosError.
+        """
+        raise Problem(403, self.why_not("PUT"))
+
+    async def put(self, exchange: Exchange) -> Answer:
+        raise _not_there(self, "PUT")
+
+    async def post(self, exchange: Exchange) -> Answer:
+        raise _not_there(self, "POST")
+
+    async def patch(self, exchange: Exchange) -> Answer:
+        raise _not_there(self, "PATCH")
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        raise _not_there(self, "DELETE")
+
+
+@dataclass(frozen=True, slots=True)
+class Created:
+    """A resource that a write made: answered as 201 with its location and, as body, its state if there is one."""
+
+    location: str
+    resource: Resource
+    state: State | None
+    links: tuple[Link, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A resource that shows what became of a write: answered as 200 with its state and its Content-Location."""
+
+    resource: Resource
+    state: State
+    links: tuple[Link, ...] = ()
+
+
+Answer: TypeAlias = Response | Created | Shown
+"""What a write answers: a finished response, or a resource still to be represented as the request prefers."""
+
+
+def _not_there(resource: Resource, method: str) -> Problem:
+    return Problem(405, resource.why_not(method), headers={"Allow": allow(resource)})
+
+
+def moved(url: str) -> Problem:
+    """308: what was asked for is at `url` (RFC 9110 15.4.9)."""
+    return Problem(308, f"It is at {url}", title="Moved", headers={"Location": uri(url)})
+
+
+def allow(resource: Resource) -> str:
+    """The Allow field of a resource."""
+    return ", ".join(sorted(ABSENT if resource.is_absent else resource.methods()))

@@ -1,0 +1,32 @@
+"""What every answer about a resource says of it, whatever state it is in: Allow, Link, Accept-*."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from rosld.server.http.link import Link, render
+from rosld.server.rest.resource import LDP, Resource
+
+ACCEPT_FIELDS = {"PUT": "Accept-Put", "POST": "Accept-Post", "PATCH": "Accept-Patch"}
+
+
+def standing_headers(resource: Resource, methods: frozenset[str] | None = None) -> dict[str, str]:
+    """The headers every answer about a resource has: Allow, Link, and Accept-* for the writes it takes.
+
+    `methods` are those it answers, where more is known of them than the resource says without being read.
+    """
+    methods = resource.methods() if methods is None else methods
+    links = resource.links
+    if resource.constrained_by is not None:
+        links = (*links, Link(resource.constrained_by, f"{LDP}constrainedBy"))
+    headers = {"allow": ", ".join(sorted(methods))}
+    if links:
+        headers["link"] = rendered(links)
+    for method, accepted in resource.accepts.items():
+        if method in methods:
+            headers[ACCEPT_FIELDS[method].lower()] = ", ".join(accepted)
+    return headers
+
+
+rendered = lru_cache(maxsize=4096)(render)
+"""The Link field of links that are the same from one request to the next."""

@@ -1,0 +1,78 @@
+"""The state of a resource at one moment, and its renderings, each made once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+from rosld.ontology.document import Document
+from rosld.ontology.serialize import Syntax, serialize
+from rosld.server.http.conditional import digest
+from rosld.server.runtime.memory import MEMORY, PER_CHARACTER
+
+if TYPE_CHECKING:
+    from rosld.server.hypermedia.views import View
+
+LARGE = 256 * 1024
+"""Bytes of N-Triples from which a document is large: some 2,500 triples, which take 10 ms to be rendered."""
+
+
+class Rendering(NamedTuple):
+    """A representation ready to be sent: its bytes and all headers that do not change from request to request."""
+
+    body: bytes
+    headers: list[tuple[bytes, bytes]]
+    etag: str
+
+
+@dataclass(eq=False)
+class State:
+    """What a resource is like: its RDF (made when first needed), and its plain JSON where there is a ROS value.
+
+    `token` is the state part of its ETag; without one it is a digest of the RDF. `plain` returns ROS's own JSON or
+    raises the Problem that says why there is none (406). `received_ns` is when its newest sample was received, for Age.
+    `max_age`: seconds for which it may be shown without asking again (RFC 9111 5.2.2.1); 0: ask each time.
+    `view` is what its page is drawn from, where that is more than its RDF. `scope` names what `tag` is unique in, where
+    that outlives this run of the server. `part` ends the variant of its ETags where it is only a part of the resource,
+    so that the part guards a write as the whole does. `headers` go with every representation.
+    `weight` is about how many bytes of N-Triples it says, where that may be many: from `LARGE` on its representations
+    are made in worker processes, to which `describe` goes as a pickle.
+    A state is kept as long as nothing changes, and its renderings with it.
+    """
+
+    describe: Callable[[], Document]
+    plain: Callable[[], bytes] | None = None
+    token: str | None = None
+    received_ns: int | None = None
+    max_age: int = 0
+    view: View | None = None
+    scope: str | None = None
+    part: str = ""
+    headers: Mapping[str, str] = field(default_factory=dict)
+    weight: int = 0
+    renderings: dict[str, Rendering] = field(default_factory=dict)
+    veils: dict[str, State] = field(default_factory=dict)
+    """What agents see of it who may not know of everything, by their rights."""
+
+    @property
+    def is_large(self) -> bool:
+        """Whether its document is not for the loop: what is asked of it is made in a worker process."""
+        return self.weight >= LARGE
+
+    @cached_property
+    def document(self) -> Document:
+        """The RDF of the resource."""
+        return self.describe()
+
+    @cached_property
+    def tag(self) -> str:
+        """The state part of the ETag."""
+        return self.token if self.token is not None else digest(serialize(self.document, Syntax.N_TRIPLES))
+
+
+def require_memory(state: State) -> None:
+    """Raise NotEnoughMemory where there is none to work on what a state says."""
+    if state.weight:
+        MEMORY.require(state.weight * PER_CHARACTER, f"a document of {state.weight} bytes of N-Triples")

@@ -1,0 +1,204 @@
+"""Calls of services: each is a resource that outlives its request, kept within a number and an age."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+from rosld.adapters.base import Adapter
+from rosld.adapters.model import Message, Refused, RosError, Sent, ServiceSchema, TimedOut
+from rosld.server.runtime.identifiers import new_identifier
+from rosld.server.runtime.signals import Signal
+
+
+class CallState(Enum):
+    """What became of a call; the values are terms of the vocabulary."""
+
+    RUNNING = "Running"
+    SUCCEEDED = "Succeeded"
+    FAILED = "Failed"
+    REFUSED = "Refused"
+    UNKNOWN = "OutcomeUnknown"
+    NOT_SENT = "NotSent"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Call:
+    """One call: immutable, replaced by its next state. Times are wall-clock nanoseconds."""
+
+    id: str
+    service: str
+    schema: ServiceSchema
+    request: Message
+    created_ns: int
+    state: CallState = CallState.RUNNING
+    response: Message | None = None
+    answered_ns: int | None = None
+    words: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A call as it stands when its caller is answered, and the error where it did not succeed."""
+
+    call: Call
+    error: RosError | None
+
+
+class Unreadable(RosError):
+    """The node answered with bytes that are no response of the service's type."""
+
+
+class KeyReused(ValueError):
+    """An Idempotency-Key came again with another request."""
+
+
+class Gone(LookupError):
+    """The call was there and is no more."""
+
+
+_REMEMBERED_IDS = 10_000
+LATE_SECONDS = 60.0
+"""How long after its deadline an answer is still taken."""
+
+
+class Calls:
+    """The calls made through rosld: each goes on when its caller stops waiting, and takes the answer when it comes.
+
+    `settled` is told the service whenever a call has ended, before its caller is.
+    """
+
+    def __init__(self, adapter: Adapter, settled: Callable[[str], None], *, most: int, age: float) -> None:
+        self._adapter = adapter
+        self._settled = settled
+        self._most = most
+        self._age_ns = int(age * 1e9)
+        self._calls: OrderedDict[str, Call] = OrderedDict()
+        self._gone: OrderedDict[str, None] = OrderedDict()
+        self._running: set[asyncio.Task[RosError | None]] = set()
+        self._keyed: OrderedDict[tuple[str, str], tuple[bytes, asyncio.Task[Outcome]]] = OrderedDict()
+        self.revision = 0
+        self.changes = Signal()
+
+    def all(self) -> Sequence[Call]:
+        """The calls kept, oldest first."""
+        self._forget_old()
+        return list(self._calls.values())
+
+    def find(self, id: str) -> Call:
+        """A call by its id; raises Gone for one that was deleted or is too old, KeyError for one that never was."""
+        self._forget_old()
+        if id in self._gone:
+            raise Gone(id)
+        return self._calls[id]
+
+    def delete(self, id: str) -> None:
+        """Forget a call; raises as `find`. A running one goes on, its answer is dropped."""
+        self.find(id)
+        self._drop(id)
+
+    async def make(self, service: str, schema: ServiceSchema, request: Message, *, deadline: float) -> Outcome:
+        """Call and wait until `deadline`; the call goes on after that, and after its caller has gone.
+
+        Raises ValueError where the request cannot be encoded: then nothing was sent.
+        """
+        data = schema.request.codec.encode(request, self._adapter.capabilities.encoding)
+        call = Call(new_identifier(), service, schema, request, time.time_ns())
+        self._keep(call)
+        loop = asyncio.get_running_loop()
+        settled = loop.create_task(self._settle(call, data, deadline + LATE_SECONDS))
+        self._running.add(settled)
+        settled.add_done_callback(self._running.discard)
+        done, _ = await asyncio.wait({settled}, timeout=max(0.0, deadline - loop.time()))
+        if done:
+            return Outcome(self._calls.get(call.id, call), settled.result())
+        self._replace(call, CallState.UNKNOWN)
+        self._settled(service)
+        late = TimedOut(f"{service} has not answered yet; see the call for what becomes of it.", sent=Sent.YES)
+        return Outcome(self._calls.get(call.id, call), late)
+
+    async def once(
+        self, key: str, service: str, schema: ServiceSchema, request: Message, body: bytes, *, deadline: float
+    ) -> Outcome:
+        """As `make`, but a second call with the same key gets the first's outcome; KeyReused where it differs."""
+        digest = hashlib.blake2b(body).digest()
+        known = self._keyed.get((service, key))
+        if known is not None and known[0] != digest:
+            raise KeyReused(key)
+        if known is None:
+            making = asyncio.get_running_loop().create_task(self.make(service, schema, request, deadline=deadline))
+            known = self._keyed[(service, key)] = (digest, making)
+            while len(self._keyed) > self._most:
+                self._keyed.popitem(last=False)
+        outcome = await asyncio.shield(known[1])
+        return Outcome(self._calls.get(outcome.call.id, outcome.call), outcome.error)
+
+    async def stop(self) -> None:
+        """Wait for nothing more: calls that still run are left to the robot."""
+        for task in list(self._running):
+            task.cancel()
+        await asyncio.gather(*self._running, return_exceptions=True)
+
+    async def _settle(self, call: Call, data: bytes, deadline: float) -> RosError | None:
+        """Take the answer, whenever it comes; the error where there is none."""
+        try:
+            return await self._answered(call, data, deadline)
+        finally:
+            self._settled(call.service)
+
+    async def _answered(self, call: Call, data: bytes, deadline: float) -> RosError | None:
+        try:
+            answer = await self._adapter.call(call.service, call.schema.ref, data, deadline=deadline)
+            response = call.schema.response.codec.decode(answer, self._adapter.capabilities.encoding)
+        except RosError as error:
+            self._replace(call, _state_of(error), words=error.words if error.words is not None else error.sentence)
+            return error
+        except ValueError as error:
+            self._replace(call, CallState.UNKNOWN, words=f"the answer cannot be read: {error}")
+            return Unreadable(f"the answer of {call.service} cannot be read: {error}", sent=Sent.YES)
+        failed = getattr(response, "success", True) is False
+        words = getattr(response, "message", None) if failed else None
+        self._replace(call, CallState.FAILED if failed else CallState.SUCCEEDED, response, words or None)
+        return None
+
+    def _replace(self, call: Call, state: CallState, response: Message | None = None, words: str | None = None) -> None:
+        if call.id in self._calls:
+            self._calls[call.id] = replace(
+                call, state=state, response=response, answered_ns=time.time_ns(), words=words
+            )
+            self._revise()
+
+    def _keep(self, call: Call) -> None:
+        self._calls[call.id] = call
+        self._revise()
+        while len(self._calls) > self._most:
+            self._drop(next(iter(self._calls)))
+
+    def _revise(self) -> None:
+        self.revision += 1
+        self.changes.give()
+
+    def _drop(self, id: str) -> None:
+        self._calls.pop(id, None)
+        self._gone[id] = None
+        self._revise()
+        while len(self._gone) > _REMEMBERED_IDS:
+            self._gone.popitem(last=False)
+
+    def _forget_old(self) -> None:
+        horizon = time.time_ns() - self._age_ns
+        while self._calls and next(iter(self._calls.values())).created_ns < horizon:
+            self._drop(next(iter(self._calls)))
+
+
+def _state_of(error: RosError) -> CallState:
+    if isinstance(error, Refused):
+        return CallState.REFUSED
+    if isinstance(error, TimedOut) or error.sent is not Sent.NO:
+        return CallState.UNKNOWN
+    return CallState.NOT_SENT

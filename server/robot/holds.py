@@ -1,0 +1,341 @@
+"""Holds: a message published at a rate for as long as its holder renews the lease, and another one when that ends.
+
+`schedule.py` says when what is due; here it is done. A publish that is not done when the next is due is not waited for:
+that next one is left out, so that nothing ever queues up.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import math
+import time
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from rosld.adapters.model import Encoding, Kind, Message, MessageSchema, RosError
+from rosld.ontology.zero import is_unstamped, stamped
+from rosld.server.auth.agent import Agent
+from rosld.server.http.problem import Problem
+from rosld.server.robot.interlock import Holder
+from rosld.server.robot.publication import require_rate
+from rosld.server.robot.schedule import Lapse, Publish, Schedule, Wait
+from rosld.server.robot.session import Session
+from rosld.server.robot.write_policy import refusal
+from rosld.server.runtime.identifiers import new_identifier
+from rosld.server.runtime.signals import Signal
+
+_REMEMBERED = 1000
+_LAST_SECONDS = 1.0
+"""How long to try to publish what ends a hold."""
+_AGAIN_SECONDS = 0.1
+_LONGEST_PUBLISH = 0.5
+
+_log = logging.getLogger("rosld")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Command:
+    """A message that is published, its bytes ready unless each time they are stamped with the time of that moment."""
+
+    schema: MessageSchema
+    message: Message
+    data: bytes
+    is_stamped: bool = False
+
+    def at(self, now_ns: int, encoding: Encoding) -> bytes:
+        """The bytes to publish at a time, in nanoseconds after the epoch."""
+        if not self.is_stamped:
+            return self.data
+        return self.schema.codec.encode(stamped(self.schema, self.message, now_ns), encoding)
+
+
+def command(schema: MessageSchema, message: Message, encoding: Encoding, *, restamp: bool, clock: bool) -> Command:
+    """The command of a message. Raises ValueError where it cannot be encoded.
+
+    Its header gets the time of each publish where it has none or `restamp`; never without a `clock`, because under
+    simulated time the time of the wall means nothing.
+    """
+    is_stamped = clock and (restamp or is_unstamped(schema, message))
+    return Command(schema, message, schema.codec.encode(message, encoding), is_stamped)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hold:
+    """One hold: immutable, replaced by its next state. `rate` is in Hz, `lease` in seconds; times are wall-clock ns.
+
+    `then` is published when it ends, None for nothing; `then_asked` is what was asked for: zero, none, or a URL.
+    `until_ns` is when the lease ends, None while a stream keeps it. `trouble` says why the latest publish failed.
+    """
+
+    id: str
+    topic: str
+    holder: Agent
+    rate: float
+    lease: float
+    command: Command
+    then: Command | None
+    then_asked: str
+    created_ns: int
+    until_ns: int | None
+    trouble: str | None = None
+
+
+class HoldEnded(LookupError):
+    """The hold was there and has ended; its text says why."""
+
+
+class Holds:
+    """The holds of one robot; belongs to the server's loop."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._running: dict[str, _Running] = {}
+        self._ended: OrderedDict[str, str] = OrderedDict()
+        self._closed: str | None = None
+        self.revision = 0
+        self.changes = Signal()
+        session.changes.watch(self.end_refused)
+
+    def all(self) -> Sequence[Hold]:
+        """The holds, oldest first."""
+        return [each.hold for each in self._running.values()]
+
+    def on(self, topic: str) -> Hold | None:
+        """The hold on a topic, None where nobody holds it."""
+        return next((each.hold for each in self._running.values() if each.hold.topic == topic), None)
+
+    def find(self, id: str) -> Hold:
+        """A hold by its id; raises HoldEnded saying why for one that has ended, KeyError for one that never was."""
+        if id in self._ended:
+            raise HoldEnded(self._ended[id])
+        return self._running[id].hold
+
+    async def begin(self, hold: Hold) -> Hold:
+        """Publish the message for the first time, and go on with it. `hold` is one that `new` made.
+
+        Raises TopicHeld, Stopped, a 429 Problem where the topic is published to too often, and what the adapter raises:
+        then there is no hold.
+        """
+        session, gate = self._session, self._session.gate
+        gate.require_open()
+        gate.require_free(hold.topic)
+        if self._closed is not None:
+            raise Problem(503, f"No hold can begin: {self._closed}.")
+        require_rate(session, hold.topic)
+        holder = gate.held[hold.topic] = Holder(hold.holder.name, session.space.hold(hold.id))
+        running = _Running(self, session, hold)
+        try:
+            await running.publish(session.deadline(session.settings.publish_wait))
+            gate.require_open()
+            if self._closed is not None:
+                raise Problem(503, f"No hold can begin: {self._closed}.")
+        except BaseException:
+            if gate.held.get(hold.topic) is holder:
+                del gate.held[hold.topic]
+            raise
+        finally:
+            session.announce_write(Kind.TOPIC, hold.topic)
+        self._running[hold.id] = running
+        running.begin()
+        self.revise(hold)
+        self.end_refused()
+        return running.hold
+
+    def change(self, id: str, changed: Hold) -> Hold:
+        """Renew the lease, and go on as `changed` says. Raises as `find`."""
+        self.find(id)
+        running = self._running[id]
+        running.change(changed)
+        self.revise(running.hold)
+        return running.hold
+
+    @contextlib.contextmanager
+    def kept(self, id: str) -> Iterator[None]:
+        """Within it the lease does not end; the hold, if it has not ended, ends with the last of those who keep it."""
+        running = self._running.get(id)
+        if running is None:
+            yield
+            return
+        running.keep()
+        self.revise(running.hold)
+        try:
+            yield
+        finally:
+            if running.let_go():
+                self.end(id, "its holder's stream ended")
+
+    def end(self, id: str, why: str) -> asyncio.Task[None] | None:
+        """End a hold at once; the task is done when its last message was published. None where it has ended before."""
+        running = self._running.get(id)
+        return None if running is None else running.end(why)
+
+    def end_all(self, why: str) -> Sequence[tuple[Hold, asyncio.Task[None]]]:
+        """End every hold at once."""
+        return [(each.hold, each.end(why)) for each in list(self._running.values())]
+
+    def end_refused(self) -> None:
+        """End the holds whose start would be refused in the graph as it is now: another node publishes there."""
+        graph, permitted = self._session.graph, self._session.settings.allow_publish
+        for hold in self.all():
+            topic = graph.topics.get(hold.topic)
+            why = None if topic is None else refusal(topic, graph, permitted, needs_subscriber=False)
+            if why is not None:
+                _log.warning("the hold on %s ends: %s", hold.topic, why)
+                self.end(hold.id, f"it would be refused now. {why.removesuffix('.')}")
+
+    def close(self, why: str) -> None:
+        """End every hold at once, and let none begin any more."""
+        self._closed = why
+        self.end_all(why)
+
+    async def closed(self) -> None:
+        """Returns when all that `close` ended has ended."""
+        await asyncio.gather(*(task for _, task in self.end_all("rosld ended")), return_exceptions=True)
+
+    def ended(self, hold: Hold, why: str) -> None:
+        """A hold has published its last: forget it, but why."""
+        self._running.pop(hold.id, None)
+        self._session.gate.held.pop(hold.topic, None)
+        self._ended[hold.id] = why
+        while len(self._ended) > _REMEMBERED:
+            self._ended.popitem(last=False)
+        self._session.announce_write(Kind.TOPIC, hold.topic)
+        self.revise(hold)
+
+    def revise(self, hold: Hold) -> None:
+        """Something about a hold is another than before."""
+        self.revision += 1
+        self.changes.give(hold.id)
+        self.changes.give(hold.topic)
+
+
+def new(
+    topic: str, holder: Agent, rate: float, lease: float, asked: Command, then: Command | None, then_asked: str
+) -> Hold:
+    """A hold that has not begun."""
+    now = time.time_ns()
+    return Hold(new_identifier(), topic, holder, rate, lease, asked, then, then_asked, now, now + int(lease * 1e9))
+
+
+class _Running:
+    """A hold that is carried out: one timer, at most one publish under way."""
+
+    def __init__(self, holds: Holds, session: Session, hold: Hold) -> None:
+        self.hold = hold
+        self._holds = holds
+        self._session = session
+        self._loop = asyncio.get_running_loop()
+        self._schedule = Schedule(1 / hold.rate, self._loop.time(), math.inf)
+        self._timer: asyncio.TimerHandle | None = None
+        self._publishing: asyncio.Task[None] | None = None
+        self._ending: asyncio.Task[None] | None = None
+        self._keepers = 0
+
+    async def publish(self, deadline: float) -> None:
+        """Publish the message once. Raises what the gate and the adapter raise."""
+        hold, encoding = self.hold, self._session.adapter.capabilities.encoding
+        data = hold.command.at(time.time_ns(), encoding)
+        await self._session.adapter.publish_held(hold.topic, hold.command.schema.ref, data, deadline=deadline)
+
+    def begin(self) -> None:
+        """Go on from the first publish, which is done."""
+        now = self._loop.time()
+        self._schedule = Schedule(1 / self.hold.rate, now, now + self.hold.lease, beat=1)
+        self._renew()
+
+    def change(self, changed: Hold) -> None:
+        """Go on as another hold of the same id says, and renew the lease. The next message comes when it was due."""
+        self.hold = replace(changed, trouble=self.hold.trouble)
+        self._schedule = self._schedule.every(1 / changed.rate)
+        self._renew()
+
+    def keep(self) -> None:
+        """Suspend the lease."""
+        self._keepers += 1
+        self._renew()
+
+    def let_go(self) -> bool:
+        """Undo one `keep`; whether it was the last."""
+        self._keepers -= 1
+        return self._keepers == 0
+
+    def _renew(self) -> None:
+        lease = self.hold.lease
+        expires = math.inf if self._keepers else self._loop.time() + lease
+        until = None if self._keepers else time.time_ns() + int(lease * 1e9)
+        self.hold = replace(self.hold, until_ns=until)
+        self._schedule = self._schedule.renewed(expires)
+        self._tick()
+
+    def _tick(self) -> None:
+        """Do what is to be done now, and come again."""
+        if self._ending is not None:
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+        step = self._schedule.step(self._loop.time())
+        match step:
+            case Lapse():
+                self.end("its lease lapsed")
+                return
+            case Publish(after=after):
+                self._schedule = after
+                if self._publishing is None or self._publishing.done():
+                    self._publishing = self._loop.create_task(self._published())
+                until = min(after.due, after.expires)
+            case Wait(until=until):
+                pass
+        self._timer = self._loop.call_at(until, self._tick)
+
+    async def _published(self) -> None:
+        trouble: str | None = None
+        self._session.limiter.count(self.hold.topic, self._loop.time())
+        try:
+            await self.publish(self._loop.time() + min(self._schedule.period, _LONGEST_PUBLISH))
+        except (RosError, ValueError) as error:
+            trouble = str(error)
+        except Exception:
+            _log.exception("the message of a hold on %s was not published", self.hold.topic)
+            trouble = "The server failed to publish; its log says more."
+        if trouble != self.hold.trouble:
+            self.hold = replace(self.hold, trouble=trouble)
+            self._holds.revise(self.hold)
+
+    def end(self, why: str) -> asyncio.Task[None]:
+        """Publish no more but the last message. Idempotent."""
+        if self._ending is None:
+            if self._timer is not None:
+                self._timer.cancel()
+            if self._publishing is not None:
+                self._publishing.cancel()
+            self._ending = self._loop.create_task(self._end(why))
+        return self._ending
+
+    async def _end(self, why: str) -> None:
+        try:
+            await self._say_last(why)
+        finally:
+            self._holds.ended(self.hold, why)
+
+    async def _say_last(self, why: str) -> None:
+        then, topic = self.hold.then, self.hold.topic
+        if then is None:
+            return
+        encoding = self._session.adapter.capabilities.encoding
+        self._session.limiter.count(
+            topic, self._loop.time()
+        )  # it is published however often: what follows waits for it
+        deadline = self._loop.time() + _LAST_SECONDS
+        while True:
+            try:
+                data = then.at(time.time_ns(), encoding)
+                await self._session.adapter.publish_at_last(topic, then.schema.ref, data, deadline=deadline)
+                return
+            except (RosError, ValueError) as error:
+                if self._loop.time() + _AGAIN_SECONDS >= deadline:
+                    _log.error("the hold on %s ended (%s), but what ends it was not published: %s", topic, why, error)
+                    raise
+            await asyncio.sleep(_AGAIN_SECONDS)

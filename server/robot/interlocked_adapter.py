@@ -1,0 +1,128 @@
+"""The adapter as the server has it: reads go through, each write passes the gate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from rosld.adapters.base import Adapter, Capabilities, Published, Recording, Sink, Subscription, Watch
+from rosld.adapters.model import GoalId, Graph, Operation, ParameterValue, Ref, Sample, Schema, TypeRef
+from rosld.server.robot.interlock import Gate
+
+
+class Gated:
+    """An `Adapter` behind a gate. `inner` is the adapter itself, for what reads by calling (getters).
+
+    `published` are the topics that were published to, until they are no longer advertised.
+    """
+
+    def __init__(self, inner: Adapter, gate: Gate) -> None:
+        self.inner = inner
+        self.published: set[str] = set()
+        self._gate = gate
+
+    # Writes
+
+    async def publish(
+        self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
+    ) -> Published:
+        """`Adapter.publish`; raises TopicHeld while somebody holds the topic."""
+        self._gate.require_free(topic)
+        self.published.add(topic)
+        return await self._gate.let_pass(lambda: self.inner.publish(topic, type, data, latch=latch, deadline=deadline))
+
+    async def publish_held(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
+        """`Adapter.publish` for the hold of the topic."""
+        self.published.add(topic)
+        return await self._gate.let_pass(lambda: self.inner.publish(topic, type, data, deadline=deadline))
+
+    async def publish_at_last(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
+        """`Adapter.publish`, also while the robot is stopped: for what ends a hold, or stops the robot."""
+        self.published.add(topic)
+        return await self._gate.let_by(self.inner.publish(topic, type, data, deadline=deadline))
+
+    async def call_at_last(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        """`Adapter.call`, also while the robot is stopped: for what stops it."""
+        return await self._gate.let_by(self.inner.call(service, type, request, deadline=deadline))
+
+    async def unadvertise(self, topic: str) -> None:
+        """`Adapter.unadvertise`; raises TopicHeld while somebody holds the topic."""
+        self._gate.require_free(topic)
+        await self._gate.let_pass(lambda: self.inner.unadvertise(topic))
+        self.published.discard(topic)
+
+    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        """`Adapter.call`."""
+        return await self._gate.let_pass(lambda: self.inner.call(service, type, request, deadline=deadline))
+
+    async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
+        """`Adapter.send_goal`."""
+        return await self._gate.let_pass(lambda: self.inner.send_goal(action, type, goal, deadline=deadline))
+
+    async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
+        """`Adapter.cancel_goal`, also while the robot is stopped: it ends what moves."""
+        await self._gate.let_by(self.inner.cancel_goal(goal, deadline=deadline))
+
+    async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
+        """`Adapter.change_state`."""
+        await self._gate.let_pass(lambda: self.inner.change_state(node, transition, deadline=deadline))
+
+    async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
+        """`Adapter.set_parameters`."""
+        await self._gate.let_pass(lambda: self.inner.set_parameters(values, deadline=deadline))
+
+    async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
+        """`Adapter.delete_parameters`."""
+        await self._gate.let_pass(lambda: self.inner.delete_parameters(names, deadline=deadline))
+
+    # Reads
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """`Adapter.capabilities`."""
+        return self.inner.capabilities
+
+    @property
+    def graph(self) -> Graph:
+        """`Adapter.graph`."""
+        return self.inner.graph
+
+    @property
+    def recordings(self) -> Mapping[str, Recording]:
+        """`Adapter.recordings`."""
+        return self.inner.recordings
+
+    async def open(self, sink: Sink, *, deadline: float) -> None:
+        """`Adapter.open`."""
+        await self.inner.open(sink, deadline=deadline)
+
+    async def close(self) -> None:
+        """`Adapter.close`."""
+        await self.inner.close()
+
+    def allows(self, ref: Ref) -> frozenset[Operation]:
+        """`Adapter.allows`."""
+        return self.inner.allows(ref)
+
+    async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
+        """`Adapter.schema`."""
+        return await self.inner.schema(ref, deadline=deadline)
+
+    def known_types(self) -> Sequence[TypeRef]:
+        """`Adapter.known_types`."""
+        return self.inner.known_types()
+
+    async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
+        """`Adapter.subscribe`."""
+        return await self.inner.subscribe(topic, depth=depth)
+
+    def age_ns(self, sample: Sample) -> int:
+        """`Adapter.age_ns`."""
+        return self.inner.age_ns(sample)
+
+    async def follow_goals(self, action: str, *, deadline: float) -> Watch:
+        """`Adapter.follow_goals`."""
+        return await self.inner.follow_goals(action, deadline=deadline)
+
+    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
+        """`Adapter.get_parameters`."""
+        return await self.inner.get_parameters(names, deadline=deadline)

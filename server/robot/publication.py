@@ -1,0 +1,48 @@
+"""Publications: messages that are ready to be published, and the rules under which rosld publishes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rosld.adapters.base import Published
+from rosld.adapters.model import Kind, TypeRef
+from rosld.server.http.problem import Problem
+from rosld.server.robot.session import Session
+from rosld.server.runtime.loop_time import loop_time
+
+
+@dataclass(frozen=True, slots=True)
+class Publication:
+    """A message for a topic: nothing about it can be refused any more but by the robot."""
+
+    topic: str
+    type: TypeRef
+    data: bytes
+    latch: bool = False
+
+
+async def publish(session: Session, publication: Publication) -> Published:
+    """Publish, waiting a moment for somebody to listen. Raises a 429 Problem where the topic is published too often."""
+    topic = publication.topic
+    require_rate(session, topic)
+    deadline = session.deadline(session.settings.publish_wait)
+    try:
+        return await session.adapter.publish(
+            topic, publication.type, publication.data, latch=publication.latch, deadline=deadline
+        )
+    finally:
+        session.announce_write(Kind.TOPIC, topic)
+
+
+def require_rate(session: Session, topic: str) -> None:
+    """Count one publish. Raises a 429 Problem where the topic is published to too often."""
+    wait = session.limiter.wait(topic, loop_time())
+    if wait > 0:
+        sentence = f"More than {session.limiter.rate:g} messages a second on {topic} (--max-publish-rate)."
+        raise Problem(429, sentence, headers={"Retry-After": str(max(1, round(wait)))})
+
+
+def unheard(topic: str) -> Problem:
+    """What tells that nobody was listening (202)."""
+    sentence = f"The message was published, but no subscriber of {topic} was there to get it."
+    return Problem(202, sentence, title="Nobody is listening")

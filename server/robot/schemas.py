@@ -1,0 +1,66 @@
+"""Schemas as the server needs them: asked of the adapter once, then at hand."""
+
+from __future__ import annotations
+
+from rosld.adapters.base import Adapter
+from rosld.adapters.model import ActionSchema, MessageSchema, Schema, ServiceSchema, TypeRef, UnknownType
+from rosld.server.runtime.loop_time import loop_time
+
+
+class Schemas:
+    """The schemas of one adapter, kept by name and hash. A reference without a hash is asked for anew each time."""
+
+    def __init__(self, adapter: Adapter, patience: float = 5.0) -> None:
+        self._adapter = adapter
+        self._patience = patience
+        self._known: dict[TypeRef, Schema] = {}
+        self._named: dict[str, Schema] = {}
+
+    @property
+    def count(self) -> int:
+        """How many schemas are at hand: rises whenever one is learnt."""
+        return len(self._known)
+
+    def all(self) -> list[Schema]:
+        """The schemas at hand, each once."""
+        return list({id(schema): schema for schema in self._known.values()}.values())
+
+    def at_hand(self, ref: TypeRef) -> Schema | None:
+        """The schema if it was asked for before, without asking."""
+        return self._known.get(ref)
+
+    def named(self, name: str) -> Schema | None:
+        """A schema at hand of this name, whatever its hash."""
+        return self._named.get(name)
+
+    async def find(self, ref: TypeRef) -> Schema:
+        """The schema of a type; raises UnknownType (and Unreachable, TimedOut of adapters that must ask)."""
+        if (known := self._known.get(ref)) is not None:
+            return known
+        deadline = loop_time() + self._patience
+        schema = await self._adapter.schema(ref, deadline=deadline)
+        self._known[schema.ref] = self._named[schema.ref.name] = schema
+        if ref.hash is not None:
+            self._known[ref] = schema
+        return schema
+
+    async def message(self, ref: TypeRef) -> MessageSchema:
+        """The schema of a message type; raises UnknownType also where the name is another kind's."""
+        schema = await self.find(ref)
+        if not isinstance(schema, MessageSchema):
+            raise UnknownType(f"{ref.name} is no message type, which is needed here")
+        return schema
+
+    async def service(self, ref: TypeRef) -> ServiceSchema:
+        """The schema of a service type; raises UnknownType also where the name is another kind's."""
+        schema = await self.find(ref)
+        if not isinstance(schema, ServiceSchema):
+            raise UnknownType(f"{ref.name} is no service type, which is needed here")
+        return schema
+
+    async def action(self, ref: TypeRef) -> ActionSchema:
+        """The schema of an action type; raises UnknownType also where the name is another kind's."""
+        schema = await self.find(ref)
+        if not isinstance(schema, ActionSchema):
+            raise UnknownType(f"{ref.name} is no action type, which is needed here")
+        return schema

@@ -1,0 +1,198 @@
+"""The session with a robot: its adapter, and what is known of the system while it is served."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Mapping
+from fnmatch import fnmatchcase
+
+from rosld.adapters.base import Adapter
+from rosld.adapters.model import ActionSchema, GoalEvent, GoalId, Graph, Kind, RosError, TypeRef
+from rosld.ontology.lift import LiftSettings
+from rosld.ontology.urls import Space
+from rosld.server.robot.audited_adapter import Accounted
+from rosld.server.robot.calls import Calls
+from rosld.server.robot.goals import Goals
+from rosld.server.robot.interlock import Gate
+from rosld.server.robot.publish_rate import PublishLimiter
+from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.topics import LiveSettings, LiveTopics
+from rosld.server.runtime.loop_time import loop_time
+from rosld.server.runtime.signals import Signal
+from rosld.server.settings import Settings
+
+OPEN_SECONDS = 5.0
+
+
+class Session:
+    """One adapter being served. Also the adapter's `Sink`: told of changes, from any thread.
+
+    `changes` is given when the graph, or what may be done with the robot, has changed; `parameter_changes` with the
+    name of a parameter that was set.
+    """
+
+    def __init__(self, adapter: Adapter, settings: Settings) -> None:
+        self.settings = settings
+        self.space = Space(settings.base_url, settings.types_namespace)
+        self.lifting = LiftSettings(settings.types_namespace, settings.inline_limit)
+        self.gate = Gate()
+        self.adapter = Accounted(adapter, self.gate, self.space)
+        self.schemas = Schemas(adapter)
+        live = LiveSettings(
+            settings.first_value_wait, settings.idle_time, settings.subscription_budget, tuple(settings.subscribe)
+        )
+        self.topics = LiveTopics(adapter, self.schemas, live)
+        self.calls = Calls(
+            self.adapter,
+            lambda service: self.announce_write(Kind.SERVICE, service),
+            most=settings.calls_kept,
+            age=settings.calls_age,
+        )
+        self.goals = Goals(
+            self.adapter, self._action_schema, most=settings.goals_kept, age=settings.goals_age, idle=settings.idle_time
+        )
+        self.limiter = PublishLimiter(settings.max_publish_rate)
+        self.changes = Signal()
+        self.parameter_changes = Signal()
+        self._write_listeners: list[Callable[[Kind, str], None]] = []
+        self._follower = GraphFollower(self)
+
+    @property
+    def graph(self) -> Graph:
+        """The computation graph as last known."""
+        return self.adapter.graph
+
+    @property
+    def name(self) -> str:
+        """What people call it: a recording's name, a master's address, else the kind of system."""
+        recordings = list(self.adapter.recordings)
+        if recordings:
+            return recordings[0]
+        master = self.graph.master
+        return master.uri.partition("//")[2].rstrip("/") if master else self.adapter.capabilities.system
+
+    def seconds_since(self, url: str) -> float | None:
+        """How long ago the newest message of the topic at `url` was received, None where none was; from any thread."""
+        location = self.space.location(url)
+        if location is None or location.kind != "topics":
+            return None
+        view = self.topics.last_seen(location.name)
+        newest = None if view is None else view.newest
+        return None if newest is None else self.adapter.age_ns(newest) / 1e9
+
+    def ages(self) -> Mapping[str, float]:
+        """The seconds since the newest message of each topic that has one, by the URLs of the topics."""
+        urls = map(self.space.topic, self.topics.subscribed())
+        return {url: age for url in urls if (age := self.seconds_since(url)) is not None}
+
+    def is_closed(self, name: str) -> bool:
+        """Whether a topic, service or parameter is written under /resources/ only."""
+        return any(fnmatchcase(name, glob) for glob in self.settings.resources_only)
+
+    def listen_to_writes(self, listener: Callable[[Kind, str], None]) -> None:
+        """Have it called with each topic, service or parameter that was written to, as `announce_write` says."""
+        self._write_listeners.append(listener)
+
+    def announce_write(self, kind: Kind, name: str) -> None:
+        """Something was written to a topic, a service or a parameter through rosld, or may have been."""
+        for listener in self._write_listeners:
+            listener(kind, name)
+
+    def deadline(self, seconds: float) -> float:
+        """The loop time so many seconds from now."""
+        return loop_time() + seconds
+
+    async def open(self) -> None:
+        """Open the adapter unless it is, and follow its graph. Raises what `Adapter.open` raises."""
+        self._follower.open()
+        self.goals.start()
+        await self.adapter.open(self, deadline=self.deadline(OPEN_SECONDS))
+        self.topics.start()
+
+    def follow(self) -> None:
+        """Begin to follow the graph, once open."""
+        self._follower.start()
+
+    async def close(self) -> None:
+        """Give everything back to the robot; idempotent."""
+        await self._follower.stop()
+        await self.calls.stop()
+        await self.goals.stop()
+        await self.topics.stop()
+        await self.adapter.close()
+
+    def graph_changed(self, graph: Graph) -> None:
+        """`Sink`: look at what the graph now holds."""
+        self._follower.call_soon(self._follower.look)
+
+    def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
+        """`Sink`: what became known of a goal."""
+        self.goals.hear(goal, event)
+
+    def parameter_changed(self, name: str) -> None:
+        """`Sink`: tell those who watch it. Whoever asks reads it anew in any case."""
+        self._follower.call_soon(lambda: self.parameter_changes.give(name))
+
+    def _action_schema(self, name: str) -> ActionSchema | None:
+        """The schema of an action of the graph, as far as it is at hand."""
+        action = self.graph.actions.get(name)
+        if action is None or action.type is None:
+            return None
+        found = self.schemas.at_hand(action.type) or self.schemas.named(action.type.name)
+        return found if isinstance(found, ActionSchema) else None
+
+
+class GraphFollower:
+    """Follows the graph of a session: subscribes to what is to be eager, and learns the types in use."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._changed = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    def open(self) -> None:
+        """Take the running loop for the one on which changes are announced."""
+        self._loop = asyncio.get_running_loop()
+
+    def call_soon(self, callback: Callable[[], None]) -> None:
+        """Call it on the loop, from any thread; not at all before or after there is one."""
+        if self._loop is not None and not self._loop.is_closed():
+            with contextlib.suppress(RuntimeError):
+                self._loop.call_soon_threadsafe(callback)
+
+    def look(self) -> None:
+        """Look at the graph, which may have changed."""
+        self._changed.set()
+        self._session.changes.give()
+
+    def start(self) -> None:
+        """Follow, from the graph of now on."""
+        self._changed.set()
+        self._task = asyncio.get_running_loop().create_task(self._run())
+
+    async def stop(self) -> None:
+        """Follow no longer; idempotent."""
+        if self._task is not None:
+            self._task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._task
+
+    async def _run(self) -> None:
+        while True:
+            await self._changed.wait()
+            self._changed.clear()
+            graph = self._session.graph
+            await self._session.topics.eager(graph)
+            for ref in used_types(graph):
+                with contextlib.suppress(RosError, asyncio.TimeoutError):
+                    await self._session.schemas.find(ref)
+
+
+def used_types(graph: Graph) -> list[TypeRef]:
+    """Every type that a topic, a service or an action of the graph has."""
+    refs = {ref: None for topic in graph.topics.values() for ref in topic.types}
+    refs |= {service.type: None for service in graph.services.values() if service.type is not None}
+    refs |= {action.type: None for action in graph.actions.values() if action.type is not None}
+    return list(refs)

@@ -1,0 +1,277 @@
+"""Live topics: subscribed to when somebody looks, kept a while, within a budget."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+
+from rosld.adapters.base import Adapter, Subscription, Watch
+from rosld.adapters.model import Endpoint, Graph, Message, MessageSchema, RosError, Sample
+from rosld.server.robot.fold import DEPTH, FOLDS, Folded, decoder
+from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.topic_view import NOTHING, Rates, View
+from rosld.server.runtime.loop_time import loop_time
+
+_SWEEP = 0.5
+"""Seconds between sweeps, which fold what came and give back what nobody looks at any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveSettings:
+    """`first_value`: seconds to wait for the first message of a topic that somebody publishes; `idle`: seconds a
+
+    subscription is kept after the last look; `budget`: how many there may be; `eager`: globs of topics always kept.
+    """
+
+    first_value: float = 1.0
+    idle: float = 60.0
+    budget: int = 2000
+    eager: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class _Look:
+    """One subscription and what was made of it last.
+
+    `awaited` are the publishers that were waited for in vain; `insisted`: a message was waited for whoever publishes.
+    """
+
+    subscription: Subscription
+    looked_at: float
+    eager: bool = False
+    watches: int = 0
+    folded: Folded | None = None
+    rates: Rates = field(default_factory=Rates)
+    latest: Sequence[Sample] | None = None
+    view: View = field(default_factory=View)
+    awaited: tuple[Endpoint, ...] = ()
+    insisted: bool = False
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether it stays although nobody looks."""
+        return self.eager or self.watches > 0
+
+
+class _TopicWatch:
+    """A watch that keeps its subscription."""
+
+    def __init__(self, look: _Look, watch: Watch) -> None:
+        self._look: _Look | None = look
+        self._watch = watch
+        look.watches += 1
+
+    def close(self) -> None:
+        """Stop waking; the subscription is kept as after a look. Idempotent."""
+        look, self._look = self._look, None
+        if look is not None:
+            look.watches -= 1
+            look.looked_at = loop_time()
+            self._watch.close()
+
+
+class LiveTopics:
+    """The values of topics. A look costs nothing while nothing new has come: the same `View` is handed out.
+
+    A topic that is not in the graph has no values, whatever was received of it before.
+    """
+
+    def __init__(self, adapter: Adapter, schemas: Schemas, settings: LiveSettings) -> None:
+        self._adapter = adapter
+        self._schemas = schemas
+        self._settings = settings
+        self._looks: dict[str, _Look] = {}
+        self._opening: dict[str, asyncio.Lock] = {}
+        self._sweeper: asyncio.Task[None] | None = None
+
+    def start(self) -> None:
+        """Begin to sweep; needs a running loop."""
+        self._sweeper = asyncio.get_running_loop().create_task(self._sweep_for_ever())
+
+    async def stop(self) -> None:
+        """Give every subscription back."""
+        if self._sweeper is not None:
+            self._sweeper.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._sweeper
+        for topic in list(self._looks):
+            self._close(topic)
+
+    def subscribed(self) -> Sequence[str]:
+        """The topics subscribed to now."""
+        return list(self._looks)
+
+    def kept(self) -> Sequence[str]:
+        """The topics that stay subscribed to whether anybody looks or not, as far as they have a value."""
+        there = self._adapter.graph.topics
+        looks = [(topic, look) for topic, look in self._looks.items() if look.is_kept and topic in there]
+        return [topic for topic, look in looks if look.subscription.latest()]
+
+    def peek(self, topic: str) -> View | None:
+        """The view of a topic if it is there, subscribed to and has a value: at once, asking nobody."""
+        look = self._looks.get(topic)
+        if look is None or topic not in self._adapter.graph.topics:
+            return None
+        look.looked_at = loop_time()
+        view = self._refresh(look)
+        return view if view.samples else None
+
+    def known(self, topic: str) -> View:
+        """The view as of now, without values where none has come: at once, asking nobody."""
+        return self.peek(topic) or self.last_seen(topic) or NOTHING
+
+    def last_seen(self, topic: str) -> View | None:
+        """The view as somebody saw it last; from any thread."""
+        look = self._looks.get(topic)
+        return None if look is None or topic not in self._adapter.graph.topics else look.view
+
+    def is_settled(self, topic: str) -> bool:
+        """Whether a look would find no more than `known` does: it would neither subscribe nor wait."""
+        look = self._looks.get(topic)
+        if topic not in self._adapter.graph.topics:
+            return True
+        if look is None or look.view.samples:
+            return look is not None
+        return not look.subscription.latest() and set(self._publishers(topic)) <= set(look.awaited)
+
+    async def look(self, topic: str, *, insist: bool = False) -> View:
+        """The view of a topic, subscribing if need be and then waiting a moment where somebody publishes it.
+
+        The same publishers are waited for once: a topic that is silent holds nobody up again. Who insists waits once
+        also where nobody publishes yet. A topic that is not there is neither subscribed to nor waited for.
+        """
+        view = self.peek(topic)
+        if view is not None:
+            return view
+        if topic not in self._adapter.graph.topics:
+            return NOTHING
+        look = await self._open(topic)
+        await self._know_types(look)
+        view = self._refresh(look)
+        publishers = self._publishers(topic)
+        is_new = insist and not look.insisted
+        look.insisted |= insist
+        if not view.samples and (is_new or not set(publishers) <= set(look.awaited)):
+            await self._wait(look, self._settings.first_value)
+            await self._know_types(look)
+            view = self._refresh(look)
+            look.awaited = () if view.samples else publishers
+        return view
+
+    async def watch(self, topic: str, wake: Callable[[], None]) -> Watch:
+        """Call `wake` after something new came; the topic stays subscribed to until the watch is closed."""
+        look = await self._open(topic)
+        return _TopicWatch(look, look.subscription.watch(wake))
+
+    async def eager(self, graph: Graph) -> None:
+        """Subscribe to what the eager globs match in this graph."""
+        for topic in graph.topics:
+            if topic not in self._looks and any(fnmatchcase(topic, glob) for glob in self._settings.eager):
+                (await self._open(topic)).eager = True
+
+    def _publishers(self, topic: str) -> tuple[Endpoint, ...]:
+        """Those from which a message can come."""
+        entry = self._adapter.graph.topics.get(topic)
+        return () if entry is None else tuple(one for one in entry.publishers if one.unreachable is None)
+
+    async def _open(self, topic: str) -> _Look:
+        async with self._opening.setdefault(topic, asyncio.Lock()):
+            look = self._looks.get(topic)
+            if look is None:
+                look = await self._subscribe(topic)
+                self._keep_within_budget()
+                self._looks[topic] = look
+        self._opening.pop(topic, None)
+        return look
+
+    async def _subscribe(self, topic: str) -> _Look:
+        entry = self._adapter.graph.topics.get(topic)
+        names = {ref.name for ref in entry.types} if entry else set()
+        fold = next((FOLDS[name] for name in names if name in FOLDS), None)
+        subscription = await self._adapter.subscribe(topic, depth=DEPTH if fold else 1)
+        now = loop_time()
+        return _Look(subscription, now, folded=Folded(fold) if fold else None)
+
+    async def _know_types(self, look: _Look) -> None:
+        """See that the schemas needed to fold are at hand."""
+        if look.folded is None:
+            return
+        for ref in {sample.schema for sample in look.subscription.latest()}:
+            with contextlib.suppress(RosError):
+                await self._schemas.find(ref)
+
+    async def _wait(self, look: _Look, seconds: float) -> None:
+        """Until a sample is there, at most `seconds`."""
+        arrived = asyncio.Event()
+        watch = look.subscription.watch(arrived.set)
+        try:
+            if not look.subscription.latest():
+                with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
+                    await asyncio.wait_for(arrived.wait(), seconds)
+        finally:
+            watch.close()
+
+    def _refresh(self, look: _Look) -> View:
+        latest = look.subscription.latest()
+        if latest is look.latest:
+            return look.view
+        if look.folded is None:
+            samples = tuple(latest)
+            look.view = View(samples, look.rates.observe(samples))
+        else:
+            self._fold(look, look.folded, latest)
+        look.latest = latest
+        return look.view
+
+    def _fold(self, look: _Look, folded: Folded, latest: Sequence[Sample]) -> None:
+        ordered = tuple(latest)
+        try:
+            if not folded.take(ordered, self._decode):
+                return
+            whole = folded.sample(self._schema_at_hand(ordered[-1]))
+        except (ValueError, LookupError):
+            look.view = View(ordered[-1:], 0.0)  # what cannot be folded is shown as it came
+            return
+        newest = {sample.publisher: sample for sample in ordered}
+        rate = look.rates.observe(list(newest.values()))
+        look.view = View((whole,) if whole is not None else (), rate)
+
+    def _schema_at_hand(self, sample: Sample) -> MessageSchema:
+        schema = self._schemas.at_hand(sample.schema)
+        if not isinstance(schema, MessageSchema):
+            raise LookupError(sample.schema.name)
+        return schema
+
+    def _decode(self, sample: Sample) -> Message:
+        return decoder(self._schema_at_hand(sample))(sample)
+
+    def _keep_within_budget(self) -> None:
+        """Make room for one more."""
+        over = len(self._looks) + 1 - self._settings.budget
+        if over > 0:
+            idlest = sorted((look.looked_at, topic) for topic, look in self._looks.items() if not look.is_kept)
+            for _, topic in idlest[:over]:
+                self._close(topic)
+
+    def _close(self, topic: str) -> None:
+        look = self._looks.pop(topic, None)
+        if look is not None:
+            look.subscription.close()
+
+    async def _sweep_for_ever(self) -> None:
+        while True:
+            await asyncio.sleep(_SWEEP)
+            horizon = loop_time() - self._settings.idle
+            for topic, look in list(self._looks.items()):
+                is_gone = topic not in self._adapter.graph.topics
+                if not look.is_kept and (look.looked_at < horizon or is_gone):
+                    self._close(topic)
+                    continue
+                if look.awaited:  # who comes back is waited for again
+                    look.awaited = tuple(one for one in look.awaited if one in self._publishers(topic))
+                if look.folded is not None:
+                    await self._know_types(look)
+                    self._refresh(look)

@@ -1,0 +1,484 @@
+"""The verbs on any resource: Allow, negotiation, preconditions, preferences, the same for all (RFC 9110, LDP 4.2)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+from starlette.responses import Response
+
+from rosld.adapters.model import RosError
+from rosld.ontology.body import BodyError
+from rosld.ontology.lower import LoweringError
+from rosld.ontology.serialize import CannotCarry, Syntax, serialize
+from rosld.ontology.urls import Location
+from rosld.server.auth import enforcement
+from rosld.server.auth.errors import unproven
+from rosld.server.auth.permissions import EVERYTHING, Judge
+from rosld.server.events import asked
+from rosld.server.events.feed import Feeds
+from rosld.server.events.stream import HEADERS, EventStream, Telling
+from rosld.server.events.waiting import changed_since
+from rosld.server.http import link, negotiation
+from rosld.server.http.conditional import ETag, digest, guard
+from rosld.server.http.problem import Problem
+from rosld.server.http.text import FORM
+from rosld.server.rest.errors import problem_of, problem_of_body
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.files import file_stream
+from rosld.server.rest.formats import FORMATS, HTML, OFFERS, VARIANTS
+from rosld.server.rest.keyed_lock import Alone
+from rosld.server.rest.large import LargeDocuments
+from rosld.server.rest.pages import FormRefused, Pages
+from rosld.server.rest.prepared import Prepared
+from rosld.server.rest.resource import JSON, LDP, Answer, Created, Resource, Shown, allow
+from rosld.server.rest.resource_headers import ACCEPT_FIELDS, rendered, standing_headers
+from rosld.server.rest.state import Rendering, State
+from rosld.server.storage import StorageError
+
+_JSON_IS_JSONLD = {JSON: Syntax.JSON_LD.media_type}
+
+
+@dataclass(frozen=True, slots=True)
+class Verbs:
+    """Answers requests on resources. `boot` tells this run of the server from others in ETags."""
+
+    boot: str
+    pages: Pages
+    feeds: Feeds
+    alone: Alone
+    large: LargeDocuments
+
+    async def answer(self, exchange: Exchange, resource: Resource) -> Response:
+        """The response to a request on a resource; raises Problems. Either says what it is (LDP 4.2.1.4)."""
+        try:
+            resource = await resource.narrowed(exchange)
+            await resource.ready()
+            if not exchange.judge.whole:
+                self._judge(exchange, resource)
+                exchange.answering = resource
+            response = await self._answered(exchange, resource)
+        except (BodyError, LoweringError, RosError, Problem) as error:
+            raise _linked(resource, _problem(error)) from error
+        if response.status_code == 204 and resource.links and b"link" not in dict(response.raw_headers):
+            response.raw_headers = [*response.raw_headers, (b"link", rendered(resource.links).encode("latin-1"))]
+        return response
+
+    def _judge(self, exchange: Exchange, resource: Resource) -> None:
+        """Refuse what who asks may not do here. A form is judged once it has said what it means."""
+        if not _is_form(exchange, resource):
+            enforcement.require(exchange.judge, exchange.method, self._place(exchange), resource)
+
+    def _place(self, exchange: Exchange) -> Location | None:
+        return enforcement.place_of(exchange.request.scope, self.pages.space)
+
+    async def _answered(self, exchange: Exchange, resource: Resource) -> Response:
+        method = exchange.method
+        if method in ("GET", "HEAD"):
+            return await self.read(exchange, resource)
+        if method == "OPTIONS":
+            return Response(status_code=204, headers=options(resource, await resource.methods_now()))
+        if _is_form(exchange, resource):
+            return await self._form(exchange, resource)
+        if method not in resource.methods():
+            raise Problem(405, resource.why_not(method), headers={"Allow": allow(resource)})
+        try:
+            _refuse_partial_put(exchange)
+            _check_media_type(exchange, resource)
+            if method != "DELETE" and not resource.streams(exchange):
+                await exchange.octets()  # before the preconditions: nothing is to come between them and the write
+            answer = await self._written(exchange, resource)
+        except (BodyError, LoweringError, Problem) as error:
+            raise _constrained(resource, error) from error
+        if isinstance(answer, Created):
+            return await self._created(exchange, resource, answer)
+        if isinstance(answer, Shown):
+            return await self._shown(exchange, answer)
+        return await self._as_preferred(exchange, resource, answer)
+
+    async def _written(self, exchange: Exchange, resource: Resource) -> Answer:
+        """What a write comes to; what is conditional, or depends on what is there, is carried out alone."""
+        write = _VERBS[exchange.method]
+        exchange.account.begin()
+        if not exchange.is_conditional and exchange.method not in resource.in_turn:
+            return await write(resource, exchange)
+        async with self.alone.at(resource.url):
+            if exchange.is_conditional:
+                await self._check_preconditions(exchange, resource)
+            return await write(resource, exchange)
+
+    async def read(self, exchange: Exchange, resource: Resource) -> Response:
+        """GET and HEAD."""
+        special = await resource.special(exchange)
+        if special is not None:
+            return special
+        if asked.stream_is_preferred(exchange.accept, OFFERS):
+            return await self._stream(exchange, resource)
+        state = await resource.state()
+        unchanged = False
+        if b"after=" in exchange.request.scope["query_string"] and "after" in exchange.query:
+            await self._wait_for_another(exchange, resource, state)
+            if not exchange.visit.still():
+                raise unproven("Your rights have changed meanwhile.")
+            state = await resource.state()
+            unchanged = asked.is_state(exchange.query["after"], self._name(state))
+        media_type = chosen(exchange)
+        if state.is_large and media_type != HTML and not (media_type == JSON and state.plain is not None):
+            return await self._read_large(exchange, resource, state, media_type, unchanged=unchanged)
+        rendering = await self.represented(resource, state, media_type, exchange.judge)
+        headers = rendering.headers
+        if state.received_ns is not None:
+            age = max(0, time.time_ns() - state.received_ns) // 1_000_000_000
+            headers = [*headers, (b"age", b"%d" % age)]
+        if unchanged or _not_modified(exchange, rendering):
+            return Prepared(304, b"", [pair for pair in headers if pair[0] not in _CONTENT])
+        return Prepared(200, rendering.body, headers)
+
+    async def _read_large(
+        self, exchange: Exchange, resource: Resource, state: State, media_type: str, *, unchanged: bool
+    ) -> Response:
+        """GET and HEAD of what is large: from a file that a worker process makes; HEAD makes none.
+
+        Without a representation nothing tells its length, and HEAD may leave that out (RFC 9110 9.3.2).
+        """
+        judge = exchange.judge
+        variant = _variant(media_type, judge)
+        syntax = _JSON_IS_JSONLD.get(media_type, media_type)
+        etag = str(ETag(self._name(state), variant + state.part))
+        headers = _headers(resource, state, media_type, etag)
+        if unchanged or _not_modified(exchange, Rendering(b"", [], etag)):
+            return Prepared(304, b"", _encoded({name: headers[name] for name in headers if name != "content-type"}))
+        if exchange.method == "HEAD":
+            return Prepared(200, b"", _encoded(headers))
+        try:
+            file, size = await self.large.file((resource.url, etag, syntax), seen(resource, state, judge), syntax)
+        except CannotCarry as error:
+            raise _cannot_carry(media_type, error) from error
+        return file_stream(_encoded({**headers, "content-length": str(size)}), file, size)
+
+    async def rendering(self, exchange: Exchange, resource: Resource, state: State) -> Rendering:
+        """The representation that the request prefers, kept with the state or made now. Raises a 406 Problem."""
+        return await self.represented(resource, state, chosen(exchange), exchange.judge)
+
+    async def represented(
+        self, resource: Resource, state: State, media_type: str, judge: Judge = EVERYTHING
+    ) -> Rendering:
+        """The representation in a media type, kept with the state or made now. Raises a 406 Problem.
+
+        Bytes are shared by agents of the same rights; a page, which has forms, is one agent's.
+        """
+        variant = _variant(media_type, judge)
+        if not judge.whole:
+            state = seen(resource, state, judge)
+        if media_type == HTML and self.pages.edition is not None:
+            return await self._render(resource, state, media_type, variant, judge)
+        found = state.renderings.get(variant)
+        if found is None:
+            if len(state.renderings) >= _MOST_RENDERINGS:
+                state.renderings.clear()
+            found = state.renderings[variant] = await self._render(resource, state, media_type, variant, judge)
+        return found
+
+    async def _render(self, resource: Resource, state: State, media_type: str, variant: str, judge: Judge) -> Rendering:
+        if media_type == HTML:
+            body = await self.pages.page(resource, state, judge=judge)
+        elif media_type == JSON and state.plain is not None:
+            body = state.plain()
+        elif state.is_large:
+            raise Problem(406, "This is too large to be sent here: GET it, or follow it by its notifications.")
+        else:
+            body = _serialized(state, _JSON_IS_JSONLD.get(media_type, media_type))
+        name = f"{self.boot}-{digest(body)}" if media_type == HTML else self._name(state)  # a page shows more
+        etag = str(ETag(name, variant + state.part))
+        headers = {**_headers(resource, state, media_type, etag), "content-length": str(len(body))}
+        if media_type == HTML:
+            headers |= self.pages.headers
+        return Rendering(body, _encoded(headers), etag)
+
+    def _name(self, state: State) -> str:
+        """The state part of the ETags of a state's representations."""
+        return f"{state.scope or self.boot}-{state.tag}"
+
+    async def _stream(self, exchange: Exchange, resource: Resource) -> Response:
+        """The changes of a resource as an event stream. What can be refused is refused before it begins."""
+        media_type = _told_as(exchange)
+        rate = asked.rate(exchange.query)
+
+        async def render(state: State) -> bytes:
+            return (await self.represented(resource, state, media_type, exchange.judge)).body
+
+        await render(await resource.state())
+        self.feeds.require_room(exchange.request.client)
+        headers = _encoded(standing_headers(resource))
+        if exchange.method == "HEAD":
+            return Prepared(200, b"", [*HEADERS, *headers])
+        variant = f"{VARIANTS[media_type]}-{exchange.judge.key}{exchange.judge.mark if media_type == HTML else ''}"
+        told = partial(enforcement.told, exchange.judge, place=self._place(exchange))
+        telling = Telling(variant, render, self._name, exchange.visit.still, told)
+        if media_type == HTML:
+            telling = replace(telling, edition=lambda: self.pages.edition)
+        known, lasting = exchange.header("last-event-id"), resource.followed(exchange)
+        return EventStream(self.feeds, resource, telling, rate, known, headers, lasting)
+
+    async def _wait_for_another(self, exchange: Exchange, resource: Resource, state: State) -> None:
+        """Until the state is another than `?after=`, at most `?timeout=`."""
+        after, seconds = exchange.query["after"], asked.timeout(exchange.query)
+        if asked.is_state(after, self._name(state)):
+            await changed_since(self.feeds, resource, after, self._name, exchange.request, seconds)
+
+    async def _check_preconditions(self, exchange: Exchange, resource: Resource) -> None:
+        """If-Match and If-None-Match of a write (RFC 9110 13.1), judged against the resource as it is now."""
+        if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
+        try:
+            state: State | None = await resource.state()
+        except Problem as problem:
+            if problem.status not in (404, 410):
+                raise
+            state = None
+        current = None if state is None else ETag(self._name(state), "any")
+        guard(exchange.method, current, if_match=if_match, if_none_match=if_none_match)
+
+    async def _form(self, exchange: Exchange, resource: Resource) -> Response:
+        """A form of one of our pages: the write it means, then the way back to a page (303)."""
+        try:
+            form = await self.pages.meant(exchange, resource)
+            if not exchange.judge.whole:
+                enforcement.require(exchange.judge, form.method, self._place(exchange), resource)
+            exchange.account.begin()
+            try:
+                answer = await _VERBS[form.method](resource, exchange)
+            except (LoweringError, RosError, Problem) as error:
+                problem = _problem(error)
+                if problem.status not in _TOLD_ON_THE_PAGE:
+                    raise
+                raise FormRefused(form, exchange.typed, problem) from error
+        except FormRefused as refusal:
+            exchange.account.refused(refusal.problem.detail)
+            return await self.pages.refused(resource, refusal, exchange.judge)
+        if isinstance(answer, Response) and answer.status_code == 202 and form.method != "DELETE":
+            return await self.pages.told(
+                resource, "It was published, but no subscriber was there to get it.", exchange.judge
+            )
+        back = _back(resource, answer, self.pages.came_from(exchange))
+        if form.method == "DELETE" and not (isinstance(answer, Response) and answer.status_code == 202):
+            back = resource.url.rstrip("/").rpartition("/")[0] + "/"
+        return Response(status_code=303, headers={"Location": link.uri(back)})
+
+    async def _created(self, exchange: Exchange, resource: Resource, created: Created) -> Response:
+        """201 with the new resource as body (RFC 9110 15.3.2), or without where less is preferred.
+
+        It says also what that is which the request was sent to (LDP 5.2.1.4).
+        """
+        headers = [(b"location", link.uri(created.location).encode("ascii"))]
+        is_member = created.location != resource.url
+        links, rendering = created.links, None
+        if created.state is not None and not exchange.prefer.minimal:
+            rendering = await self._outcome(exchange, created.resource, created.state, answer=is_member)
+        if rendering is None:
+            links = (*(resource if is_member else created.resource).links, *links)
+            if links:
+                headers.append((b"link", link.render(links).encode("latin-1")))
+            headers.append((b"content-length", b"0"))
+            if exchange.prefer.minimal:
+                headers.append((b"preference-applied", b"return=minimal"))
+            return Prepared(201, b"", headers)
+        if is_member:
+            types = (replace(each, anchor=resource.url) for each in resource.links if each.rel == "type")
+            links = (*links, *types)
+        if links:
+            headers.append((b"link", link.render(links).encode("latin-1")))
+        return Prepared(201, rendering.body, [*rendering.headers, *headers, (b"content-location", headers[0][1])])
+
+    async def _shown(self, exchange: Exchange, shown: Shown) -> Response:
+        """200 with the representation of the resource that shows it (RFC 9110 8.7), or 204 where less is preferred."""
+        location = (b"content-location", link.uri(shown.resource.url).encode("ascii"))
+        added = [(b"link", link.render(shown.links).encode("latin-1"))] if shown.links else []
+        if exchange.prefer.minimal:
+            return Prepared(204, b"", [location, *added, (b"preference-applied", b"return=minimal")])
+        rendering = await self._outcome(exchange, shown.resource, shown.state)
+        if rendering is None:
+            return Prepared(204, b"", [location, *added])
+        return Prepared(200, rendering.body, [*rendering.headers, location, *added])
+
+    async def _as_preferred(self, exchange: Exchange, resource: Resource, response: Response) -> Response:
+        """The representation after a write instead of an empty 204, where the request prefers it (RFC 7240 4.2)."""
+        if not exchange.prefer.representation or response.status_code != 204 or exchange.method == "DELETE":
+            return response
+        rendering = await self._outcome(exchange, resource)
+        if rendering is None:
+            return response
+        headers = [*rendering.headers, (b"preference-applied", b"return=representation")]
+        headers.append((b"content-location", link.uri(resource.url).encode("ascii")))
+        return Prepared(200, rendering.body, headers)
+
+    async def _outcome(
+        self, exchange: Exchange, resource: Resource, state: State | None = None, *, answer: bool = False
+    ) -> Rendering | None:
+        """What shows a write that was done; None where it cannot be had now, or not as preferred: it is not undone.
+
+        What who asks may not read is not shown, unless it is the `answer` to what was asked, such as a call.
+        """
+        if not answer and not exchange.judge.may_read(resource.url):
+            return None
+        try:
+            return await self.rendering(exchange, resource, await resource.state() if state is None else state)
+        except (Problem, RosError, StorageError):
+            return None
+
+
+def _variant(media_type: str, judge: Judge) -> str:
+    """The variant part of the ETags of representations in a media type, for agents of these rights."""
+    variant = VARIANTS[media_type] if judge.whole else f"{VARIANTS[media_type]}-{judge.key}"
+    return variant + judge.mark if media_type == HTML else variant
+
+
+def _headers(resource: Resource, state: State, media_type: str, etag: str) -> dict[str, str]:
+    """The headers of a representation, but for its length."""
+    return {
+        "content-type": f"{media_type}; charset=utf-8" if media_type.startswith("text/") else media_type,
+        "etag": etag,
+        "vary": "Accept",
+        "cache-control": f"max-age={state.max_age}" if state.max_age else "no-cache",
+        **standing_headers(resource),
+        **state.headers,
+    }
+
+
+def _is_form(exchange: Exchange, resource: Resource) -> bool:
+    """Whether it is a form of one of our pages."""
+    return (
+        exchange.method == "POST" and resource.takes_forms and (exchange.header("content-type") or "").startswith(FORM)
+    )
+
+
+def seen(resource: Resource, state: State, judge: Judge) -> State:
+    """A state as an agent may see it: made once for the same rights."""
+    if judge.whole:
+        return state
+    found = state.veils.get(judge.key)
+    if found is None:
+        if len(state.veils) >= _MOST_RENDERINGS:
+            state.veils.clear()
+        found = state.veils[judge.key] = resource.veiled(state, judge)
+    return found
+
+
+_MOST_RENDERINGS = 64
+"""Representations, and what they are made from, that are kept with a state."""
+_REFUSED_BODIES = frozenset({400, 409, 415, 422})
+_TOLD_ON_THE_PAGE = frozenset({409, 422, 423, 429, 502, 503, 504})
+"""What may become of a form that was in order: the reader stays on its page."""
+_CONTENT = (b"content-type", b"content-length")
+_VERBS: Mapping[str, Callable[[Resource, Exchange], Awaitable[Answer]]] = {
+    "PUT": lambda resource, exchange: resource.put(exchange),
+    "POST": lambda resource, exchange: resource.post(exchange),
+    "PATCH": lambda resource, exchange: resource.patch(exchange),
+    "DELETE": lambda resource, exchange: resource.delete(exchange),
+}
+
+
+def _problem(error: BodyError | LoweringError | RosError | Problem) -> Problem:
+    """The problem that an error comes to."""
+    if isinstance(error, Problem):
+        return error
+    return problem_of(error) if isinstance(error, RosError) else problem_of_body(error)
+
+
+def _back(resource: Resource, answer: Answer, came_from: str | None) -> str:
+    """Where a browser goes after a form: to what it made, or back to where it stood."""
+    match answer:
+        case Created():
+            return answer.location
+        case Shown():
+            return answer.resource.url
+        case _:
+            return answer.headers.get("location") or came_from or resource.url
+
+
+def _constrained(resource: Resource, error: BodyError | LoweringError | Problem) -> Problem:
+    """The refusal of a body, with a link to what constrains it (LDP 4.2.1.6)."""
+    problem = error if isinstance(error, Problem) else problem_of_body(error)
+    if problem.status in _REFUSED_BODIES and resource.constrained_by is not None:
+        problem.headers["Link"] = link.render([link.Link(resource.constrained_by, f"{LDP}constrainedBy")])
+    return problem
+
+
+def _linked(resource: Resource, problem: Problem) -> Problem:
+    """A refusal, with links to the types of the resource that refuses; what is not there has none."""
+    if problem.status not in (404, 410) and resource.links:
+        there = problem.headers.get("Link")
+        problem.headers["Link"] = ", ".join([link.render(resource.links), *([there] if there else ())])
+    return problem
+
+
+def chosen(exchange: Exchange) -> str:
+    """The media type to answer with: `?format=` before Accept. Raises a 406 Problem naming what there is."""
+    if b"format=" in exchange.request.scope["query_string"] and (wanted := exchange.query.get("format")):
+        if wanted not in FORMATS:
+            raise Problem(406, f"?format={wanted} is unknown; there are {', '.join(FORMATS)}.")
+        return FORMATS[wanted]
+    found = negotiation.choose(exchange.accept, OFFERS)
+    if found is None:
+        raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(OFFERS)}.")
+    return found
+
+
+def _told_as(exchange: Exchange) -> str:
+    """The media type of an event's data: plain JSON, or what `?format=` says. Raises a 406 Problem."""
+    wanted = exchange.query.get("format", "json")
+    if wanted not in FORMATS:
+        raise Problem(406, f"?format={wanted} cannot be streamed; there are {', '.join(FORMATS)}.")
+    return FORMATS[wanted]
+
+
+def _encoded(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
+    return [(name.encode("latin-1"), value.encode("latin-1")) for name, value in headers.items()]
+
+
+def _not_modified(exchange: Exchange, rendering: Rendering) -> bool:
+    if_none_match = exchange.header("if-none-match")
+    if_match = exchange.header("if-match")
+    if if_none_match is None and if_match is None:
+        return False
+    state, _, variant = rendering.etag.strip('"').rpartition(".")
+    return guard(exchange.method, ETag(state, variant), if_match=if_match, if_none_match=if_none_match)
+
+
+def _serialized(state: State, media_type: str) -> bytes:
+    syntax = next(syntax for syntax in Syntax if syntax.media_type == media_type)
+    try:
+        return serialize(state.document, syntax)
+    except CannotCarry as error:
+        raise _cannot_carry(media_type, error) from error
+
+
+def _cannot_carry(media_type: str, error: CannotCarry) -> Problem:
+    return Problem(406, f"{media_type} cannot carry this resource: {error}")
+
+
+def _refuse_partial_put(exchange: Exchange) -> None:
+    """Raise a 400 Problem for a PUT of a part (RFC 9110 14.5), which would replace the whole."""
+    if exchange.method == "PUT" and exchange.header("content-range") is not None:
+        raise Problem(400, "PUT replaces the whole, and Content-Range sends a part of it: send all, or PATCH.")
+
+
+def _check_media_type(exchange: Exchange, resource: Resource) -> None:
+    accepted = resource.accepts.get(exchange.method)
+    if accepted is None:
+        return
+    if exchange.header("content-type") is None and exchange.header("content-length") in (None, "0"):
+        return
+    if "*/*" in accepted and exchange.essence is not None:
+        return
+    if exchange.media_type not in accepted:
+        headers = {ACCEPT_FIELDS[exchange.method]: ", ".join(accepted)}
+        raise Problem(
+            415, f"{exchange.method} takes {', '.join(accepted)} here, not {exchange.media_type}.", headers=headers
+        )
+
+
+def options(resource: Resource, methods: frozenset[str] | None = None) -> dict[str, str]:
+    """The headers of an answer to OPTIONS; `methods` as in `standing_headers`."""
+    return {**standing_headers(resource, methods), "vary": "Accept"}

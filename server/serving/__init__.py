@@ -1,0 +1,1 @@
+"""The HTTP server process: sockets, limits of connections, TLS, signals, the lifespan."""

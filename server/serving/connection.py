@@ -1,0 +1,352 @@
+"""Connections: uvicorn's HTTP/1.1 protocol with bounds on what a stranger may send before a request is one."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import cast
+
+import httptools
+import uvicorn
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+
+from rosld.server.http.problem import Problem
+from rosld.server.http.problem_details import render
+from rosld.server.serving.connections import Connections
+from rosld.server.serving.request_head import LONGEST_TARGET, RequestHead
+from rosld.server.serving.transport import Together
+from rosld.server.serving.websocket_connection import WebSocketConnection
+
+_FRAMING_RATIO = 16
+"""Bytes of chunk sizes, chunk extensions and trailers that may come with each byte of a chunked body: a byte in a chunk
+
+of its own takes five more."""
+LINGER_SECONDS = 2.0
+"""How long a client may go on sending after its answer: closing at once would reset it before it has read why."""
+
+
+def _nothing() -> None:
+    pass
+
+
+def _welcome(address: str | None) -> Callable[[], None]:
+    return _nothing
+
+
+def _is_never(method: bytes, path: bytes) -> bool:
+    return False
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What a client has before it is cut off: bytes of a head, seconds to send one, seconds to read what it is sent.
+
+    `connect` is asked whether the client at an address may have one more connection, `open_websocket` whether it may
+    have one more WebSocket. They raise a Problem if not; what they answer is called when the connection ends.
+    `is_urgent` says of a method and a path whether such a request is answered also beyond the most connections.
+    """
+
+    head_bytes: int = 64 * 1024
+    head_seconds: float = 20.0
+    read_seconds: float = 60.0
+    connect: Callable[[str | None], Callable[[], None]] = _welcome
+    open_websocket: Callable[[str | None], Callable[[], None]] = _welcome
+    is_urgent: Callable[[bytes, bytes], bool] = _is_never
+
+
+class Bounded(uvicorn.Config):
+    """uvicorn's configuration with bounds for its connections."""
+
+    bounds = Bounds()
+    connections = Connections(3000)
+
+
+class Connection(HttpToolsProtocol):
+    """Ends connections whose request line and headers are too large (431) or too slow (408); says 400 in RFC 9457.
+
+    An `Upgrade` to anything but a WebSocket is ignored (RFC 9110 7.8): the head is parsed a second time without it, by
+    a new parser, which goes on with the body. What the first parser says of that head is passed over.
+    """
+
+    _bounds = Bounded.bounds
+    _head_is_open = True
+    _head_size = 0
+    _block_size = 0
+    """Bytes that came last: a head that began within them is not longer."""
+    _framing = 0
+    """Bytes that may yet come beside the body of this request."""
+    _is_handshake = False
+    _is_coded = False
+    """Whether the head names a transfer coding."""
+    _impatience: asyncio.TimerHandle | None = None
+    _unread: asyncio.TimerHandle | None = None
+    _let_go: Callable[[], None] = staticmethod(_nothing)
+    _is_over = False
+    _refusal: Problem | None = None
+    """Why nothing is answered on this connection but urgent requests."""
+    _ending: Problem | None = None
+    """What is to be told when the requests under way are answered."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """A client connected, and has a while to say what it wants."""
+        super().connection_made(cast("asyncio.Transport", Together(transport, self.loop)))
+        config = self.config if isinstance(self.config, Bounded) else Bounded
+        self._bounds, self._connections = config.bounds, config.connections
+        self._impatience = self.loop.call_later(self._bounds.head_seconds, self._too_slow)
+        try:
+            self._let_go = self._bounds.connect(self.client[0] if self.client else None)
+        except Problem as problem:
+            self._refusal = problem
+        if not self._connections.open(self, is_extra=self._refusal is not None):
+            self.end_idle()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The client has gone."""
+        self._be_patient()
+        self.resume_writing()
+        self._connections.close(self)
+        self._leave()
+        super().connection_lost(exc)
+
+    def end_idle(self) -> None:
+        """End the connection, which is idle, to make room for another."""
+        self._is_over = True
+        self.transport.close()
+
+    def data_received(self, data: bytes) -> None:
+        """Bytes came."""
+        if self._is_over:
+            return
+        self._block_size = len(data)
+        if self._head_is_open:
+            self._head_size += len(data)
+        else:
+            self._framing -= len(data)
+        self._unset_keepalive_if_required()
+        try:
+            self._parse(data)
+        except httptools.HttpParserError as error:
+            cause = error.__context__
+            unreadable = _UNREADABLE if self._head_is_open else _UNREADABLE_BODY
+            self._end(cause if isinstance(cause, Problem) else unreadable)
+        if self._head_size or not self._head_is_open:
+            self._check_progress()
+
+    def _parse(self, data: bytes) -> None:
+        """Parse bytes, and in them heads with an `Upgrade` that is ignored once more without it."""
+        rest: bytes | memoryview = data
+        while True:
+            try:
+                self.parser.feed_data(rest)
+                return
+            except httptools.HttpParserUpgrade as upgrade:
+                rest = memoryview(rest)[upgrade.args[0] :]
+            if self._is_handshake:
+                self._become_websocket(is_early=len(rest) > 0)
+                return
+            head = self._head().without_upgrade
+            self.parser = httptools.HttpRequestParser(self)
+            self.parser.set_dangerous_leniencies(lenient_data_after_close=True)  # as uvicorn's own
+            self.parser.feed_data(head)
+
+    def _head(self) -> RequestHead:
+        return RequestHead(self.parser.get_method(), self.url, self.parser.get_http_version(), self.headers)
+
+    def _become_websocket(self, *, is_early: bool) -> None:
+        if is_early:
+            self._end(Problem(400, "Bytes follow a WebSocket's handshake: wait for its answer (RFC 6455 4.1)."))
+        else:
+            self.handle_websocket_upgrade()
+
+    def _check_progress(self) -> None:
+        """End the connection of a head that is too large already, or of chunks that hold nothing; time other heads."""
+        if self._is_over or self._is_handshake or self.transport.is_closing():
+            return
+        if not self._head_is_open:
+            if self._framing < 0:
+                self._end(Problem(431, "The chunk extensions and trailers are far larger than the body."))
+            elif self._is_answered:  # nobody reads this body: it may not keep the connection open
+                self.timeout_keep_alive_task = self.loop.call_later(
+                    self.timeout_keep_alive, self.timeout_keep_alive_handler
+                )
+            return
+        if self._head_size > self._bounds.head_bytes:
+            self._end(self._too_large)
+        elif self._head_size and self._impatience is None:
+            self._impatience = self.loop.call_later(self._bounds.head_seconds, self._too_slow)
+
+    @property
+    def _too_large(self) -> Problem:
+        return Problem(431, f"The request line and the headers are larger than {self._bounds.head_bytes} bytes.")
+
+    @property
+    def _is_answered(self) -> bool:
+        return self.cycle is None or self.cycle.response_complete
+
+    def on_response_complete(self) -> None:
+        """A request is answered."""
+        is_last = not self.pipeline
+        if is_last:
+            self._connections.rest(self)
+        super().on_response_complete()
+        if is_last and self._ending is not None and not self.transport.is_closing():
+            self._say(self._ending)
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        """A field of the head. Those of a trailer section are dropped: they are no fields of it (RFC 9110 6.5.1)."""
+        if not self._head_is_open:
+            return
+        name = name.lower()
+        if name == b"transfer-encoding":
+            self._is_coded = True
+        elif name == b"expect" and value.lower() == b"100-continue":
+            self.expect_100_continue = True
+        self.headers.append((name, value))
+
+    def on_headers_complete(self) -> None:
+        """The head of a request is there. Its scope has the transport, for who must know when the client is silent.
+
+        Raises Problems, which the parser passes on as its own error.
+        """
+        most, is_upgrade = self._bounds.head_bytes, self.parser.should_upgrade()
+        is_large = self._head_size > most or self._block_size > most or len(self.url) > LONGEST_TARGET
+        if is_upgrade or is_large or self._is_coded or self.parser.get_http_version() != "1.1":
+            self._check(self._head())
+            if is_upgrade and not self._is_handshake:
+                return
+        if not self._connections.begin(self) and not self._is_urgent(self._head()):
+            raise self._refusal or _FULL
+        self._head_is_open, self._head_size, self._framing, self._is_coded = False, 0, most, False
+        self._be_patient()
+        self.scope["rosld.transport"] = self.transport  # type: ignore[typeddict-unknown-key]
+        super().on_headers_complete()
+
+    def _check(self, head: RequestHead) -> None:
+        """Raises the Problem of a head that is out of the ordinary; notes whether it opens a WebSocket."""
+        if head.size > self._bounds.head_bytes:
+            raise self._too_large
+        head.check()
+        if head.version == "1.0":
+            self.expect_100_continue = False  # RFC 9110 10.1.1
+        self._is_handshake = self.parser.should_upgrade() and self._is_answered and head.is_websocket_handshake
+
+    def _is_urgent(self, head: RequestHead) -> bool:
+        return self._bounds.is_urgent(head.method, httptools.parse_url(head.target).path)
+
+    def on_body(self, body: bytes) -> None:
+        """A piece of a body."""
+        self._framing += len(body) * (1 + _FRAMING_RATIO)
+        super().on_body(body)
+
+    def on_message_complete(self) -> None:
+        """A request is there; what follows is the head of the next."""
+        if self.parser.should_upgrade():
+            return  # the head is parsed again, or there is no next
+        self._head_is_open, self._head_size = True, 0
+        super().on_message_complete()
+
+    def _should_upgrade(self) -> bool:
+        return self._is_handshake
+
+    def send_400_response(self, msg: str) -> None:
+        """What came is no HTTP."""
+        self._end(_UNREADABLE)
+
+    def _too_slow(self) -> None:
+        self._impatience = None
+        self._end(Problem(408, f"No whole request came within {self._bounds.head_seconds:g} s."))
+
+    def pause_writing(self) -> None:
+        """The client reads more slowly than it is sent to: for a while it may."""
+        super().pause_writing()
+        if self._unread is None:
+            self._unread = self.loop.call_later(self._bounds.read_seconds, self._give_up)
+
+    def resume_writing(self) -> None:
+        """The client has read what was sent, or nearly."""
+        super().resume_writing()
+        if self._unread is not None:
+            self._unread.cancel()
+            self._unread = None
+
+    def _give_up(self) -> None:
+        """Nothing can be told to a client that reads nothing."""
+        self._unread = None
+        self.transport.abort()
+
+    def handle_websocket_upgrade(self) -> None:
+        """The connection is a WebSocket's from now on."""
+        try:
+            close = self._bounds.open_websocket(self.client[0] if self.client else None)
+        except Problem as problem:
+            self._end(problem)
+            return
+        let_go, self._let_go = self._let_go, _nothing
+        super().handle_websocket_upgrade()
+        websocket = self.transport.get_protocol()
+        assert isinstance(websocket, WebSocketConnection)
+        self._connections.replace(self, websocket)
+        websocket.count(self._connections, (close, let_go))
+
+    def _leave(self) -> None:
+        let_go, self._let_go = self._let_go, _nothing
+        let_go()
+
+    def _be_patient(self) -> None:
+        if self._impatience is not None:
+            self._impatience.cancel()
+            self._impatience = None
+
+    def _end(self, ending: Problem) -> None:
+        """Tell why, after the answers to earlier requests, and close when the client has heard it.
+
+        It is also the answer to the request whose body is at fault. To the application its client has gone.
+        """
+        if self._is_over or self.transport.is_closing():
+            return
+        self._is_over = True
+        self._be_patient()
+        if self._is_answered:
+            self._say(ending)
+        elif self._head_is_open:
+            self._ending = ending
+        else:
+            self._refuse_body(ending)
+
+    def _refuse_body(self, ending: Problem) -> None:
+        """Answer the newest request, whose body is at fault, unless its answer has begun: then only close."""
+        if self.cycle.response_started:
+            self.transport.close()
+            return
+        self.cycle.disconnected = True
+        self.cycle.message_event.set()
+        if self.pipeline:
+            self.pipeline.popleft()  # it has not reached the application
+            self._ending = ending
+        else:
+            self.flow.resume_reading()  # what is not read when the connection closes resets it, and the answer is lost
+            self._say(ending)
+
+    def _say(self, ending: Problem) -> None:
+        self._unset_keepalive_if_required()
+        self._connections.rest(self)
+        self.transport.write(_response(ending))
+        self.transport.write_eof()
+        self._impatience = self.loop.call_later(LINGER_SECONDS, self.transport.close)
+
+
+_FULL = Problem(
+    503,
+    "There are as many connections as may be; on this one only POST /stop is answered. Come back later.",
+    headers={"Retry-After": "5"},
+)
+_UNREADABLE = Problem(400, "This is no HTTP request that can be read.")
+_UNREADABLE_BODY = Problem(400, "The chunks of the body are not as RFC 9112 7.1 has them. Nothing was done.")
+
+
+def _response(ending: Problem) -> bytes:
+    rendered = render(ending)
+    headers = {**rendered.headers, "content-length": str(len(rendered.body)), "connection": "close"}
+    lines = "".join(f"{name}: {value}\r\n" for name, value in headers.items())
+    return f"HTTP/1.1 {ending.status} {ending.title}\r\n{lines}\r\n".encode("latin-1") + rendered.body

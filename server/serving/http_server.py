@@ -1,0 +1,136 @@
+"""The listening socket and the HTTP server on it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import sys
+from collections.abc import Callable, Coroutine, Iterator
+from typing import Any
+
+import uvicorn
+from starlette.types import ASGIApp
+
+from rosld.server.http.tokens import without_tokens
+from rosld.server.serving.connection import Bounded, Bounds, Connection
+from rosld.server.serving.connections import Connections
+from rosld.server.serving.websocket_connection import WebSocketConnection
+from rosld.server.sparql.process.client import Aborted
+
+_log = logging.getLogger("rosld")
+
+KEEP_ALIVE_SECONDS = 30
+GRACE_SECONDS = 2
+CONNECTIONS = 3000
+"""Connections at a time. One more takes the place of one that is idle, or only POST /stop is answered on it."""
+
+MESSAGE_BYTES = 4096
+"""The most a WebSocket's client may send at once: it has nothing to say."""
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """A bound socket that does not listen yet. Raises ValueError saying why it is refused, and what to do."""
+    try:
+        family, kind, proto, _, address = socket.getaddrinfo(
+            host.strip("[]"), port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        sock = socket.socket(family, kind, proto)
+    except (OSError, UnicodeError) as error:
+        raise ValueError(_refused(host, port, error)) from error
+    try:
+        if sys.platform != "win32":
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind(address)
+        sock.setblocking(False)
+    except (OSError, OverflowError) as error:
+        sock.close()
+        raise ValueError(_refused(host, port, error)) from error
+    return sock
+
+
+def _refused(host: str, port: int, error: Exception) -> str:
+    words = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return f"cannot listen on {host}:{port}: {words}. Choose another with --host and --port."
+
+
+class Server(uvicorn.Server):
+    """uvicorn's server, which says when it listens and leaves signals to us (it would end the process too early)."""
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        listening: Callable[[], None],
+        bounds: Bounds | None = None,
+        connections: int = CONNECTIONS,
+    ) -> None:
+        config = Bounded(
+            app,
+            http=Connection,
+            ws=WebSocketConnection,
+            ws_max_size=MESSAGE_BYTES,
+            ws_per_message_deflate=False,
+            lifespan="off",
+            interface="asgi3",
+            log_config=None,
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+            timeout_keep_alive=KEEP_ALIVE_SECONDS,
+            timeout_graceful_shutdown=GRACE_SECONDS,
+        )
+        config.connections = Connections(connections)
+        if bounds is not None:
+            config.bounds = bounds
+        super().__init__(config)
+        self._listening = listening
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen, then say so."""
+        await super().startup(sockets)
+        self._listening()
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Capture none."""
+        yield
+
+
+def run(main: Coroutine[Any, Any, None]) -> None:
+    """Run on a loop of uvloop where there is one."""
+    if sys.platform == "win32":
+        asyncio.run(main)
+        return
+    import uvloop
+
+    uvloop.run(main)
+
+
+class _WithoutTokens(logging.Formatter):
+    """Formats records, tracebacks included, without tokens of rosld."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return without_tokens(super().format(record))
+
+
+def quiet_logs() -> None:
+    """All logs to stderr; of uvicorn only what went wrong here, not what strangers send."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_WithoutTokens("%(levelname)s %(name)s: %(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
+    uvicorns = logging.getLogger("uvicorn.error")
+    uvicorns.setLevel(logging.ERROR)
+    uvicorns.addFilter(_unless_cancelled)
+
+
+def _unless_cancelled(record: logging.LogRecord) -> bool:
+    """Leaves out the requests that are cut short when the server ends: that is no error.
+
+    An answer that is broken off on purpose is told in one line.
+    """
+    if record.exc_info is not None and isinstance(record.exc_info[1], Aborted):
+        _log.info("an answer was broken off: %s", record.exc_info[1])
+        return False
+    cancelled = record.exc_info is not None and record.exc_info[0] is asyncio.CancelledError
+    return not cancelled and not record.msg.startswith("Cancel %s running task")

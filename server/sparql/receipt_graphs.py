@@ -1,0 +1,74 @@
+"""Receipts as named graphs: those that came and went since a version, and the container that lists them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+
+from rosld.ontology.describe_activities import activity_document
+from rosld.ontology.describe_containers import container_document
+from rosld.ontology.serialize import Syntax, serialize
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import ldp
+from rosld.server.dataset import Edit
+from rosld.server.receipts.journal import Entry, Journal
+from rosld.server.sparql.change_source import Changes
+
+TITLE = "Activity"
+_PAGE = 200
+"""Receipts told before the loop gets its turn."""
+_SIZE = 2500
+"""About how many characters one comes to."""
+
+
+class ReceiptGraphs:
+    """The graphs of a journal: a `KeptSource`. Of those that went only what was told before is told."""
+
+    def __init__(self, journal: Journal, space: Space) -> None:
+        self._journal = journal
+        self._space = space
+        self._container = space.container("activity")
+        self._told = 0
+        self._gone: list[tuple[int, str]] = []
+        journal.watch_dropped(self._dropped)
+
+    @property
+    def version(self) -> int:
+        """Rises with each change."""
+        return self._journal.version
+
+    def last_change(self, graph: str) -> int:
+        """When what this graph says last changed, at the latest."""
+        return self.version if graph.startswith(self._container) else 0
+
+    def changes(self, after: int) -> Iterator[Changes]:
+        """What changed after a version, in parts."""
+        self._gone = [(version, id) for version, id in self._gone if version > after]
+        if after == 0:
+            head = serialize(container_document(self._container, (), TITLE), Syntax.N_TRIPLES).decode()
+            yield Changes({self._container: lambda: head}, (), len(head))
+        self._told = self._journal.version
+        gone = [id for version, id in self._gone if version > after]
+        yield from self._parts(self._journal.after(after), gone)
+
+    def _parts(self, fresh: Sequence[Entry], gone: Sequence[str]) -> Iterator[Changes]:
+        if gone:
+            urls = [self._space.activity(id) for id in gone]
+            edit = Edit(self._container, removed="".join(map(self._line, urls)))
+            yield Changes(dict.fromkeys(urls), (edit,), len(edit.removed))
+        for start in range(0, len(fresh), _PAGE):
+            page = {self._space.activity(entry.id): entry for entry in fresh[start : start + _PAGE]}
+            edit = Edit(self._container, added="".join(map(self._line, page)))
+            graphs = {url: partial(_text, entry, self._space) for url, entry in page.items()}
+            yield Changes(graphs, (edit,), len(edit.added) + _SIZE * len(page))
+
+    def _line(self, url: str) -> str:
+        return f"<{self._container}> {ldp.contains} <{url}> .\n"
+
+    def _dropped(self, entry: Entry) -> None:
+        if entry.number <= self._told:
+            self._gone.append((self._journal.version, entry.id))
+
+
+def _text(entry: Entry, space: Space) -> str:
+    return serialize(activity_document(entry.receipt, space), Syntax.N_TRIPLES).decode()

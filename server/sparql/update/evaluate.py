@@ -1,0 +1,264 @@
+"""Drawing: what operations make of the graphs they touch, on a canvas beside the dataset. Nothing else changes.
+
+Each operation sees what those before it have done; what comes out is the net effect, one change a graph.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple, TypeAlias
+
+import pyoxigraph
+from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Triple
+
+from rosld.server.dataset.base import Term
+from rosld.server.dataset.encoding import encode_literal
+from rosld.server.http.problem import Problem
+from rosld.server.sparql.update.operations import (
+    Hole,
+    Load,
+    Manage,
+    Modify,
+    Operation,
+    QuadTemplate,
+    Several,
+    Verb,
+    Where,
+)
+
+MOST_ROWS = 100_000
+"""Solutions that one WHERE may have."""
+
+Row: TypeAlias = "tuple[Term | None, ...]"
+Ask: TypeAlias = Callable[[Where], Iterable[Row]]
+"""The solutions of a WHERE, its holes in their order; for one without holes a row of nothing, if it holds."""
+Look: TypeAlias = "Callable[[str], Sequence[Triple] | None]"
+"""The triples of a graph before all operations, None where there is no such graph."""
+
+
+class GraphChange(NamedTuple):
+    """What becomes of a graph, which may not have been there before; `after` None: it is there no more."""
+
+    graph: str
+    was_there: bool
+    after: tuple[Triple, ...] | None
+
+
+class Canvas:
+    """Graphs being changed, as copies; and with them those of a `dataset` that is thrown away afterwards, if given."""
+
+    def __init__(self, look: Look, dataset: pyoxigraph.Store | None = None) -> None:
+        self._look = look
+        self._dataset = dataset
+        self._before: dict[str, Sequence[Triple] | None] = {}
+        self._now: dict[str, dict[Triple, None] | None] = {}
+
+    def is_there(self, graph: str) -> bool:
+        """Whether there is such a graph by now."""
+        return self._touched(graph) is not None
+
+    def remove(self, quads: Iterable[Quad]) -> None:
+        """Take quads away, as far as they are there."""
+        for quad in quads:
+            triples = self._touched(_name(quad))
+            if triples is not None:
+                triples.pop(quad.triple, None)
+            if self._dataset is not None:
+                self._dataset.remove(_stored(quad))
+
+    def insert(self, quads: Iterable[Quad]) -> None:
+        """Add quads, and with them graphs that were not there."""
+        for quad in quads:
+            self.make(_name(quad))[quad.triple] = None
+            if self._dataset is not None:
+                self._dataset.add(_stored(quad))
+
+    def quads(self, graph: str) -> list[Quad]:
+        """The quads of a graph as it is by now."""
+        name = NamedNode(graph)
+        return [Quad(each.subject, each.predicate, each.object, name) for each in self._touched(graph) or ()]
+
+    def make(self, graph: str) -> dict[Triple, None]:
+        """The triples of a graph, which is there from now on."""
+        triples = self._touched(graph)
+        if triples is None:
+            triples = self._now[graph] = {}
+        return triples
+
+    def drop(self, graph: str) -> None:
+        """No such graph any more."""
+        self.remove(self.quads(graph))
+        self._now[graph] = None
+
+    def changes(self) -> tuple[GraphChange, ...]:
+        """The graphs that are others than they were, in the order in which they were touched."""
+        found = []
+        for graph, before in self._before.items():
+            now = self._now[graph]
+            if (before is None) != (now is None) or (
+                before is not None and now is not None and now.keys() != {*before}
+            ):
+                found.append(GraphChange(graph, before is not None, None if now is None else tuple(now)))
+        return tuple(found)
+
+    def _touched(self, graph: str) -> dict[Triple, None] | None:
+        if graph not in self._before:
+            found = self._before[graph] = self._look(graph)
+            self._now[graph] = None if found is None else dict.fromkeys(found)
+        return self._now[graph]
+
+
+def _stored(quad: Quad) -> Quad:
+    """The quad with its object as a dataset stores it."""
+    if not isinstance(quad.object, Literal):
+        return quad
+    return Quad(quad.subject, quad.predicate, encode_literal(quad.object), quad.graph_name)
+
+
+def _name(quad: Quad) -> str:
+    assert isinstance(quad.graph_name, NamedNode)
+    return quad.graph_name.value
+
+
+def draw(operations: Sequence[Operation], canvas: Canvas, ask: Ask) -> None:
+    """Carry operations out on a canvas. Raises Problems for what cannot be done as they say, whatever the graphs are.
+
+    `ask` answers over the dataset as the canvas has it by then, which is the dataset as it was before the first
+    operation that changes anything, unless the canvas is the dataset (`asks_again`).
+    """
+    for operation in operations:
+        match operation:
+            case Modify():
+                _modify(operation, canvas, ask)
+            case Manage():
+                _manage(operation, canvas)
+            case Load():
+                raise ValueError(f"what {operation.document} says must be loaded before it is drawn")
+
+
+def asks_again(operations: Sequence[Operation]) -> bool:
+    """Whether a WHERE comes after another operation, so that it must see what that has done."""
+    return any(isinstance(each, Modify) and each.where is not None for each in operations[1:])
+
+
+def copies(operations: Sequence[Operation]) -> bool:
+    """Whether one graph is copied to another."""
+    return any(isinstance(each, Manage) and each.source is not None for each in operations)
+
+
+def graphs_named(operations: Sequence[Operation]) -> frozenset[str]:
+    """The graphs that operations change, or take triples from, by their names."""
+    return frozenset(_named(operations))
+
+
+def _named(operations: Sequence[Operation]) -> Iterator[str]:
+    for operation in operations:
+        match operation:
+            case Modify(deletes, inserts):
+                for quad in (*deletes, *inserts):
+                    if isinstance(quad.graph, NamedNode):
+                        yield quad.graph.value
+            case Manage(target=target, source=source):
+                yield from (each for each in (target, source) if isinstance(each, str))
+            case Load(into=str() as into):
+                yield into
+
+
+# Modify
+
+
+def _modify(operation: Modify, canvas: Canvas, ask: Ask) -> None:
+    for quad in (*operation.deletes, *operation.inserts):
+        if quad.graph is None:
+            raise Problem(
+                422, "The default graph is the union of all graphs: name the graph of each triple, by GRAPH or WITH."
+            )
+    where = operation.where
+    holes = () if where is None else where.holes
+    rows = [()] if where is None else list(_bounded(ask(where)))
+    removed = [quad for row in rows for quad in filled(operation.deletes, dict(zip(holes, row, strict=True)))]
+    added = [quad for row in rows for quad in filled(operation.inserts, dict(zip(holes, row, strict=True)))]
+    canvas.remove(dict.fromkeys(removed))
+    canvas.insert(dict.fromkeys(added))
+
+
+def _bounded(rows: Iterable[Row]) -> Iterator[Row]:
+    for number, row in enumerate(rows):
+        if number == MOST_ROWS:
+            raise Problem(422, f"A WHERE has more than {MOST_ROWS} solutions, which is the most here: change less.")
+        yield row
+
+
+def filled(quads: Sequence[QuadTemplate], values: Mapping[str, Term | None]) -> Iterator[Quad]:
+    """The quads of one solution; those with something unbound, or that cannot be, are left out (3.1.3)."""
+    blank: dict[BlankNode, BlankNode] = {}
+
+    def filled(slot: object) -> object:
+        if isinstance(slot, Hole):
+            return values[slot.name]
+        if isinstance(slot, BlankNode):
+            return blank.setdefault(slot, BlankNode())
+        return slot
+
+    for quad in quads:
+        subject, predicate, object, graph = map(filled, quad)
+        if (
+            isinstance(subject, NamedNode | BlankNode)
+            and isinstance(predicate, NamedNode)
+            and isinstance(object, NamedNode | BlankNode | Literal)
+            and isinstance(graph, NamedNode)
+        ):
+            yield Quad(subject, predicate, object, graph)
+
+
+# Manage
+
+
+def _manage(operation: Manage, canvas: Canvas) -> None:
+    verb, target, source = operation.verb, operation.target, operation.source
+    if isinstance(target, Several) or isinstance(source, Several):
+        if operation.silent:
+            return
+        raise _several(operation)
+    if verb is Verb.CREATE:
+        if canvas.is_there(target) and not operation.silent:
+            raise Problem(409, f"CREATE: there is a graph {target} already.")
+        canvas.make(target)
+    elif source is None:
+        if not canvas.is_there(target):
+            _missing(operation, target)
+        elif verb is Verb.DROP:
+            canvas.drop(target)
+        else:
+            canvas.remove(canvas.quads(target))
+    elif not canvas.is_there(source):
+        _missing(operation, source)
+    elif source != target:
+        _copy(verb, source, target, canvas)
+
+
+def _copy(verb: Verb, source: str, target: str, canvas: Canvas) -> None:
+    # What it needs has threads of its own, which the query process must not have: copies are drawn in forks of it.
+    from rosld.server.sparql.update.copying import unmanaged_triples
+
+    triples = unmanaged_triples(source, [quad.triple for quad in canvas.quads(source)])
+    if verb is not Verb.ADD:
+        canvas.remove(canvas.quads(target))
+    name = NamedNode(target)
+    canvas.make(target)
+    canvas.insert(Quad(each.subject, each.predicate, each.object, name) for each in triples)
+    if verb is Verb.MOVE:
+        canvas.drop(source)
+
+
+def _missing(operation: Manage, graph: str) -> None:
+    if not operation.silent:
+        raise Problem(409, f"{operation.verb.value}: there is no graph {graph}.")
+
+
+def _several(operation: Manage) -> Problem:
+    several = next(each for each in (operation.target, operation.source) if isinstance(each, Several))
+    if several is Several.DEFAULT:
+        return Problem(422, f"{operation.verb.value} DEFAULT: the default graph is the union of all graphs; name one.")
+    words = f"{operation.verb.value} {several.value} would take the robot's own graphs with it: name the graphs."
+    return Problem(403, words)

@@ -1,0 +1,107 @@
+"""The drawer: has updates drawn in the query process, over a dataset synchronised as for a query."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+from rosld.server.sparql.analysis import Analyser, Analysis
+from rosld.server.sparql.endpoint import QueryService
+from rosld.server.sparql.materializer import Seen
+from rosld.server.sparql.needs import Demand, Needs
+from rosld.server.sparql.process.work import Ask, Work, drawn, to_draw
+from rosld.server.sparql.update.evaluate import GraphChange, graphs_named
+from rosld.server.sparql.update.operations import Modify, Operation, Where
+
+_INLINE = 1000
+"""Quads of an update that are packed on the loop."""
+_INLINE_BYTES = 128 * 1024
+"""Bytes of what an update comes to that are read on the loop."""
+
+
+class Drawn(NamedTuple):
+    """What operations come to. It holds for as long as the graphs with live values in `seen` have these tokens, and
+
+    what clients keep of the graphs that change is not of a later version than `kept`. Those in `named` it names.
+    """
+
+    changes: tuple[GraphChange, ...]
+    seen: Mapping[str, Hashable]
+    kept: int
+    named: frozenset[str]
+
+
+class _Asked(NamedTuple):
+    """A WHERE: what it needs, and the only graphs that it can look at, None for all."""
+
+    where: Where
+    analysis: Analysis
+    needs: Needs
+    scope: frozenset[str] | None
+
+
+class Drawer:
+    """Draws updates. Belongs to one loop."""
+
+    def __init__(self, service: QueryService, analyser: Analyser) -> None:
+        self._service = service
+        self._analyser = analyser
+
+    async def draw(self, operations: Sequence[Operation], more: frozenset[str] = frozenset()) -> Drawn:
+        """What operations come to now; `more` are graphs whose values are to be there beside those they name.
+
+        Raises Problems as a query does, and those of `drawing.draw`.
+        """
+        asked = [self._asked(each) for each in _wheres(operations)]
+        graphs = graphs_named(operations) | more
+        needs = _together(asked, graphs)
+        templates = sum(len(each.inserts) + len(each.deletes) for each in operations if isinstance(each, Modify))
+
+        async def prepare() -> Work:
+            queries = [self._ask(one.where) for one in asked]
+            if templates > _INLINE:
+                return await asyncio.to_thread(to_draw, operations, queries)
+            return to_draw(operations, queries)
+
+        result, seen = await self._service.over(needs, _scope(asked, graphs), prepare)
+        changes = drawn(result) if len(result) <= _INLINE_BYTES else await asyncio.to_thread(drawn, result)
+        return Drawn(changes, _read(needs, seen), seen.kept, graphs | needs.documents)
+
+    def _asked(self, where: Where) -> _Asked:
+        analysis = self._analyser.analyse(where.query)
+        graphs = where.default_graphs + where.named_graphs
+        needs = analysis.needs.within(graphs) if graphs else analysis.needs
+        scope = frozenset(graphs) if graphs else analysis.enclosed
+        return _Asked(where, analysis, needs, scope if where.home is None else None)
+
+    def _ask(self, where: Where) -> Ask:
+        query = self._service.prepared(where.query, where.default_graphs, where.named_graphs)
+        return Ask(where, query, None if where.home is None else self._service.prepared(where.home.query))
+
+
+def _wheres(operations: Sequence[Operation]) -> Iterator[Where]:
+    return (each.where for each in operations if isinstance(each, Modify) and each.where is not None)
+
+
+def _scope(asked: Sequence[_Asked], graphs: frozenset[str]) -> frozenset[str] | None:
+    """The only graphs that an update can look at; None for all."""
+    scopes = [one.scope for one in asked]
+    return None if None in scopes else graphs.union(*(scope for scope in scopes if scope is not None))
+
+
+def _together(asked: Sequence[_Asked], graphs: frozenset[str]) -> Needs:
+    demands = [demand for one in asked for demand in one.needs.demands]
+    if graphs:
+        demands.append(Demand(graphs, parameters=True))
+    documents = graphs.union(*(one.needs.documents for one in asked))
+    return Needs(tuple(dict.fromkeys(demands)), documents, frozenset().union(*(one.needs.terms for one in asked)))
+
+
+def _read(needs: Needs, seen: Seen) -> Mapping[str, Hashable]:
+    """The tokens of the graphs that may have been read."""
+    named = needs.graphs
+    if named is None:
+        return seen.tokens
+    known = named | needs.documents
+    return {graph: token for graph, token in seen.tokens.items() if graph in known}

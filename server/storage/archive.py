@@ -1,0 +1,336 @@
+"""An archive: all records and their blobs as one compressed tar file, which people can read and other programs too.
+
+    rosld.json      the format, and the base URL that the records belong to
+    records.jsonl   one record a line, containers before their members
+    gone.jsonl      the paths of what was removed, one a line
+    blobs/ID        the bytes of the non-RDF sources
+
+`pack` writes what was there at one moment, whatever is written meanwhile; `Unpacking` reads it and checks everything.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import io
+import json
+import re
+import shutil
+import sqlite3
+import tarfile
+import tempfile
+import time
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import IO, NamedTuple, cast
+
+import pyoxigraph
+
+from rosld.server.storage import packing
+from rosld.server.storage.blobs import ID, Blobs
+from rosld.server.storage.ledger import Busy, Entry, Ledger, failure
+from rosld.server.storage.paths import check, container_of
+from rosld.server.storage.record import NO_MEMBER, Blob, Membership, Model, Put, Record, StorageError
+from rosld.server.storage.sqlite import BLOBS, DATABASE, connect
+
+FORMAT = 1
+_ABOUT, _RECORDS, _GONE = "rosld.json", "records.jsonl", "gone.jsonl"
+_COMPRESSION = 4
+_SMALL = 64 * 1024
+_MOST = 1 << 62
+_PATH = re.compile(r"(?:[A-Za-z0-9._~!$&'()*+,;=:@/-]|%[0-9A-Fa-f]{2})+")
+_IRI = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:[^\x00-\x20<>\"{}|\\^`]*")
+_MEDIA_TYPE = re.compile(r"[\x20-\x7e]{1,1000}")
+
+
+class Packed(NamedTuple):
+    """How much an archive holds."""
+
+    records: int
+    blobs: int
+
+
+def pack(folder: Path, file: IO[bytes], base: str) -> Packed:
+    """Write the records of a folder, whether a server runs on it or not. Raises ValueError, OSError, StorageError."""
+    if not (folder / DATABASE).is_file():
+        raise ValueError(f"{folder} holds no records ({DATABASE} is missing)")
+    blobs = Blobs(folder / BLOBS, durable=True)
+    with (
+        contextlib.closing(blobs),
+        blobs.still(),
+        tempfile.TemporaryFile() as records,
+        tempfile.TemporaryFile() as gone,
+    ):
+        ids = list[str]()
+        count = 0
+        for entry in _snapshot(folder, gone):
+            count += 1
+            records.write(_line(_entry_json(entry)))
+            if entry.record.blob is not None:
+                ids.append(entry.record.blob.id)
+        about = {"format": FORMAT, "base": base, "records": count, "blobs": len(ids)}
+        # No times and no names of this machine: the same records give the same bytes.
+        with (
+            gzip.GzipFile("", "wb", _COMPRESSION, file, mtime=0) as compressed,
+            tarfile.open(fileobj=cast("IO[bytes]", compressed), mode="w|", format=tarfile.PAX_FORMAT) as tar,
+        ):
+            _add(tar, _ABOUT, io.BytesIO(_line(about)))
+            _add(tar, _RECORDS, records)
+            _add(tar, _GONE, gone)
+            for id in ids:
+                with blobs.path(id).open("rb") as blob:
+                    _add(tar, f"blobs/{id}", blob)
+    return Packed(count, len(ids))
+
+
+def _snapshot(folder: Path, gone: IO[bytes]) -> Iterator[Entry]:
+    """All entries as they are at one moment; at the end the paths of what is gone then are in `gone`."""
+    try:
+        with contextlib.closing(connect(folder)) as connection:
+            ledger = Ledger(connection)
+            connection.execute("BEGIN")
+            yield from ledger.entries()
+            for path in ledger.gone():
+                gone.write(_line(path))
+            connection.execute("ROLLBACK")
+    except sqlite3.Error as error:
+        raise failure(error) from error
+
+
+class Unpacking:
+    """An archive that is read from its beginning: first `base` is known, then `into` does it."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        """Raises ValueError for what is no archive of this format."""
+        with _sound():
+            self._file = gzip.GzipFile(fileobj=file, mode="rb")
+            self._tar = tarfile.open(  # noqa: SIM115 - it is read as long as this lives
+                fileobj=cast("IO[bytes]", self._file), mode="r|"
+            )
+            about = json.loads(self._member(_ABOUT).read(_SMALL))
+            if not isinstance(about, dict) or not isinstance(about.get("base"), str):
+                raise ValueError(f"{_ABOUT} names no base")
+        if about.get("format") != FORMAT:
+            raise ValueError(
+                f"the dump has the format {about.get('format')}, this rosld knows {FORMAT}: use a newer one"
+            )
+        self.base: str = about["base"]
+        """The base URL that the records belong to."""
+
+    def into(self, folder: Path, base: str) -> tuple[Packed, list[str]]:
+        """Put what the archive holds in place of all records of a folder, in one transaction.
+
+        Where the base is another one every IRI is rewritten. A server may run on the folder: it notices. Returns the
+        ids of the blobs that nothing refers to any more, to be removed when nobody reads them. Raises ValueError where
+        the archive is not sound, OSError or StorageError where it cannot be kept, with nothing changed.
+        """
+        blobs = Blobs(folder / BLOBS, durable=True)
+        new = dict[str, str]()
+        with (
+            contextlib.closing(blobs),
+            blobs.still(),
+            contextlib.closing(connect(folder)) as connection,
+            tempfile.TemporaryFile() as records,
+        ):
+            try:
+                with _sound():
+                    count, sizes, gone = self._checked(records)
+                    self._blobs(sizes, new, blobs)
+                    moved = _Moved(self.base, base, new)
+                    freed = _replace_all(connection, (moved.entry(_entry(line)) for line in records), gone)
+            except BaseException:
+                for id in new.values():
+                    blobs.discard(id)
+                raise
+        return Packed(count, len(new)), freed
+
+    def _checked(self, records: IO[bytes]) -> tuple[int, dict[str, int], list[str]]:
+        """Copies and checks the records: how many, the sizes of blobs by id, the paths that are gone."""
+        shutil.copyfileobj(self._member(_RECORDS), records)
+        records.seek(0)
+        count, sizes = 0, dict[str, int]()
+        for line in records:
+            _check(_entry(line).record, sizes)
+            count += 1
+        records.seek(0)
+        return count, sizes, [_path(json.loads(line)) for line in self._member(_GONE)]
+
+    def _member(self, name: str) -> IO[bytes]:
+        """The next member of the archive, which must be this one."""
+        member = self._tar.next()
+        file = self._tar.extractfile(member) if member is not None and member.name == name and member.isreg() else None
+        if file is None:
+            raise ValueError(f"{name} is missing at its place")
+        return file
+
+    def _blobs(self, sizes: Mapping[str, int], new: dict[str, str], blobs: Blobs) -> None:
+        """Write every blob under a new id; `new` has them by their old ids."""
+        for id, size in sizes.items():
+            file = self._member(f"blobs/{id}")
+            new[id] = blobs.add(file, size)
+        if self._tar.next() is not None:
+            raise ValueError("something follows its last file")
+        while self._file.read(_SMALL):  # to its end, where its checksum is
+            pass
+        blobs.sync()
+
+
+class _Moved:
+    """Entries with their blobs' new ids, and where the base is another one with its IRIs rewritten."""
+
+    def __init__(self, old: str, new: str, blobs: Mapping[str, str]) -> None:
+        self._blobs = blobs
+        self._old, self._new = old, new
+        self._token = re.compile(rb'"(?:[^"\\]|\\.)*"|<' + re.escape(old.encode()))
+
+    def entry(self, entry: Entry) -> Entry:
+        record, blob = entry.record, entry.record.blob
+        if blob is not None:
+            record = replace(record, blob=replace(blob, id=self._blobs[blob.id]))
+        return Entry(entry.number, record if self._old == self._new else self._rewritten(record))
+
+    def _rewritten(self, record: Record) -> Record:
+        membership = record.membership
+        if membership is not None:
+            membership = Membership(
+                self._iri(membership.resource),
+                self._iri(membership.relation),
+                membership.inverse,
+                membership.content and self._iri(membership.content),
+            )
+        begins = b"<" + self._new.encode()
+        said = packing.unpack(record.triples)
+        triples = packing.pack(self._token.sub(lambda found: begins if found[0][:1] == b"<" else found[0], said))
+        member = record.member and self._iri(record.member)
+        return replace(record, triples=triples, member=member, membership=membership)
+
+    def _iri(self, iri: str) -> str:
+        return self._new + iri[len(self._old) :] if iri.startswith(self._old) else iri
+
+
+def _replace_all(connection: sqlite3.Connection, entries: Iterable[Entry], gone: Iterable[str]) -> list[str]:
+    """Put entries in place of all records; the blobs set free."""
+    connection.execute("PRAGMA synchronous = FULL")
+    ledger = Ledger(connection)
+    try:
+        ledger.begin()
+        freed = ledger.restore(entries, gone, time.time_ns())
+        ledger.commit()
+    except sqlite3.Error as error:
+        raise failure(error) from error
+    except Busy as error:
+        raise StorageError("Something else is writing to these records for too long: try again.") from error
+    finally:
+        ledger.rollback()
+    return freed
+
+
+def _entry_json(entry: Entry) -> dict[str, object]:
+    record = entry.record
+    told: dict[str, object] = {
+        "number": entry.number,
+        "path": record.path,
+        "model": record.model.value,
+        "created": record.created_ns,
+        "modified": record.modified_ns,
+        "triples": packing.unpack(record.triples).decode("utf-8", "surrogateescape"),
+    }
+    if record.member is not None:
+        told["member"] = record.member
+    if record.blob is not None:
+        told["blob"] = asdict(record.blob)
+    if record.membership is not None:
+        told["membership"] = asdict(record.membership)
+    return told
+
+
+def _entry(line: bytes) -> Entry:
+    """The entry on a line. Raises what reading something else raises: ValueError, KeyError, TypeError."""
+    told = json.loads(line)
+    number, created, modified = told["number"], told["created"], told["modified"]
+    if not all(type(value) is int and 0 < value < _MOST for value in (number, created, modified)):
+        raise ValueError(f"{told['path']!r} has no sound number or time")
+    blob, membership = told.get("blob"), told.get("membership")
+    record = Record(
+        _path(told["path"]),
+        Model(told["model"]),
+        0,
+        created,
+        modified,
+        packing.pack(told["triples"].encode("utf-8", "surrogateescape")),
+        None if blob is None else _blob(blob),
+        None if membership is None else _membership(membership),
+        None if told.get("member") is None else _member(told["member"]),
+    )
+    return Entry(number, record)
+
+
+def _blob(told: Mapping[str, object]) -> Blob:
+    size = told["size"]
+    if type(size) is not int or not 0 <= size < _MOST:
+        raise ValueError(f"{size!r} is no size")
+    return Blob(_matched(ID, told["id"], "an id"), size, _matched(_MEDIA_TYPE, told["media_type"], "a media type"))
+
+
+def _member(told: object) -> str:
+    return NO_MEMBER if told == NO_MEMBER else _matched(_IRI, told, "an IRI")
+
+
+def _membership(told: Mapping[str, object]) -> Membership:
+    content = told["content"]
+    return Membership(
+        _matched(_IRI, told["resource"], "an IRI"),
+        _matched(_IRI, told["relation"], "an IRI"),
+        told["inverse"] is True,
+        None if content is None else _matched(_IRI, content, "an IRI"),
+    )
+
+
+def _check(record: Record, sizes: dict[str, int]) -> None:
+    """Raises ValueError for a record that cannot be; notes the size of its blob."""
+    check(Put(record.path, record.model, blob=record.blob, membership=record.membership))
+    if not container_of(record.path) and record.model is not Model.BASIC_CONTAINER:
+        raise ValueError(f"{record.path} is in no container")
+    try:
+        for _ in pyoxigraph.parse(packing.unpack(record.triples), pyoxigraph.RdfFormat.N_TRIPLES, lenient=True):
+            pass
+    except SyntaxError as error:
+        raise ValueError(f"the triples of {record.path} are no N-Triples: {error}") from error
+    if record.blob is not None:
+        if record.blob.id in sizes:
+            raise ValueError(f"two records have the file {record.blob.id}")
+        sizes[record.blob.id] = record.blob.size
+
+
+def _path(value: object) -> str:
+    return _matched(_PATH, value, "a path")
+
+
+def _matched(pattern: re.Pattern[str], value: object, what: str) -> str:
+    if not isinstance(value, str) or pattern.fullmatch(value) is None:
+        raise ValueError(f"{value!r} is not {what}")
+    return value
+
+
+def _line(value: object) -> bytes:
+    return json.dumps(value, separators=(",", ":")).encode() + b"\n"
+
+
+def _add(tar: tarfile.TarFile, name: str, file: IO[bytes]) -> None:
+    member = tarfile.TarInfo(name)
+    member.size = file.seek(0, io.SEEK_END)
+    file.seek(0)
+    tar.addfile(member, file)
+
+
+@contextlib.contextmanager
+def _sound() -> Iterator[None]:
+    """Turns what reading a broken archive raises into a ValueError that says so."""
+    try:
+        yield
+    except (tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"this is no whole dump of rosld: {error or type(error).__name__}") from error
+    except ValueError as error:
+        raise ValueError(f"this is no sound dump of rosld: {error}") from error

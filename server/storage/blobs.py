@@ -1,0 +1,217 @@
+"""Blobs: a folder of files, each named by a random id, written once and never changed.
+
+A file is there whole and durably before a record refers to it, and is removed only after no record that a crash could
+bring back refers to it. Whoever reads a snapshot of the records keeps all files still meanwhile.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import os
+import re
+import secrets
+import shutil
+from collections.abc import AsyncIterator, Callable, Collection, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from rosld.server.storage.lock import Lock
+from rosld.server.storage.record import StorageError
+
+ID = re.compile(r"[0-9a-f]{32}")
+_PART = ".part"
+_AT_ONCE = 256 * 1024
+"""Bytes up to which a file is written without asking another thread."""
+
+
+class Blobs:
+    """The files in a folder. `durable`: what `receive` returns survives a crash of the machine."""
+
+    def __init__(self, folder: Path, *, durable: bool) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = folder
+        self._durable = durable
+        self._lock = Lock(folder.parent / f"{folder.name}.lock") if durable else None
+
+    def path(self, id: str) -> Path:
+        """Where the file of a blob is."""
+        return self._folder / id
+
+    async def receive(self, chunks: AsyncIterator[bytes], most: int) -> tuple[str, int]:
+        """Write a new file from what comes; its id and its size. Raises ValueError beyond `most` bytes, StorageError.
+
+        What was written of a file that fails, or that nobody waits for any more, is removed.
+        """
+        id = secrets.token_hex(16)
+        part = self._folder / (id + _PART)
+        try:
+            with _told():
+                file = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+            try:
+                size = await _fill(file, chunks, most)
+                await self._settle(file, part, self.path(id))
+            finally:
+                os.close(file)
+        except BaseException:
+            _unlink(part)
+            _unlink(self.path(id))
+            raise
+        return id, size
+
+    async def _settle(self, file: int, part: Path, path: Path) -> None:
+        def settle() -> None:
+            os.fsync(file)
+            part.rename(path)
+            sync_folder(self._folder)
+
+        with _told():
+            if self._durable:
+                await _finished(settle)
+            else:
+                os.rename(part, path)  # noqa: PTH104 - as quick as the thread would be to begin
+
+    def add(self, file: IO[bytes], size: int) -> str:
+        """Copy a file that must hold so many bytes: the id of the copy, whose name is durable after `sync`."""
+        id = secrets.token_hex(16)
+        path = self.path(id)
+        try:
+            with path.open("xb") as copy:
+                shutil.copyfileobj(file, copy, _AT_ONCE)
+                copy.flush()
+                os.fsync(copy.fileno())
+                written = copy.tell()
+            if written != size:
+                raise ValueError(f"a file holds {written} bytes, not {size}")
+        except BaseException:
+            _unlink(path)
+            raise
+        return id
+
+    def sync(self) -> None:
+        """The names of all files are durable."""
+        sync_folder(self._folder)
+
+    def remove(self, ids: Collection[str]) -> bool:
+        """Remove files, unless somebody keeps them still; whether that was so."""
+        with self.unless_still() as free:
+            if free:
+                for id in ids:
+                    _unlink(self.path(id))
+        return free
+
+    def discard(self, id: str) -> None:
+        """Remove a file that no record has ever referred to."""
+        _unlink(self.path(id))
+
+    def sweep(self, used: Callable[[], Collection[str]]) -> None:
+        """Remove what an earlier process left behind: all files but those `used` tells of."""
+        with self.unless_still() as free:
+            if free:
+                keep = used()
+                for path in self._folder.iterdir():
+                    if path.name not in keep and ID.fullmatch(path.name.removesuffix(_PART)):
+                        _unlink(path)
+
+    @contextmanager
+    def unless_still(self) -> Iterator[bool]:
+        """Within it no other process reads or replaces all records, where it yields True."""
+        if self._lock is None:
+            yield True
+            return
+        free = self._lock.take()
+        try:
+            yield free
+        finally:
+            if free:
+                self._lock.give_back()
+
+    @contextmanager
+    def still(self) -> Iterator[None]:
+        """Within it no process removes a file. Waits while one does."""
+        if self._lock is None:
+            yield
+            return
+        self._lock.take(shared=True, wait=True)
+        try:
+            yield
+        finally:
+            self._lock.give_back()
+
+    def close(self) -> None:
+        """Let go of the folder."""
+        if self._lock is not None:
+            self._lock.close()
+
+
+def sync_folder(folder: Path) -> None:
+    """The names in a folder are durable."""
+    handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def failure(error: OSError) -> StorageError:
+    """What a failed write of a file means."""
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+    words = error.strerror or str(error)
+    return StorageError(f"The file could not be kept: {words}.", full=full)
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """Turns what the disk refuses into a StorageError."""
+    try:
+        yield
+    except OSError as error:
+        raise failure(error) from error
+
+
+async def _fill(file: int, chunks: AsyncIterator[bytes], most: int) -> int:
+    """Write what comes; its size. What `chunks` raises is raised as it is."""
+    size, held, waiting = 0, 0, list[bytes]()
+    async for chunk in chunks:
+        size += len(chunk)
+        if size > most:
+            raise ValueError(f"more than {most} bytes were sent")
+        waiting.append(chunk)
+        held += len(chunk)
+        if held > _AT_ONCE:
+            with _told():
+                await _finished(_write, file, waiting)
+            held, waiting = 0, []
+    with _told():
+        _write(file, waiting)
+    return size
+
+
+async def _finished(work: Callable[..., None], *arguments: object) -> None:
+    """Do it in another thread, to its end even where nobody waits any more: it holds a file that is closed next."""
+    doing = asyncio.get_running_loop().run_in_executor(None, work, *arguments)
+    cancelled: asyncio.CancelledError | None = None
+    while not doing.done():
+        try:
+            await asyncio.shield(doing)
+        except asyncio.CancelledError as error:
+            cancelled = error
+        except OSError:
+            break
+    if cancelled is not None:
+        doing.exception()  # looked at, so that nobody complains of it
+        raise cancelled
+    doing.result()
+
+
+def _write(file: int, chunks: Iterable[bytes]) -> None:
+    data = memoryview(b"".join(chunks))
+    while data:
+        data = data[os.write(file, data) :]
+
+
+def _unlink(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        path.unlink()

@@ -1,0 +1,231 @@
+"""Durability: one thread that waits for the disk, for as many writes at a time as have come meanwhile.
+
+SQLite has written them to its log (in WAL mode, without waiting), so they survive the end of the process already. They
+are acknowledged once the log has reached the disk, and what they set free is removed only then. After a sync that
+failed nothing is: the log is cut back to what was synced before, opened anew and carried over first (`log.py`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import sqlite3
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from rosld.server.storage.blobs import Blobs, failure
+from rosld.server.storage.ledger import is_full
+from rosld.server.storage.log import Log, Reach, carry_over, close_as_it_is, cut
+from rosld.server.storage.record import StorageError
+from rosld.server.storage.reserve import Reserve
+
+_log = logging.getLogger("rosld")
+
+LOG_BYTES = 8 * 1024 * 1024
+"""How large the log grows before it is carried over into the database."""
+_RETRY = 0.5
+"""Seconds until files that somebody keeps still are looked at again."""
+_BUSY_SECONDS = 0.05
+"""Seconds to wait for readers when the log is to begin anew: no one can write meanwhile."""
+_sync = getattr(os, "fdatasync", os.fsync)
+
+
+class Durability:
+    """Belongs to one loop. `database` is open elsewhere, with a log that was just carried over."""
+
+    def __init__(self, database: Path, blobs: Blobs, reserve: Reserve) -> None:
+        self._log = Log(database)
+        self._reached = self._written = self._log.reach()
+        self._cut: Reach | None = None
+        self.failure: StorageError | None = None
+        """Why nothing can be acknowledged before `reopen` was successful."""
+        self._database = database
+        self._blobs = blobs
+        self._reserve = reserve
+        self._is_short = False
+        self._at_work = threading.Lock()
+        """Held while the thread is at the disk."""
+        self._changed = threading.Condition()
+        self._waiting: list[asyncio.Future[None]] = []
+        self._freed: list[str] = []
+        self._kept_still: list[str] = []
+        self._ended = False
+        self._carry_at = LOG_BYTES
+        self._thread = threading.Thread(target=self._work, name="records", daemon=True)
+        self._thread.start()
+
+    def reached(self, freed: list[str]) -> asyncio.Future[None]:
+        """Done when everything written until now is on the disk; then these blobs are removed. Raises StorageError."""
+        future = asyncio.get_running_loop().create_future()
+        self._written = self._log.reach()
+        with self._changed:
+            self._waiting.append(future)
+            self._freed += freed
+            self._changed.notify()
+        return future
+
+    async def close(self) -> None:
+        """Finish what is waited for. Idempotent."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify()
+        await asyncio.to_thread(self._thread.join)
+
+    def closed(self) -> None:
+        """Let go of the files: the database is not open any more. Idempotent."""
+        self._log.close()
+
+    def make_room(self, *, last: bool) -> None:
+        """Where the disk is full: give back what the log takes, and if it is the `last` resort what is set aside."""
+        with self._at_work:
+            self._is_short = True
+            self._carry_over()
+            if last:
+                self._reserve.release()
+
+    def works(self) -> bool:
+        """Whether the disk syncs again; it says nothing of what it failed to sync before."""
+        with self._at_work:
+            try:
+                _sync(self._log.fileno())
+            except OSError:
+                return False
+        return True
+
+    def reopen(self, connection: sqlite3.Connection, connect: Callable[[], sqlite3.Connection]) -> sqlite3.Connection:
+        """Open the database anew without what was not synced; `failure` is None then, and why not otherwise.
+
+        `connection` must be the only one of this process; the one returned may be read in any case. Raises ValueError
+        where there is none.
+        """
+        with self._at_work, self._blobs.unless_still() as alone:
+            if not alone:
+                self.failure = StorageError(
+                    f"{self.failure} The log is opened anew when `rosld dump` or load has ended."
+                )
+                return connection
+            try:
+                close_as_it_is(self._database, connection)
+            except sqlite3.Error as error:
+                return self._not_reopened(error, connection)
+            self._log.close()
+            wrong: Exception | None = None
+            try:
+                if self._cut is not None:
+                    cut(self._database, self._cut)
+            except OSError as error:
+                wrong = error
+            connection = connect()
+            self._log = Log(self._database)
+            if wrong is not None:
+                return self._not_reopened(wrong, connection)
+            self._look_for_losses()
+            try:
+                if not carried_over(connection, self._reserve):
+                    raise sqlite3.OperationalError("something else reads the database")
+            except sqlite3.Error as error:
+                if self._cut is None or not is_full(error):  # what was not cut off is on the disk
+                    return self._not_reopened(error, connection)
+            self._reached = self._written = self._log.reach()
+            self._cut = self.failure = None
+            return connection
+
+    def _look_for_losses(self) -> None:
+        found, kept = self._log.reach(), self._cut
+        if kept is not None and found.salt == kept.salt and found.frames < kept.frames:
+            lost = kept.frames - found.frames
+            _log.critical("the disk has lost the last %d pages that it had taken: what they held is gone", lost)
+
+    def _not_reopened(self, error: Exception, connection: sqlite3.Connection) -> sqlite3.Connection:
+        _log.error("the log of records cannot be opened anew: %s", error)
+        self.failure = StorageError(f"Nothing can be kept until the disk works again: {error}.")
+        return connection
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                if not (self._waiting or self._ended):
+                    self._changed.wait(_RETRY if self._kept_still else None)
+                waiting, self._waiting = self._waiting, []
+                freed, self._freed = self._freed, []
+                ended = self._ended
+            with self._at_work:
+                error = self._sync() if waiting else None
+            _tell(waiting, error)
+            if self.failure is None:
+                with self._at_work:
+                    self._remove(freed)
+                    self._tidy_up()
+            if ended and not waiting:
+                return
+
+    def _sync(self) -> StorageError | None:
+        written = self._written
+        try:
+            _sync(self._log.fileno())
+        except OSError as error:
+            _log.error("the log of records could not be synced, and is opened anew: %s", error)
+            # Where another process has written as well nothing is cut off: that would be lost too.
+            self._cut = self._reached if self._log.reach() == written else None
+            self.failure = failure(error)
+            return self.failure
+        self._reached = written
+        return None
+
+    def _tidy_up(self) -> None:
+        """Carry a long log over; where the disk was full any log, and set room aside again."""
+        if self._is_short:
+            self._carry_over()
+            self._is_short = not self._reserve.fill()
+        elif self._log.size() >= self._carry_at:
+            self._carry_over()
+
+    def _remove(self, freed: list[str]) -> None:
+        self._kept_still += freed
+        if self._kept_still and self._blobs.remove(self._kept_still):
+            self._kept_still = []
+
+    def _carry_over(self) -> None:
+        """Carry the log over into the database, most of it while others write, and let it begin anew."""
+        try:
+            with contextlib.closing(sqlite3.connect(self._database, timeout=_BUSY_SECONDS)) as connection:
+                connection.execute("PRAGMA synchronous = NORMAL")
+                connection.execute("PRAGMA wal_checkpoint(PASSIVE)")
+                connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        except sqlite3.Error as error:
+            _log.warning("the log of records could not be carried over, it goes on growing: %s", error)
+        # Where a reader holds on to the log it is tried again after as much again.
+        self._carry_at = self._log.size() + LOG_BYTES
+
+
+def carried_over(connection: sqlite3.Connection, reserve: Reserve) -> bool:
+    """Carry the log over; where the disk is full at the expense of what is set aside. Raises sqlite3.Error."""
+    try:
+        return carry_over(connection)
+    except sqlite3.Error:
+        if not reserve.is_full:
+            raise
+        reserve.release()
+        return carry_over(connection)
+    finally:
+        reserve.fill()
+
+
+def _tell(waiting: list[asyncio.Future[None]], error: StorageError | None) -> None:
+    if not waiting:
+        return
+
+    def settle() -> None:
+        for future in waiting:
+            if future.done():
+                continue
+            if error is None:
+                future.set_result(None)
+            else:
+                future.set_exception(error)
+
+    with contextlib.suppress(RuntimeError):  # the loop has ended
+        waiting[0].get_loop().call_soon_threadsafe(settle)

@@ -1,0 +1,174 @@
+"""Group commit: writes that come while the disk is at work wait, and are then done together in one transaction.
+
+So a hundred writers wait for the disk once, not a hundred times, and nothing is written to the log while it is synced,
+which would hold up the loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Sequence
+from typing import Protocol
+
+from rosld.server.storage.ledger import Applied, Busy
+from rosld.server.storage.record import Conflict, Put, StorageError, Write
+
+MOST = 128
+"""Jobs in one transaction, which the loop does at a stretch."""
+BYTES = 4 * 1024 * 1024
+"""Bytes in one transaction, beyond its first job."""
+_BUSY_SECONDS = 0.005
+
+
+class Job:
+    """Writes that belong together, and the ids of the received blobs they refer to."""
+
+    __slots__ = ("done", "received", "size", "writes")
+
+    def __init__(self, writes: Sequence[Write], received: Sequence[str]) -> None:
+        self.writes = writes
+        self.received = received
+        self.size = sum(len(write.triples) for write in writes if isinstance(write, Put))
+        self.done: asyncio.Future[Applied] | None = None
+
+
+class Storage(Protocol):
+    """What does jobs."""
+
+    def transact(self, jobs: Sequence[Job]) -> Sequence[Applied | Conflict]:
+        """Do jobs in one transaction: what came of each.
+
+        Raises Busy where another process writes, and anything else with nothing done.
+        """
+        ...
+
+    async def reach(self, applied: Sequence[Applied]) -> None:
+        """Wait until what was done is durable. Raises StorageError where it is not, and was undone if possible."""
+        ...
+
+    async def recover(self) -> None:
+        """See to it that writes can be made durable. Raises StorageError where they cannot."""
+        ...
+
+    async def make_room(self, job: Job) -> None:
+        """Make what room there can be for a job that found the disk full."""
+        ...
+
+
+class Group:
+    """Belongs to one loop."""
+
+    def __init__(self, storage: Storage) -> None:
+        self._storage = storage
+        self._jobs: deque[Job] = deque()
+        self._idle = asyncio.Event()
+        self._idle.set()
+        self._work: asyncio.Task[None] | None = None
+
+    async def do(self, job: Job) -> Applied:
+        """Do a job and wait until it is durable. It is done even if nobody waits any more."""
+        loop = asyncio.get_running_loop()
+        job.done = loop.create_future()
+        self._jobs.append(job)
+        if self._idle.is_set():
+            self._idle.clear()
+            self._work = loop.create_task(self._do_all())  # begins together with others that come at once
+        return await job.done
+
+    def stir(self) -> None:
+        """Recover, if there is something to recover from, although nobody writes."""
+        if self._idle.is_set():
+            self._idle.clear()
+            self._work = asyncio.get_running_loop().create_task(self._do_all())
+
+    async def idle(self) -> None:
+        """Wait until every job is done."""
+        await self._idle.wait()
+
+    async def _do_all(self) -> None:
+        """Do the jobs that wait, and those that come meanwhile."""
+        try:
+            while True:
+                try:
+                    await self._storage.recover()
+                except Exception as error:
+                    while self._jobs:
+                        _settle(self._jobs.popleft(), error)
+                if not self._jobs:
+                    return
+                await self._round(self._some())
+        finally:
+            self._idle.set()
+
+    async def _round(self, jobs: Sequence[Job]) -> None:
+        """Do jobs, then wait for the disk."""
+        written, short, busy = list[tuple[Job, Applied]](), list[Job](), list[Job]()
+        for job, outcome in zip(jobs, self._outcomes(jobs), strict=True):
+            if isinstance(outcome, Applied):
+                written.append((job, outcome))
+            elif isinstance(outcome, Busy):
+                busy.append(job)
+            elif isinstance(outcome, StorageError) and outcome.full:
+                short.append(job)
+            else:
+                _settle(job, outcome)
+        self._jobs.extend(busy)
+        await self._reach(written)
+        for job in short:
+            await self._in_new_room(job)
+        if busy and not written:
+            await asyncio.sleep(_BUSY_SECONDS)
+
+    async def _in_new_room(self, job: Job) -> None:
+        """Try once more what found the disk full."""
+        try:
+            await self._storage.recover()
+        except StorageError as error:
+            _settle(job, error)
+            return
+        await self._storage.make_room(job)
+        outcome = self._outcomes((job,))[0]
+        if isinstance(outcome, Applied):
+            await self._reach([(job, outcome)])
+        elif isinstance(outcome, Busy):
+            self._jobs.append(job)
+        else:
+            _settle(job, outcome)
+
+    async def _reach(self, written: Sequence[tuple[Job, Applied]]) -> None:
+        if not written:
+            return
+        error: StorageError | None = None
+        try:
+            await self._storage.reach([applied for _, applied in written])
+        except StorageError as failed:
+            error = failed
+        for job, applied in written:
+            _settle(job, applied if error is None else error)
+
+    def _some(self) -> list[Job]:
+        jobs, size = list[Job](), 0
+        while self._jobs and len(jobs) < MOST and size < BYTES:
+            jobs.append(self._jobs.popleft())
+            size += jobs[-1].size
+        return jobs
+
+    def _outcomes(self, jobs: Sequence[Job]) -> Sequence[Applied | Exception]:
+        """What came of each job. Where the transaction fails each is tried alone: one is too large for the disk."""
+        try:
+            return self._storage.transact(jobs)
+        except Exception as error:
+            if len(jobs) == 1 or isinstance(error, Busy):
+                return [error] * len(jobs)
+        return [self._outcomes((job,))[0] for job in jobs]
+
+
+def _settle(job: Job, outcome: Applied | BaseException) -> None:
+    """Tell whoever waits for the job, if somebody still does."""
+    if job.done is None or job.done.done():
+        return
+    if isinstance(outcome, Applied):
+        job.done.set_result(outcome)
+    else:
+        job.done.set_exception(outcome)

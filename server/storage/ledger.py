@@ -1,0 +1,572 @@
+"""The records of one SQLite connection: what is asked of them and what changes them, in its statements.
+
+Knows no loop and no file. Transactions are begun and ended by `begin`, `commit` and `rollback`; a version is only used
+when its transaction is committed.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+from rosld.server.storage.paths import container_of
+from rosld.server.storage.record import (
+    Blob,
+    Cause,
+    Changed,
+    Conflict,
+    Member,
+    Membership,
+    Model,
+    Put,
+    Record,
+    Remove,
+    StorageError,
+    Write,
+)
+
+OPENING = 1 << 20
+"""Versions begin anew at a multiple of this when records are opened: what was seen before a power failure, but was not
+durable yet, shares its version with nothing that comes after."""
+
+_MODELS = {model.value: model for model in Model}
+_RECORD = """SELECT r.model, r.version, r.created, r.modified, r.triples, r.blob, r.size, r.media_type, r.membership,
+    r.member, l.version, l.modified, l.count FROM record r LEFT JOIN list l ON l.container = r.id WHERE r.path = ?"""
+_PRESENT = """SELECT r.id, r.container, r.model, r.version, r.created, r.modified, r.member, r.blob, l.version,
+    l.modified, l.count FROM record r LEFT JOIN list l ON l.container = r.id WHERE r.path = ?"""
+_MEMBERS = """SELECT id, path, model, member FROM record
+    WHERE container = (SELECT id FROM record WHERE path = ?) AND id > ? ORDER BY id LIMIT ?"""
+_NUMBERS = """SELECT id FROM record
+    WHERE container = (SELECT id FROM record WHERE path = ?) AND id <= ? ORDER BY id DESC LIMIT ?"""
+_GREATEST = (1 << 63) - 1
+_CHANGED = """
+    SELECT r.path, r.version AS at, 0 FROM record r LEFT JOIN list l ON l.container = r.id
+        WHERE r.version > ?1 AND (l.version IS NULL OR l.version < r.version)
+    UNION ALL SELECT r.path, l.version, 0 FROM list l JOIN record r ON r.id = l.container
+        WHERE l.version > ?1 AND l.version > r.version
+    UNION ALL SELECT path, version, 1 FROM gone WHERE version > ?1
+    ORDER BY at LIMIT ?2"""
+_ENTRIES = """SELECT r.id, r.path, r.model, r.version, r.created, r.modified, r.triples, r.blob, r.size, r.media_type,
+    r.membership, r.member, l.version, l.modified, l.count FROM record r LEFT JOIN list l ON l.container = r.id
+    ORDER BY r.id"""
+_LATEST = """SELECT max(coalesce((SELECT max(version) FROM record), 0), coalesce((SELECT max(version) FROM list), 0),
+    coalesce((SELECT max(version) FROM gone), 0), coalesce((SELECT max(id) FROM record), 0))"""
+_INSERT = """INSERT INTO record (id, path, container, model, version, created, modified, member, blob, size, media_type,
+    membership, triples) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"""
+_UPDATE = """UPDATE record SET version = ?, modified = ?, member = ?, blob = ?, size = ?, media_type = ?,
+    membership = ?, triples = ? WHERE id = ?"""
+_REWRITE = "UPDATE record SET version = ?, modified = ?, triples = ? WHERE path = ? AND version = ?"
+
+
+class Busy(Exception):
+    """Another process is writing just now."""
+
+
+class Present(NamedTuple):
+    """What a write must know of a record that is there; the last three are None of what is no container."""
+
+    id: int
+    container: int
+    model: str
+    version: int
+    created: int
+    modified: int
+    member: str | None
+    blob: str | None
+    listed: int | None
+    list_modified: int | None
+    members: int | None
+
+
+class Entry(NamedTuple):
+    """A record with its number among the members of its container, by which entries are ordered."""
+
+    number: int
+    record: Record
+
+
+class Listed(NamedTuple):
+    """How the list of a container is after a write."""
+
+    version: int
+    modified: int
+    members: int
+
+
+class Applied:
+    """What the writes of a transaction have done so far."""
+
+    __slots__ = ("freed", "gone", "lists", "records", "unused")
+
+    def __init__(self, received: Sequence[str] = ()) -> None:
+        self.records: dict[str, Record] = {}
+        """The records that were written, as they are now."""
+        self.gone: dict[str, int] = {}
+        """The version at which a path was removed."""
+        self.lists: dict[str, Listed] = {}
+        """The lists that changed, of containers that are there."""
+        self.freed: list[str] = []
+        """The blobs that nothing refers to any more."""
+        self.unused = set(received)
+        """The blobs that were received and wait for their record."""
+
+    def changed(self) -> list[Changed]:
+        """Each path once, with its latest version, in the order of versions."""
+        found = {path: listed.version for path, listed in self.lists.items()}
+        for path, record in self.records.items():
+            found[path] = max(record.version, found.get(path, 0))
+        changed = [Changed(path, version, False) for path, version in found.items()]
+        changed += [Changed(path, version, True) for path, version in self.gone.items()]
+        return sorted(changed, key=_version)
+
+
+class Ledger:
+    """Records in a database whose tables are there. Belongs to one thread at a time.
+
+    `known` tells of a record without asking the database; it may be out of date.
+    """
+
+    def __init__(
+        self, connection: sqlite3.Connection, known: Callable[[str], Record | None] = lambda path: None
+    ) -> None:
+        self._execute: Callable[..., sqlite3.Cursor] = connection.execute
+        self._connection = connection
+        self._known = known
+        self._next = 0
+        self._seen = self._data_version()
+        self.identity = str(self._execute("SELECT value FROM property WHERE name = 'identity'").fetchone()[0])
+        latest = self._latest()
+        self.version = (latest // OPENING + 1) * OPENING if latest else 0
+        """The last version that was used."""
+        self._withdrawn: dict[str, int] = {}
+        """What was seen and then was not kept, and has never been there since: the version at which it went."""
+
+    def find(self, path: str) -> Record | None:
+        """A record."""
+        try:
+            row = self._execute(_RECORD, (path,)).fetchone()
+        except sqlite3.Error as error:
+            raise failure(error) from error
+        return None if row is None else _record(path, row)
+
+    def was_there(self, path: str) -> bool:
+        """Whether it was removed."""
+        try:
+            return self._execute("SELECT 1 FROM gone WHERE path = ?", (path,)).fetchone() is not None
+        except sqlite3.Error as error:
+            raise failure(error) from error
+
+    def members(self, path: str, after: int, most: int) -> list[Member]:
+        """Members of a container by number."""
+        try:
+            rows = self._execute(_MEMBERS, (path, after, most)).fetchall()
+        except sqlite3.Error as error:
+            raise failure(error) from error
+        return [Member(number, name, _MODELS[model], member) for number, name, model, member in rows]
+
+    def numbers(self, path: str, upto: int | None, most: int) -> list[int]:
+        """The numbers of the last members of a container, the newest first."""
+        try:
+            rows = self._execute(_NUMBERS, (path, _GREATEST if upto is None else upto, most)).fetchall()
+        except sqlite3.Error as error:
+            raise failure(error) from error
+        return [row[0] for row in rows]
+
+    def changed(self, after: int, most: int) -> list[Changed]:
+        """What has changed after a version."""
+        try:
+            rows = self._execute(_CHANGED, (after, most)).fetchall()
+        except sqlite3.Error as error:
+            raise failure(error) from error
+        found = [Changed(path, version, bool(gone)) for path, version, gone in rows]
+        if self._withdrawn:
+            found += (Changed(path, version, True) for path, version in self._withdrawn.items() if version > after)
+            found.sort(key=_version)
+        return found[:most]
+
+    def suspend(self, words: str) -> None:
+        """Raise StorageError with these words whatever is asked from now on: the connection is about to be closed."""
+
+        def refuse(*_: object) -> sqlite3.Cursor:
+            raise sqlite3.OperationalError(words)
+
+        self._execute = refuse
+
+    def succeed(self, former: Ledger, undone: Iterable[str]) -> None:
+        """Take the place of a former ledger, some of whose writes were not kept: these have changed once more.
+
+        Versions go on from its own, so that none stands for two states. Raises what a write raises.
+        """
+        self.version = max(self.version, (former.version // OPENING + 1) * OPENING)
+        self._withdrawn = former._withdrawn
+        self.begin()
+        try:
+            for path in undone:
+                self._next += 1
+                if not self._execute("UPDATE record SET version = ? WHERE path = ?", (self._next, path)).rowcount:
+                    self._withdrawn[path] = self._next
+            self.commit()
+        except sqlite3.Error as error:
+            raise failure(error) from error
+        finally:
+            self.rollback()
+
+    def blobs(self) -> set[str]:
+        """The ids of all blobs that records refer to."""
+        return {row[0] for row in self._execute("SELECT blob FROM record WHERE blob IS NOT NULL")}
+
+    def entries(self) -> Iterator[Entry]:
+        """All records, containers before their members."""
+        return (Entry(row[0], _record(row[1], row[2:])) for row in self._execute(_ENTRIES))
+
+    def gone(self) -> Iterator[str]:
+        """The paths of all records that were removed."""
+        return (row[0] for row in self._execute("SELECT path FROM gone ORDER BY path"))
+
+    def foreign(self) -> bool:
+        """Whether another process has changed something since this was asked last."""
+        seen, self._seen = self._seen, self._data_version()
+        if seen == self._seen:
+            return False
+        self.version = max(self.version, self._latest())
+        return True
+
+    def begin(self) -> bool:
+        """Begin to write; whether another process has changed something meanwhile. Raises Busy while one writes."""
+        try:
+            self._execute("BEGIN IMMEDIATE")
+            foreign = self.foreign()
+        except sqlite3.Error as error:
+            self.rollback()
+            raise failure(error) from error
+        self._next = self.version
+        return foreign
+
+    def commit(self) -> None:
+        """Everything since `begin` is done."""
+        try:
+            self._execute("COMMIT")
+        except sqlite3.Error as error:
+            raise failure(error) from error
+        self.version = self._next
+
+    def rollback(self) -> None:
+        """Nothing since `begin` was done. A failure may have rolled back already."""
+        if self._connection.in_transaction:
+            self._execute("ROLLBACK")
+
+    def root(self, path: str, now: int) -> None:
+        """Make a container that is in no other, unless it is there; between `begin` and `commit`."""
+        if self._present(path) is None:
+            self._insert(Put(path, Model.BASIC_CONTAINER), 0, now)
+
+    def attempt(self, writes: Sequence[Write], received: Sequence[str], now: int) -> Applied | Conflict:
+        """Do these writes between `begin` and `commit`, all or none: what they did, or why they cannot be done.
+
+        `received` are blobs that no record refers to yet. After a StorageError nothing but `rollback` is possible.
+        """
+        applied, several, version = Applied(received), len(writes) > 1, self._next
+        try:
+            if several:
+                self._execute("SAVEPOINT attempt")
+            try:
+                for write in writes:
+                    self._apply(write, applied, now)
+            except Conflict as conflict:
+                if several:  # else nothing has been done yet
+                    self._execute("ROLLBACK TO attempt")
+                    self._next = version
+                return conflict
+            finally:
+                if several and self._connection.in_transaction:
+                    self._execute("RELEASE attempt")
+        except sqlite3.Error as error:
+            raise failure(error) from error
+        return applied
+
+    def alone(self, put: Put, now: int) -> Record | None:
+        """Do a write that is one statement, and so a transaction by itself; None, with nothing done, where it is more.
+
+        Neither between `begin` and `commit`, nor where another process may write.
+        """
+        self._next = self.version
+        try:
+            record = self._rewritten(put, now)
+        except sqlite3.Error as error:
+            raise failure(error) from error
+        self.version = self._next
+        return record
+
+    def restore(self, entries: Iterable[Entry], gone: Iterable[str], now: int) -> list[str]:
+        """Put these in place of all records, with new versions, between `begin` and `commit`; the blobs set free.
+
+        Records that are there and not among them are removed; those among them come back even where they were removed.
+        Entries come as `entries` tells them. Raises ValueError where a container is missing.
+        """
+        freed = list(self.blobs())
+        before = [row[0] for row in self._execute("SELECT path FROM record ORDER BY id")]
+        self._execute("DELETE FROM record")
+        self._execute("DELETE FROM list")
+        counts, numbers, there = dict[int, int](), {"": 0}, set[str]()
+        last = 0
+        for number, record in entries:
+            container = numbers.get(container_of(record.path))
+            if container is None or number <= last or record.path in there:
+                raise ValueError(f"{record.path} comes without its container, or twice")
+            last = number
+            self._next = max(self._next, number) + 1
+            self._row(number, self._next, container, record)
+            self._execute("DELETE FROM gone WHERE path = ?", (record.path,))
+            there.add(record.path)
+            counts[container] = counts.get(container, 0) + 1
+            if record.model.is_container:
+                numbers[record.path] = number
+                self._execute("INSERT INTO list VALUES (?, 0, ?, 0)", (number, record.modified_ns))
+        for container, count in counts.items():
+            self._next += 1
+            self._execute("UPDATE list SET version = ?, count = ? WHERE container = ?", (self._next, count, container))
+        for path in before:
+            if path not in there and not container_of(path):
+                self._insert(Put(path, Model.BASIC_CONTAINER), 0, now)
+            elif path not in there:
+                self._next += 1
+                self._execute("INSERT OR REPLACE INTO gone VALUES (?, ?)", (path, self._next))
+        for path in gone:
+            if path not in there:
+                self._next += 1
+                self._execute("INSERT OR IGNORE INTO gone VALUES (?, ?)", (path, self._next))
+        return freed
+
+    def _apply(self, write: Write, applied: Applied, now: int) -> None:
+        """Do one write; where it raises Conflict, not even in part."""
+        if isinstance(write, Put):
+            self._put(write, applied, now)
+        else:
+            self._remove(write, applied, now)
+
+    def _data_version(self) -> int:
+        return int(self._execute("PRAGMA data_version").fetchone()[0])
+
+    def _latest(self) -> int:
+        return int(self._execute(_LATEST).fetchone()[0])
+
+    def _present(self, path: str) -> Present | None:
+        row = self._execute(_PRESENT, (path,)).fetchone()
+        return None if row is None else Present(*row)
+
+    def _put(self, put: Put, applied: Applied, now: int) -> None:
+        rewritten = self._rewritten(put, now)
+        if rewritten is not None:
+            applied.records[put.path] = rewritten
+            return
+        present = self._present(put.path)
+        if present is None:
+            self._make(put, applied, now)
+        elif not put.unless_there:
+            self._replace(put, present, applied, now)
+
+    def _rewritten(self, put: Put, now: int) -> Record | None:
+        """An RDF source that says something else now, and is as it was known otherwise; None where it is not."""
+        path, triples = put.path, put.triples
+        known = self._known(path) if put.model is Model.RDF_SOURCE else None
+        if known is None or known.model is not Model.RDF_SOURCE:
+            return None
+        if put.expected not in (None, known.version) or put.member not in (None, known.member):
+            return None
+        version, modified = self._next + 1, max(now, known.modified_ns)
+        if self._execute(_REWRITE, (version, modified, triples, path, known.version)).rowcount != 1:
+            return None
+        self._next = version
+        return Record(path, known.model, version, known.created_ns, modified, triples, member=known.member)
+
+    def _make(self, put: Put, applied: Applied, now: int) -> None:
+        path = put.path
+        if (put.unused or put.expected) and self.was_there(path):
+            raise Conflict(path, "it was deleted", Cause.GONE)
+        if put.expected:
+            raise Conflict(path, f"it is not there, and so not in version {put.expected}", Cause.MISSING)
+        above = container_of(path)
+        container = self._present(above)
+        if container is None:
+            words = f"its container {above} is not there" if above else "no resource can be made beside the roots"
+            raise Conflict(path, words, Cause.CONTAINER)
+        other = path[:-1] if path.endswith("/") else path + "/"
+        if self._execute("SELECT 1 FROM record WHERE path = ?", (other,)).fetchone() is not None:
+            raise Conflict(path, f"there is {other} already, and a name means one thing", Cause.NAME)
+        _take(put, None, applied)
+        applied.gone.pop(path, None)
+        applied.records[path] = self._insert(put, container.id, now)
+        self._list(above, container, applied, now, 1)
+
+    def _insert(self, put: Put, container: int, now: int) -> Record:
+        self._withdrawn.pop(put.path, None)
+        self._next = version = self._next + 1
+        record = Record(put.path, put.model, version, now, now, put.triples, put.blob, put.membership, put.member)
+        self._row(version, version, container, record)
+        if put.model.is_container:
+            self._execute("INSERT INTO list VALUES (?, 0, ?, 0)", (version, now))
+        return record
+
+    def _row(self, number: int, version: int, container: int, record: Record) -> None:
+        head = (number, record.path, container, record.model.value, version, record.created_ns, record.modified_ns)
+        self._execute(_INSERT, (*head, record.member, *_texts(record.blob, record.membership), record.triples))
+
+    def _replace(self, put: Put, present: Present, applied: Applied, now: int) -> None:
+        path, blob, triples = put.path, put.blob, put.triples
+        _expect(put, present)
+        if put.model.value != present.model:
+            words = f"it is a {present.model}, and cannot become a {put.model.value}"
+            raise Conflict(path, words, Cause.MODEL)
+        _take(put, present.blob, applied)
+        member = present.member if put.member is None else put.member
+        now = max(now, present.modified)
+        self._next = version = self._next + 1
+        self._execute(_UPDATE, (version, now, member, *_texts(blob, put.membership), triples, present.id))
+        modified = max(now, present.list_modified or 0)
+        applied.records[path] = Record(
+            path,
+            put.model,
+            version,
+            present.created,
+            modified,
+            triples,
+            blob,
+            put.membership,
+            member,
+            present.listed or 0,
+            present.members or 0,
+        )
+        if member != present.member:
+            above = container_of(path)
+            container = self._present(above)
+            if container is not None:
+                self._list(above, container, applied, now, 0)
+
+    def _remove(self, remove: Remove, applied: Applied, now: int) -> None:
+        path = remove.path
+        present = self._present(path)
+        if present is None:
+            gone = self._execute("SELECT 1 FROM gone WHERE path = ?", (path,)).fetchone() is not None
+            raise (
+                Conflict(path, "it was deleted", Cause.GONE)
+                if gone
+                else Conflict(path, "it is not there", Cause.MISSING)
+            )
+        _expect(remove, present)
+        if not present.container:
+            raise Conflict(path, "it is always there and cannot be deleted", Cause.ROOT)
+        if present.members:
+            words = f"it is not empty: delete its {present.members} members first"
+            raise Conflict(path, words, Cause.NOT_EMPTY)
+        self._next = version = self._next + 1
+        self._execute("DELETE FROM record WHERE id = ?", (present.id,))
+        if present.members is not None:
+            self._execute("DELETE FROM list WHERE container = ?", (present.id,))
+        self._execute("INSERT OR REPLACE INTO gone VALUES (?, ?)", (path, version))
+        applied.records.pop(path, None)
+        applied.lists.pop(path, None)
+        applied.gone[path] = version
+        if present.blob is not None:
+            applied.freed.append(present.blob)
+        above = container_of(path)
+        container = self._present(above)
+        if container is not None:
+            self._list(above, container, applied, now, -1)
+
+    def _list(self, path: str, container: Present, applied: Applied, now: int, more: int) -> None:
+        """The list of a container changes: so many members more."""
+        self._next = version = self._next + 1
+        listed = Listed(version, max(now, container.list_modified or 0), (container.members or 0) + more)
+        self._execute(
+            "UPDATE list SET version = ?, modified = ?, count = ? WHERE container = ?", (*listed, container.id)
+        )
+        applied.lists[path] = listed
+        record = applied.records.get(path)
+        if record is not None:
+            applied.records[path] = relisted(record, listed)
+
+
+def relisted(record: Record, listed: Listed) -> Record:
+    """A container after its list has changed."""
+    return Record(
+        record.path,
+        record.model,
+        record.version,
+        record.created_ns,
+        max(record.modified_ns, listed.modified),
+        record.triples,
+        record.blob,
+        record.membership,
+        record.member,
+        listed.version,
+        listed.members,
+    )
+
+
+def failure(error: sqlite3.Error) -> Exception:
+    """What SQLite's error means: Busy, or a StorageError with its words."""
+    words = str(error)
+    if "locked" in words or "busy" in words:
+        return Busy(words)
+    if is_full(error):
+        return StorageError(f"There is no space left to keep this: {words}.", full=True)
+    return StorageError(f"The database of records failed: {words}.")
+
+
+def is_full(error: Exception) -> bool:
+    """Whether SQLite says that there is no space left."""
+    return "full" in str(error)
+
+
+def _version(changed: Changed) -> int:
+    return changed.version
+
+
+def _expect(write: Write, present: Present) -> None:
+    """Raises Conflict where the record has not the version that the write expects."""
+    if write.expected is None or write.expected == present.version:
+        return
+    if write.expected == 0:
+        raise Conflict(write.path, "it is there already", Cause.THERE)
+    words = f"it has changed: it is in version {present.version}, not {write.expected}"
+    raise Conflict(write.path, words, Cause.CHANGED)
+
+
+def _take(put: Put, present: str | None, applied: Applied) -> None:
+    """The blob of a write becomes its record's; the one it had is set free. Raises Conflict for a blob of others."""
+    id = None if put.blob is None else put.blob.id
+    if id == present:
+        return
+    if id is not None:
+        if id not in applied.unused:
+            raise Conflict(put.path, "the bytes sent for it are not kept any more: send them again", Cause.BLOB)
+        applied.unused.discard(id)
+    if present is not None:
+        applied.freed.append(present)
+
+
+def _texts(blob: Blob | None, membership: Membership | None) -> tuple[str | None, int | None, str | None, str | None]:
+    """A blob and a membership as they stand in a row."""
+    text = None
+    if membership is not None:
+        text = json.dumps([membership.resource, membership.relation, membership.inverse, membership.content])
+    return (None, None, None, text) if blob is None else (blob.id, blob.size, blob.media_type, text)
+
+
+def _record(path: str, row: tuple[Any, ...]) -> Record:
+    model, version, created, modified, triples, blob, size, media_type, membership, member, listed, lately, count = row
+    return Record(
+        path,
+        _MODELS[model],
+        version,
+        created,
+        modified if lately is None or lately < modified else lately,
+        triples,
+        None if blob is None else Blob(blob, size, media_type),
+        None if membership is None else Membership(*json.loads(membership)),
+        member,
+        listed or 0,
+        count or 0,
+    )

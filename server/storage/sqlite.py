@@ -1,0 +1,466 @@
+"""Records in SQLite: in memory, or durably in a folder.
+
+Everything is read and written on the loop, which takes tens of microseconds. In a folder SQLite writes to its log
+without waiting for the disk; a thread does that wait (`durability.py`), for all writes that come meanwhile at once
+(`group.py`), and they are acknowledged after it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import sqlite3
+import tempfile
+import time
+from collections.abc import AsyncIterator, Callable, Iterable, Sequence
+from pathlib import Path
+
+from rosld.server.storage.blobs import Blobs, sync_folder
+from rosld.server.storage.cache import Cache
+from rosld.server.storage.differences import Differences, Step
+from rosld.server.storage.durability import Durability, carried_over
+from rosld.server.storage.group import Group, Job
+from rosld.server.storage.ledger import Applied, Busy, Ledger, is_full, relisted
+from rosld.server.storage.log import close_as_it_is
+from rosld.server.storage.paths import check
+from rosld.server.storage.record import (
+    Blob,
+    Changed,
+    Conflict,
+    Member,
+    Put,
+    Record,
+    Remove,
+    StorageError,
+    Write,
+)
+from rosld.server.storage.reserve import LOW, Reserve, free
+from rosld.server.storage.schema import number, prepare
+
+_log = logging.getLogger("rosld")
+
+DATABASE = "records.sqlite"
+BLOBS = "blobs"
+ROOT = "data/"
+KEEP_SECONDS = 600.0
+"""How long received bytes are kept that no write refers to."""
+LOOK_SECONDS = 0.5
+"""Between two looks at whether another process has changed the records."""
+_OPEN_SECONDS = 10.0
+_CHANGES = 10_000
+_SPARE_PAGES = 16
+"""Pages that a write may need beside its triples."""
+
+
+def open_records(
+    folder: Path | None, *, roots: Sequence[str] = (), keep_seconds: float = KEEP_SECONDS
+) -> SqliteRecords:
+    """The records in a folder, made where they are missing; in memory without one.
+
+    `data/` and the `roots` are containers that are always there. Raises ValueError for a database that cannot be used,
+    OSError where the folder cannot be.
+    """
+    return SqliteRecords(folder, (ROOT, *roots), keep_seconds)
+
+
+def connect(folder: Path | None) -> sqlite3.Connection:
+    """A connection to the database of a folder, made where it is missing. Raises ValueError where it cannot be used."""
+    path = ":memory:" if folder is None else str(folder / DATABASE)
+    connection = sqlite3.connect(path, timeout=_OPEN_SECONDS, isolation_level=None, check_same_thread=False)
+    try:
+        for pragma in ("journal_mode = WAL", "synchronous = NORMAL", "wal_autocheckpoint = 0", "temp_store = MEMORY"):
+            connection.execute(f"PRAGMA {pragma}").fetchall()
+        prepare(connection, path)
+    except sqlite3.DatabaseError as error:
+        connection.close()
+        raise ValueError(unusable(path, error)) from error
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _connect_where_full(folder: Path) -> sqlite3.Connection:
+    """As `connect`, where the disk is full at the expense of what is set aside."""
+    try:
+        return connect(folder)
+    except ValueError:
+        reserve = Reserve(folder)
+        if not reserve.is_full or free(folder) >= LOW:
+            raise
+        reserve.release()
+        return connect(folder)
+
+
+def unusable(path: str, error: Exception) -> str:
+    """What to tell of a database that cannot be opened."""
+    words = f"{path} cannot be used as the database of records: {error}"
+    broken = any(word in str(error) for word in ("malformed", "not a database", "corrupt"))
+    return f"{words}. Bring a dump back into a new folder with `rosld load`" if broken else words
+
+
+class SqliteRecords:
+    """The `Records` that rosld brings along; `open_records` makes them."""
+
+    def __init__(self, folder: Path | None, roots: Sequence[str], keep_seconds: float) -> None:
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self._blobs: Blobs | None = None
+        self._cache = Cache()
+        self._differences = Differences()
+        self._watchers: dict[object, Callable[[Sequence[Changed]], None]] = {}
+        self._waiting: dict[str, asyncio.TimerHandle] = {}
+        self._keep_seconds = keep_seconds
+        self._look: asyncio.TimerHandle | None = None
+        self._durability: Durability | None = None
+        self._group: Group | None = None
+        self._undone: set[str] = set()
+        self._closed = False
+        self._place = folder
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+        self._connection = _connect_where_full(folder) if folder is not None else connect(None)
+        try:
+            self._ledger = Ledger(self._connection, self._cache.get)
+            self._make_roots(roots)
+            if folder is not None:
+                self._keep_in(folder)
+        except (sqlite3.DatabaseError, StorageError, Busy) as error:
+            self._connection.close()
+            raise ValueError(unusable(str(folder), error)) from error
+        except BaseException:
+            self._connection.close()
+            raise
+        self._told = self._ledger.version
+
+    def _make_roots(self, roots: Sequence[str]) -> None:
+        self._ledger.begin()
+        for root in roots:
+            self._ledger.root(root, time.time_ns())
+        self._ledger.commit()
+
+    def _keep_in(self, folder: Path) -> None:
+        self._connection.execute("PRAGMA busy_timeout = 0")  # from now on the loop waits, not SQLite
+        self._blobs = Blobs(folder / BLOBS, durable=True)
+        self._blobs.sweep(self._ledger.blobs)
+        sync_folder(folder)
+        reserve = Reserve(folder)
+        try:
+            # What a process that was killed had written may not be on the disk, whatever a sync of the log says now.
+            carried_over(self._connection, reserve)
+        except sqlite3.Error as error:
+            if not is_full(error):
+                raise
+            _log.warning("the log of records cannot be carried over: %s", error)
+        self._durability = Durability(folder / DATABASE, self._blobs, reserve)
+        self._group = Group(self)
+        if self.trouble is not None:
+            _log.warning("%s", self.trouble)
+
+    @property
+    def identity(self) -> str:
+        return self._ledger.identity
+
+    @property
+    def version(self) -> int:
+        return self._ledger.version
+
+    @property
+    def trouble(self) -> str | None:
+        """Why not everything can be kept just now, in a sentence for people; None where it can."""
+        if self._durability is None or self._place is None:
+            return None
+        if self._durability.failure is not None:
+            return str(self._durability.failure)
+        left = free(self._place)
+        words = f"The disk that holds the data is full, {left} bytes are left: delete what is not needed."
+        return words if left < LOW else None
+
+    def get(self, path: str) -> Record | None:
+        found = self._cache.get(path)
+        if found is None:
+            self._attach()
+            found = self._ledger.find(path)
+            if found is not None:
+                self._cache.keep(found)
+        return found
+
+    def forget(self) -> None:
+        """Read everything anew from now on."""
+        self._cache.clear()
+        self._differences.clear()
+
+    def was_there(self, path: str) -> bool:
+        return self._ledger.was_there(path)
+
+    def members(self, path: str, *, after: int = 0, most: int = 1000) -> Sequence[Member]:
+        return self._ledger.members(path, after, most)
+
+    def numbers(self, path: str, *, upto: int | None = None, most: int = 1000) -> Sequence[int]:
+        return self._ledger.numbers(path, upto, most)
+
+    def changed(self, after: int, *, most: int = _CHANGES) -> Sequence[Changed]:
+        return self._ledger.changed(after, most)
+
+    def steps(self, record: Record, after: int) -> Sequence[Step] | None:
+        return self._differences.steps(record, after)
+
+    async def write(self, *writes: Write) -> Sequence[Record | None]:
+        if self._closed:
+            raise StorageError("The records are closed.")
+        for write in writes:
+            check(write)
+        if self._group is None and len(writes) == 1:
+            record = self._rewritten(writes[0])
+            if record is not None:
+                return [record]
+        self._attach()
+        job = Job(writes, self._take(writes))
+        if self._group is not None:
+            applied = await self._group.do(job)
+        else:
+            outcome = self.transact((job,))[0]
+            if isinstance(outcome, Conflict):
+                raise outcome
+            applied = outcome
+            if applied.freed:
+                self._folder().remove(applied.freed)
+        return [applied.records.get(write.path) for write in writes]
+
+    def _rewritten(self, write: Write) -> Record | None:
+        """In memory, where nobody else writes: a write that needs no transaction around it; None where it does."""
+        record = self._ledger.alone(write, time.time_ns()) if isinstance(write, Put) else None
+        if isinstance(write, Put) and record is not None:
+            self._cache.keep(record)
+            self._differences.note(write, record)
+            self._told = record.version
+            self._wake([Changed(record.path, record.version, False)])
+        return record
+
+    def transact(self, jobs: Sequence[Job]) -> Sequence[Applied | Conflict]:
+        """Do jobs in one transaction: what came of each. Raises Busy, StorageError, with none of them done."""
+        try:
+            outcomes = self._committed(jobs)
+        except BaseException as error:
+            if not isinstance(error, Busy):
+                for job in jobs:
+                    self._keep(job.received)
+            raise
+        for job, outcome in zip(jobs, outcomes, strict=True):
+            if isinstance(outcome, Applied):
+                self._keep(outcome.unused)
+                self._renew(outcome)
+                self._note(job.writes, outcome)
+                self._tell(outcome)
+            else:
+                self._keep(job.received)
+        return outcomes
+
+    def _committed(self, jobs: Sequence[Job]) -> Sequence[Applied | Conflict]:
+        ledger = self._ledger
+        foreign = ledger.begin()
+        try:
+            if foreign:
+                self._notice()
+            now = time.time_ns()
+            outcomes = [ledger.attempt(job.writes, job.received, now) for job in jobs]
+            ledger.commit()
+        except BaseException:
+            ledger.rollback()
+            raise
+        return outcomes
+
+    async def reach(self, applied: Sequence[Applied]) -> None:
+        """Wait until what was done is durable. Raises StorageError where it is not, and was undone if possible."""
+        assert self._durability is not None
+        try:
+            await self._durability.reached([id for each in applied for id in each.freed])
+        except StorageError:
+            for each in applied:
+                self._undone.update(each.records, each.gone, each.lists)
+                self._keep(record.blob.id for record in each.records.values() if record.blob is not None)
+            await self._reopen()
+            raise
+
+    async def recover(self) -> None:
+        """See to it that writes can be made durable. Raises StorageError where they cannot."""
+        assert self._durability is not None
+        if self._durability.failure is not None and await asyncio.to_thread(self._durability.works):
+            await self._reopen()
+        if self._durability.failure is not None:
+            raise self._durability.failure
+
+    async def _reopen(self) -> None:
+        """Go on with a database opened anew, without what was undone. While it is opened nothing can be read."""
+        assert self._durability is not None
+        former = self._ledger
+        former.suspend("its log is being opened anew, try again")
+        self.forget()
+        try:
+            self._connection = await asyncio.to_thread(
+                self._durability.reopen, self._connection, lambda: connect(self._place)
+            )
+        except ValueError as error:
+            _log.error("%s", error)
+            return
+        self._connection.execute("PRAGMA busy_timeout = 0")
+        self._ledger = Ledger(self._connection, self._cache.get)
+        undone = () if self._durability.failure is not None else tuple(self._undone)
+        try:
+            self._ledger.succeed(former, undone)
+        except (StorageError, Busy) as error:
+            _log.error("what was not kept may still be found by queries: %s", error)
+        self._undone.difference_update(undone)
+        self._notice()
+
+    async def make_room(self, job: Job) -> None:
+        """Make what room there can be for a job that found the disk full.
+
+        What is set aside is for what deletes, and for what fits into the place of what was deleted.
+        """
+        assert self._durability is not None
+        pages, size = (number(self._connection, name) for name in ("freelist_count", "page_size"))
+        fits = job.size + job.size // 8 + _SPARE_PAGES * size <= pages * size
+        last = fits or all(isinstance(write, Remove) for write in job.writes)
+        await asyncio.to_thread(self._durability.make_room, last=last)
+
+    def _renew(self, applied: Applied) -> None:
+        """Bring the cache up to date."""
+        cache = self._cache
+        for record in applied.records.values():
+            cache.keep(record)
+        for path in applied.gone:
+            cache.drop(path)
+        for path, listed in applied.lists.items():
+            if path not in applied.records:
+                container = cache.get(path)
+                if container is not None:
+                    cache.keep(relisted(container, listed))
+
+    def _note(self, writes: Sequence[Write], applied: Applied) -> None:
+        """Note what the writes changed of records."""
+        for write in writes:
+            record = applied.records.get(write.path)
+            if isinstance(write, Put) and record is not None:
+                self._differences.note(write, record)
+
+    async def receive(self, chunks: AsyncIterator[bytes], media_type: str, *, most: int) -> Blob:
+        self._attach()
+        id, size = await self._folder().receive(chunks, most)
+        self._keep((id,))
+        return Blob(id, size, media_type)
+
+    def discard(self, blob: Blob) -> None:
+        timer = self._waiting.pop(blob.id, None)
+        if timer is not None:
+            timer.cancel()
+            self._folder().discard(blob.id)
+
+    def file(self, blob: Blob) -> Path:
+        path = self._folder().path(blob.id)
+        path.stat()
+        return path
+
+    def _folder(self) -> Blobs:
+        """The folder of blobs; in memory a private one, made when it is first needed."""
+        if self._closed:
+            raise StorageError("The records are closed.")
+        if self._blobs is None:
+            self._temporary = tempfile.TemporaryDirectory(prefix="rosld-", ignore_cleanup_errors=True)
+            self._blobs = Blobs(Path(self._temporary.name) / BLOBS, durable=False)
+        return self._blobs
+
+    def _keep(self, ids: Iterable[str]) -> None:
+        """Keep received blobs for a while, until a write refers to them."""
+        for id in ids:
+            blob = Blob(id, 0, "")
+            self._waiting[id] = asyncio.get_running_loop().call_later(self._keep_seconds, self.discard, blob)
+
+    def _take(self, writes: Sequence[Write]) -> list[str]:
+        """The received blobs that writes refer to: they are not thrown away meanwhile."""
+        taken = []
+        for write in writes:
+            if isinstance(write, Put) and write.blob is not None:
+                timer = self._waiting.pop(write.blob.id, None)
+                if timer is not None:
+                    timer.cancel()
+                    taken.append(write.blob.id)
+        return taken
+
+    def watch(self, wake: Callable[[Sequence[Changed]], None]) -> Callable[[], None]:
+        self._attach()
+        watcher = object()
+        self._watchers[watcher] = wake
+
+        def end() -> None:
+            self._watchers.pop(watcher, None)
+
+        return end
+
+    def _tell(self, applied: Applied) -> None:
+        self._told = max(self._told, self._ledger.version)
+        if self._watchers:
+            self._wake(applied.changed())
+
+    def _wake(self, changed: Sequence[Changed]) -> None:
+        for wake in tuple(self._watchers.values()):
+            try:
+                wake(changed)
+            except Exception:
+                _log.exception("a watcher of records failed")
+
+    def _attach(self) -> None:
+        """Look from now on, on this loop, at whether another process has changed something."""
+        if self._look is None and self._durability is not None and not self._closed:
+            try:
+                loop = asyncio.get_running_loop()
+            except RuntimeError:
+                return  # not on a loop yet
+            self._look = loop.call_later(LOOK_SECONDS, self._look_again)
+
+    def _look_again(self) -> None:
+        self._look = asyncio.get_running_loop().call_later(LOOK_SECONDS, self._look_again)
+        try:
+            if self._durability is not None and self._durability.failure is not None and self._group is not None:
+                self._group.stir()
+            elif self._ledger.foreign():
+                self._notice()
+        except (sqlite3.Error, StorageError) as error:
+            _log.error("the records cannot be read: %s", error)
+
+    def _notice(self) -> None:
+        """Another process has changed something: forget what was read, tell what has changed."""
+        self.forget()
+        while changed := self._ledger.changed(self._told, _CHANGES):
+            self._told = changed[-1].version
+            self._wake(changed)
+
+    def _close_connection(self) -> None:
+        """Close it, which carries the log over, but not what could not be synced."""
+        if self._place is None or self._durability is None or self._durability.failure is None:
+            self._connection.close()
+            return
+        try:
+            close_as_it_is(self._place / DATABASE, self._connection)
+        except sqlite3.Error as error:
+            _log.error("the log of records may hold what was refused: %s", error)
+
+    async def close(self) -> None:
+        if self._closed:
+            return
+        for id in tuple(self._waiting):
+            self.discard(Blob(id, 0, ""))
+        self._closed = True
+        if self._look is not None:
+            self._look.cancel()
+        if self._group is not None:
+            await self._group.idle()
+        if self._durability is not None:
+            await self._durability.close()
+        await asyncio.to_thread(self._close_connection)
+        if self._durability is not None:
+            self._durability.closed()
+        self._cache.clear()
+        if self._blobs is not None:
+            self._blobs.close()
+        if self._temporary is not None:
+            self._temporary.cleanup()

@@ -1,0 +1,124 @@
+"""The aircraft behind a door: anybody, a reader of some topics, a commander, an administrator."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import pytest
+
+from rosld.server.auth.tokens import digest
+from tests.server.conftest import Served
+
+UNHURRIED = ("--setting", "client_rate", "100000")
+"""These clients ask faster than any that a robot has."""
+AGENTS = ("reader", "typist", "commander", "admin")
+RULES = """
+[[rule]]
+agents = ["anybody"]
+modes = ["read"]
+paths = ["/", "/style.css", "/icon.svg", "/live.js", "/ontology", "/openapi.json", "/.well-known/**"]
+
+[[rule]]
+agents = ["reader"]
+modes = ["read"]
+paths = ["/topics/**", "/sparql", "/graphs", "/queries/**", "/channels/**", "/data/**", "/resources/**",
+         "/parameters/**"]
+
+[[rule]]
+agents = ["reader"]
+modes = ["write"]
+paths = ["/data/**", "/parameters/**"]
+
+[[rule]]
+agents = ["reader"]
+modes = ["read", "write"]
+paths = ["/topics/cockpit/**", "/data/secret/**", "/resources/aircraft/engine/**", "/parameters/aircraft/**"]
+deny = true
+
+[[rule]]
+agents = ["typist"]
+modes = ["read", "control"]
+paths = ["/topics/**", "/services/**"]
+types = ["std_msgs/*", "std_srvs/*"]
+
+[[rule]]
+agents = ["commander"]
+modes = ["read", "control"]
+paths = ["/**"]
+
+[[rule]]
+agents = ["admin"]
+modes = ["read", "write", "control", "administer"]
+paths = ["/**"]
+"""
+
+
+def token(agent: str) -> str:
+    """The token of an agent of these tests."""
+    return f"token-of-{agent}"
+
+
+def tokens(*agents: str) -> str:
+    """The tables with the digests of their tokens."""
+    return "".join(f'[[token]]\nagent = "{each}"\nsha256 = "{digest(token(each))}"\n' for each in agents)
+
+
+@dataclass
+class Guarded:
+    """A server with a door, its file, and a client for each agent."""
+
+    served: Served
+    file: Path
+    clients: dict[str, httpx.Client]
+
+    @property
+    def url(self) -> str:
+        return self.served.url
+
+    def __getitem__(self, agent: str) -> httpx.Client:
+        return self.clients[agent]
+
+
+def clients(url: str, *agents: str) -> dict[str, httpx.Client]:
+    """A client for each agent, and one for anybody."""
+    known = {each: {"Authorization": f"Bearer {token(each)}"} for each in agents}
+    return {
+        name: httpx.Client(base_url=url, headers=headers, timeout=15)
+        for name, headers in {"anybody": {}, **known}.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def guard(
+    start_server: Callable[..., Served], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Callable[..., Guarded]]:
+    """Starts the aircraft behind these rules."""
+    with contextlib.ExitStack() as opened:
+
+        def started(rules: str, *agents: str, options: tuple[str, ...] = ()) -> Guarded:
+            file = tmp_path_factory.mktemp("door") / "auth.toml"
+            file.write_text(tokens(*agents) + rules)
+            served = start_server("aircraft", "--auth", str(file), "--max-publish-rate", "100000", *UNHURRIED, *options)
+            found = clients(served.url, *agents)
+            for each in found.values():
+                opened.enter_context(each)
+            return Guarded(served, file, found)
+
+        yield started
+
+
+@pytest.fixture(scope="module")
+def guarded(guard: Callable[..., Guarded]) -> Guarded:
+    """The aircraft with the usual agents."""
+    found = guard(RULES, *AGENTS)
+    for path in ("secret/plan", "open/plan"):
+        answer = found["admin"].put(f"/data/{path}", content="<> a <#T>; <#p> </data/secret/plan> .", headers=TURTLE)
+        assert answer.status_code == 201, answer.text
+    return found
+
+
+TURTLE = {"Content-Type": "text/turtle"}

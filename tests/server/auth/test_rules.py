@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rosld.server.auth.agent import ANYBODY, Agent
+from rosld.server.auth.globs import Glob
+from rosld.server.auth.rules import AUTHENTICATED, Mode, Policy, Rights, Rule, everybody, mode_of
+
+ANNA = Agent("anna", "https://anna.example/#me")
+IMAGE, TWIST = frozenset({"sensor_msgs/msg/Image"}), frozenset({"geometry_msgs/msg/Twist"})
+
+
+def rule(
+    *globs: str, agents: str = "anna", modes: str = "read", types: tuple[str, ...] = (), deny: bool = False
+) -> Rule:
+    return Rule(frozenset(agents.split()), frozenset(map(Mode, modes.split())), tuple(map(Glob, globs)), types, deny)
+
+
+def rights(*rules: Rule, agent: Agent = ANNA) -> Rights:
+    return Policy(rules).rights(agent)
+
+
+def test_what_no_rule_allows_is_not_allowed() -> None:
+    assert not rights().may(Mode.READ, ())
+    assert not rights().knows(("topics",))
+
+
+def test_rules_are_about_names_webids_everybody_and_those_who_are_known() -> None:
+    for name in ("anna", "https://anna.example/#me", "anybody", AUTHENTICATED):
+        assert rights(rule("/**", agents=name)).may(Mode.READ, ("topics",)), name
+    assert not rights(rule("/**", agents="bert")).may(Mode.READ, ("topics",))
+    assert not rights(rule("/**", agents=AUTHENTICATED), agent=ANYBODY).may(Mode.READ, ("topics",))
+    assert not rights(rule("/**", agents="anna"), agent=ANYBODY).may(Mode.READ, ("topics",))
+
+
+_rules = st.builds(
+    rule,
+    st.sampled_from(["/**", "/topics/**", "/topics/a", "/topics/*", "/services/**", "/topics/a/**"]),
+    modes=st.sampled_from(["read", "control", "read control", "write"]),
+    types=st.sampled_from([(), ("sensor_msgs/*",)]),
+    deny=st.booleans(),
+)
+_paths = st.sampled_from([(), ("topics",), ("topics", "a"), ("topics", "a", "b"), ("topics", "b"), ("services", "a")])
+
+
+@given(
+    st.lists(_rules, max_size=5), _paths, st.sampled_from(list(Mode)), st.sampled_from([frozenset[str](), IMAGE, TWIST])
+)
+def test_what_one_rule_denies_no_other_allows_in_whatever_order(
+    rules: list[Rule], path: tuple[str, ...], mode: Mode, types: frozenset[str]
+) -> None:
+    found = rights(*rules)
+    said = [one.deny for one in rules if one.holds(mode, path, types)]
+    assert found.may(mode, path, types) == (False in said and True not in said)
+    assert rights(*reversed(rules)).may(mode, path, types) == found.may(mode, path, types)
+    denial = rule("/**", modes=mode.value, deny=True)
+    assert not rights(*rules, denial).may(mode, path, types)
+
+
+@given(
+    st.lists(_rules, max_size=4), _paths, st.sampled_from(list(Mode)), st.sampled_from([frozenset[str](), IMAGE, TWIST])
+)
+def test_what_the_path_alone_forbids_is_forbidden_whatever_is_there(
+    rules: list[Rule], path: tuple[str, ...], mode: Mode, types: frozenset[str]
+) -> None:
+    found = rights(*rules)
+    if not found.may(mode, path, None):
+        assert not found.may(mode, path, types)
+
+
+@given(st.lists(_rules, max_size=4), _paths, st.sampled_from(list(Mode)), _paths, st.sampled_from([IMAGE, TWIST]))
+def test_a_right_to_all_below_is_a_right_to_each_thing_below(
+    rules: list[Rule], path: tuple[str, ...], mode: Mode, inner: tuple[str, ...], types: frozenset[str]
+) -> None:
+    found = rights(*rules)
+    if found.may_below(mode, path):
+        assert found.may(mode, (*path, *inner), types)
+
+
+def test_rules_about_types_are_about_what_is_of_such_types_alone() -> None:
+    only = rights(rule("/topics/**", types=("sensor_msgs/*",)))
+    assert only.may(Mode.READ, ("topics", "a"), IMAGE)
+    assert not only.may(Mode.READ, ("topics", "a"), TWIST)
+    assert not only.may(Mode.READ, ("topics", "a"))
+    but = rights(rule("/topics/**"), rule("/topics/**", types=("sensor_msgs/*",), deny=True))
+    assert not but.may(Mode.READ, ("topics", "a"), IMAGE)
+    assert not but.may(Mode.READ, ("topics", "a"), IMAGE | TWIST)
+    assert but.may(Mode.READ, ("topics", "a"), TWIST)
+
+
+def test_without_rules_of_its_own_a_server_lets_everybody_do_everything() -> None:
+    assert Policy(everybody()).rights(ANYBODY).whole
+
+
+def test_agents_with_the_same_rules_share_the_name_of_their_rights_and_others_do_not() -> None:
+    one, two = rule("/a", agents="anna bert"), rule("/b", agents="anna bert")
+    assert rights(one, two).key == rights(two, one, agent=Agent("bert")).key
+    assert rights(one).key != rights(two).key
+
+
+def test_what_a_request_does() -> None:
+    assert mode_of("PUT", ("topics", "a")) is Mode.CONTROL
+    assert mode_of("POST", ("services", "a")) is Mode.CONTROL
+    assert mode_of("PUT", ("data", "a")) is Mode.WRITE
+    assert mode_of("DELETE", ("parameters", "a")) is Mode.WRITE
+    assert mode_of("POST", ("stop",)) is Mode.CONTROL
+    assert mode_of("DELETE", ("stop",)) is Mode.ADMINISTER
+    assert mode_of("GET", ("acl",)) is Mode.ADMINISTER
+    assert mode_of("POST", ("sparql",)) is Mode.READ
+    assert mode_of("HEAD", ()) is Mode.READ

@@ -1,0 +1,189 @@
+"""One truth everywhere: what is said to an agent leaves out what the agent may not know of, in every form."""
+
+from __future__ import annotations
+
+import re
+
+import httpx
+import pytest
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.ontology.document import Document
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import hctl, htv, td
+from rosld.server.auth.agent import ANYBODY
+from rosld.server.auth.globs import Glob
+from rosld.server.auth.permissions import Judge
+from rosld.server.auth.redaction import veiled
+from rosld.server.auth.rules import Mode, Rights, Rule
+from tests.server.auth.conftest import TURTLE, Guarded
+
+FORMATS = ("ttl", "jsonld", "nt", "rdf", "n3", "nq", "trig", "json", "html")
+CONTAINERS = (
+    "/topics/",
+    "/data/",
+    "/data/open/plan",
+    "/resources/",
+    "/parameters/",
+    "/topics/aircraft/engine/speed",
+    "/queries/",
+)
+SECRETS = re.compile(
+    r"topics/cockpit|data/secret|resources/aircraft/engine|parameters/aircraft|nodes/aircraft|services/"
+)
+"""What the reader may not know of."""
+
+
+@pytest.mark.parametrize("format", FORMATS)
+@pytest.mark.parametrize("path", CONTAINERS)
+def test_nothing_that_the_reader_reads_speaks_of_what_they_may_not_know(
+    guarded: Guarded, path: str, format: str
+) -> None:
+    answer = guarded["reader"].get(path, params={"format": format})
+    assert answer.status_code == 200, answer.text
+    told = answer.text + "".join(f"{name}: {value}\n" for name, value in answer.headers.items())
+    assert not SECRETS.search(told), SECRETS.search(told)
+    assert "cockpit" not in told or not path.startswith("/topics")
+    assert guarded["admin"].get(path, params={"format": format}).status_code == 200
+
+
+def test_agents_of_other_rights_have_other_entity_tags_of_one_state(guarded: Guarded) -> None:
+    tags = [
+        guarded[agent].get("/data/open/plan", headers={"Accept": "text/turtle"}).headers["etag"]
+        for agent in ("admin", "reader")
+    ]
+    states, variants = zip(*(tag.strip('"').rsplit(".", 1) for tag in tags), strict=True)
+    assert states[0] == states[1]
+    assert variants[0] != variants[1]
+    written = guarded["reader"].put(
+        "/data/open/plan", content="<> a <#T>; <#p> </data/secret/plan> .", headers={**TURTLE, "If-Match": tags[1]}
+    )
+    assert written.status_code == 204
+
+
+def test_affordances_and_forms_are_those_that_this_agent_may_use(guarded: Guarded) -> None:
+    def affords(agent: str) -> tuple[bool, bool]:
+        told = guarded[agent].get("/resources/aircraft/", headers={"Accept": "text/turtle"}).text
+        page = guarded[agent].get("/resources/aircraft/", headers={"Accept": "text/html"}).text
+        return "invokeAction" in told, "<form" in page
+
+    assert affords("commander") == (True, True)
+    assert affords("admin") == (True, True)
+    assert affords("reader") == (False, False)
+
+
+def test_the_pages_of_one_agent_are_not_shared_with_another(guarded: Guarded) -> None:
+    pages = [
+        guarded[agent].get("/resources/aircraft/", headers={"Accept": "text/html"}).text
+        for agent in ("admin", "commander")
+    ]
+    tokens = [set(re.findall(r'name="[^"]*csrf[^"]*" value="([^"]+)"', page)) for page in pages]
+    assert tokens[0]
+    assert tokens[0].isdisjoint(tokens[1])
+
+
+def solutions(client: httpx.Client, query: str) -> list[str]:
+    answer = client.post("/sparql", data={"query": query}, headers={"Accept": "text/csv"})
+    assert answer.status_code == 200, answer.text
+    return answer.text.split("\r\n")[1:-1]
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "SELECT ?s ?p ?o { ?s ?p ?o }",
+        "SELECT ?g ?s ?p ?o { GRAPH ?g { ?s ?p ?o } }",
+        "SELECT ?s ?p ?o { GRAPH </topics/> { ?s ?p ?o } }",
+        "SELECT ?s ?p ?o FROM </topics/cockpit/display> { ?s ?p ?o }",
+        "SELECT ?s ?p ?o FROM NAMED </data/secret/plan> { GRAPH ?g { ?s ?p ?o } }",
+        "SELECT ?s ?p ?o { GRAPH </nodes/aircraft> { ?s ?p ?o } }",
+        "SELECT ?g (COUNT(*) AS ?n) { GRAPH ?g { ?s ?p ?o } } GROUP BY ?g",
+        "SELECT (STR(?o) AS ?t) { ?s ?p ?o }",
+        "SELECT ?x ?p ?o { ?x a ros:ComplexResource ; ?p ?o }",
+        "SELECT ?x ?p ?o { ?x a ros:Property ; ?p ?o }",
+    ],
+)
+def test_queries_see_what_their_agent_may_read_and_no_mention_of_anything_else(guarded: Guarded, query: str) -> None:
+    rows = "\n".join(solutions(guarded["reader"], query))
+    assert not SECRETS.search(rows), SECRETS.search(rows)
+    assert solutions(guarded["admin"], query)
+
+
+def test_what_may_not_be_known_is_no_answer_to_any_question(guarded: Guarded) -> None:
+    for ask in (
+        "ASK { </data/secret/plan> ?p ?o }",
+        "ASK { GRAPH </data/secret/plan> {} }",
+        "ASK { ?s ?p </data/secret/plan> }",
+        "ASK { FILTER(BOUND(?x)) BIND(ros:age(</topics/cockpit/display>) AS ?x) }",
+    ):
+        for agent, expected in (("reader", "false"), ("admin", None)):
+            answer = guarded[agent].post(
+                "/sparql", data={"query": ask}, headers={"Accept": "application/sparql-results+json"}
+            )
+            assert answer.status_code == 200, answer.text
+            if expected:
+                assert f'"boolean":{expected}' in answer.text.replace(" ", ""), ask
+
+
+def test_the_answers_of_one_agent_are_kept_for_no_other(guarded: Guarded) -> None:
+    query = "SELECT (COUNT(*) AS ?n) { GRAPH ?g { ?s a ?type } }"
+    counts = {agent: solutions(guarded[agent], query) for agent in ("admin", "reader", "admin", "reader")}
+    assert counts["admin"] != counts["reader"]
+    assert guarded["anybody"].post("/sparql", data={"query": query}).status_code == 401
+
+
+def test_an_update_changes_what_its_agent_may_change_and_reads_what_they_may_read(guarded: Guarded) -> None:
+    def update(agent: str, text: str) -> int:
+        return (
+            guarded[agent]
+            .post("/sparql", content=text, headers={"Content-Type": "application/sparql-update"})
+            .status_code
+        )
+
+    assert update("reader", "INSERT DATA { GRAPH </data/open/note> { <#a> <#b> 1 } }") == 204
+    assert update("reader", "INSERT DATA { GRAPH </data/secret/note> { <#a> <#b> 1 } }") == 403
+    assert update("reader", "COPY </data/secret/plan> TO </data/open/copy>") == 403
+    assert update("reader", "COPY </data/secret/nothing> TO </data/open/copy>") == 403
+    assert (
+        update(
+            "reader", "INSERT { GRAPH </data/open/x> { ?s ?p ?o } } WHERE { GRAPH </data/secret/plan> { ?s ?p ?o } }"
+        )
+        == 403
+    )
+    assert update("commander", "INSERT DATA { GRAPH </data/open/note> { <#a> <#b> 2 } }") == 403
+    assert guarded["admin"].get("/data/secret/note").status_code == 404
+    assert guarded["admin"].get("/data/open/copy").status_code == 404
+
+
+def test_the_graph_store_judges_the_graph_that_is_named(guarded: Guarded) -> None:
+    for name in ("/data/secret/plan", "/data/secret/nothing", "/nodes/aircraft"):
+        answer = guarded["reader"].get("/graphs", params={"graph": name})
+        assert (answer.status_code, answer.json()["detail"]) == (404, "There is nothing here that you may know of.")
+        assert guarded["reader"].put("/graphs", params={"graph": name}, content="", headers=TURTLE).status_code == 404
+    assert guarded["reader"].get("/graphs", params={"graph": "/data/open/plan"}).status_code == 200
+    whole = guarded["reader"].get("/graphs?default").text
+    assert not SECRETS.search(whole)
+
+
+def test_a_name_that_is_not_for_one_to_give_counts_as_taken(guarded: Guarded) -> None:
+    made = guarded["reader"].post("/data/", content="", headers={**TURTLE, "Slug": "secret"}).headers["location"]
+    assert made.rpartition("/")[2] != "secret"
+
+
+def test_of_an_affordance_only_the_forms_are_left_that_may_be_used() -> None:
+    base = "http://robot.example/"
+    rule = Rule(frozenset({ANYBODY.name}), frozenset({Mode.READ}), (Glob("/topics/**"),))
+    url = f"{base}topics/a"
+    about, read, write = (NamedNode(f"{url}#{name}") for name in ("affordance", "read", "write"))
+    forms = [
+        triple
+        for form, method in ((read, "GET"), (write, "PUT"))
+        for triple in (
+            Triple(about, td.hasForm, form),
+            Triple(form, hctl.hasTarget, NamedNode(url)),
+            Triple(form, htv.methodName, Literal(method)),
+        )
+    ]
+    told = veiled(Document(url, tuple(forms)), Judge(ANYBODY, Rights((rule,)), Space(base))).triples
+    assert {triple.object for triple in told if triple.predicate == td.hasForm} == {read}
+    assert write not in {triple.subject for triple in told}

@@ -1,0 +1,108 @@
+"""The folder of --data belongs to one base, and is served by one process."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from rosld.server.cli.data_folder import claim, hold, owner
+from rosld.server.cli.main import main
+
+BASE = "http://127.0.0.1:8080/"
+
+
+def test_a_folder_is_made_and_remembers_its_base(tmp_path: Path) -> None:
+    claim(tmp_path / "new" / "data", BASE)
+    claim(tmp_path / "new" / "data", BASE)
+    assert [path.name for path in (tmp_path / "new" / "data").iterdir()] == ["base-url"]
+
+
+def test_another_base_is_refused_and_told_the_owner(tmp_path: Path) -> None:
+    claim(tmp_path, BASE)
+    with pytest.raises(ValueError, match=f"--base-url {BASE}"):
+        claim(tmp_path, "http://127.0.0.1:8081/")
+
+
+def test_a_file_is_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(OSError, match="exists"):
+        claim(tmp_path / "file", BASE)
+
+
+HOLDER = """
+import os, sys
+from pathlib import Path
+from rosld.server.cli.data_folder import hold
+with hold(Path(sys.argv[1])):
+    if len(sys.argv) > 2 and os.fork() == 0:
+        os.read(int(sys.argv[2]), 1)  # a child that goes on when its parent is dead
+        os._exit(0)
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@contextmanager
+def holding(folder: Path, *more: str, pass_fds: tuple[int, ...] = ()) -> Iterator[subprocess.Popen[str]]:
+    """A process that holds a folder; it is ended afterwards, by force if need be."""
+    command = [sys.executable, "-c", HOLDER, str(folder), *more]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, pass_fds=pass_fds
+    ) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "held\n"
+            yield process
+        finally:
+            process.kill()
+
+
+def test_a_folder_is_held_by_one_process_at_a_time(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    with (
+        hold(folder),
+        pytest.raises(ValueError, match=rf"another rosld \(process {os.getpid()}\).*--data"),
+        hold(folder),
+    ):
+        pass
+    with hold(folder):
+        pass
+
+
+def test_a_second_server_on_a_folder_says_who_serves_it(tmp_path: Path) -> None:
+    with holding(tmp_path) as process:
+        result = CliRunner().invoke(main, ["serve", "aircraft", "--port", "0", "--data", str(tmp_path)])
+        assert result.exit_code == 1
+        assert result.stderr.startswith(f"rosld: {tmp_path} is served by another rosld (process {process.pid})")
+        assert result.stderr.count("\n") == 1
+        assert owner(tmp_path) is None
+
+
+def test_what_a_killed_process_left_behind_is_no_obstacle(tmp_path: Path) -> None:
+    with holding(tmp_path) as process:
+        process.kill()
+        process.wait()
+        assert (tmp_path / "lock").read_text() == f"{process.pid}\n"
+        with hold(tmp_path):
+            pass
+
+
+def test_a_child_that_outlives_a_killed_process_holds_nothing(tmp_path: Path) -> None:
+    end, begin = os.pipe()
+    try:
+        with holding(tmp_path, str(end), pass_fds=(end,)) as process:
+            process.kill()
+            process.wait()
+            with hold(tmp_path):
+                pass
+            os.write(begin, b"x")
+    finally:
+        os.close(end)
+        os.close(begin)

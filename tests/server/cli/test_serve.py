@@ -1,0 +1,191 @@
+"""`rosld serve`, as a process: what it prints, how it fails, how it ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import httpx
+import pytest
+from click.testing import CliRunner, Result
+
+from rosld.server.cli.main import main
+
+FIVE_SECONDS = 5.0
+
+
+@contextmanager
+def serving(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A running `rosld serve` and the URL it printed; it is ended afterwards, by force if need be."""
+    command = [sys.executable, "-m", "rosld", "serve", *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            url = process.stdout.readline().strip()
+            assert url, "it printed no URL"
+            yield process, url
+        finally:
+            process.kill()
+
+
+def failure(*arguments: str) -> Result:
+    """What a `rosld serve` that cannot begin says, having checked that it is one line and no traceback."""
+    result = CliRunner().invoke(main, ["serve", *arguments])
+    assert result.exit_code == 1, result.output
+    assert result.stdout == ""
+    assert result.stderr.startswith("rosld: ")
+    assert result.stderr.count("\n") == 1
+    return result
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+def test_it_prints_its_url_and_nothing_else_and_ends_in_time_with_clients_connected(number: signal.Signals) -> None:
+    with serving("aircraft", "--port", "0") as (process, url), httpx.Client(base_url=url, timeout=10) as idle:
+        assert idle.get("/", headers={"Accept": "text/turtle"}).status_code == 200
+        parts = urlsplit(url)
+        with closing(socket.create_connection((parts.hostname, parts.port))) as unfinished:
+            head = f"PUT /topics/cockpit/display HTTP/1.1\r\nHost: {parts.netloc}\r\nContent-Type: application/json\r\n"
+            unfinished.sendall(f"{head}Content-Length: 100\r\n\r\n{{".encode())
+            assert idle.get("/").status_code == 200  # so that the unfinished request has been seen
+            began = time.monotonic()
+            process.send_signal(number)
+            rest, errors = process.communicate(timeout=FIVE_SECONDS)
+    assert time.monotonic() - began < FIVE_SECONDS
+    assert process.returncode == 0, errors
+    assert rest == ""
+    assert "Traceback" not in errors
+
+
+def test_started_by_nohup_it_outlives_its_terminal() -> None:
+    command = [sys.executable, "-m", "rosld", "serve", "aircraft", "--port", "0"]
+    with subprocess.Popen(["nohup", *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            url = process.stdout.readline().strip()
+            process.send_signal(signal.SIGHUP)
+            assert httpx.get(url, timeout=10).status_code == 200
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(FIVE_SECONDS) == 0
+        finally:
+            process.kill()
+
+
+def test_it_may_be_told_to_end_before_it_has_begun() -> None:
+    with closing(socket.create_server(("127.0.0.1", 0))) as silent:
+        silent.settimeout(20)
+        command = [sys.executable, "-m", "rosld", "serve", f"ros1://127.0.0.1:{silent.getsockname()[1]}", "--port", "0"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            try:
+                connection, _ = silent.accept()  # it is opening its source now
+                with closing(connection):
+                    process.send_signal(signal.SIGTERM)
+                    out, errors = process.communicate(timeout=FIVE_SECONDS)
+            finally:
+                process.kill()
+    assert out == ""
+    assert "Traceback" not in errors
+
+
+def test_a_base_url_is_what_is_printed() -> None:
+    with serving("aircraft", "--port", "0", "--base-url", "https://robot.example/x") as (_, url):
+        assert url == "https://robot.example/x/"
+
+
+def test_a_port_that_is_taken_is_told_in_one_line() -> None:
+    with closing(socket.create_server(("127.0.0.1", 0))) as taken:
+        port = taken.getsockname()[1]
+        said = failure("aircraft", "--port", str(port)).stderr
+    assert f"127.0.0.1:{port}" in said
+    assert "--port" in said
+
+
+def test_a_port_that_is_not_ours_to_take_is_told_in_one_line() -> None:
+    if os.geteuid() == 0:
+        assert "192.0.2.1" in failure("aircraft", "--host", "192.0.2.1", "--port", "0").stderr
+    else:
+        assert "ermission" in failure("aircraft", "--port", "1").stderr
+
+
+def test_a_host_that_does_not_resolve_is_told_in_one_line() -> None:
+    assert "no.such.host.invalid" in failure("aircraft", "--host", "no.such.host.invalid").stderr
+
+
+def test_a_missing_file_is_told_in_one_line() -> None:
+    assert "no-such.bag" in failure("no-such.bag", "--port", "0").stderr
+
+
+def test_a_file_that_is_no_recording_is_told_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "text.bag").write_text("this is no recording")
+    assert "text.bag" in failure(str(tmp_path / "text.bag"), "--port", "0").stderr
+
+
+def test_an_unreachable_master_is_told_in_one_line() -> None:
+    with closing(socket.create_server(("127.0.0.1", 0))) as closed:
+        port = closed.getsockname()[1]
+    assert str(port) in failure(f"ros1://127.0.0.1:{port}", "--port", "0").stderr
+
+
+def test_an_unknown_scheme_is_told_in_one_line() -> None:
+    assert "telepathy" in failure("telepathy://robot", "--port", "0").stderr
+
+
+def test_a_wildcard_address_needs_a_base() -> None:
+    assert "--base-url" in failure("aircraft", "--host", "0.0.0.0", "--port", "0").stderr
+
+
+def test_data_of_another_base_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "base-url").write_text("http://robot.example/\n")
+    said = failure("aircraft", "--port", "0", "--base-url", "http://other.example/", "--data", str(tmp_path)).stderr
+    assert "http://robot.example/" in said
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--setting", "nonsense", "1"),
+        ("--setting", "body_limit", "much"),
+        ("--rate", "0"),
+        ("--cors-origin", "nonsense"),
+        ("--base-url", "nonsense"),
+    ],
+)
+def test_a_setting_that_makes_no_sense_is_told_in_one_line(arguments: tuple[str, ...]) -> None:
+    failure("aircraft", "--port", "0", *arguments)
+
+
+@pytest.mark.parametrize("arguments", [("--host-map", "nonsense"), ("--port", "many"), ("--nonsense",)])
+def test_an_option_that_is_none_is_a_usage_error(arguments: tuple[str, ...]) -> None:
+    result = CliRunner().invoke(main, ["serve", "aircraft", *arguments])
+    assert result.exit_code == 2
+    assert "Usage" in result.stderr
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["serve", "--help"], ["lift", "--help"], ["types", "--help"]])
+def test_help_explains_itself_with_examples(arguments: list[str]) -> None:
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0
+    assert "rosld " in result.output
+
+
+def test_the_version_is_told() -> None:
+    result = CliRunner().invoke(main, ["--version"])
+    assert result.output.startswith("rosld 0.")
+
+
+def test_types_lists_names_and_hashes() -> None:
+    result = CliRunner().invoke(main, ["types", "aircraft"])
+    assert "std_msgs/msg/Float64\tfdb28210bfa9d7c91146260178d9a584\n" in result.output
+
+
+def test_types_of_a_missing_file_is_told_in_one_line() -> None:
+    result = CliRunner().invoke(main, ["types", "no-such.bag"])
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr.count("\n") == 1

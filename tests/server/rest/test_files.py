@@ -1,0 +1,310 @@
+"""Files, on the real server: whole, in ranges, and to readers who leave (LDP 4.4, RFC 9110 14, RFC 6266)."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+import pytest
+from starlette.requests import Request
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from rosld.server.http.problem import Problem
+from rosld.server.http.problem_details import render
+from rosld.server.rest import files
+from rosld.server.rest.files import CHUNK, UNKNOWN, exact_media_type, file_response
+from rosld.server.serving import http_server
+
+_V = TypeVar("_V")
+TAG = '"kept-7.any"'
+LARGE = bytes(range(256)) * 1024 * 5  # 10 chunks
+HUGE = 64 * 1024 * 1024
+
+
+class Answer(NamedTuple):
+    status: int
+    headers: Mapping[str, str]
+    body: bytes
+
+
+def app(path: Path, size: int, media_type: str = "image/png", name: str | None = None) -> ASGIApp:
+    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
+        asked = Request(scope).headers
+        try:
+            response = await file_response(
+                path, size, media_type, TAG, headers={"vary": "Accept"}, name=name, range_=asked.get("range"),
+                if_range=asked.get("if-range"), head=scope["method"] == "HEAD",
+            )  # fmt: skip
+        except Problem as problem:
+            response = render(problem).response()
+        await response(scope, receive, send)
+
+    return answer
+
+
+def with_server(served: ASGIApp, work: Callable[[int], Awaitable[_V]]) -> _V:
+    """What `work` makes of a running server's port; the server has ended afterwards."""
+
+    async def main() -> _V:
+        listens = asyncio.Event()
+        server = http_server.Server(served, listens.set)
+        sock = http_server.bind("127.0.0.1", 0)
+        serving = asyncio.create_task(server.serve(sockets=[sock]))
+        try:
+            await asyncio.wait_for(listens.wait(), 60)
+            return await asyncio.wait_for(work(sock.getsockname()[1]), 30)
+        finally:
+            server.should_exit = True
+            await serving
+
+    return asyncio.run(main())
+
+
+def asked(method: str, headers: Mapping[str, str]) -> bytes:
+    lines = "".join(f"{name}: {value}\r\n" for name, value in headers.items())
+    return f"{method} / HTTP/1.1\r\nHost: h\r\nConnection: close\r\n{lines}\r\n".encode()
+
+
+def read(served: ASGIApp, method: str = "GET", **headers: str) -> Answer:
+    async def talk(port: int) -> bytes:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(asked(method, {name.replace("_", "-"): value for name, value in headers.items()}))
+        try:
+            return await reader.read()
+        finally:
+            writer.close()
+
+    head, _, body = with_server(served, talk).partition(b"\r\n\r\n")
+    first, *lines = head.decode("latin-1").split("\r\n")
+    pairs = (line.partition(": ") for line in lines)
+    return Answer(int(first.split()[1]), {name.lower(): value for name, _, value in pairs}, body)
+
+
+@pytest.fixture(params=[b"", b"0123456789", LARGE], ids=["empty", "small", "large"])
+def data(request: pytest.FixtureRequest) -> bytes:
+    found = request.param
+    assert isinstance(found, bytes)
+    return found
+
+
+@pytest.fixture
+def path(tmp_path: Path, data: bytes) -> Path:
+    path = tmp_path / "blob"
+    path.write_bytes(data)
+    return path
+
+
+@pytest.fixture
+def large(tmp_path: Path) -> Path:
+    path = tmp_path / "large"
+    path.write_bytes(LARGE)
+    return path
+
+
+def test_a_file_comes_back_as_it_is(path: Path, data: bytes) -> None:
+    answer = read(app(path, len(data)))
+    assert (answer.status, answer.body) == (200, data)
+    assert answer.headers["content-length"] == str(len(data))
+    assert answer.headers["content-type"] == "image/png"
+    assert answer.headers["etag"] == TAG
+    assert answer.headers["accept-ranges"] == "bytes"
+    assert answer.headers["vary"] == "Accept"
+
+
+def test_head_says_the_same_without_the_file(path: Path, data: bytes) -> None:
+    whole, head = read(app(path, len(data))), read(app(path, len(data)), "HEAD")
+    assert head.body == b""
+    assert {name: value for name, value in head.headers.items() if name != "date"} == {
+        name: value for name, value in whole.headers.items() if name != "date"
+    }
+
+
+def test_range_is_for_get_only(large: Path) -> None:
+    assert read(app(large, len(LARGE)), "HEAD", range="bytes=0-9").status == 200
+
+
+@pytest.mark.parametrize(("start", "stop"), [(0, 10), (CHUNK - 5, CHUNK + 5), (10, len(LARGE)), (len(LARGE) - 1, None)])
+def test_a_range_is_sent_alone(large: Path, start: int, stop: int | None) -> None:
+    end = len(LARGE) if stop is None else stop
+    answer = read(app(large, len(LARGE)), range=f"bytes={start}-{'' if stop is None else stop - 1}", if_range=TAG)
+    assert (answer.status, answer.body) == (206, LARGE[start:end])
+    assert answer.headers["content-range"] == f"bytes {start}-{end - 1}/{len(LARGE)}"
+    assert answer.headers["content-type"] == "image/png"
+    assert answer.headers["etag"] == TAG
+
+
+@pytest.mark.parametrize("last", [9, len(LARGE) - 100_000])
+def test_several_ranges_come_as_parts(large: Path, last: int) -> None:
+    answer = read(app(large, len(LARGE)), range=f"bytes=-10,0-{last}")
+    kind, _, boundary = answer.headers["content-type"].partition("; boundary=")
+    assert (answer.status, kind) == (206, "multipart/byteranges")
+    assert "content-range" not in answer.headers
+    assert len(answer.body) == int(answer.headers["content-length"])
+    nothing, first, second, end = answer.body.split(f"--{boundary}".encode())
+    assert (nothing, end) == (b"", b"--\r\n")
+    assert first.endswith(b"\r\n\r\n" + LARGE[-10:] + b"\r\n")
+    assert second.endswith(b"\r\n\r\n" + LARGE[: last + 1] + b"\r\n")
+    assert b"Content-Type: image/png\r\n" in first
+    assert f"Content-Range: bytes 0-{last}/{len(LARGE)}\r\n".encode() in second
+
+
+def test_a_range_beyond_the_end_is_416(large: Path) -> None:
+    answer = read(app(large, len(LARGE)), range=f"bytes={len(LARGE)}-")
+    assert answer.status == 416
+    assert answer.headers["content-range"] == f"bytes */{len(LARGE)}"
+
+
+def test_a_file_that_has_changed_is_sent_whole(large: Path) -> None:
+    assert read(app(large, len(LARGE)), range="bytes=0-9", if_range='"kept-6.any"').status == 200
+
+
+# What a browser may make of it
+
+
+@pytest.mark.parametrize("media_type", ["text/html", "image/svg+xml", "application/xhtml+xml", "text/xml"])
+def test_no_script_in_a_stored_page_or_drawing_runs_in_the_name_of_this_server(tmp_path: Path, media_type: str) -> None:
+    path = tmp_path / "page"
+    path.write_bytes(b"<script>alert(document.domain)</script>")
+    for method, headers in (("GET", {}), ("GET", {"range": "bytes=0-9"}), ("HEAD", {})):
+        answer = read(app(path, 39, media_type), method, **headers)
+        policy = [part.strip().split() for part in answer.headers["content-security-policy"].split(";")]
+        assert ["sandbox"] in policy  # alone: nothing is allowed again
+        assert ["default-src", "'none'"] in policy
+        assert not [part for part in policy if part[0].startswith("script-src")]
+        assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+@pytest.mark.parametrize(
+    ("name", "media_type", "disposition"),
+    [
+        (None, "image/png", "inline"),
+        ("map.png", "image/png", 'inline; filename="map.png"'),
+        ("my map.png", "image/png", 'inline; filename="my map.png"'),
+        ("plan.pdf", "application/pdf", 'attachment; filename="plan.pdf"'),
+        ("plan.pdf", "Application/PDF; v=1", 'attachment; filename="plan.pdf"'),
+        ("höhe.png", "image/png", "inline; filename=\"h_he.png\"; filename*=UTF-8''h%C3%B6he.png"),
+        ('a"b\\c\r\nX: y', "image/png", "inline; filename=\"a_b_c__X_ y\"; filename*=UTF-8''a%22b%5Cc%0D%0AX%3A%20y"),
+        ("\ud800", "image/png", "inline; filename=\"_\"; filename*=UTF-8''%3F"),
+    ],
+)
+def test_a_file_is_saved_under_its_name(tmp_path: Path, name: str | None, media_type: str, disposition: str) -> None:
+    path = tmp_path / "blob"
+    path.write_bytes(b"x")
+    assert read(app(path, 1, media_type, name), "HEAD").headers["content-disposition"] == disposition
+
+
+@pytest.mark.parametrize("stated", ["text/plain; charset=ISO-8859-1", "IMAGE/PNG", 'a/b; c="d;e"', "text/plain"])
+def test_the_media_type_is_kept_exactly_as_it_was_stated(stated: str) -> None:
+    assert exact_media_type(stated) == exact_media_type(f" {stated}\t") == stated
+
+
+def test_a_body_that_states_no_media_type_is_bytes() -> None:
+    assert exact_media_type(None) == UNKNOWN == "application/octet-stream"
+
+
+@pytest.mark.parametrize("stated", ["", "text", "text/plain\r\nX: y", "tèxt/plain", 'a/b; c="d\x00"', "a/b, c/d", "/"])
+def test_what_is_no_media_type_is_refused(stated: str) -> None:
+    with pytest.raises(Problem) as refused:
+        exact_media_type(stated)
+    assert refused.value.status == 415
+
+
+# Readers, files and memory
+
+
+def open_files(path: Path) -> int:
+    """How often this process has a file open."""
+    gc.collect()
+    here = Path("/proc/self/fd")
+    return sum(1 for each in here.iterdir() if _target(each) == str(path))
+
+
+def _target(link: Path) -> str:
+    try:
+        return str(link.readlink()).removesuffix(" (deleted)")
+    except OSError:
+        return ""
+
+
+@pytest.fixture
+def huge(tmp_path: Path) -> Path:
+    path = tmp_path / "huge"
+    with path.open("wb") as file:
+        file.truncate(HUGE)
+    return path
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    """Until something is so that no event tells of; the server of each test ends within its own time."""
+    while not condition():  # noqa: ASYNC110
+        await asyncio.sleep(0.01)
+
+
+def test_a_reader_who_leaves_closes_the_file(huge: Path) -> None:
+    async def leave(port: int) -> None:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(asked("GET", {}))
+        await reader.readexactly(100_000)
+        assert open_files(huge) == 1
+        writer.close()
+        await until(lambda: open_files(huge) == 0)
+
+    with_server(app(huge, HUGE), leave)
+
+
+def test_a_reader_who_takes_nothing_more_is_taken_for_gone(huge: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "PATIENCE", 0.2)
+
+    async def stop_reading(port: int) -> None:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(asked("GET", {}))
+        await reader.readexactly(1000)
+        await until(lambda: open_files(huge) == 0)
+        writer.transport.abort()
+
+    with_server(app(huge, HUGE), stop_reading)
+
+
+def test_what_is_removed_while_it_is_read_is_still_sent_whole(huge: Path) -> None:
+    async def remove(port: int) -> int:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(asked("GET", {}))
+        await reader.readuntil(b"\r\n\r\n")
+        await asyncio.to_thread(huge.unlink)
+        size = 0
+        while chunk := await reader.read(1 << 20):
+            size += len(chunk)
+        writer.close()
+        return size
+
+    assert with_server(app(huge, HUGE), remove) == HUGE
+
+
+def test_many_readers_of_a_large_file_take_little_memory(huge: Path) -> None:
+    def resident() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+    async def stand(port: int) -> int:
+        before = resident()
+        readers = [await asyncio.open_connection("127.0.0.1", port, limit=4096) for _ in range(40)]
+        for _, writer in readers:
+            writer.write(asked("GET", {}))
+        for reader, _ in readers:
+            await reader.readexactly(4096)
+        await until(lambda: open_files(huge) == 40)
+        grown = resident() - before
+        for _, writer in readers:
+            writer.transport.abort()
+        return grown
+
+    assert with_server(app(huge, HUGE), stand) < 40 * 1024 * 1024
+
+
+def test_a_file_that_is_not_there_is_told_before_anything_is_sent(tmp_path: Path) -> None:
+    for size in (10, HUGE):
+        with pytest.raises(FileNotFoundError):
+            asyncio.run(file_response(tmp_path / "nothing", size, "a/b", TAG, headers={}))

@@ -1,0 +1,149 @@
+"""Records outlive their process, at whatever moment it is killed."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import random
+import select
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from rosld.server.storage import SqliteRecords, open_records
+from tests.server.storage import writer
+
+WRITER = Path(__file__).with_name("writer.py")
+KILLS = 100
+SECONDS = 60.0
+LONGEST = 0.12
+"""Seconds a writer writes at most."""
+
+
+def killed(folder: Path, first: int, delay: float, *, opening: bool) -> list[list[str]]:
+    """What a writer says until it is killed, so many seconds after it has begun, or has opened the records."""
+    command = [sys.executable, str(WRITER), str(folder), str(first)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        said = b""
+        try:
+            if not opening:
+                ready, _, _ = select.select([process.stdout], [], [], 30)
+                assert ready, "the writer does not open the records"
+                said = os.read(process.stdout.fileno(), 1 << 20)
+            time.sleep(delay)  # the moment is what is tried here
+        finally:
+            process.kill()
+        said += process.stdout.read()
+        assert process.wait() == -9
+    return [line.split() for line in said.decode().split("\n")[:-1]]
+
+
+class Expected:
+    """What must be there: for each lane and kind what was acknowledged last, and what was under way."""
+
+    def __init__(self) -> None:
+        self.done: dict[tuple[int, str], int] = {}
+        self.begun: dict[tuple[int, str], int] = {}
+        self.versions: set[int] = set()
+        self.brief: set[str] = set()
+        self.away: set[str] = set()
+        self.acknowledged = 0
+
+    def said(self, lines: list[list[str]]) -> None:
+        self.begun.clear()
+        for verb, *words in lines:
+            if verb == "open":
+                continue
+            lane, kind, number = int(words[0]), words[1], int(words[2])
+            if verb == "began":
+                self.begun[lane, kind] = number
+                continue
+            assert self.begun.pop((lane, kind)) == number
+            self.done[lane, kind] = number
+            self.acknowledged += 1
+            version = int(words[3])
+            assert version not in self.versions
+            if version:
+                self.versions.add(version)
+            name = writer.paths(lane, kind, number)[0]
+            if kind == "brief":
+                self.brief.add(name)
+            if kind == "away":
+                self.brief.discard(name)
+                self.away.add(name)
+
+    def check(self, records: SqliteRecords) -> None:
+        for lane in range(writer.LANES):
+            for kind in ("rdf", "file", "pair"):
+                self._check(records, lane, kind)
+            self._check_brief(records, lane)
+            container = records.get(f"data/{lane}/")
+            assert container is None or container.count == len(records.members(f"data/{lane}/", most=10**6))
+
+    def _check(self, records: SqliteRecords, lane: int, kind: str) -> None:
+        """Each record is whole, and is what was acknowledged last or what was under way."""
+        possible = {self.done.get((lane, kind)), self.begun.get((lane, kind), self.done.get((lane, kind)))}
+        found = [records.get(path) for path in writer.paths(lane, kind, 0)]
+        number = None
+        if found[0] is not None:
+            number = int(found[0].triples.split(b'"')[1].split(b",")[0])
+        assert number in possible
+        self.done.pop((lane, kind), None)
+        if number is None:
+            assert found == [None] * len(found)
+            return
+        self.done[lane, kind] = number
+        for record in found:
+            assert record is not None
+            assert record.triples == writer.text(number)
+            if kind == "file":
+                assert record.blob is not None
+                assert record.blob.size == len(writer.data(number))
+                assert records.file(record.blob).read_bytes() == writer.data(number)
+
+    def _check_brief(self, records: SqliteRecords, lane: int) -> None:
+        under_way = {
+            writer.paths(lane, kind, self.begun[lane, kind])[0]
+            for kind in ("brief", "away")
+            if (lane, kind) in self.begun
+        }
+        there = {one.path for one in records.members(f"data/{lane}/", most=10**6) if "brief" in one.path}
+        assert {path for path in self.brief if path.startswith(f"data/{lane}/")} ^ there <= under_way
+        self.brief = {path for path in self.brief if not path.startswith(f"data/{lane}/")} | there
+        assert all(records.was_there(path) and records.get(path) is None for path in self.away)
+
+
+async def check(folder: Path, expected: Expected) -> None:
+    records = open_records(folder)
+    try:
+        expected.check(records)
+        used = set()
+        for lane in range(writer.LANES):
+            file = records.get(f"data/{lane}/file")
+            if file is not None and file.blob is not None:
+                used.add(file.blob.id)
+        assert {path.name for path in (folder / "blobs").iterdir()} == used
+    finally:
+        await records.close()
+    with contextlib.closing(sqlite3.connect(folder / "records.sqlite")) as connection:
+        assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+
+
+def test_every_acknowledged_write_survives_a_kill_at_any_moment(tmp_path: Path) -> None:
+    seed = int(os.environ.get("SEED") or time.time_ns() % 10**9)
+    print(f"SEED={seed}")
+    chance, expected, began = random.Random(seed), Expected(), time.monotonic()
+    kills = 0
+    while kills < KILLS and time.monotonic() - began < SECONDS:
+        opening = chance.random() < 0.1
+        delay = chance.uniform(0, 0.3) if opening else chance.uniform(0, LONGEST)
+        expected.said(killed(tmp_path, kills * 100_000, delay, opening=opening))
+        asyncio.run(check(tmp_path, expected))
+        kills += 1
+    print(f"{kills} kills in {time.monotonic() - began:.0f} s, {expected.acknowledged} writes acknowledged")
+    assert kills > KILLS / 4
+    assert expected.acknowledged > kills

@@ -1,0 +1,305 @@
+"""Records in a folder: durable, opened again, and what happens when the disk or the database fails."""
+
+from __future__ import annotations
+
+import asyncio
+import resource
+import sqlite3
+import threading
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AbstractAsyncContextManager, closing, contextmanager
+from pathlib import Path
+from typing import TypeAlias
+
+import pytest
+
+from rosld.server.storage import Model, Put, Remove, SqliteRecords, StorageError, durability, group, open_records
+
+Opened: TypeAlias = Callable[[], AbstractAsyncContextManager[SqliteRecords]]
+RDF = Model.RDF_SOURCE
+
+
+async def chunks(*parts: bytes) -> AsyncIterator[bytes]:
+    for part in parts:
+        yield part
+
+
+class Disk:
+    """A disk that reaches nothing before it is let, and that may fail."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.let = threading.Event()
+        self.asked = threading.Semaphore(0)
+        self.syncs = 0
+        self.failure: OSError | None = None
+        monkeypatch.setattr(durability, "_sync", self.sync)
+
+    def sync(self, file: int) -> None:
+        self.syncs += 1
+        self.asked.release()
+        assert self.let.wait(60)
+        if self.failure is not None:
+            raise self.failure
+
+
+def test_what_was_written_is_there_when_they_are_opened_again(kept: Opened) -> None:
+    async def run() -> None:
+        async with kept() as records:
+            identity, version = records.identity, records.version
+            await records.write(Put("data/a", RDF, b"x"), Put("data/b", RDF), Put("data/c/", Model.BASIC_CONTAINER))
+            await records.write(Remove("data/b"))
+            assert records.version > version
+            found, container = records.get("data/a"), records.get("data/")
+            version, changed = records.version, records.changed(0)
+        async with kept() as records:
+            assert records.identity == identity
+            assert records.get("data/a") == found
+            assert records.get("data/") == container
+            assert records.was_there("data/b")
+            assert records.changed(0) == changed
+            assert records.version > version  # also where a power failure took what was not durable yet
+            assert records.changed(records.version) == []
+
+    asyncio.run(run())
+
+
+def test_each_folder_has_an_identity_of_its_own(tmp_path: Path) -> None:
+    async def run() -> None:
+        several = [open_records(tmp_path / "a"), open_records(tmp_path / "b"), open_records(None), open_records(None)]
+        assert len({records.identity for records in several}) == 4
+        for records in several:
+            await records.close()
+
+    asyncio.run(run())
+
+
+def test_a_write_is_acknowledged_only_when_it_has_reached_the_disk(
+    kept: Opened, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def run() -> None:
+        disk = Disk(monkeypatch)
+        async with kept() as records:
+            writing = asyncio.create_task(records.write(Put("data/a", RDF)))
+            await asyncio.to_thread(disk.asked.acquire)
+            assert not (await asyncio.wait([writing], timeout=0.05))[0]
+            disk.let.set()
+            assert (await writing)[0] is records.get("data/a")
+
+    asyncio.run(run())
+
+
+def test_writes_that_come_while_the_disk_is_at_work_wait_for_it_once_together(
+    kept: Opened, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def run() -> None:
+        disk = Disk(monkeypatch)
+        async with kept() as records:
+            first = asyncio.create_task(records.write(Put("data/a", RDF)))
+            await asyncio.to_thread(disk.asked.acquire)
+            others = [asyncio.create_task(records.write(Put(f"data/{n}", RDF))) for n in range(group.MOST)]
+            await asyncio.sleep(0)
+            disk.let.set()
+            await asyncio.gather(first, *others)
+            assert disk.syncs == 2
+
+    asyncio.run(run())
+
+
+def test_a_disk_that_fails_acknowledges_nothing_and_the_next_write_is_tried_anew(
+    kept: Opened, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def run() -> None:
+        disk = Disk(monkeypatch)
+        disk.let.set()
+        async with kept() as records:
+            disk.failure = OSError(5, "Input/output error")
+            with pytest.raises(StorageError, match="Input/output error") as caught:
+                await records.write(Put("data/a", RDF))
+            assert not caught.value.full
+            disk.failure = None
+            await records.write(Put("data/b", RDF))
+
+    asyncio.run(run())
+
+
+def test_a_full_database_refuses_what_does_not_fit_and_goes_on(records: Opened) -> None:
+    async def run() -> None:
+        async with records() as kept:
+            connection = kept._connection
+            pages = connection.execute("PRAGMA page_count").fetchone()[0]
+            connection.execute(f"PRAGMA max_page_count = {pages + 20}")
+            await kept.write(Put("data/a", RDF, b"a"))
+            version, container = kept.version, kept.get("data/")
+            results = await asyncio.gather(
+                kept.write(Put("data/b", RDF, b"b")),
+                kept.write(Put("data/large", RDF, bytes(1_000_000))),
+                kept.write(Put("data/c", RDF, b"c")),
+                return_exceptions=True,
+            )
+            assert isinstance(results[1], StorageError)
+            assert results[1].full
+            assert "no space left" in str(results[1])
+            assert [isinstance(result, list) for result in results] == [True, False, True]
+            assert kept.get("data/large") is None
+            assert kept.version > version
+            assert [one.path for one in kept.members("data/")] == ["data/a", "data/b", "data/c"]
+            assert kept.get("data/") != container
+            kept.forget()
+            assert kept.get("data/large") is None
+            connection.execute("PRAGMA max_page_count = 1000000")
+            await kept.write(Put("data/large", RDF, bytes(1_000_000)))
+
+    asyncio.run(run())
+
+
+@contextmanager
+def files_of_at_most(size: int) -> Iterator[None]:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_files_that_cannot_grow_refuse_what_does_not_fit_and_go_on(tmp_path: Path) -> None:
+    async def run() -> None:
+        kept = open_records(tmp_path)
+        await kept.write(Put("data/a", RDF, b"a"))
+        with files_of_at_most(1_000_000):
+            with pytest.raises(StorageError):
+                await kept.write(Put("data/b", RDF, bytes(2_000_000)))
+            with pytest.raises(StorageError, match="could not be kept") as caught:
+                await kept.receive(chunks(*[bytes(300_000)] * 10), "x/y", most=10**9)
+            assert caught.value.full
+            assert not list((tmp_path / "blobs").iterdir())
+            await kept.write(Put("data/c", RDF, b"c"))
+        assert kept.get("data/b") is None
+        await kept.write(Put("data/b", RDF, bytes(2_000_000)))
+        await kept.close()
+        kept = open_records(tmp_path)
+        assert [one.path for one in kept.members("data/")] == ["data/a", "data/c", "data/b"]
+        await kept.close()
+
+    asyncio.run(run())
+
+
+def test_a_log_that_has_grown_is_carried_over_while_writes_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def run() -> None:
+        monkeypatch.setattr(durability, "LOG_BYTES", 300_000)
+        kept, log, largest = open_records(tmp_path), tmp_path / "records.sqlite-wal", 0
+        for number in range(60):
+            writes = (kept.write(Put(f"data/{number}-{n}", RDF, bytes(10_000))) for n in range(10))
+            await asyncio.gather(*writes)
+            largest = max(largest, log.stat().st_size)
+        assert (tmp_path / "records.sqlite").stat().st_size > 3_000_000
+        assert largest < 3_000_000
+        await kept.close()
+        kept = open_records(tmp_path)
+        assert len(kept.members("data/")) == 600
+        await kept.close()
+
+    asyncio.run(run())
+
+
+def test_a_newer_format_is_refused(tmp_path: Path) -> None:
+    asyncio.run(open_records(tmp_path).close())
+    with closing(sqlite3.connect(tmp_path / "records.sqlite")) as connection:
+        connection.execute("PRAGMA user_version = 99")
+    with pytest.raises(ValueError, match=r"records.sqlite was written by a newer rosld \(its format is 99"):
+        open_records(tmp_path)
+
+
+def test_a_database_of_something_else_is_refused(tmp_path: Path) -> None:
+    with closing(sqlite3.connect(tmp_path / "records.sqlite")) as connection:
+        connection.execute("CREATE TABLE mine (x)")
+    with pytest.raises(ValueError, match="of something else"):
+        open_records(tmp_path)
+    with closing(sqlite3.connect(tmp_path / "records.sqlite")) as connection:
+        connection.execute("PRAGMA user_version = 1")
+    with pytest.raises(ValueError, match="of something else"):
+        open_records(tmp_path)
+
+
+def test_a_file_that_is_no_database_is_refused_with_the_next_step(tmp_path: Path) -> None:
+    (tmp_path / "records.sqlite").write_bytes(b"no database at all " * 1000)
+    with pytest.raises(ValueError, match=r"not a database.*rosld load"):
+        open_records(tmp_path)
+
+
+def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(OSError, match="exists"):
+        open_records(tmp_path / "file")
+
+
+def test_a_corrupt_database_answers_what_it_can_and_says_what_it_cannot(tmp_path: Path) -> None:
+    async def run() -> None:
+        kept = open_records(tmp_path)
+        for batch in range(20):
+            await kept.write(*(Put(f"data/{batch}-{n}", RDF, b"%d" % n * 500) for n in range(50)))
+        await kept.close()
+        file = tmp_path / "records.sqlite"
+        data = bytearray(file.read_bytes())
+        middle = len(data) // 2 // 4096 * 4096
+        data[middle : middle + 40 * 4096] = b"\xa5" * (40 * 4096)
+        file.write_bytes(data)
+        kept = open_records(tmp_path)
+        failed = list[str]()
+        for batch in range(20):
+            for n in range(50):
+                try:
+                    found = kept.get(f"data/{batch}-{n}")
+                    if batch % 5 == 0:
+                        await kept.write(Put(f"data/{batch}-{n}", RDF, b"%d" % n * 500))
+                except StorageError as error:
+                    failed.append(str(error))
+                else:
+                    assert found is None or found.triples == b"%d" % n * 500
+        assert 0 < len(failed) < 1000
+        assert all("database of records failed" in words for words in failed)
+        await kept.close()
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize("folder", [True, False])
+def test_a_container_of_many_members_is_as_quick_as_a_small_one(tmp_path: Path, folder: bool) -> None:
+    """Counted in pages that SQLite touches, as time tells little on a machine that does something else too."""
+
+    async def run() -> None:
+        kept = open_records(tmp_path if folder else None)
+        connection, steps = kept._connection, 0
+
+        def step() -> None:
+            nonlocal steps
+            steps += 1
+
+        async def counted(number: int) -> tuple[int, int]:
+            nonlocal steps
+            connection.set_progress_handler(step, 1)
+            steps = 0
+            await kept.write(Put(f"data/new{number}", RDF, b"x"))
+            adding, steps = steps, 0
+            middle = kept.members("data/", after=kept.version // 2, most=10)
+            assert len(middle) <= 10
+            reading = steps
+            connection.set_progress_handler(None, 1)
+            return adding, reading
+
+        for number in range(20):
+            await kept.write(Put(f"data/{number}", RDF, b"x"))
+        few = await counted(0)
+        for batch in range(20):
+            await kept.write(*(Put(f"data/{batch}-{n}", RDF, b"x") for n in range(500)))
+        many = await counted(1)
+        container = kept.get("data/")
+        assert container is not None
+        assert container.count == 10_022
+        assert many[0] <= few[0] + 5
+        assert many[1] <= 300
+        await kept.close()
+
+    asyncio.run(run())

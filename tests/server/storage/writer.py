@@ -1,0 +1,76 @@
+"""A process that writes records until it is killed: `writer.py FOLDER FIRST`.
+
+Before each write it prints `began LANE KIND NUMBER`, when it is acknowledged `done LANE KIND NUMBER VERSION`. What a
+number stands for, `text` and `data` tell.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+from rosld.server.storage import Model, Put, Remove, SqliteRecords, Write, open_records
+
+LANES = 3
+KINDS = ("rdf", "file", "pair", "brief", "away")
+
+
+def text(number: int) -> bytes:
+    """Triples, now a few bytes, now some pages."""
+    return b'<http://a/b> <http://a/c> "%s" .\n' % (b"%d," % number * (1 + number % 7 * 400))
+
+
+def data(number: int) -> bytes:
+    """The bytes of a file, now a few, now more than are written at once."""
+    return b"%d;" % number * (1 + number % 5 * 20_000)
+
+
+def paths(lane: int, kind: str, number: int) -> list[str]:
+    """What a write is about."""
+    if kind == "pair":
+        return [f"data/{lane}/a", f"data/{lane}/b"]
+    return [f"data/{lane}/{kind}" if kind in ("rdf", "file") else f"data/{lane}/brief{number}"]
+
+
+def say(*words: object) -> None:
+    os.write(1, (" ".join(map(str, words)) + "\n").encode())
+
+
+async def parts(number: int) -> AsyncIterator[bytes]:
+    whole = data(number)
+    for start in range(0, len(whole), 50_000):
+        yield whole[start : start + 50_000]
+        await asyncio.sleep(0)
+
+
+async def writes(records: SqliteRecords, lane: int, kind: str, number: int) -> list[Write]:
+    names = paths(lane, kind, number)
+    if kind == "away":
+        return [Remove(names[0])]
+    if kind == "file":
+        blob = await records.receive(parts(number), "x/y", most=10**7)
+        return [Put(names[0], Model.NON_RDF_SOURCE, text(number), blob)]
+    return [Put(name, Model.RDF_SOURCE, text(number)) for name in names]
+
+
+async def work(records: SqliteRecords, lane: int, first: int) -> None:
+    if records.get(f"data/{lane}/") is None:
+        await records.write(Put(f"data/{lane}/", Model.BASIC_CONTAINER))
+    for number in range(first, first + 100_000):
+        for kind in KINDS:
+            say("began", lane, kind, number)
+            results = await records.write(*await writes(records, lane, kind, number))
+            say("done", lane, kind, number, results[0].version if results[0] is not None else 0)
+
+
+async def main(folder: Path, first: int) -> None:
+    records = open_records(folder)
+    say("open")
+    await asyncio.gather(*(work(records, lane, first) for lane in range(LANES)))
+
+
+if __name__ == "__main__":
+    asyncio.run(main(Path(sys.argv[1]), int(sys.argv[2])))

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from rosld.ontology.urls import Space
 from rosld.server.auth.agent import Agent
 from rosld.server.auth.globs import Glob
-from rosld.server.auth.permissions import Judge
+from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.rules import Mode, Policy, Rule
 from rosld.server.dataset import MemoryStore
 from rosld.server.sparql.analysis import Analyser
@@ -33,11 +33,11 @@ def graph(number: int, value: int = 0) -> tuple[str, str]:
     return url, "".join(f'<{url}> <http://example.org/p{each}> "{value}" .\n' for each in range(20))
 
 
-def judge() -> Judge:
+def permissions() -> Permissions:
     everywhere, part = (Glob("/**"),), (Glob("/topics/t0/**"),)
     agent, read = Agent("anna"), frozenset({Mode.READ})
     rules = (Rule(frozenset({"anna"}), read, everywhere), Rule(frozenset({"anna"}), read, part, deny=True))
-    return Judge(agent, Policy(rules).rights(agent), SPACE)
+    return Permissions(agent, Policy(rules).rights(agent), SPACE)
 
 
 def timed(what: str, work: Callable[[], object], rounds: int = ROUNDS) -> None:
@@ -48,7 +48,7 @@ def timed(what: str, work: Callable[[], object], rounds: int = ROUNDS) -> None:
 
 
 async def main(count: int) -> None:
-    store, anna = MemoryStore(), judge()
+    store, anna = MemoryStore(), permissions()
     store.replace(dict(map(graph, range(count))))
     readable = [url for url in store.graphs() if anna.may_read(url)]
     small = QUERY.format(subject=graph(1)[0])
@@ -62,7 +62,7 @@ async def main(count: int) -> None:
     await restricted(anna, count, small)
 
 
-async def restricted(anna: Judge, count: int, small: str) -> None:
+async def restricted(anna: Permissions, count: int, small: str) -> None:
     """The restricted dataset: to make it, to ask it, to bring it what changed."""
     limits, process = Limits(), QueryProcess(4, 256)
     await process.start()

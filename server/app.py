@@ -9,10 +9,10 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rosld.adapters.base import Adapter
-from rosld.server.auth.authenticator import Door
-from rosld.server.auth.rate_limit import Allowance, Clients
+from rosld.server.auth.authenticator import Authenticator
+from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits
 from rosld.server.events.channels import Channels
-from rosld.server.events.feed import Feeds
+from rosld.server.events.feed import Broadcasters
 from rosld.server.html import prepare_pages
 from rosld.server.http import link
 from rosld.server.http.origin import Site, site
@@ -31,7 +31,7 @@ from rosld.server.middleware.tokens_in_urls import NoTokensInUrls
 from rosld.server.middleware.websockets import WebSockets
 from rosld.server.resources.acl import acl_room
 from rosld.server.resources.channels import Notifications, fixed, rooms
-from rosld.server.resources.context import Robot, Same
+from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.kept.graphs import RecordGraphs
 from rosld.server.resources.live_graphs import ELSEWHERE, Dataset
 from rosld.server.resources.mirror import mirror_room
@@ -40,10 +40,10 @@ from rosld.server.resources.status import status_room
 from rosld.server.resources.typed import types_at
 from rosld.server.resources.updating.service import Updates
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.keyed_lock import Alone
+from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.large import LargeDocuments
 from rosld.server.rest.pages import Pages
-from rosld.server.routing.dispatcher import Verbs
+from rosld.server.routing.dispatcher import Dispatcher
 from rosld.server.routing.router import ROOMS, Router
 from rosld.server.runtime.watchdog import Watchdog
 from rosld.server.settings import Settings
@@ -55,7 +55,7 @@ from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.receipt_graphs import ReceiptGraphs
 from rosld.server.sparql.restricted import RestrictedDatasets
 from rosld.server.sparql.syntax.lexer import Bounds, Reach
-from rosld.server.sparql.update.executor import Drawer
+from rosld.server.sparql.update.executor import UpdateEvaluator
 
 
 def create_app(adapter: Adapter, settings: Settings) -> Application:
@@ -81,12 +81,12 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     service = query_service(robot, process, synchroniser, analyser, source.unread)
     mirror = mirror_of(robot, process, synchroniser, {*ROOMS, "queries", "sparql"})
     names = site(settings.base_url, settings.host, settings.port, settings.cors_origins)
-    feeds = Feeds(robot.changes, settings.client_streams)
-    alone = Alone(settings.call_deadline)
+    feeds = Broadcasters(robot.changes, settings.client_streams)
+    alone = KeyedLock(settings.call_deadline)
     bounds = Bounds(size=settings.body_limit)
-    drawer = Drawer(service, analyser)
+    drawer = UpdateEvaluator(service, analyser)
     router = Router(robot, service, pages, lambda at: Updates(robot, drawer, analyser, bounds, at, alone))
-    notifications = Notifications(robot, Channels(robot.boot), feeds, names, router.resolve)
+    notifications = Notifications(robot, Channels(robot.instance_id), feeds, names, router.resolve)
     router.add(rooms(notifications, ROOMS[".well-known"]))
     router.add(mirror_room(mirror))
     watchdog = Watchdog()
@@ -95,24 +95,26 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     described |= {router.endpoint.url: router.endpoint.document, router.graphs.url: router.graphs.document}
     changing = ("/status",) if mirror is None else ("/status", "/mirror")
     source.add(described, map(router.at, changing))
-    door = None if settings.auth is None else Door(settings.auth, robot.space, partial(types_at, robot))
-    if door is not None:
-        door.changed.watch(feeds.stir)
-    router.add(acl_room(door))
-    verbs = Verbs(robot.boot, pages, feeds, alone, large)
-    allowance = Allowance(
+    authenticator = (
+        None if settings.auth is None else Authenticator(settings.auth, robot.space, partial(types_at, robot))
+    )
+    if authenticator is not None:
+        authenticator.changed.watch(feeds.stir)
+    router.add(acl_room(authenticator))
+    verbs = Dispatcher(robot.instance_id, pages, feeds, alone, large)
+    allowance = ClientLimits(
         settings.client_rate, settings.client_requests, settings.client_connections, settings.client_websockets
     )
-    clients = Clients(allowance, loopback=settings.limit_loopback)
+    clients = ClientLimiter(allowance, loopback=settings.limit_loopback)
     admission = Admission(clients, f"{robot.space.path}stop".encode("ascii"))
-    handler = middleware(robot, router, verbs, pages, names, admission, door)
+    handler = middleware(robot, router, verbs, pages, names, admission, authenticator)
     background: list[Job] = [service.keep_up, partial(asyncio.to_thread, prepare_pages)]
     closings: list[Job] = [large.close]
     if mirror is not None:
         background.append(mirror.run)
         closings.insert(0, mirror.close)
-    if door is not None:
-        background.append(door.keep_up)
+    if authenticator is not None:
+        background.append(authenticator.keep_up)
     return Application(
         robot,
         clients,
@@ -126,17 +128,23 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
 
 
 def middleware(
-    robot: Robot, router: Router, verbs: Verbs, pages: Pages, names: Site, admission: Admission, door: Door | None
+    robot: Robot,
+    router: Router,
+    verbs: Dispatcher,
+    pages: Pages,
+    names: Site,
+    admission: Admission,
+    authenticator: Authenticator | None,
 ) -> Handler:
     """The stack that answers a request, made from its end to its beginning."""
     space, stop = robot.space, f"{robot.space.path}stop".encode("ascii")
     handler: Handler = Dispatch(router.resolve, verbs)
-    if door is None:
+    if authenticator is None:
         handler = Preflight(handler, names, lambda exchange: router.resolve(exchange.request.scope))
     handler = RateLimits(handler, admission)
     handler = NoTokensInUrls(handler, space)
-    if door is not None:
-        handler = Authentication(handler, door, space)
+    if authenticator is not None:
+        handler = Authentication(handler, authenticator, space)
         # A preflight request never says who asks, so it is told of nothing, before anybody is asked for.
         handler = Preflight(handler, names, lambda exchange: admission.admit(exchange))
     handler = ServerOptions(handler, admission)
@@ -144,8 +152,8 @@ def middleware(
     handler = TrustedHosts(handler, names)
     handler = ErrorResponses(handler, admission, pages, space)
     handler = Audit(handler, Recorder(robot.receipts, space), space)
-    if door is not None:
-        handler = AccessHeaders(handler, door, space)
+    if authenticator is not None:
+        handler = AccessHeaders(handler, authenticator, space)
     return CrossOriginHeaders(handler, names)
 
 
@@ -161,7 +169,7 @@ def query_service(
         settings.query_concurrency,
         settings.query_queue,
     )
-    restricted = RestrictedDatasets(process, lambda: Same(robot.graph))
+    restricted = RestrictedDatasets(process, lambda: IdentityKey(robot.graph))
     return QueryService(process, synchroniser, analyser, robot.ages, limits, restricted, unread)
 
 
@@ -171,9 +179,9 @@ class Application:
     def __init__(
         self,
         robot: Robot,
-        clients: Clients,
+        clients: ClientLimiter,
         admission: Admission,
-        feeds: Feeds,
+        feeds: Broadcasters,
         rooms: frozenset[str],
         http: ASGIApp,
         websockets: ASGIApp,
@@ -202,7 +210,7 @@ class Application:
 class HttpApplication:
     """The ASGI application of requests. `link` is a Link field of all answers."""
 
-    def __init__(self, handler: Handler, clients: Clients, settings: Settings, link: str) -> None:
+    def __init__(self, handler: Handler, clients: ClientLimiter, settings: Settings, link: str) -> None:
         self._handler = handler
         self._clients = clients
         self._body_limit = settings.body_limit

@@ -16,7 +16,7 @@ from rosld.server.auth.agent import ANYBODY, Agent
 from rosld.server.auth.config import Access
 from rosld.server.auth.errors import unproven
 from rosld.server.auth.oidc import Claims, Unverified, Verifier, issuer_of, require_library
-from rosld.server.auth.permissions import EVERYTHING, Judge, TypesAt
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions, TypesAt
 from rosld.server.auth.rules import AUTHENTICATED
 from rosld.server.auth.tokens import credentials
 from rosld.server.runtime.signals import Signal
@@ -30,23 +30,23 @@ _Stamp: TypeAlias = tuple[int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Visit:
+class AuthContext:
     """One who asks: what they may do, and whether they still may after a while (streams last); what anybody may do."""
 
-    judge: Judge
+    permissions: Permissions
     still: Callable[[], bool]
-    public: Judge
+    public: Permissions
 
 
 def _always() -> bool:
     return True
 
 
-OPEN = Visit(EVERYTHING, _always, EVERYTHING)
+OPEN = AuthContext(ALLOW_ALL, _always, ALLOW_ALL)
 """Everybody, where there is no door."""
 
 
-class Door:
+class Authenticator:
     """The door of one server. Belongs to one loop. Raises ValueError where its file cannot be read to begin with."""
 
     def __init__(self, path: Path, space: Space, types: TypesAt) -> None:
@@ -60,14 +60,14 @@ class Door:
         self.changed = Signal()
         """Given when rights may have changed."""
         self._verifier = Verifier()
-        self._judges: dict[Agent, Judge] = {}
+        self._judges: dict[Agent, Permissions] = {}
 
     @property
-    def anybody(self) -> Visit:
+    def anybody(self) -> AuthContext:
         """Who has not said who they are."""
         return self._visit(ANYBODY, lambda: ANYBODY, None)
 
-    async def visit(self, field: str | None) -> Visit:
+    async def visit(self, field: str | None) -> AuthContext:
         """Who sends this Authorization field, None for none. Raises a 401 Problem for what proves nothing."""
         if field is None:
             return self.anybody
@@ -85,13 +85,13 @@ class Door:
             raise unproven("That token is not known.")
         return self._visit(self._named(claims), lambda: self._named(claims), claims.expires)
 
-    def judge(self, agent: Agent) -> Judge:
+    def permissions(self, agent: Agent) -> Permissions:
         """What an agent may do now."""
         found = self._judges.get(agent)
         if found is None:
             if len(self._judges) >= _MOST:
                 self._judges.clear()
-            found = Judge(agent, self.access.policy.rights(agent), self._space, self._types)
+            found = Permissions(agent, self.access.policy.rights(agent), self._space, self._types)
             self._judges[agent] = found
         return found
 
@@ -118,10 +118,10 @@ class Door:
     def _replace(self, access: Access) -> None:
         self.access = access
         self._judges.clear()
-        self.changed.give()
+        self.changed.emit()
 
-    def _visit(self, agent: Agent, now: Callable[[], Agent | None], until: float | None) -> Visit:
-        judge, access = self.judge(agent), self.access
+    def _visit(self, agent: Agent, now: Callable[[], Agent | None], until: float | None) -> AuthContext:
+        permissions, access = self.permissions(agent), self.access
 
         def still() -> bool:
             if until is not None and time.time() >= until:
@@ -129,9 +129,9 @@ class Door:
             if self.access is access:
                 return True
             found = now()
-            return found == agent and self.judge(found).rights.key == judge.rights.key
+            return found == agent and self.permissions(found).rights.key == permissions.rights.key
 
-        return Visit(judge, still, self.judge(ANYBODY))
+        return AuthContext(permissions, still, self.permissions(ANYBODY))
 
     def _holder(self, token: str) -> Agent | None:
         name = self.access.tokens.whose(token)

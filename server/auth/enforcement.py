@@ -12,7 +12,7 @@ from rosld.ontology.urls import Location, Space, locate
 from rosld.server.auth.agent import ANYBODY
 from rosld.server.auth.errors import forbidden, gone, nothing, unknown, unsaid
 from rosld.server.auth.globs import path_of
-from rosld.server.auth.permissions import Judge
+from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.rules import Mode, mode_of
 from rosld.server.http import link
 from rosld.server.http.link import Link
@@ -30,7 +30,7 @@ _OFFERING = frozenset({"allow", *(name.decode() for name in _ACCEPTS)})
 _WORDS = {"PUT": "write this", "POST": "post to this", "PATCH": "change this", "DELETE": "delete this"}
 
 
-class Judged(Protocol):
+class Protected(Protocol):
     """What is judged of a resource."""
 
     @property
@@ -57,45 +57,45 @@ def place_of(scope: Scope, space: Space) -> Location | None:
         return None
 
 
-def require_path(judge: Judge, method: str, place: Location | None) -> None:
+def require_path(permissions: Permissions, method: str, place: Location | None) -> None:
     """Refuse what the path alone forbids, before it is known whether anything is there. Raises 401, 403, 404."""
-    if place is None or not judge.might_know(place):
-        raise unknown(judge.agent)
-    if method in _READING and not judge.rights.may(mode_of(method, path_of(place)), path_of(place), None):
-        raise forbidden(judge.agent, "read this")
+    if place is None or not permissions.might_know(place):
+        raise unknown(permissions.agent)
+    if method in _READING and not permissions.rights.may(mode_of(method, path_of(place)), path_of(place), None):
+        raise forbidden(permissions.agent, "read this")
 
 
-def require(judge: Judge, method: str, place: Location | None, resource: Judged) -> None:
+def authorize(permissions: Permissions, method: str, place: Location | None, resource: Protected) -> None:
     """Refuse what may not be done with a resource that is there. Raises 401, 403, 404.
 
     What the resource does not do whoever asks (405) is not judged here.
     """
-    if place is None or not judge.knows(place):
+    if place is None or not permissions.knows(place):
         raise nothing()
     if method == "OPTIONS" or (method not in _SAFE and method not in resource.methods()):
         return
-    if not judge.may_at(method, place):
-        raise forbidden(judge.agent, _WORDS.get(method, "read this"))
+    if not permissions.may_at(method, place):
+        raise forbidden(permissions.agent, _WORDS.get(method, "read this"))
     if method in _SAFE:
         return
     if resource.reaches_below:
-        require_below(judge, method, place)
-    if not all(judge.may(method, url) for url in resource.also_changes):
-        raise forbidden(judge.agent, f"{_WORDS[method]}: it changes others, too, that are not yours to change")
+        require_below(permissions, method, place)
+    if not all(permissions.may(method, url) for url in resource.also_changes):
+        raise forbidden(permissions.agent, f"{_WORDS[method]}: it changes others, too, that are not yours to change")
 
 
-def allowed(judge: Judge, place: Location, resource: Judged) -> frozenset[str]:
+def allowed(permissions: Permissions, place: Location, resource: Protected) -> frozenset[str]:
     """Those methods of a resource that the agent may use on it."""
     methods = resource.methods()
-    if judge.whole:
+    if permissions.whole:
         return methods
-    found = frozenset(each for each in methods if judge.may_at(each, place))
+    found = frozenset(each for each in methods if permissions.may_at(each, place))
     writes = found - _SAFE
     if writes and resource.reaches_below:
-        writes = frozenset(each for each in writes if judge.may_below(each, place))
+        writes = frozenset(each for each in writes if permissions.may_below(each, place))
     if writes:
         also = resource.also_changes
-        writes = frozenset(each for each in writes if all(judge.may(each, url) for url in also))
+        writes = frozenset(each for each in writes if all(permissions.may(each, url) for url in also))
     return (found & _SAFE) | writes
 
 
@@ -104,49 +104,49 @@ def is_write(method: str, place: Location | None) -> bool:
     return method in _WORDS and place is not None and mode_of(method, path_of(place)) is not Mode.READ
 
 
-def require_below(judge: Judge, method: str, place: Location) -> None:
+def require_below(permissions: Permissions, method: str, place: Location) -> None:
     """Refuse what changes everything below a place, where that is not allowed. Raises 401, 403."""
-    if not judge.may_below(method, place):
-        raise forbidden(judge.agent, f"{_WORDS[method]}: not everything below it is yours to change")
+    if not permissions.may_below(method, place):
+        raise forbidden(permissions.agent, f"{_WORDS[method]}: not everything below it is yours to change")
 
 
-def told(judge: Judge, problem: Problem, place: Location | None) -> Problem:
+def redact_problem(permissions: Permissions, problem: Problem, place: Location | None) -> Problem:
     """A problem with what is at a place as an agent may be told of it.
 
     That nothing is there any more (410) is told where the agent may know of whatever might be there. What leads where
     it may not go, and reasons that speak of what it may not read, are left out.
     """
-    if judge.whole:
+    if permissions.whole:
         return problem
     if problem.status in (404, 410):
-        return _absence(judge, problem, place)
-    if problem.status == 405 and not judge.reads_all:  # the reason may name who may not be known
+        return _absence(permissions, problem, place)
+    if problem.status == 405 and not permissions.reads_all:  # the reason may name who may not be known
         words = "What is here does not answer that method, whoever asks; Allow says what you may do."
         return Problem(405, words, headers=problem.headers)
-    if not all(map(judge.may_read, problem.about)):
+    if not all(map(permissions.may_read, problem.about)):
         return unsaid(problem)
     target = problem.headers.get("Location")
-    if target is not None and problem.status < 400 and not judge.may_read(target):
+    if target is not None and problem.status < 400 and not permissions.may_read(target):
         return nothing()
     return problem
 
 
-def _absence(judge: Judge, problem: Problem, place: Location | None) -> Problem:
-    if place is None or not judge.knows_any(place):
+def _absence(permissions: Permissions, problem: Problem, place: Location | None) -> Problem:
+    if place is None or not permissions.knows_any(place):
         return nothing()
-    if judge.reads_all:
+    if permissions.reads_all:
         return problem
     found = gone() if problem.status == 410 else nothing()
     found.headers |= {name: value for name, value in problem.headers.items() if name.lower() in _OFFERING}
     return found
 
 
-def marked(
+def with_auth_headers(
     headers: Sequence[tuple[bytes, bytes]],
-    judge: Judge,
-    public: Judge,
+    permissions: Permissions,
+    public: Permissions,
     place: Location | None,
-    resource: Judged | None,
+    resource: Protected | None,
     acl: Link,
 ) -> Headers:
     """The headers of an answer with what this agent may do: Allow, WAC-Allow, and a link to the rules.
@@ -154,57 +154,57 @@ def marked(
     `resource` is what answered, None where it is not known what that would have been.
     """
     found: Headers = []
-    may = None if judge.whole or place is None or resource is None else allowed(judge, place, resource)
+    may = None if permissions.whole or place is None or resource is None else allowed(permissions, place, resource)
     links, varies = [str(acl)], ["Authorization"]
     for name, value in headers:
         if name == b"vary":
             varies = [value.decode("latin-1"), *varies]
         elif name == b"link":
-            links = [_readable(value.decode("latin-1"), judge), *links]
-        elif judge.whole:
+            links = [_readable(value.decode("latin-1"), permissions), *links]
+        elif permissions.whole:
             found.append((name, value))
         elif name == b"allow" and place is not None:
             methods = [each.strip() for each in value.decode("latin-1").split(",")]
-            left = [each for each in methods if judge.may_at(each, place) and (may is None or each in may)]
+            left = [each for each in methods if permissions.may_at(each, place) and (may is None or each in may)]
             found.append((name, ", ".join(left).encode("latin-1")))
-        elif name not in _ACCEPTS or _may_use(_ACCEPTS[name], judge, place, may):
+        elif name not in _ACCEPTS or _may_use(_ACCEPTS[name], permissions, place, may):
             found.append((name, value))
     found.append((b"vary", ", ".join(varies).encode("latin-1")))
     found.append((b"link", ", ".join(filter(None, links)).encode("latin-1")))
-    if place is not None and judge.knows(place):
-        found.append((b"wac-allow", _wac_allow(judge, public, place).encode("ascii")))
+    if place is not None and permissions.knows(place):
+        found.append((b"wac-allow", _wac_allow(permissions, public, place).encode("ascii")))
     return found
 
 
-def _may_use(method: str, judge: Judge, place: Location | None, may: frozenset[str] | None) -> bool:
+def _may_use(method: str, permissions: Permissions, place: Location | None, may: frozenset[str] | None) -> bool:
     """Whether the agent may use a method there: one of `may`, or where nothing is known to be there, by the path."""
     if may is not None:
         return method in may
-    return place is not None and judge.may_at(method, place)
+    return place is not None and permissions.may_at(method, place)
 
 
-def _readable(field: str, judge: Judge) -> str:
+def _readable(field: str, permissions: Permissions) -> str:
     """A Link field without links to what may not be read."""
-    if judge.whole:
+    if permissions.whole:
         return field
-    return _left(field, judge) if judge.rights.is_typed else _kept_left(field, judge)
+    return _left(field, permissions) if permissions.rights.is_typed else _kept_left(field, permissions)
 
 
-def _left(field: str, judge: Judge) -> str:
-    return link.render(each for each in link.parse(field) if judge.may_read(each.target))
+def _left(field: str, permissions: Permissions) -> str:
+    return link.render(each for each in link.parse(field) if permissions.may_read(each.target))
 
 
 _kept_left = lru_cache(maxsize=4096)(_left)
 
 
-def _wac_allow(judge: Judge, public: Judge, place: Location) -> str:
+def _wac_allow(permissions: Permissions, public: Permissions, place: Location) -> str:
     """WAC-Allow (Solid Protocol, WAC 6.1): `write` where writes of any kind are allowed, `control` for the rules."""
-    own = public if judge.agent == ANYBODY else judge
+    own = public if permissions.agent == ANYBODY else permissions
     return f'user="{" ".join(_modes(own, place))}", public="{" ".join(_modes(public, place))}"'
 
 
-def _modes(judge: Judge, place: Location) -> Iterable[str]:
-    path, modes = path_of(place), judge.modes(place)
+def _modes(permissions: Permissions, place: Location) -> Iterable[str]:
+    path, modes = path_of(place), permissions.modes(place)
     if mode_of("GET", path) in modes:
         yield "read"
     if mode_of("PUT", path) in modes:

@@ -23,7 +23,7 @@ def _untyped(location: Location) -> Types:
     return UNTYPED
 
 
-class Judge:
+class Permissions:
     """What an agent with these rights may do with the URLs of a space; URLs of other servers are no secret.
 
     `whole`: everything, so that nothing need be asked. `key` names the rights, for what is kept of them.
@@ -45,7 +45,7 @@ class Judge:
         """For a worker process. Raises TypeError where types matter: what is where is known to the server only."""
         if self.rights.is_typed:
             raise TypeError("rights that depend on types are judged in the server only")
-        return Judge, (self.agent, Rights(self.rights.rules), self._space)
+        return Permissions, (self.agent, Rights(self.rights.rules), self._space)
 
     def may_read(self, url: str) -> bool:
         """Whether what is at a URL may be read, whatever its query and fragment."""
@@ -116,5 +116,5 @@ class Judge:
         return None if self._space is None else self._space.location(url)
 
 
-EVERYTHING = Judge(ANYBODY, Rights(everybody()))
+ALLOW_ALL = Permissions(ANYBODY, Rights(everybody()))
 """Of a server without rules: everybody may do everything."""

@@ -22,12 +22,12 @@ REFUSAL_SECONDS = 0.5
 _MOST_KNOWN = 10_000
 
 
-class TooMuch(Problem):
+class RateLimitExceeded(Problem):
     """The client is at its limit (429). It is told so after a moment (`REFUSAL_SECONDS`)."""
 
 
 @dataclass(frozen=True, slots=True)
-class Allowance:
+class ClientLimits:
     """What one client may do: requests a second, requests under way, connections, WebSockets among them."""
 
     rate: float
@@ -55,10 +55,10 @@ class Client:
         return not (self.requests or self.connections or self.websockets) and self.due <= now
 
 
-class Clients:
+class ClientLimiter:
     """All clients of one server. Those on this machine have no limits unless `loopback`. Belongs to one loop."""
 
-    def __init__(self, allowance: Allowance, *, loopback: bool, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, allowance: ClientLimits, *, loopback: bool, clock: Callable[[], float] = time.monotonic) -> None:
         self._allowance = allowance
         self._loopback = loopback
         self._clock = clock
@@ -152,5 +152,5 @@ def _nothing() -> None:
     pass
 
 
-def _too_much(words: str, seconds: float) -> TooMuch:
-    return TooMuch(429, words, headers={"Retry-After": str(max(1, math.ceil(seconds)))})
+def _too_much(words: str, seconds: float) -> RateLimitExceeded:
+    return RateLimitExceeded(429, words, headers={"Retry-After": str(max(1, math.ceil(seconds)))})

@@ -15,16 +15,16 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.vocab import hctl, htv, mapping, rdf, ros, td
-from rosld.server.auth.permissions import Judge
+from rosld.server.auth.permissions import Permissions
 
 _Term: TypeAlias = "NamedNode | BlankNode | Literal | Triple"
 
 
-def veiled(document: Document, judge: Judge) -> Document:
+def veiled(document: Document, permissions: Permissions) -> Document:
     """The document as an agent with these rights may read it; it may read what the document is about."""
-    if judge.whole:
+    if permissions.whole:
         return document
-    seen = _Veil(document, judge)
+    seen = _Veil(document, permissions)
     triples = seen.triples()
     messages = tuple(each for message in document.messages if (each := seen.message(message)) is not None)
     return replace(document, triples=tuple(triples), messages=messages)
@@ -33,9 +33,9 @@ def veiled(document: Document, judge: Judge) -> Document:
 class _Veil:
     """One document, looked at by one agent."""
 
-    def __init__(self, document: Document, judge: Judge) -> None:
+    def __init__(self, document: Document, permissions: Permissions) -> None:
         self._document = document
-        self._judge = judge
+        self._permissions = permissions
         self._own = document.url.partition("?")[0].partition("#")[0]
         self._names = frozenset(self._hidden_names())
 
@@ -56,7 +56,7 @@ class _Veil:
     def message(self, message: LiftedMessage) -> LiftedMessage | None:
         """A message as it may be read; None for one that is there by the name of who may not be known."""
         envelope = message.envelope
-        if envelope is None or envelope.publisher is None or self._judge.may_read(envelope.publisher):
+        if envelope is None or envelope.publisher is None or self._permissions.may_read(envelope.publisher):
             return message
         if self._names_hidden(self._own + message.node):
             return None
@@ -72,8 +72,8 @@ class _Veil:
         }
         urls |= {one.envelope.publisher for one in self._document.messages if one.envelope and one.envelope.publisher}
         for url in urls:
-            place = self._judge.place(url)
-            if place is not None and place.segments and not self._judge.may_read(url):
+            place = self._permissions.place(url)
+            if place is not None and place.segments and not self._permissions.may_read(url):
                 yield "/" + "/".join(place.segments)
 
     def _hidden_parts(self) -> frozenset[_Term]:
@@ -89,8 +89,8 @@ class _Veil:
             return False
         url = term.value
         if url.partition("#")[0].partition("?")[0] == self._own:
-            return ("?" in url and not self._judge.may_read(url)) or self._names_hidden(url)
-        return not self._judge.may_read(url)
+            return ("?" in url and not self._permissions.may_read(url)) or self._names_hidden(url)
+        return not self._permissions.may_read(url)
 
     def _names_hidden(self, url: str) -> bool:
         """Whether a fragment of this document is called by a name that may not be known (`#from/talker`)."""
@@ -128,7 +128,9 @@ class _Veil:
         targets = {each.subject: each.object.value.partition("{")[0] for each in said
                    if each.predicate == hctl.hasTarget and isinstance(each.object, NamedNode | Literal)}  # fmt: skip
         return {
-            form: method for form, url in targets.items() if self._judge.may(method := methods.get(form, "GET"), url)
+            form: method
+            for form, url in targets.items()
+            if self._permissions.may(method := methods.get(form, "GET"), url)
         }
 
     def _affordances(self) -> dict[_Term, tuple[set[_Term], _Term | None]]:

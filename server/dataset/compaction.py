@@ -17,7 +17,7 @@ _MOST = 4
 """Triples that are no more, for each that is: what memory may be lost to them."""
 
 
-class Wear:
+class GarbageEstimate:
     """Counts, roughly, in lines of N-Triples."""
 
     def __init__(self) -> None:

@@ -12,7 +12,7 @@ from typing import NamedTuple, cast
 from pyoxigraph import Literal, NamedNode, Quad, RdfFormat, Store, Triple, parse
 
 from rosld.server.dataset.base import Edit, Function, QueryError, Results, Term
-from rosld.server.dataset.compaction import Wear
+from rosld.server.dataset.compaction import GarbageEstimate
 from rosld.server.dataset.encoding import decode_ntriples, decode_triple, encode_ntriples
 from rosld.server.dataset.functions import FUNCTIONS
 from rosld.server.runtime.memory import trim
@@ -57,7 +57,7 @@ class MemoryStore:
         self._store = Store()
         self._versions = count(1)
         self._version = 0
-        self._wear = Wear()
+        self._wear = GarbageEstimate()
         self._lines: dict[str, frozenset[str]] = {}
         self._new_lines: dict[str, frozenset[str]] = {}
         self._size = 0

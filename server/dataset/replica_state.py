@@ -10,7 +10,7 @@ _ALL = 32 * 1024 * 1024
 """Characters of all graphs that are remembered; the longest untold goes first."""
 
 
-class Told:
+class ReplicaState:
     """Holds as long as nothing failed: then it must forget."""
 
     def __init__(self) -> None:

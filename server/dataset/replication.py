@@ -30,7 +30,7 @@ from rosld.server.dataset.endpoint import Refused, StoreError
 from rosld.server.dataset.ntriples import parts
 from rosld.server.dataset.pending import Pending, Taken
 from rosld.server.dataset.remote import RemoteStore
-from rosld.server.dataset.replica_state import Told
+from rosld.server.dataset.replica_state import ReplicaState
 
 _log = logging.getLogger("rosld.store")
 
@@ -54,7 +54,7 @@ _CONTENT = (400, 413, 422, 500)
 _T = TypeVar("_T")
 
 
-class Territory(Protocol):
+class GraphOwnership(Protocol):
     """Which graphs of a shared store are this server's."""
 
     @property
@@ -131,7 +131,7 @@ class Mirror:
         self,
         source: Source,
         target: RemoteStore,
-        territory: Territory,
+        territory: GraphOwnership,
         refresh: Callable[[], Awaitable[None]],
         *,
         interval: float,
@@ -146,7 +146,7 @@ class Mirror:
         self._run_name = run_name
         self._first_pause = first_pause
         self._pending = Pending()
-        self._told = Told()
+        self._told = ReplicaState()
         self._refused: dict[str, float] = {}
         self._on_its_way: float | None = None
         self._told_ns: int | None = None

@@ -14,10 +14,10 @@ from pyoxigraph import NamedNode
 
 from rosld.ontology.notifications import Activity, Terms
 from rosld.ontology.vocab import ldp
-from rosld.server.auth.authenticator import OPEN, Visit
-from rosld.server.auth.permissions import Judge
+from rosld.server.auth.authenticator import OPEN, AuthContext
+from rosld.server.auth.permissions import Permissions
 from rosld.server.events import asked
-from rosld.server.events.feed import Moment
+from rosld.server.events.feed import Observation
 from rosld.server.events.subscriptions import Subscription
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import Resource
@@ -52,7 +52,7 @@ class Channel:
     since: float
     """Since when (monotonic, s) nobody receives."""
     receiver: asyncio.Task[None] | None = None
-    visit: Visit = OPEN
+    visit: AuthContext = OPEN
     """Who made it, who may cease to be allowed to read."""
     due: float = float("-inf")
     """When (monotonic, s) the next notification may be sent."""
@@ -80,8 +80,8 @@ class Channel:
 class Channels:
     """The channels of one server. `boot` tells this run of the server from others in the names of states."""
 
-    def __init__(self, boot: str, most: int = MOST_CHANNELS) -> None:
-        self._boot = boot
+    def __init__(self, instance_id: str, most: int = MOST_CHANNELS) -> None:
+        self._instance_id = instance_id
         self._most = most
         self._kept: dict[str, Channel] = {}
 
@@ -95,7 +95,7 @@ class Channels:
         resource: Resource,
         state: State,
         place: Callable[[str], tuple[str, str]],
-        visit: Visit = OPEN,
+        visit: AuthContext = OPEN,
     ) -> Channel:
         """A new channel; `place` gives the URLs of the channel and of its source by its token. A 503 Problem if full.
 
@@ -146,9 +146,9 @@ class Channels:
 
     def name(self, state: State) -> str:
         """The name of a state: the state part of the entity tags of its representations."""
-        return f"{state.scope or self._boot}-{state.tag}"
+        return f"{state.scope or self._instance_id}-{state.tag}"
 
-    def news(self, channel: Channel, moment: Moment) -> tuple[Activity | None, Told]:
+    def news(self, channel: Channel, moment: Observation) -> tuple[Activity | None, Told]:
         """What is to be told of a moment, None where it is nothing new, and what is known then.
 
         A state that cannot be read (the robot does not answer) is no news: it is told when it can be read again.
@@ -164,7 +164,7 @@ class Channels:
             return Activity("Create", topic, state=name), now
         if asked.is_state(told.name, name):
             return None, now
-        return _changed(topic, told.container, now, channel.visit.judge), now
+        return _changed(topic, told.container, now, channel.visit.permissions), now
 
     def _make_room(self) -> None:
         if len(self._kept) < self._most:
@@ -187,13 +187,13 @@ def _is_absent(problem: Problem) -> bool:
     return problem.status in (404, 410) or problem.status < 400
 
 
-def _changed(topic: str, before: State | None, now: Told, judge: Judge) -> Activity:
+def _changed(topic: str, before: State | None, now: Told, permissions: Permissions) -> Activity:
     """Which member came or went, where it is one that may be known; else that the topic changed."""
     if before is not None and now.container is not None:
         old, new = _members(before), _members(now.container)
         if len(old ^ new) == 1:
             (member,) = old ^ new
-            if not judge.may_read(member):
+            if not permissions.may_read(member):
                 return Activity("Update", topic, state=now.name)
             return Activity("Add" if member in new else "Remove", member, topic, now.name)
     return Activity("Update", topic, state=now.name)

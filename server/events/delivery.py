@@ -16,7 +16,7 @@ import orjson
 from rosld.ontology.notifications import ACTIVITY_CONTEXT, CONTEXT, Activity, with_context
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.server.events.channels import Channel, Channels
-from rosld.server.events.feed import Feed, Feeds, Moment, Sleeper
+from rosld.server.events.feed import Broadcaster, Broadcasters, Observation, Waiter
 
 Send: TypeAlias = Callable[[bytes], Awaitable[None]]
 KEEP_ALIVE_SECONDS = 15.0
@@ -26,7 +26,9 @@ _RDF = {"text/turtle": Syntax.TURTLE, "application/n-triples": Syntax.N_TRIPLES}
 class Delivery:
     """Sends what a channel tells: each notification to `send`, and to `idle` whenever nothing was sent for a while."""
 
-    def __init__(self, channels: Channels, feeds: Feeds, channel: Channel, send: Send, idle: Send | None) -> None:
+    def __init__(
+        self, channels: Channels, feeds: Broadcasters, channel: Channel, send: Send, idle: Send | None
+    ) -> None:
         self._channels = channels
         self._feeds = feeds
         self._channel = channel
@@ -40,8 +42,8 @@ class Delivery:
             with self._feeds.following(self._channel.resource) as feed:
                 await self._follow(feed)
 
-    async def _follow(self, feed: Feed) -> None:
-        sleeper = Sleeper()
+    async def _follow(self, feed: Broadcaster) -> None:
+        sleeper = Waiter()
         version = 0
         while True:
             if feed.version == version:
@@ -59,7 +61,7 @@ class Delivery:
                 self._channels.close(self._channel)
                 return
 
-    async def _tell(self, moment: Moment) -> None:
+    async def _tell(self, moment: Observation) -> None:
         channel = self._channel
         news, told = self._channels.news(channel, moment)
         if news is None:
@@ -70,7 +72,7 @@ class Delivery:
         await self._send(chunk)
         channel.told = told
 
-    async def _wait(self, feed: Feed, sleeper: Sleeper, version: int) -> None:
+    async def _wait(self, feed: Broadcaster, sleeper: Waiter, version: int) -> None:
         """Until the topic may have changed, or it has been quiet for a while."""
         if self._idle is None:
             await feed.wait(sleeper, version)
@@ -94,7 +96,7 @@ class Delivery:
             await self._idle(b"\n")
 
 
-def message(moment: Moment, news: Activity, media_type: str) -> bytes:
+def message(moment: Observation, news: Activity, media_type: str) -> bytes:
     """The notification that tells the news of a moment: made once for all channels that tell the same."""
     key = f"{media_type} {news}"
     found = moment.chunks.get(key)

@@ -33,7 +33,7 @@ _log = logging.getLogger("rosld")
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class Observation:
     """What a resource was like when it was looked at: its state, or why there is none.
 
     `name` differs whenever what it was like does. `chunks` are the events that tell of it, by variant and edition: each
@@ -50,7 +50,7 @@ class Moment:
         return isinstance(self.state, Problem) and self.state.status == 410
 
 
-class Sleeper:
+class Waiter:
     """A task that sleeps until somebody wakes it."""
 
     __slots__ = ("_loop", "_woken")
@@ -71,7 +71,7 @@ class Sleeper:
         return self._woken
 
 
-class Feed:
+class Broadcaster:
     """One resource as it changes.
 
     A reader takes note of `version`, looks, and sleeps in `wait` until there may be more. What changes while nobody
@@ -87,9 +87,9 @@ class Feed:
         self._follows: Watch | None = None
         self._watch: Watch | None = None
         self._is_outdated = True
-        self._sleepers: dict[Sleeper, None] = {}
+        self._sleepers: dict[Waiter, None] = {}
         self._turn = asyncio.Lock()
-        self._moment: Moment | None = None
+        self._moment: Observation | None = None
         self._seen = 0
 
     def begin(self) -> None:
@@ -102,7 +102,7 @@ class Feed:
             if watch is not None:
                 watch.close()
 
-    async def wait(self, sleeper: Sleeper, version: int) -> None:
+    async def wait(self, sleeper: Waiter, version: int) -> None:
         """Until there may be something newer than `version`, or somebody else wakes the sleeper."""
         if self.version == version:
             self._sleepers[sleeper] = None
@@ -111,11 +111,11 @@ class Feed:
             finally:
                 self._sleepers.pop(sleeper, None)
 
-    def at_hand(self) -> Moment | None:
+    def at_hand(self) -> Observation | None:
         """What `look` would tell, if it need not read for it."""
         return self._moment if self._seen == self.version else None
 
-    async def look(self) -> Moment:
+    async def look(self) -> Observation:
         """What the resource is like now: the very same object while that does not change."""
         async with self._turn:
             moment = self.at_hand()
@@ -127,13 +127,13 @@ class Feed:
                 self._moment, self._seen = moment, version
             return moment
 
-    async def _read(self) -> Moment:
+    async def _read(self) -> Observation:
         try:
             if self._is_outdated:
                 await self._renew()
             await self._resource.ready()
             state = await self._resource.state()
-            return Moment(state.tag, state)
+            return Observation(state.tag, state)
         except RosError as error:
             problem = problem_of(error)
         except Problem as error:
@@ -141,7 +141,7 @@ class Feed:
         except Exception as error:
             _log.exception("%s cannot be read for its changes", self._resource.url, exc_info=error)
             problem = Problem(500, "The server failed to read this resource; its log says more.")
-        return Moment(f"{problem.status} {problem.detail}", problem)
+        return Observation(f"{problem.status} {problem.detail}", problem)
 
     async def _renew(self) -> None:
         """Watch the resource as it is made now; where that fails, the next look tries again."""
@@ -170,14 +170,14 @@ class Feed:
                 sleeper.wake()
 
 
-class Feeds:
+class Broadcasters:
     """The feeds of one server and all that read them; `general` is given whenever anything changed."""
 
     def __init__(self, general: Signal, most_of_address: int = MOST_OF_ADDRESS) -> None:
         self._general = general
         self._most_of_address = most_of_address
         self._of_address: Counter[str | None] = Counter()
-        self._feeds: dict[Resource, Feed] = {}
+        self._feeds: dict[Resource, Broadcaster] = {}
         self._held: set[asyncio.Task[None]] = set()
         self._is_over = False
 
@@ -206,11 +206,11 @@ class Feeds:
                 del self._of_address[address]
 
     @contextlib.contextmanager
-    def following(self, resource: Resource) -> Iterator[Feed]:
+    def following(self, resource: Resource) -> Iterator[Broadcaster]:
         """The feed of a resource, which is watched as long as somebody follows it."""
         feed = self._feeds.get(resource)
         if feed is None:
-            feed = self._feeds[resource] = Feed(resource, self._general)
+            feed = self._feeds[resource] = Broadcaster(resource, self._general)
             feed.begin()
         feed.readers += 1
         try:

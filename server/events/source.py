@@ -7,7 +7,7 @@ from starlette.types import Receive, Scope, Send
 
 from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.delivery import Delivery
-from rosld.server.events.feed import Feeds
+from rosld.server.events.feed import Broadcasters
 
 LINES = "application/x-ndjson"
 """JSON-LD notifications are a line each; those in Turtle and N-Triples are parts of one document."""
@@ -27,7 +27,9 @@ def headers_of(channel: Channel) -> list[tuple[bytes, bytes]]:
 class Source(Response):
     """The notifications of a channel, until its reader leaves, it ends, or the server does."""
 
-    def __init__(self, channels: Channels, feeds: Feeds, channel: Channel, headers: list[tuple[bytes, bytes]]) -> None:
+    def __init__(
+        self, channels: Channels, feeds: Broadcasters, channel: Channel, headers: list[tuple[bytes, bytes]]
+    ) -> None:
         self.status_code = 200
         self.body = b""
         self.background = None

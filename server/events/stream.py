@@ -13,7 +13,7 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from rosld.server.events import asked, frame
-from rosld.server.events.feed import RETRY_SECONDS, Feed, Feeds, Moment, Sleeper
+from rosld.server.events.feed import RETRY_SECONDS, Broadcaster, Broadcasters, Observation, Waiter
 from rosld.server.events.pace import Pace
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
@@ -49,7 +49,7 @@ def _whole(problem: Problem) -> Problem:
 
 
 @dataclass(frozen=True, slots=True)
-class Telling:
+class StreamFormat:
     """How states are told: `render` gives the representation called `variant`, `name` the state part of the ETag."""
 
     variant: str
@@ -62,7 +62,7 @@ class Telling:
     edition: Callable[[], Hashable] = _only_one
     """Changes whenever what is told beside the state does: every page says whether the robot is stopped."""
 
-    async def chunk(self, moment: Moment) -> bytes:
+    async def chunk(self, moment: Observation) -> bytes:
         """The event that tells of a moment: made once for all who read this variant."""
         key = self.variant, self.edition()
         chunk = moment.chunks.get(key)
@@ -87,9 +87,9 @@ class EventStream(Response):
 
     def __init__(
         self,
-        feeds: Feeds,
+        feeds: Broadcasters,
         resource: Resource,
-        telling: Telling,
+        telling: StreamFormat,
         rate: float,
         known: str | None,
         headers: Headers,
@@ -123,8 +123,8 @@ class EventStream(Response):
         with self._feeds.following(self._resource) as feed:
             await self._follow(feed, send)
 
-    async def _follow(self, feed: Feed, send: Send) -> None:
-        sleeper = Sleeper()
+    async def _follow(self, feed: Broadcaster, send: Send) -> None:
+        sleeper = Waiter()
         version = feed.version
         told, edition = await feed.look(), self._telling.edition()
         if not self._is_known(told.state):
@@ -151,7 +151,7 @@ class EventStream(Response):
         """Whether the reader says that it has this state."""
         return isinstance(state, State) and asked.is_state(self._known, self._telling.name(state))
 
-    async def _event(self, send: Send, moment: Moment) -> None:
+    async def _event(self, send: Send, moment: Observation) -> None:
         chunk = await self._telling.chunk(moment)
         self._pace.passed(time.monotonic())
         await self._send(send, chunk)
@@ -165,7 +165,7 @@ class EventStream(Response):
             await self._send(send, frame.KEEP_ALIVE)
 
     @contextlib.contextmanager
-    def _alarm(self, sleeper: Sleeper) -> Iterator[None]:
+    def _alarm(self, sleeper: Waiter) -> Iterator[None]:
         """Wakes the sleeper when nothing was sent for a while. One timer, not one an event."""
         loop = asyncio.get_running_loop()
         timer: asyncio.TimerHandle

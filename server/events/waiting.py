@@ -7,14 +7,14 @@ from collections.abc import Callable
 from starlette.requests import Request
 
 from rosld.server.events import asked
-from rosld.server.events.feed import Feed, Feeds, Sleeper
+from rosld.server.events.feed import Broadcaster, Broadcasters, Waiter
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 
 
 async def changed_since(
-    feeds: Feeds, resource: Resource, after: str, name: Callable[[State], str], request: Request, seconds: float
+    feeds: Broadcasters, resource: Resource, after: str, name: Callable[[State], str], request: Request, seconds: float
 ) -> bool:
     """Whether the resource is, within so many seconds, in another state than `after` (or not there any more).
 
@@ -30,8 +30,8 @@ async def changed_since(
         return await feeds.hold(changes(), request.receive, seconds)
 
 
-async def _until_other(feed: Feed, after: str, name: Callable[[State], str]) -> None:
-    sleeper = Sleeper()
+async def _until_other(feed: Broadcaster, after: str, name: Callable[[State], str]) -> None:
+    sleeper = Waiter()
     while True:
         version = feed.version
         state = (await feed.look()).state

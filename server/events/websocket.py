@@ -13,7 +13,7 @@ from starlette.types import Message, Receive, Scope, Send
 from rosld.ontology.notifications import channel_type
 from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.delivery import Delivery
-from rosld.server.events.feed import Feeds
+from rosld.server.events.feed import Broadcasters
 from rosld.server.http.origin import Site, check_host
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
@@ -61,7 +61,7 @@ async def refuse(scope: Scope, send: Send, problem: Problem) -> None:
 class Receiver:
     """One connection that receives from a channel."""
 
-    def __init__(self, channels: Channels, feeds: Feeds, channel: Channel) -> None:
+    def __init__(self, channels: Channels, feeds: Broadcasters, channel: Channel) -> None:
         self._channels = channels
         self._feeds = feeds
         self._channel = channel

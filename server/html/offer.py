@@ -37,7 +37,7 @@ _KINDS = {"topics": "topic", "services": "service", "parameters": "parameter"}
 
 
 @dataclass(frozen=True, slots=True)
-class Posted:
+class FormTarget:
     """A form on a page: where it posts to (empty for the page's own URL), and the token that it proves itself with."""
 
     form: Form
@@ -63,7 +63,7 @@ class PropertyRow:
     anchor: Anchor
     relation: Anchor | None
     told: Told
-    posted: Posted | None = None
+    posted: FormTarget | None = None
     change: Anchor | None = None
 
 
@@ -73,7 +73,7 @@ class ActionRow:
 
     anchor: Anchor
     relation: Anchor | None
-    posted: Posted | None = None
+    posted: FormTarget | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,7 @@ class DrawnAction:
 Drawn: TypeAlias = DrawnComplex | DrawnProperty | DrawnAction
 
 
-def posted_forms(forms: Iterable[Form], allow: Iterable[str], csrf: Csrf, site: Site) -> tuple[Posted, ...]:
+def posted_forms(forms: Iterable[Form], allow: Iterable[str], csrf: Csrf, site: Site) -> tuple[FormTarget, ...]:
     """The forms of a page with their tokens: those to the page's own URL as far as `allow` permits their methods, those
 
     to others unless this server is read-only.
@@ -138,18 +138,18 @@ def posted_forms(forms: Iterable[Form], allow: Iterable[str], csrf: Csrf, site: 
     return tuple(_posted(forms, allowed, csrf, site))
 
 
-def _posted(forms: Iterable[Form], allowed: frozenset[str], csrf: Csrf, site: Site) -> Iterator[Posted]:
+def _posted(forms: Iterable[Form], allowed: frozenset[str], csrf: Csrf, site: Site) -> Iterator[FormTarget]:
     for form in forms:
         if not form.action:
             if form.method in allowed:
-                yield Posted(form, "", csrf(""))
+                yield FormTarget(form, "", csrf(""))
             continue
         href = site.href(form.action) if site.local(form.action) else None
         if href is not None and not site.read_only and site.may(form.method, form.action):
-            yield Posted(form, href, csrf(form.action))
+            yield FormTarget(form, href, csrf(form.action))
 
 
-def draw(offer: Offer, site: Site, posted: Iterable[Posted]) -> Drawn:
+def draw(offer: Offer, site: Site, posted: Iterable[FormTarget]) -> Drawn:
     """What is on offer, with the forms that post elsewhere than to its page beside what they are about."""
     match offer:
         case ComplexView():
@@ -171,7 +171,7 @@ def draw(offer: Offer, site: Site, posted: Iterable[Posted]) -> Drawn:
             )
 
 
-def _complex(view: ComplexView, site: Site, posted: Mapping[str, Posted]) -> DrawnComplex:
+def _complex(view: ComplexView, site: Site, posted: Mapping[str, FormTarget]) -> DrawnComplex:
     linked = {link.target for link in view.links}
     return DrawnComplex(
         tuple(_property_row(member, site, posted) for member in view.members),
@@ -197,7 +197,7 @@ def _term(term: NamedNode | None, site: Site) -> Anchor | None:
     return site.anchor(term.value) if term is not None else None
 
 
-def _property_row(member: Member, site: Site, posted: Mapping[str, Posted]) -> PropertyRow:
+def _property_row(member: Member, site: Site, posted: Mapping[str, FormTarget]) -> PropertyRow:
     one = member.affordance
     anchor = _named(one.url, one.title or one.name, site)
     own = posted.get(one.url) if member.field is None else None
@@ -205,7 +205,7 @@ def _property_row(member: Member, site: Site, posted: Mapping[str, Posted]) -> P
     return PropertyRow(anchor, _term(one.predicate, site), told(one, member.reading, member.field, site), own, change)
 
 
-def _action_row(action: ActionAffordance, site: Site, posted: Mapping[str, Posted]) -> ActionRow:
+def _action_row(action: ActionAffordance, site: Site, posted: Mapping[str, FormTarget]) -> ActionRow:
     anchor = _named(action.url, site.short(action.url), site)
     return ActionRow(anchor, _term(action.relation, site), posted.get(action.url))
 

@@ -22,7 +22,7 @@ from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD, Form, ValueForm
 from rosld.server.html.labels import sentence
 from rosld.server.html.listing import contents
 from rosld.server.html.liveness import RATE, is_live
-from rosld.server.html.offer import Posted, draw, posted_forms
+from rosld.server.html.offer import FormTarget, draw, posted_forms
 from rosld.server.html.page import THING, EntryPage, Notice, Page, ProblemPage, QueryPage, SparqlPage, Tone
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.tables import table
@@ -196,7 +196,7 @@ def _fitting(page: Page) -> Iterator[Form]:
     return (form for form in page.forms if not (locked and isinstance(form, ValueForm)))
 
 
-def _body(page: Page, posted: tuple[Posted, ...]) -> dict[str, object]:
+def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
     """What stands between the heading of a page and its forms."""
     document, site = page.document, page.site
     if page.offer is not None:

@@ -29,7 +29,7 @@ class Answer(Generic[V]):
     until: float
 
 
-class Question(Generic[K, V]):
+class PendingFetch(Generic[K, V]):
     """A question under way. It goes on whoever stops waiting; `begun` is its turn, 0 while it waits for room."""
 
     def __init__(self, keys: Sequence[K]) -> None:
@@ -45,7 +45,7 @@ class Question(Generic[K, V]):
         return self.task.result() if self.task.done() and not self.task.cancelled() else None
 
 
-class Answers(Generic[K, V]):
+class SingleFlightCache(Generic[K, V]):
     """The answers to questions by their keys, each fresh for `freshness` seconds after it came.
 
     Whenever a question begins it takes a number from `turns`, which tell before from after.
@@ -55,7 +55,7 @@ class Answers(Generic[K, V]):
         self._freshness = freshness
         self._turns = turns
         self._kept: dict[K, Answer[V]] = {}
-        self._under_way: dict[K, Question[K, V]] = {}
+        self._under_way: dict[K, PendingFetch[K, V]] = {}
         self._tasks: set[asyncio.Task[Mapping[K, V]]] = set()
 
     def kept(self, key: K, since: int = 0) -> Answer[V] | None:
@@ -65,12 +65,12 @@ class Answers(Generic[K, V]):
             return None
         return answer
 
-    def ask(self, keys: Iterable[K], ask: Ask[K, V], room: Room, since: int = 0) -> Sequence[Question[K, V]]:
+    def ask(self, keys: Iterable[K], ask: Ask[K, V], room: Room, since: int = 0) -> Sequence[PendingFetch[K, V]]:
         """The questions that will answer all keys: those under way that begin after `since`, and one for the others.
 
         It begins once there is `room`.
         """
-        shared: dict[Question[K, V], None] = {}
+        shared: dict[PendingFetch[K, V], None] = {}
         others = []
         for key in keys:
             question = self._under_way.get(key)
@@ -96,15 +96,15 @@ class Answers(Generic[K, V]):
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
 
-    def _begin(self, keys: Sequence[K], ask: Ask[K, V], room: Room) -> Question[K, V]:
-        question: Question[K, V] = Question(keys)
+    def _begin(self, keys: Sequence[K], ask: Ask[K, V], room: Room) -> PendingFetch[K, V]:
+        question: PendingFetch[K, V] = PendingFetch(keys)
         question.task = asyncio.get_running_loop().create_task(self._run(question, ask, room))
         self._tasks.add(question.task)
         question.task.add_done_callback(self._tasks.discard)
         self._under_way.update(dict.fromkeys(keys, question))
         return question
 
-    async def _run(self, question: Question[K, V], ask: Ask[K, V], room: Room) -> Mapping[K, V]:
+    async def _run(self, question: PendingFetch[K, V], ask: Ask[K, V], room: Room) -> Mapping[K, V]:
         answers: Mapping[K, V] = {}
         try:
             async with room:
@@ -114,7 +114,7 @@ class Answers(Generic[K, V]):
         finally:
             self._settle(question, answers)
 
-    def _settle(self, question: Question[K, V], answers: Mapping[K, V]) -> None:
+    def _settle(self, question: PendingFetch[K, V], answers: Mapping[K, V]) -> None:
         """Keep the answers, but for those whose freshness was ended meanwhile."""
         until = asyncio.get_running_loop().time() + self._freshness
         for key in question.keys:

@@ -11,7 +11,7 @@ from rosld.ontology.lift import LiftSettings
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf
-from rosld.server.hypermedia.layout import Layout, segments_of
+from rosld.server.hypermedia.layout import ResourceTree, segments_of
 from rosld.server.hypermedia.mapping import Condition
 from rosld.server.hypermedia.value import MessageValue, Reading, lifted, literal
 
@@ -19,7 +19,9 @@ from rosld.server.hypermedia.value import MessageValue, Reading, lifted, literal
 class Verdicts:
     """The verdicts on the conditions of one layout, given one set of readings; each is made once."""
 
-    def __init__(self, layout: Layout, readings: Mapping[str, Reading], space: Space, lifting: LiftSettings) -> None:
+    def __init__(
+        self, layout: ResourceTree, readings: Mapping[str, Reading], space: Space, lifting: LiftSettings
+    ) -> None:
         self._layout = layout
         self._readings = readings
         self._space = space
@@ -38,10 +40,10 @@ class Verdicts:
         """What keeps a condition from holding: nothing where it holds. A state that cannot be read fulfils nothing."""
         known = self._broken.get(condition.iri)
         if known is None:
-            known = self._broken[condition.iri] = self._judge(condition)
+            known = self._broken[condition.iri] = self._permissions(condition)
         return known
 
-    def _judge(self, condition: Condition) -> tuple[Violation, ...]:
+    def _permissions(self, condition: Condition) -> tuple[Violation, ...]:
         about = condition.about
         parts = self._parts(about)
         wanted = parts.keys() if condition.shape.paths is None else condition.shape.paths

@@ -113,7 +113,7 @@ def mapping_of(body: RdfBody, url: str, *, judged: bool = False) -> MappingDocum
         raise MappingRefused(Violation("", "a mapping has no triple terms", brief(strange)))
     reader = _Reader(url, _conditions_named(triples, url))
     if not judged:
-        reader.judge()
+        reader.permissions()
     return MappingDocument(url, triples, reader.resources())
 
 
@@ -149,7 +149,7 @@ class _Reader:
         self.found: dict[Violation, None] = {}
         self.conditions: dict[Term, Condition] = {}
 
-    def judge(self) -> None:
+    def permissions(self) -> None:
         """Judge the document by the shape of mappings. Raises MappingRefused."""
         for misfit in misfits(self.triples):
             self.wrong(misfit.focus, misfit.message, misfit.value, misfit.predicate, misfit.component)

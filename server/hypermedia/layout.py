@@ -15,7 +15,7 @@ from pyoxigraph import NamedNode
 from rosld.adapters.model import ActionSchema, Kind, MessageSchema, ServiceSchema
 from rosld.ontology.namespaces import Members
 from rosld.server.hypermedia.catalogue import Catalogue, Getter, Property, Setter
-from rosld.server.hypermedia.mapping import Arrangement, ComplexResource, Condition, MappedLink, MappedProperty
+from rosld.server.hypermedia.mapping import ComplexResource, Condition, MappedLink, MappedProperty, MappingSet
 from rosld.server.hypermedia.mappings import (
     actions_by_service,
     component,
@@ -165,11 +165,11 @@ def home_of(name: str) -> str:
     return name.rpartition("/")[0] + "/"
 
 
-class Layout:
+class ResourceTree:
     """The resources of one catalogue and one arrangement; `goals` are the actions of ROS by name, as far as needed."""
 
     def __init__(
-        self, catalogue: Catalogue, arrangement: Arrangement, goals: Mapping[str, ActionSchema | None] = {}
+        self, catalogue: Catalogue, arrangement: MappingSet, goals: Mapping[str, ActionSchema | None] = {}
     ) -> None:
         self.catalogue = catalogue
         self._goals = goals
@@ -414,7 +414,7 @@ class Layout:
         return found if len(writers) == len(found.writers) else replace(found, writers=writers)
 
 
-def _children(namespaces: Iterable[tuple[str, ...]], arrangement: Arrangement) -> dict[str, set[str]]:
+def _children(namespaces: Iterable[tuple[str, ...]], arrangement: MappingSet) -> dict[str, set[str]]:
     """The paths directly below each path, derived and mapped; `/` is always there."""
     found: dict[str, set[str]] = {"/": set()}
     for path in (*map(path_of, namespaces), *arrangement.resources):
@@ -428,7 +428,7 @@ def _children(namespaces: Iterable[tuple[str, ...]], arrangement: Arrangement) -
     return found
 
 
-def _has_conditions(layout: Layout, paths: Iterable[str]) -> bool:
+def _has_conditions(layout: ResourceTree, paths: Iterable[str]) -> bool:
     return any(
         any(layout.arrangement.resources[path].conditions()) for path in paths if path in layout.arrangement.resources
     )

@@ -88,7 +88,7 @@ class ComplexResource:
 
 
 @dataclass(frozen=True, slots=True)
-class Arrangement:
+class MappingSet:
     """All mappings in force together, by path. `revision` differs whenever anything in it does."""
 
     revision: int = 0

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from rosld.ontology.namespaces import Kept
 from rosld.ontology.violations import Violation
 from rosld.server.hypermedia.documents import MappingDocument, MappingRefused
-from rosld.server.hypermedia.mapping import Arrangement, ComplexResource, Condition, MappedAction
+from rosld.server.hypermedia.mapping import ComplexResource, Condition, MappedAction, MappingSet
 
 
 class Mappings:
@@ -21,7 +21,7 @@ class Mappings:
 
     def __init__(self, given: Iterable[MappingDocument] = ()) -> None:
         self._documents: Mapping[str, MappingDocument] = MappingProxyType({})
-        self._arrangement = Arrangement()
+        self._arrangement = MappingSet()
         self.given = tuple(given)
         self.turn = asyncio.Lock()
         for document in self.given:
@@ -33,7 +33,7 @@ class Mappings:
         return self._documents
 
     @property
-    def arrangement(self) -> Arrangement:
+    def arrangement(self) -> MappingSet:
         """What all of them arrange together."""
         return self._arrangement
 
@@ -56,7 +56,7 @@ class Mappings:
 
     def _become(self, documents: Mapping[str, MappingDocument]) -> None:
         resources = {one.path: one for document in documents.values() for one in document.resources}
-        arrangement = Arrangement(self._arrangement.revision + 1, MappingProxyType(resources))
+        arrangement = MappingSet(self._arrangement.revision + 1, MappingProxyType(resources))
         self._documents, self._arrangement = MappingProxyType(documents), arrangement
 
 
@@ -92,22 +92,22 @@ class _Index:
     relations: frozenset[str]
 
 
-def relations(arrangement: Arrangement) -> frozenset[str]:
+def relations(arrangement: MappingSet) -> frozenset[str]:
     """The IRIs of all predicates that mappings give complex resources: the same object for one arrangement."""
     return _index(arrangement).relations
 
 
-def related(arrangement: Arrangement, relation: str) -> frozenset[str]:
+def related(arrangement: MappingSet, relation: str) -> frozenset[str]:
     """The paths of the complex resources that mappings give this predicate, by its IRI."""
     return _index(arrangement).related.get(relation, frozenset())
 
 
-def guards_of_member(arrangement: Arrangement, name: str) -> tuple[Condition, ...]:
+def guards_of_member(arrangement: MappingSet, name: str) -> tuple[Condition, ...]:
     """All conditions under which a member may be written, of every mapping that maps it, by its full name."""
     return _index(arrangement).guards.get(name, ())
 
 
-def actions_by_service(arrangement: Arrangement) -> Mapping[str, list[tuple[ComplexResource, MappedAction]]]:
+def actions_by_service(arrangement: MappingSet) -> Mapping[str, list[tuple[ComplexResource, MappedAction]]]:
     """As what actions each service is offered, by its full name."""
     return _index(arrangement).services
 
@@ -117,12 +117,12 @@ def members_of(resource: ComplexResource) -> frozenset[str]:
     return frozenset(one.member for one in resource.properties)
 
 
-def dependents(arrangement: Arrangement, about: str) -> frozenset[str]:
+def dependents(arrangement: MappingSet, about: str) -> frozenset[str]:
     """The paths of the complex resources that have a condition about this path, or this name."""
     return _index(arrangement).dependents.get(about, frozenset())
 
 
-def component(arrangement: Arrangement, path: str) -> frozenset[str]:
+def component(arrangement: MappingSet, path: str) -> frozenset[str]:
     """The paths that hang together with this one, itself among them: from a complex resource to what its conditions
 
     are about, any number of steps in either direction. A condition about a single property leads to the complex
@@ -131,13 +131,13 @@ def component(arrangement: Arrangement, path: str) -> frozenset[str]:
     return _index(arrangement).components.get(path) or frozenset({path})
 
 
-def covering(arrangement: Arrangement, path: str) -> tuple[ComplexResource, ...]:
+def covering(arrangement: MappingSet, path: str) -> tuple[ComplexResource, ...]:
     """The mapped resources at and above a path or name, the outermost first."""
     above = (path[: position + 1] for position, char in enumerate(path) if char == "/")
     return tuple(arrangement.resources[each] for each in above if each in arrangement.resources)
 
 
-def _make_index(arrangement: Arrangement) -> _Index:
+def _make_index(arrangement: MappingSet) -> _Index:
     guards: dict[str, dict[str, Condition]] = {}
     services: dict[str, list[tuple[ComplexResource, MappedAction]]] = {}
     concerned: dict[str, set[str]] = {}
@@ -162,10 +162,10 @@ def _make_index(arrangement: Arrangement) -> _Index:
     )
 
 
-_index: Callable[[Arrangement], _Index] = Kept(_make_index)
+_index: Callable[[MappingSet], _Index] = Kept(_make_index)
 
 
-def _components(arrangement: Arrangement, concerned: Mapping[str, Iterable[str]]) -> Mapping[str, frozenset[str]]:
+def _components(arrangement: MappingSet, concerned: Mapping[str, Iterable[str]]) -> Mapping[str, frozenset[str]]:
     """The component of every path that a condition has to do with; `concerned`: who has conditions about what."""
     shown: dict[str, set[str]] = {}
     for resource in arrangement.resources.values():

@@ -21,8 +21,8 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, Reader, TopicSource, Writer
 from rosld.server.hypermedia.conditions import Verdicts, url_of
 from rosld.server.hypermedia.conventions import CONVENTIONS, Conventions, catalogue, needed_types
-from rosld.server.hypermedia.layout import ActionPlan, ComplexPlan, Layout, MemberPlan, PropertyPlan
-from rosld.server.hypermedia.mapping import Arrangement, Condition
+from rosld.server.hypermedia.layout import ActionPlan, ComplexPlan, MemberPlan, PropertyPlan, ResourceTree
+from rosld.server.hypermedia.mapping import Condition, MappingSet
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.hypermedia.readings import Readings
 from rosld.server.hypermedia.shape import as_declared, field_shape, value_shape
@@ -55,14 +55,14 @@ _TYPES_SECONDS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class Snapshot:
     """One look at some properties: the readings by name, and the verdicts that follow from them."""
 
     readings: Mapping[str, Reading]
     verdicts: Verdicts
 
 
-class Offers(Generic[T]):
+class AffordanceService(Generic[T]):
     """The resources of levels two and three of one robot."""
 
     def __init__(
@@ -80,14 +80,14 @@ class Offers(Generic[T]):
         self._limits = limits
         self.conventions = conventions_of(session.settings)
         session.listen_to_writes(self._on_write)
-        self._kept: tuple[Graph, int, Arrangement, Layout] | None = None
+        self._kept: tuple[Graph, int, MappingSet, ResourceTree] | None = None
         self._making: asyncio.Lock = asyncio.Lock()
         self._turns: dict[str, asyncio.Lock] = {}
         self._changes = Signal()
 
     # The layout
 
-    def at_hand(self) -> Layout | None:
+    def at_hand(self) -> ResourceTree | None:
         """The layout if it is of the graph, the types and the mappings of now: at once."""
         kept, session = self._kept, self._session
         if kept is None or kept[0] is not session.graph or kept[2] is not self._mappings.arrangement:
@@ -95,11 +95,11 @@ class Offers(Generic[T]):
         return kept[3] if kept[1] == session.schemas.count else None
 
     @property
-    def latest(self) -> Layout | None:
+    def latest(self) -> ResourceTree | None:
         """The layout that was made last, which may be of before a change."""
         return None if self._kept is None else self._kept[3]
 
-    async def layout(self) -> Layout:
+    async def layout(self) -> ResourceTree:
         """The layout of now; the types of services that are new are learnt before."""
         found = self.at_hand()
         if found is not None:
@@ -107,7 +107,7 @@ class Offers(Generic[T]):
         async with self._making:
             return self.at_hand() or await self._made()
 
-    async def _made(self) -> Layout:
+    async def _made(self) -> ResourceTree:
         session = self._session
         graph, arrangement = session.graph, self._mappings.arrangement
         goals = {name: graph.actions[name].type for name in _mapped_actions(arrangement) if name in graph.actions}
@@ -124,7 +124,7 @@ class Offers(Generic[T]):
                 if is_small
                 else await asyncio.to_thread(catalogue, graph, find, self.conventions)
             )
-        layout = Layout(found, arrangement, {name: self._action_at_hand(ref) for name, ref in goals.items()})
+        layout = ResourceTree(found, arrangement, {name: self._action_at_hand(ref) for name, ref in goals.items()})
         self._kept = (graph, count, arrangement, layout)
         return layout
 
@@ -171,7 +171,9 @@ class Offers(Generic[T]):
         found = await self._readings.read(reads, deadline=deadline, anew=anew)
         return tuple(found[one.name] for one in reads)
 
-    async def state(self, url: str, layout: Layout, reads: Sequence[Property], make: Callable[[Sight], T]) -> T:
+    async def state(
+        self, url: str, layout: ResourceTree, reads: Sequence[Property], make: Callable[[Snapshot], T]
+    ) -> T:
         """The state of the resource at `url` that follows from some properties: kept while their readings are good."""
         states = self._states
         readings = self.known(reads) or await self.look(reads)
@@ -179,10 +181,10 @@ class Offers(Generic[T]):
         found = states.known(url, version)
         return found if found is not None else states.keep(url, version, make(self.sight(layout, readings)))
 
-    def sight(self, layout: Layout, readings: Iterable[Reading]) -> Sight:
+    def sight(self, layout: ResourceTree, readings: Iterable[Reading]) -> Snapshot:
         """What follows from readings."""
         by_name = {reading.name: reading for reading in readings}
-        return Sight(by_name, Verdicts(layout, by_name, self._session.space, self._session.lifting))
+        return Snapshot(by_name, Verdicts(layout, by_name, self._session.space, self._session.lifting))
 
     def max_age(self, readings: Sequence[Reading]) -> int:
         """For how many seconds these readings may be shown by others: 0 where one can change at any moment."""
@@ -201,7 +203,7 @@ class Offers(Generic[T]):
 
     # What is seen
 
-    def complex_view(self, plan: ComplexPlan, sight: Sight) -> ComplexView:
+    def complex_view(self, plan: ComplexPlan, sight: Snapshot) -> ComplexView:
         """A complex resource with all that it offers now. Raises a 404 Problem where it is not there."""
         verdicts = sight.verdicts
         self.require(plan.exists_when, verdicts, plan.path)
@@ -230,7 +232,7 @@ class Offers(Generic[T]):
             mapped.iri if mapped else None,
         )  # fmt: skip
 
-    def property_view(self, plan: PropertyPlan, sight: Sight) -> PropertyView:
+    def property_view(self, plan: PropertyPlan, sight: Snapshot) -> PropertyView:
         """A property by itself. Raises a 404 Problem where it is not there."""
         self.require(plan.exists_when, sight.verdicts, plan.of.name)
         own, space = plan.of, self._session.space
@@ -245,7 +247,7 @@ class Offers(Generic[T]):
             plan.member.field,
         )
 
-    def action_view(self, plan: ActionPlan, sight: Sight) -> ActionView:
+    def action_view(self, plan: ActionPlan, sight: Snapshot) -> ActionView:
         """An action by itself. Raises a 404 Problem where it is not on offer."""
         self.require((*plan.exists_when, *plan.conditions), sight.verdicts, plan.name)
         space = self._session.space
@@ -262,7 +264,9 @@ class Offers(Generic[T]):
 
     # What can be done
 
-    async def hold(self, layout: Layout, reads: Sequence[Property], *conditions: Sequence[Condition]) -> Sequence[bool]:
+    async def hold(
+        self, layout: ResourceTree, reads: Sequence[Property], *conditions: Sequence[Condition]
+    ) -> Sequence[bool]:
         """Whether all of each group of conditions hold now. Raises RosError where that cannot be read."""
         if not any(conditions):
             return [True] * len(conditions)
@@ -320,7 +324,7 @@ class Offers(Generic[T]):
         return Operation.CALL in session.adapter.allows(Ref(Kind.SERVICE, plan.service))
 
     @asynccontextmanager
-    async def turn(self, layout: Layout, *names: str, changed: Iterable[str] = ()) -> AsyncIterator[None]:
+    async def turn(self, layout: ResourceTree, *names: str, changed: Iterable[str] = ()) -> AsyncIterator[None]:
         """Within it, what hangs together with these names by conditions is written by nobody else through rosld, and
 
         the properties `changed`, whose new values are made of their old ones, are changed by nobody else. Raises a 503
@@ -345,7 +349,7 @@ class Offers(Generic[T]):
             affected = self._kept[3].affected(kind, name)
             self._readings.end(affected)
             for each in affected:
-                self._changes.give(each)
+                self._changes.emit(each)
 
 
 def conventions_of(settings: Settings) -> Conventions:
@@ -353,7 +357,7 @@ def conventions_of(settings: Settings) -> Conventions:
     return CONVENTIONS.extended(getters=settings.getter, setters=settings.setter, excluded=settings.exclude_service)
 
 
-def _mapped_actions(arrangement: Arrangement) -> set[str]:
+def _mapped_actions(arrangement: MappingSet) -> set[str]:
     """The names that mappings offer as actions: of services, or of actions of ROS."""
     return {action.service for resource in arrangement.resources.values() for action in resource.actions}
 

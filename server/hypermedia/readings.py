@@ -14,9 +14,9 @@ from weakref import WeakValueDictionary
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import MessageSchema, names
 from rosld.ontology.urls import Space
-from rosld.server.hypermedia.answers import Answers, Ask, Room
+from rosld.server.hypermedia.answers import Ask, Room, SingleFlightCache
 from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource
-from rosld.server.hypermedia.sources import NOTHING, Found, Seen, Sources, decoded, late
+from rosld.server.hypermedia.sources import NOTHING, ReadResult, Seen, Sources, decoded, late
 from rosld.server.hypermedia.value import Reading
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topic_view import View
@@ -39,7 +39,7 @@ class _Attempt(NamedTuple):
 class _Result(NamedTuple):
     """What came of one source, and until when (loop time) that is good; 0.0 where it is not to be kept."""
 
-    found: Found
+    found: ReadResult
     until: float
 
 
@@ -72,9 +72,9 @@ class Readings:
         self._kept: dict[str, _Kept] = {}
         self._silent: set[str] = set()
         self._turns = count(1)
-        self._looks: Answers[str, Seen] = Answers(0.0, self._turns)
-        self._getters: Answers[str, Found] = Answers(freshness, self._turns)
-        self._parameters: Answers[str, Found] = Answers(freshness, self._turns)
+        self._looks: SingleFlightCache[str, Seen] = SingleFlightCache(0.0, self._turns)
+        self._getters: SingleFlightCache[str, ReadResult] = SingleFlightCache(freshness, self._turns)
+        self._parameters: SingleFlightCache[str, ReadResult] = SingleFlightCache(freshness, self._turns)
         self._rooms: WeakValueDictionary[str, asyncio.Semaphore] = WeakValueDictionary()
         self._parameter_room = asyncio.Semaphore(_PARAMETER_CALLS)
 
@@ -192,19 +192,19 @@ class Readings:
             (question,) = self._looks.ask((topic,), self._seen, nullcontext())
             answers = await question.wait(attempt.deadline)
             if answers is None:
-                return None, _Result(Found(None, late(topic, attempt.seconds), None), 0.0)
+                return None, _Result(ReadResult(None, late(topic, attempt.seconds), None), 0.0)
             view, schema, failure = answers[topic]
         newest = view.newest if view is not None else None
         if newest is None:
             self._silent.add(topic)
-            return None, self._for_now(Found(None, failure, None))
+            return None, self._for_now(ReadResult(None, failure, None))
         self._silent.discard(topic)
         if not isinstance(schema, MessageSchema):
-            return view, self._for_now(Found(None, failure, newest.received_ns))
+            return view, self._for_now(ReadResult(None, failure, newest.received_ns))
         found = decoded(topic, newest, schema, self._space.topic(topic))
         return view, _Result(found, inf) if found.value is not None else self._for_now(found)
 
-    def _for_now(self, found: Found) -> _Result:
+    def _for_now(self, found: ReadResult) -> _Result:
         return _Result(found, asyncio.get_running_loop().time() + self._freshness)
 
     async def _seen(self, topics: Sequence[str]) -> Mapping[str, Seen]:
@@ -213,7 +213,7 @@ class Readings:
     async def _call(self, name: str, getter: Getter, attempt: _Attempt) -> _Result:
         """What the getter of a property answers."""
 
-        async def ask(keys: Sequence[str]) -> Mapping[str, Found]:
+        async def ask(keys: Sequence[str]) -> Mapping[str, ReadResult]:
             return {name: await self._sources.call(getter, self._space.url("resources", names.segments(name)))}
 
         room = self._rooms.setdefault(getter.name, asyncio.Semaphore(_CALLS))
@@ -222,7 +222,7 @@ class Readings:
     async def _get(self, sources: Mapping[str, str], attempt: _Attempt) -> Mapping[str, _Result]:
         """The values of parameters (the names of properties lead to theirs)."""
 
-        async def ask(keys: Sequence[str]) -> Mapping[str, Found]:
+        async def ask(keys: Sequence[str]) -> Mapping[str, ReadResult]:
             found = await self._sources.parameters([sources[key] for key in keys])
             return {key: found[sources[key]] for key in keys}
 
@@ -230,14 +230,14 @@ class Readings:
 
     async def _asked(
         self,
-        answers: Answers[str, Found],
+        answers: SingleFlightCache[str, ReadResult],
         sources: Mapping[str, str],
-        ask: Ask[str, Found],
+        ask: Ask[str, ReadResult],
         room: Room,
         attempt: _Attempt,
     ) -> Mapping[str, _Result]:
         """The answers of sources (properties' names lead to their names), as far as they come in time."""
-        found: dict[str, Found] = {}
+        found: dict[str, ReadResult] = {}
         unknown = [key for key in sources if answers.kept(key, attempt.since) is None]
         for question in answers.ask(unknown, ask, room, attempt.since):
             found |= await question.wait(attempt.deadline) or {}
@@ -247,6 +247,6 @@ class Readings:
             if kept is not None:
                 results[key] = _Result(kept.value, kept.until)
             else:
-                late_ = Found(None, late(name, attempt.seconds), None)
+                late_ = ReadResult(None, late(name, attempt.seconds), None)
                 results[key] = _Result(found.get(key, late_), 0.0)
         return results

@@ -20,7 +20,7 @@ from rosld.server.robot.topics import LiveTopics
 _log = logging.getLogger("rosld.hypermedia")
 
 
-class Found(NamedTuple):
+class ReadResult(NamedTuple):
     """What came of a question: a value, or why there is none; both None where there is simply none yet."""
 
     value: Value | None
@@ -28,7 +28,7 @@ class Found(NamedTuple):
     read_ns: int | None
 
 
-NOTHING = Found(None, None, None)
+NOTHING = ReadResult(None, None, None)
 
 
 class Seen(NamedTuple):
@@ -44,13 +44,13 @@ def late(name: str, seconds: float) -> str:
     return f"{name} has not answered within {round(seconds, 1):g} s"
 
 
-def decoded(topic: str, sample: Sample, schema: MessageSchema, origin: str) -> Found:
+def decoded(topic: str, sample: Sample, schema: MessageSchema, origin: str) -> ReadResult:
     """The value in a sample of a topic."""
     try:
         message = schema.codec.decode(sample.data, sample.encoding)
     except ValueError as error:
-        return Found(None, f"the latest message of {topic} cannot be read: {error}", sample.received_ns)
-    return Found(MessageValue(schema, message, schema.type.fields, origin), None, sample.received_ns)
+        return ReadResult(None, f"the latest message of {topic} cannot be read: {error}", sample.received_ns)
+    return ReadResult(MessageValue(schema, message, schema.type.fields, origin), None, sample.received_ns)
 
 
 class Sources:
@@ -72,17 +72,17 @@ class Sources:
         except Exception as error:
             return Seen(view, None, self._failure(topic, error))
 
-    async def call(self, getter: Getter, origin: str) -> Found:
+    async def call(self, getter: Getter, origin: str) -> ReadResult:
         """The answer of a getter, within the patience."""
         response = getter.schema.response
         try:
             message = await self._answer(getter)
         except Exception as error:
-            return Found(None, self._failure(getter.name, error), time.time_ns())
+            return ReadResult(None, self._failure(getter.name, error), time.time_ns())
         words = declined(response, message, getter.fields)
         if words is not None:
-            return Found(None, f"{getter.name} refused" + (f": {words}" if words else ""), time.time_ns())
-        return Found(MessageValue(response, message, getter.fields, origin), None, time.time_ns())
+            return ReadResult(None, f"{getter.name} refused" + (f": {words}" if words else ""), time.time_ns())
+        return ReadResult(MessageValue(response, message, getter.fields, origin), None, time.time_ns())
 
     async def _answer(self, getter: Getter) -> Message:
         """What a getter answers. Raises RosError, TimeoutError, and ValueError for bytes that are no response."""
@@ -92,14 +92,14 @@ class Sources:
         asked = self._adapter.call(getter.name, schema.ref, request, deadline=deadline)
         return schema.response.codec.decode(await asyncio.wait_for(asked, self._patience), encoding)
 
-    async def parameters(self, names: Sequence[str]) -> Mapping[str, Found]:
+    async def parameters(self, names: Sequence[str]) -> Mapping[str, ReadResult]:
         """The values of parameters, within the patience, fetched together."""
         deadline = asyncio.get_running_loop().time() + self._patience
         try:
             asked = self._adapter.get_parameters(names, deadline=deadline)
             values = await asyncio.wait_for(asked, self._patience)
         except Exception as error:
-            return {name: Found(None, self._failure(name, error), time.time_ns()) for name in names}
+            return {name: ReadResult(None, self._failure(name, error), time.time_ns()) for name in names}
         return {name: _stored(name, values[name]) if name in values else _gone(name) for name in names}
 
     def _failure(self, name: str, error: Exception) -> str:
@@ -116,13 +116,13 @@ class Sources:
         return f"{name} cannot be read"
 
 
-def _stored(name: str, value: ParameterValue) -> Found:
+def _stored(name: str, value: ParameterValue) -> ReadResult:
     try:
         parameter_json(value)
     except (ValueError, TypeError) as error:  # nested too deep, or a string that is no Unicode
-        return Found(None, f"{name} cannot be shown: {error}", time.time_ns())
-    return Found(StoredValue(value), None, time.time_ns())
+        return ReadResult(None, f"{name} cannot be shown: {error}", time.time_ns())
+    return ReadResult(StoredValue(value), None, time.time_ns())
 
 
-def _gone(name: str) -> Found:
-    return Found(None, f"there is no parameter {name} any more", time.time_ns())
+def _gone(name: str) -> ReadResult:
+    return ReadResult(None, f"there is no parameter {name} any more", time.time_ns())

@@ -6,7 +6,7 @@ from urllib.parse import urljoin
 
 import orjson
 
-from rosld.server.auth.permissions import Judge
+from rosld.server.auth.permissions import Permissions
 
 _SECURITY: dict[str, dict[str, object]] = {
     "token_sc": {"scheme": "combo", "oneOf": ["bearer_sc", "basic_sc"]},
@@ -16,16 +16,16 @@ _SECURITY: dict[str, dict[str, object]] = {
 """WoT TD 1.1, 5.3.3: either of them."""
 
 
-def thing_for(data: bytes, judge: Judge) -> bytes:
+def thing_for(data: bytes, permissions: Permissions) -> bytes:
     """The description with those forms that the agent may use, and what has such forms."""
     thing = orjson.loads(data)
     base = thing["id"]
     thing["securityDefinitions"], thing["security"] = _SECURITY, ["token_sc"]
-    if judge.whole:
+    if permissions.whole:
         return orjson.dumps(thing)
 
     def usable(forms: list[dict[str, str]]) -> list[dict[str, str]]:
-        return [one for one in forms if judge.may(one.get("htv:methodName", "GET"), urljoin(base, one["href"]))]
+        return [one for one in forms if permissions.may(one.get("htv:methodName", "GET"), urljoin(base, one["href"]))]
 
     for kind in ("properties", "actions", "events"):
         if kind not in thing:
@@ -36,5 +36,5 @@ def thing_for(data: bytes, judge: Judge) -> bytes:
         thing["forms"] = usable(thing["forms"])
         if not thing["forms"]:
             del thing["forms"]
-    thing["links"] = [one for one in thing.get("links", ()) if judge.may_read(urljoin(base, one["href"]))]
+    thing["links"] = [one for one in thing.get("links", ()) if permissions.may_read(urljoin(base, one["href"]))]
     return orjson.dumps(thing)

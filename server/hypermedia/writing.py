@@ -49,7 +49,7 @@ from rosld.server.hypermedia.value import (
 from rosld.server.robot.calls import Unreadable
 from rosld.server.robot.publication import Publication, publish
 from rosld.server.robot.session import Session
-from rosld.server.robot.write_policy import kept, refusal
+from rosld.server.robot.write_policy import denied_reason, kept
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +130,7 @@ def _topic_refusal(session: Session, writer: TopicSource) -> str | None:
         return f"The type of {writer.name} is not known."
     if Operation.PUBLISH not in session.adapter.allows(Ref(Kind.TOPIC, writer.name)):
         return f"Nothing can be published on {writer.name} of a {session.adapter.capabilities.system}."
-    return refusal(topic, session.graph, session.settings.allow_publish)
+    return denied_reason(topic, session.graph, session.settings.allow_publish)
 
 
 # The plan

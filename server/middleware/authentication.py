@@ -6,8 +6,8 @@ from starlette.responses import Response
 
 from rosld.ontology.urls import Location, Space
 from rosld.server.auth import enforcement
-from rosld.server.auth.authenticator import Door
-from rosld.server.auth.permissions import Judge
+from rosld.server.auth.authenticator import Authenticator
+from rosld.server.auth.permissions import Permissions
 from rosld.server.http import link
 from rosld.server.middleware.audit import ABSENT
 from rosld.server.middleware.handler import Handler
@@ -23,22 +23,22 @@ class AccessHeaders:
     Until it is known who asks, it is nobody in particular.
     """
 
-    def __init__(self, next: Handler, door: Door, space: Space) -> None:
+    def __init__(self, next: Handler, authenticator: Authenticator, space: Space) -> None:
         self._next = next
-        self._door = door
+        self._authenticator = authenticator
         self._space = space
         self._acl = link.Link(f"{space.base}acl", "acl")
 
     async def __call__(self, exchange: Exchange) -> Response:
         """Answer as the next handler does, with the headers."""
-        exchange.visit = self._door.anybody
+        exchange.visit = self._authenticator.anybody
         response = await self._next(exchange)
         place = enforcement.place_of(exchange.request.scope, self._space)
-        judge, public = exchange.judge, self._door.anybody.judge
-        if response.status_code in _TELLING_NOTHING and not _may_know(judge, place, response.status_code):
+        permissions, public = exchange.permissions, self._authenticator.anybody.permissions
+        if response.status_code in _TELLING_NOTHING and not _may_know(permissions, place, response.status_code):
             place = None
-        response.raw_headers = enforcement.marked(
-            response.raw_headers, judge, public, place, exchange.answering, self._acl
+        response.raw_headers = enforcement.with_auth_headers(
+            response.raw_headers, permissions, public, place, exchange.answering, self._acl
         )
         return response
 
@@ -46,20 +46,20 @@ class AccessHeaders:
 class Authentication:
     """Finds out who asks, and refuses what the path alone forbids (401, 403, 404)."""
 
-    def __init__(self, next: Handler, door: Door, space: Space) -> None:
+    def __init__(self, next: Handler, authenticator: Authenticator, space: Space) -> None:
         self._next = next
-        self._door = door
+        self._authenticator = authenticator
         self._space = space
 
     async def __call__(self, exchange: Exchange) -> Response:
         """Answer as the next handler does. Raises Problems."""
-        exchange.visit = await self._door.visit(exchange.header("authorization"))
-        if not exchange.judge.whole:
+        exchange.visit = await self._authenticator.visit(exchange.header("authorization"))
+        if not exchange.permissions.whole:
             place = enforcement.place_of(exchange.request.scope, self._space)
-            enforcement.require_path(exchange.judge, exchange.method, place)
+            enforcement.require_path(exchange.permissions, exchange.method, place)
         return await self._next(exchange)
 
 
-def _may_know(judge: Judge, place: Location | None, status: int) -> bool:
+def _may_know(permissions: Permissions, place: Location | None, status: int) -> bool:
     """Whether an agent may know that there is nothing at a place."""
-    return status in ABSENT and place is not None and judge.knows_any(place)
+    return status in ABSENT and place is not None and permissions.knows_any(place)

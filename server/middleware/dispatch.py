@@ -12,7 +12,7 @@ from rosld.server.middleware.handler import Handler
 from rosld.server.middleware.rate_limits import Admission
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import Resource
-from rosld.server.routing.dispatcher import Verbs
+from rosld.server.routing.dispatcher import Dispatcher
 
 _OF_SERVER = {"allow": "DELETE, GET, HEAD, OPTIONS, PATCH, POST, PUT"}
 """The answer to `OPTIONS *`: methods that some resource here has (RFC 9110 9.3.7)."""
@@ -38,7 +38,7 @@ class ServerOptions:
 class Dispatch:
     """Finds the resource and has it answer."""
 
-    def __init__(self, resolve: Callable[[Scope], Resource], verbs: Verbs) -> None:
+    def __init__(self, resolve: Callable[[Scope], Resource], verbs: Dispatcher) -> None:
         self._resolve = resolve
         self._verbs = verbs
 

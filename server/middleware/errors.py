@@ -13,7 +13,7 @@ from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.urls import Space
 from rosld.server.auth import enforcement
-from rosld.server.auth.rate_limit import REFUSAL_SECONDS, TooMuch
+from rosld.server.auth.rate_limit import REFUSAL_SECONDS, RateLimitExceeded
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.http.tokens import without_tokens
@@ -44,7 +44,7 @@ class ErrorResponses:
             return await self._next(exchange)
         except Exception as raised:
             error = self._admission.counted(exchange, raised)
-            if isinstance(error, TooMuch):
+            if isinstance(error, RateLimitExceeded):
                 await asyncio.sleep(REFUSAL_SECONDS)
             return self._failure(exchange, error)
 
@@ -63,7 +63,7 @@ class ErrorResponses:
         if not isinstance(error, Problem):
             _log.exception("%s %s failed", exchange.method, scope["path"], exc_info=error)
             error = Problem(500, "The server failed on this request; its log says more.")
-        error = enforcement.told(exchange.judge, error, enforcement.place_of(scope, self._space))
+        error = enforcement.redact_problem(exchange.permissions, error, enforcement.place_of(scope, self._space))
         exchange.account.refused(error.detail)
         path = quote(scope["raw_path"].lstrip(b"/"), safe="/%:@!$&'()*+,;=~")
         url = without_tokens(self._space.base + path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from starlette.responses import Response
 
 from rosld.server.auth.agent import ANYBODY
-from rosld.server.auth.rate_limit import Clients, TooMuch
+from rosld.server.auth.rate_limit import ClientLimiter, RateLimitExceeded
 from rosld.server.middleware.handler import Handler
 from rosld.server.rest.exchange import Exchange
 
@@ -13,7 +13,7 @@ from rosld.server.rest.exchange import Exchange
 class Admission:
     """Lets requests pass, each client's as many as it may have. `stop` is the path that stops the robot."""
 
-    def __init__(self, clients: Clients, stop: bytes) -> None:
+    def __init__(self, clients: ClientLimiter, stop: bytes) -> None:
         self._clients = clients
         self._stop = stop
 
@@ -30,10 +30,10 @@ class Admission:
 
     def counted(self, exchange: Exchange, error: Exception) -> Exception:
         """What became of a request: one that was refused before it was let pass counts like any other (429)."""
-        if exchange.client is None and not isinstance(error, TooMuch):
+        if exchange.client is None and not isinstance(error, RateLimitExceeded):
             try:
                 self.admit(exchange)
-            except TooMuch as too_much:
+            except RateLimitExceeded as too_much:
                 return too_much
         return error
 
@@ -41,7 +41,7 @@ class Admission:
         """Whether a client may open a WebSocket now; it counts as a request."""
         try:
             self._clients.leave(self._clients.admit(ANYBODY, address))
-        except TooMuch:
+        except RateLimitExceeded:
             return False
         return True
 

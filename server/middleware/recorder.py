@@ -11,7 +11,7 @@ from starlette.types import Scope
 
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import prov
-from rosld.server.receipts.entry import Asked, held
+from rosld.server.receipts.entry import AuditEntry, held
 from rosld.server.receipts.journal import Journal
 from rosld.server.rest.exchange import Exchange
 
@@ -35,7 +35,7 @@ class Recorder:
         if account.sent is not None:
             digest = account.sent.digest()
         id = self._journal.note(
-            Asked(
+            AuditEntry(
                 exchange.agent,
                 account.started_ns,
                 time.time_ns(),

@@ -6,7 +6,7 @@ from starlette.responses import Response
 
 from rosld.server.middleware.handler import Handler
 from rosld.server.rest.exchange import Exchange
-from rosld.server.runtime.scheduler import Turns
+from rosld.server.runtime.scheduler import RequestScheduler
 
 
 class Scheduling:
@@ -15,7 +15,7 @@ class Scheduling:
     def __init__(self, next: Handler, stop: bytes) -> None:
         self._next = next
         self._stop = stop
-        self._turns = Turns()
+        self._turns = RequestScheduler()
 
     async def __call__(self, exchange: Exchange) -> Response:
         """Answer as the next handler does, in turn."""

@@ -27,7 +27,7 @@ from rosld.ontology.notifications import CHANNEL_TYPES
 from rosld.server.events.source import LINES
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.layout import ActionPlan, Layout
+from rosld.server.hypermedia.layout import ActionPlan, ResourceTree
 from rosld.server.hypermedia.schema import DataSchema, Json, message_schema, value_schema
 from rosld.server.hypermedia.thing import MEDIA_TYPE as THING
 from rosld.server.openapi import json_schema
@@ -161,7 +161,7 @@ class Places:
     """Finds the places. `resolve` gives the resources, which say what they answer; nothing is waited for."""
 
     robot: Robot
-    layout: Layout
+    layout: ResourceTree
     resolve: Resolve
     schemas: dict[str, DataSchema] = field(default_factory=dict)
     """The schemas that places refer to by name."""

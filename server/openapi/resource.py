@@ -12,7 +12,7 @@ from starlette.responses import Response
 from rosld import __version__
 from rosld.server.auth import enforcement
 from rosld.server.auth.authenticator import OPEN
-from rosld.server.auth.permissions import Judge
+from rosld.server.auth.permissions import Permissions
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.link import Link
@@ -22,7 +22,7 @@ from rosld.server.openapi.json_schema import Schema
 from rosld.server.openapi.place import Place
 from rosld.server.openapi.places import OPENAPI, Places, Resolve, learn
 from rosld.server.openapi.rights import places_for, with_security
-from rosld.server.resources.context import Robot, Same
+from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.prepared import held
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
@@ -77,36 +77,38 @@ class OpenApiResource(Resource):
         kept = await self._described(hidden)
         data = kept.data
         if exchange.visit is not OPEN:
-            data = await self._for_agent(kept, hidden, exchange.judge, exchange.visit.public)
-        etag = ETag(f"{self.robot.boot}-{_digest(data)}", media_type.partition("/")[2].replace(".", "-"))
+            data = await self._for_agent(kept, hidden, exchange.permissions, exchange.visit.public)
+        etag = ETag(f"{self.robot.instance_id}-{_digest(data)}", media_type.partition("/")[2].replace(".", "-"))
         return held(exchange, data, media_type, etag, standing_headers(self).items())
 
-    async def _for_agent(self, kept: _Described, hidden: bool, judge: Judge, public: Judge) -> bytes:
+    async def _for_agent(self, kept: _Described, hidden: bool, permissions: Permissions, public: Permissions) -> bytes:
         """The description as it is for an agent, kept for as long as it is the same."""
-        key = (hidden, judge.key, public.key)
+        key = (hidden, permissions.key, public.key)
         known = self._of_agents.get(key)
         if known is None or known[0] is not kept:
             if len(self._of_agents) >= _MOST:
                 self._of_agents.clear()
-            made = await asyncio.to_thread(self._made_for, kept, judge, public)
+            made = await asyncio.to_thread(self._made_for, kept, permissions, public)
             known = self._of_agents[key] = (kept, made)
         return known[1]
 
-    def _made_for(self, kept: _Described, judge: Judge, public: Judge) -> bytes:
+    def _made_for(self, kept: _Described, permissions: Permissions, public: Permissions) -> bytes:
         """What is described to an agent is described anew, so that not even a number tells of anything else."""
         data = kept.data
-        if not judge.whole:
-            data = self._written(places_for(kept.places, partial(self._may, judge), judge.may_read), kept.schemas)
-        return with_security(data, partial(self._may, public), whole=judge.whole)
+        if not permissions.whole:
+            data = self._written(
+                places_for(kept.places, partial(self._may, permissions), permissions.may_read), kept.schemas
+            )
+        return with_security(data, partial(self._may, public), whole=permissions.whole)
 
-    def _may(self, judge: Judge, method: str, path: str) -> bool:
+    def _may(self, permissions: Permissions, method: str, path: str) -> bool:
         """Whether a method may be used at a path below the base, or at some that a template stands for."""
         url = self.robot.space.base.rstrip("/") + path
-        place = judge.place(url)
-        if judge.whole or "{" in path or place is None:
-            return judge.may_somewhere(method, url)
+        place = permissions.place(url)
+        if permissions.whole or "{" in path or place is None:
+            return permissions.may_somewhere(method, url)
         try:
-            return method in enforcement.allowed(judge, place, self._resolve(path))
+            return method in enforcement.allowed(permissions, place, self._resolve(path))
         except Problem:
             return False
 
@@ -122,7 +124,12 @@ class OpenApiResource(Resource):
 
     def _version(self) -> Hashable:
         robot = self.robot
-        return (Same(robot.graph), robot.schemas.count, Same(robot.mappings.arrangement), robot.queries.version)
+        return (
+            IdentityKey(robot.graph),
+            robot.schemas.count,
+            IdentityKey(robot.mappings.arrangement),
+            robot.queries.version,
+        )
 
     async def _made(self, hidden: bool) -> _Described:
         """A version and its description: found on the loop, written on a thread, for a large one takes its time."""

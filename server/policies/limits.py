@@ -21,7 +21,7 @@ MOST_TRIPLES = 5000
 _log = logging.getLogger("rosld")
 
 
-class LimitsInForce:
+class ActiveLimits:
     """The limits of all documents together. Every change is whole or none."""
 
     def __init__(self, given: Sequence[Sequence[Triple]], space: Space) -> None:

@@ -14,7 +14,7 @@ _MOST = 100
 """Steps and URLs that are noted: a write of thousands of things is not told one by one."""
 
 
-class Account:
+class AuditContext:
     """What one request has told of its write. Of a request that writes nothing it stays as it is.
 
     `started_ns` is when the request was taken up, `sent` the SHA-256 of a body that was read as it came, of `length`.
@@ -69,7 +69,7 @@ class Account:
         self.length += len(chunk)
 
 
-under_way: ContextVar[Account | None] = ContextVar("under_way", default=None)
+under_way: ContextVar[AuditContext | None] = ContextVar("under_way", default=None)
 """The account of the write that this task is carrying out; None where it carries out none."""
 
 

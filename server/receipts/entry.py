@@ -26,7 +26,7 @@ _CUT_TOKEN = re.compile(rf"{PREFIX}[\w-]*\Z")
 """What may be the beginning of a token at the end of what is looked through."""
 
 
-class Asked(NamedTuple):
+class AuditEntry(NamedTuple):
     """A request and its answer. `body` is what is held of the body, all of it where `digest` (SHA-256) is None."""
 
     agent: Agent
@@ -52,7 +52,7 @@ def held(body: bytes) -> tuple[bytes, bytes | None]:
     return (body, None) if len(body) <= SCANNED else (body[:SCANNED], hashlib.sha256(body).digest())
 
 
-def receipt_of(asked: Asked, number: int, id: str, excerpt_bytes: int) -> Receipt:
+def receipt_of(asked: AuditEntry, number: int, id: str, excerpt_bytes: int) -> Receipt:
     """The receipt, with nothing in it that looks like a secret: where one is, what it came to is withheld as well."""
     query = asked.query.decode("latin-1")
     hides_query = bool(query) and holds_credentials(query)

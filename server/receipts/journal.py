@@ -16,8 +16,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from rosld.ontology.describe_activities import Receipt
-from rosld.server.receipts.entry import Asked, receipt_of
-from rosld.server.receipts.sqlite_log import Disk
+from rosld.server.receipts.entry import AuditEntry, receipt_of
+from rosld.server.receipts.sqlite_log import SqliteLog
 from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.signals import Signal
 
@@ -35,7 +35,9 @@ class Entry:
 
     __slots__ = ("_asked", "_excerpt_bytes", "_receipt", "ended_ns", "id", "is_refused", "number")
 
-    def __init__(self, number: int, id: str, asked: Asked | None, excerpt_bytes: int, receipt: Receipt | None) -> None:
+    def __init__(
+        self, number: int, id: str, asked: AuditEntry | None, excerpt_bytes: int, receipt: Receipt | None
+    ) -> None:
         self.number = number
         self.id = id
         self._asked = asked
@@ -74,7 +76,7 @@ class Journal:
         self._entries: dict[str, Entry] = {}
         self._in_order: dict[bool, deque[Entry]] = {False: deque(), True: deque()}
         self._dropped: Callable[[Entry], None] = lambda entry: None
-        self._disk = None if folder is None else Disk(folder)
+        self._disk = None if folder is None else SqliteLog(folder)
         self._unwritten: dict[int, Entry] = {}
         self._gone: list[int] = []
         self._turn: asyncio.TimerHandle | None = None
@@ -96,7 +98,7 @@ class Journal:
         """Look now and then at what has become too old."""
         self._look_again()
 
-    def note(self, asked: Asked) -> str:
+    def note(self, asked: AuditEntry) -> str:
         """Keep a write; the id of its receipt. It is written to the disk soon, and by `close` at the latest."""
         self.version += 1
         entry = Entry(self.version, new_identifier(), asked, self._excerpt_bytes, None)
@@ -104,7 +106,7 @@ class Journal:
         if self._disk is not None:
             self._unwritten[entry.number] = entry
             self._write_soon(WRITE_SECONDS)
-        self.changes.give()
+        self.changes.emit()
         return entry.id
 
     def find(self, id: str) -> Entry:
@@ -175,7 +177,7 @@ class Journal:
         if self._gone:
             self._write_soon(0.0)
         if self.version != before:
-            self.changes.give()
+            self.changes.emit()
 
     # Writing to the disk
 
@@ -188,7 +190,7 @@ class Journal:
         if self._disk is not None:
             self._writing = asyncio.get_running_loop().create_task(self._write_and_go_on(self._disk))
 
-    async def _write_and_go_on(self, disk: Disk) -> None:
+    async def _write_and_go_on(self, disk: SqliteLog) -> None:
         pause = WRITE_SECONDS
         try:
             await self._write(disk)
@@ -200,7 +202,7 @@ class Journal:
         if self._unwritten or self._gone:
             self._write_soon(pause)
 
-    async def _write(self, disk: Disk) -> None:
+    async def _write(self, disk: SqliteLog) -> None:
         """Write what is not written. What fails is tried again with what comes next."""
         added, gone = self._unwritten, self._gone
         self._unwritten, self._gone = {}, []

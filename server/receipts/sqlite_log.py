@@ -23,7 +23,7 @@ _APPLICATION = 0x726F7372
 _OPEN_SECONDS = 5.0
 
 
-class Disk:
+class SqliteLog:
     """The database in a folder, made where it is missing.
 
     Raises ValueError for one that is not sound, or of something else; one that the disk fails to open for now is opened

@@ -11,7 +11,7 @@ from rosld.ontology.triples import about, boolean, each, text
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import acl, foaf, rdf, ros
 from rosld.server.auth.agent import ANYBODY, Agent
-from rosld.server.auth.authenticator import Door
+from rosld.server.auth.authenticator import Authenticator
 from rosld.server.auth.config import MODES
 from rosld.server.auth.rules import ACL, AUTHENTICATED, Policy, Rule
 from rosld.server.http.problem import Problem
@@ -30,28 +30,28 @@ class AclResource(Resource):
     title = "Rights"
     links = (RESOURCE, RDF_SOURCE)
 
-    def __init__(self, base: str, door: Door) -> None:
+    def __init__(self, base: str, authenticator: Authenticator) -> None:
         super().__init__(f"{base}{ACL}")
-        self._door = door
+        self._authenticator = authenticator
 
     def why_not(self, method: str) -> str:
         return "The rules are written in the file of --auth; it is read again whenever it changes."
 
     async def state(self) -> State:
-        policy = self._door.access.policy
+        policy = self._authenticator.access.policy
         return State(lambda: Document(self.url, tuple(described(policy, self.url))))
 
 
-def acl_room(door: Door | None) -> Mapping[str, Callable[[Robot, Location], Resource]]:
+def acl_room(authenticator: Authenticator | None) -> Mapping[str, Callable[[Robot, Location], Resource]]:
     """The room of the rules; none where there are none."""
 
     def room(robot: Robot, location: Location) -> Resource:
         if location.segments or location.is_container:
             raise Problem(404, "There is nothing below /acl.")
-        assert door is not None
-        return AclResource(robot.space.base, door)
+        assert authenticator is not None
+        return AclResource(robot.space.base, authenticator)
 
-    return {} if door is None else {ACL: room}
+    return {} if authenticator is None else {ACL: room}
 
 
 def described(policy: Policy, url: str) -> Iterable[Triple]:

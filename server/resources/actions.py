@@ -30,7 +30,7 @@ from rosld.ontology.lift import lifter
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.http.link import uri
 from rosld.server.http.problem import Problem
-from rosld.server.resources.context import Robot, Same
+from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
 from rosld.server.resources.requests import message_in
@@ -71,7 +71,7 @@ class ActionResource(Resource):
         return is_absent(self.robot, "actions", self.name)
 
     def methods(self) -> frozenset[str]:
-        if self.robot.settings.read_only or self.robot.is_closed(self.name):
+        if self.robot.settings.read_only or self.robot.is_resources_only(self.name):
             return READ
         allowed = Operation.SEND_GOAL in self.robot.adapter.allows(Ref(Kind.ACTION, self.name))
         return READ | {"POST"} if allowed else READ
@@ -79,7 +79,7 @@ class ActionResource(Resource):
     def why_not(self, method: str) -> str:
         if self.robot.settings.read_only:
             return _READ_ONLY
-        if method == "POST" and self.robot.is_closed(self.name):
+        if method == "POST" and self.robot.is_resources_only(self.name):
             return closed(self.name)
         if method == "POST":
             return self.action.unusable or f"No goal can be sent to {self.name}."
@@ -93,7 +93,7 @@ class ActionResource(Resource):
     def shown(self) -> State:
         """What it is like, as far as its goals are known."""
         goals = tuple(goal.id for goal in self.robot.goals.of(self.name))
-        version = (Same(self.action), goals, self.methods(), self.robot.graph.revision)
+        version = (IdentityKey(self.action), goals, self.methods(), self.robot.graph.revision)
         return self.robot.states.get(self.url, version, lambda: State(self.document))
 
     def document(self) -> Document:
@@ -211,7 +211,7 @@ class GoalResource(Resource):
 
     def _is_open(self, goal: Goal) -> bool:
         """Whether anything may be done with it: what has ended may be forgotten in any case."""
-        is_closed = not goal.status.is_final and self.robot.is_closed(goal.action)
+        is_closed = not goal.status.is_final and self.robot.is_resources_only(goal.action)
         return not (self.robot.settings.read_only or is_closed)
 
     async def state(self) -> State:
@@ -230,7 +230,7 @@ class GoalResource(Resource):
         """The state of this goal as it stood."""
         return self.robot.states.get(
             self.url,
-            (Same(goal), self._is_open(goal)),
+            (IdentityKey(goal), self._is_open(goal)),
             lambda: State(lambda: self.document(goal), lambda: self._plain(goal)),
         )
 

@@ -19,7 +19,7 @@ from rosld.server.hypermedia.catalogue import Property
 from rosld.server.hypermedia.content import rdf_content
 from rosld.server.hypermedia.describe import fragment
 from rosld.server.hypermedia.layout import ComplexPlan, MemberPlan
-from rosld.server.hypermedia.offers import Sight
+from rosld.server.hypermedia.offers import Snapshot
 from rosld.server.hypermedia.value import WHOLE, MessageValue, Reading, literal, picked_json, plain_json
 from rosld.server.hypermedia.views import ComplexView, Member
 from rosld.server.hypermedia.writing import PlannedWrite, Written, carry_out
@@ -122,7 +122,7 @@ def _present(member: Member) -> object:
 
 
 async def planned_changes(
-    robot: Robot, plan: ComplexPlan, sight: Sight, changes: Sequence[Change]
+    robot: Robot, plan: ComplexPlan, sight: Snapshot, changes: Sequence[Change]
 ) -> tuple[tuple[str, PlannedWrite], ...]:
     """The writes that bring these changes about, with the names of the members that ask for them.
 

@@ -26,9 +26,9 @@ from rosld.ontology.notifications import (
 )
 from rosld.ontology.urls import Location, locate
 from rosld.server.auth import enforcement
-from rosld.server.auth.permissions import Judge
+from rosld.server.auth.permissions import Permissions
 from rosld.server.events.channels import Channel, Channels
-from rosld.server.events.feed import Feeds
+from rosld.server.events.feed import Broadcasters
 from rosld.server.events.source import Source, headers_of
 from rosld.server.events.subscriptions import JSON_LD, MEDIA_TYPES, MOST_BYTES, check_profile, read_subscription
 from rosld.server.events.websocket import Receiver
@@ -42,7 +42,7 @@ from rosld.server.resources.context import Robot
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
-from rosld.server.rest.prepared import Prepared, held
+from rosld.server.rest.prepared import RawResponse, held
 from rosld.server.rest.resource import (
     BASIC_CONTAINER,
     JSON,
@@ -71,7 +71,7 @@ class Notifications:
     `resolve` finds the resource that a request is about.
     """
 
-    def __init__(self, robot: Robot, channels: Channels, feeds: Feeds, site: Site, resolve: Resolve) -> None:
+    def __init__(self, robot: Robot, channels: Channels, feeds: Broadcasters, site: Site, resolve: Resolve) -> None:
         self.robot = robot
         self.channels = channels
         self.feeds = feeds
@@ -98,7 +98,7 @@ class Notifications:
         media_type = exchange.media_type
         data = exchange.as_utf8(await read_body(exchange.request, limit=MOST_BYTES))
         wish = read_subscription(data, media_type, service.url, service.type, time.time_ns())
-        resource, state = await self._topic(wish.topic, exchange.judge)
+        resource, state = await self._topic(wish.topic, exchange.permissions)
         place = partial(self.place, service.type)
         return self.channels.open(wish, service.type, resource, state, place, exchange.visit)
 
@@ -115,24 +115,24 @@ class Notifications:
                 return Receiver(self.channels, self.feeds, channel_of(self, kind, token))
         raise Problem(404, f"No WebSocket is there: subscribe at {self.robot.space.url(ROOM, (WEBSOCKET,))} first.")
 
-    async def _topic(self, url: str, judge: Judge) -> tuple[Resource, State]:
+    async def _topic(self, url: str, permissions: Permissions) -> tuple[Resource, State]:
         """The resource to tell of, and what it is like now. Raises a 422 Problem where nothing can be told of it."""
         scope = self._scope(url)
         exchange = Exchange(Request(scope), 0)
-        place = None if judge.whole else enforcement.place_of(scope, self.robot.space)
+        place = None if permissions.whole else enforcement.place_of(scope, self.robot.space)
         try:
-            if not judge.whole:
-                enforcement.require_path(judge, "GET", place)
+            if not permissions.whole:
+                enforcement.require_path(permissions, "GET", place)
             resource = await _narrowed(self._resolve(scope), exchange)
             await resource.ready()
-            if not judge.whole:
-                enforcement.require(judge, "GET", place, resource)
+            if not permissions.whole:
+                enforcement.authorize(permissions, "GET", place, resource)
             return resource, await resource.state()
         except NotImplementedError as error:
             raise Problem(422, f"The topic {url} has no state that could change.") from error
         except (Problem, RosError) as error:
             problem = error if isinstance(error, Problem) else problem_of(error)
-            problem = enforcement.told(judge, problem, place)
+            problem = enforcement.redact_problem(permissions, problem, place)
             if problem.status >= 500:
                 raise problem from error
             raise Problem(422, f"There is nothing to tell of the topic {url}: {problem.detail}") from error
@@ -199,7 +199,7 @@ class Described(Resource):
         if members is None or not prefers_json(exchange):
             return None
         body = orjson.dumps(with_context(members))
-        etag = ETag(f"{self.notifications.robot.boot}-{digest(body)}", "jsonld")
+        etag = ETag(f"{self.notifications.robot.instance_id}-{digest(body)}", "jsonld")
         return held(exchange, body, JSON_LD, etag, standing_headers(self).items())
 
     def _headers(self) -> list[tuple[bytes, bytes]]:
@@ -278,7 +278,7 @@ class SubscriptionService(Described):
             return Created(made.url, made, await made.state())
         body = orjson.dumps(with_context(channel.terms.members()))
         headers = [*made._headers(), (b"location", made.url.encode("ascii")), (b"cache-control", b"no-store")]
-        return Prepared(201, body, [*headers, *_content(body)])
+        return RawResponse(201, body, [*headers, *_content(body)])
 
 
 class ChannelResource(Described):
@@ -323,7 +323,7 @@ class SourceResource(Described):
             raise Problem(426, f"Open a WebSocket at {self._channel.terms.receive_from}", headers=upgrade)
         headers = self._headers()
         if exchange.method == "HEAD":
-            return Prepared(200, b"", [*headers_of(self._channel), *headers])
+            return RawResponse(200, b"", [*headers_of(self._channel), *headers])
         self.notifications.feeds.require_room(exchange.request.client)
         return Source(self.notifications.channels, self.notifications.feeds, self._channel, headers)
 

@@ -13,14 +13,14 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.ontology.body import body_of
 from rosld.ontology.lower import parse_json
-from rosld.server.auth.permissions import Judge
+from rosld.server.auth.permissions import Permissions
 from rosld.server.html import Form, forms_of
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.describe import complex_document, complex_json
-from rosld.server.hypermedia.layout import ComplexPlan, Layout
-from rosld.server.hypermedia.offers import Sight
+from rosld.server.hypermedia.layout import ComplexPlan, ResourceTree
+from rosld.server.hypermedia.offers import Snapshot
 from rosld.server.hypermedia.redaction import veiled_view
 from rosld.server.hypermedia.thing import MEDIA_TYPE
 from rosld.server.hypermedia.views import ComplexView
@@ -30,7 +30,7 @@ from rosld.server.resources.context import Robot
 from rosld.server.resources.guarding import seen_anew
 from rosld.server.resources.things import complex_thing, thing_response, wants_thing
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.plan import Move, Plan
+from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.redaction import veiled_state
 from rosld.server.rest.resource import (
     ABSENT,
@@ -102,7 +102,7 @@ class ComplexResource(Resource):
         layout, plan = await self._plan()
         return await self.robot.offers.state(self.url, layout, plan.reads, lambda sight: self._shown(plan, sight))
 
-    def _shown(self, plan: ComplexPlan, sight: Sight) -> State:
+    def _shown(self, plan: ComplexPlan, sight: Snapshot) -> State:
         robot = self.robot
         view = robot.offers.complex_view(plan, sight)
         own = tuple(member.reading for member in view.members)
@@ -115,18 +115,18 @@ class ComplexResource(Resource):
             view=view,
         )
 
-    def veiled(self, state: State, judge: Judge) -> State:
+    def veiled(self, state: State, permissions: Permissions) -> State:
         robot, view = self.robot, state.view
         assert isinstance(view, ComplexView)
-        left = veiled_view(view, judge)
+        left = veiled_view(view, permissions)
         return veiled_state(
             state,
-            judge,
+            permissions,
             lambda: complex_document(left, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time),
             lambda: complex_json(left, robot.lifting),
         )
 
-    async def _plan(self) -> tuple[Layout, ComplexPlan]:
+    async def _plan(self) -> tuple[ResourceTree, ComplexPlan]:
         layout = await self.robot.offers.layout()
         plan = layout.complex(self.path)
         if plan is not None:
@@ -175,14 +175,14 @@ class ComplexResource(Resource):
             await carried_out(robot, writes)
             return True
 
-        return Move(f"write {', '.join(name for name, _ in writes) or 'nothing'} of {self.path}", carried_out_all)
+        return RobotWrite(f"write {', '.join(name for name, _ in writes) or 'nothing'} of {self.path}", carried_out_all)
 
-    def concerned(self, layout: Layout) -> tuple[str, ...]:
+    def concerned(self, layout: ResourceTree) -> tuple[str, ...]:
         """The names that a write through its graph concerns."""
         plan = layout.complex(self.path)
         return (self.path, *(member.of.name for member in plan.members)) if plan is not None else (self.path,)
 
-    def _changes(self, media_type: str, plan: ComplexPlan, sight: Sight, data: bytes) -> Sequence[Change]:
+    def _changes(self, media_type: str, plan: ComplexPlan, sight: Snapshot, data: bytes) -> Sequence[Change]:
         robot = self.robot
         view = robot.offers.complex_view(plan, sight)
         if media_type == MERGE_PATCH:

@@ -8,16 +8,16 @@ from collections.abc import Hashable, Sequence
 
 from rosld.adapters.base import Adapter
 from rosld.server.hypermedia.mappings import Mappings
-from rosld.server.hypermedia.offers import Offers
+from rosld.server.hypermedia.offers import AffordanceService
 from rosld.server.hypermedia.readings import Readings
 from rosld.server.policies import limits, mappings, queries
-from rosld.server.policies.limits import LimitsInForce, given_limits
+from rosld.server.policies.limits import ActiveLimits, given_limits
 from rosld.server.policies.mappings import given_mappings, keep_mappings
 from rosld.server.receipts.journal import Journal
 from rosld.server.rest.state import State
 from rosld.server.robot.holds import Holds
 from rosld.server.robot.session import Session
-from rosld.server.robot.stop import Stops
+from rosld.server.robot.stop import SoftwareStop
 from rosld.server.runtime.offload import Workers
 from rosld.server.runtime.signals import Signal
 from rosld.server.runtime.version_cache import VersionCache
@@ -33,10 +33,10 @@ class Robot(Session):
 
     def __init__(self, adapter: Adapter, settings: Settings) -> None:
         super().__init__(adapter, settings)
-        self.boot = secrets.token_hex(4)
+        self.instance_id = secrets.token_hex(4)
         self.states: VersionCache[State] = VersionCache()
         self.workers = Workers()
-        self.limits_in_force = LimitsInForce(tuple(given_limits(settings, adapter, self.space)), self.space)
+        self.limits_in_force = ActiveLimits(tuple(given_limits(settings, adapter, self.space)), self.space)
         self.records = open_records(settings.data, roots=(mappings.ROOM, queries.ROOM, limits.ROOM))
         self.receipts = Journal(
             settings.data,
@@ -55,23 +55,25 @@ class Robot(Session):
             freshness=settings.freshness,
             patience=settings.call_deadline,
         )
-        self.offers: Offers[State] = Offers(self, self.mappings, self.readings, self.states, lambda: self.limits)
+        self.offers: AffordanceService[State] = AffordanceService(
+            self, self.mappings, self.readings, self.states, lambda: self.limits
+        )
         self.holds = Holds(self)
-        self.stops = Stops(self, self.holds, lambda: self.mappings.arrangement.stops())
+        self.stops = SoftwareStop(self, self.holds, lambda: self.mappings.arrangement.stops())
 
     @property
     def revision(self) -> Hashable:
         """Another one whenever anything has changed but values and what clients keep."""
         return (
-            Same(self.adapter.graph),
+            IdentityKey(self.adapter.graph),
             self.schemas.count,
             self.calls.revision,
             self.goals.revision,
             self.holds.revision,
             self.stops.revision,
             self.queries.version,
-            Same(self.limits_in_force.now),
-            Same(self.mappings.arrangement),
+            IdentityKey(self.limits_in_force.now),
+            IdentityKey(self.mappings.arrangement),
         )
 
     @property
@@ -110,10 +112,10 @@ class Robot(Session):
     def _kept(self, changes: Sequence[Changed]) -> None:
         for each in changes:
             self.queries.changed(each)
-            self.kept_changes.give(each.path)
+            self.kept_changes.emit(each.path)
 
 
-class Same:
+class IdentityKey:
     """Compares by identity: a version that costs nothing to compare."""
 
     __slots__ = ("value",)
@@ -122,7 +124,7 @@ class Same:
         self.value = value
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Same) and other.value is self.value
+        return isinstance(other, IdentityKey) and other.value is self.value
 
     def __hash__(self) -> int:
         return id(self.value)

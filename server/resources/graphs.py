@@ -163,10 +163,10 @@ class GraphStore(Resource):
         )
 
     async def _graph(self, exchange: Exchange, graph: str, others: str) -> Resource:
-        exchange.readdress(self._scope(exchange, graph, others))
-        if not exchange.judge.whole:
+        exchange.redirect_internally(self._scope(exchange, graph, others))
+        if not exchange.permissions.whole:
             enforcement.require_path(
-                exchange.judge, exchange.method, enforcement.place_of(exchange.request.scope, self._robot.space)
+                exchange.permissions, exchange.method, enforcement.place_of(exchange.request.scope, self._robot.space)
             )
         resource = self._resolve(exchange.request.scope)
         if resource is self:
@@ -239,7 +239,7 @@ class _Whole(Resource):
             content_type = results.content_type(results.choose(self.form, accept))
             return Response(headers={"Content-Type": content_type, "Vary": "Accept", "Cache-Control": "no-cache"})
         asked = replace(self.asked, timeout=timeout_asked(exchange.query.items()))
-        return await answered(self._service, asked, accept, judge=exchange.judge)
+        return await answered(self._service, asked, accept, permissions=exchange.permissions)
 
 
 class DefaultGraph(_Whole):
@@ -288,7 +288,9 @@ class WholeDataset(_Whole):
             raise Problem(403, f"No graph <{strange[:200]}> can be here: choose names below {room}. Nothing was done.")
         kept = {name: triples for name, triples in graphs.items() if self._updates.keeps(name)}
         operations = await asyncio.to_thread(_operations, kept, replaces=replaces)
-        return await self._updates.carry_out(operations, dry_run=exchange.flag("dry-run"), judge=exchange.judge)
+        return await self._updates.carry_out(
+            operations, dry_run=exchange.flag("dry-run"), permissions=exchange.permissions
+        )
 
 
 def _operations(graphs: Mapping[str, Sequence[Triple]], *, replaces: bool) -> Sequence[Operation]:

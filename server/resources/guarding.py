@@ -8,30 +8,30 @@ from rosld.ontology.violations import Violation, in_words
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import Property
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.layout import ActionPlan, Layout, PropertyPlan
+from rosld.server.hypermedia.layout import ActionPlan, PropertyPlan, ResourceTree
 from rosld.server.hypermedia.mapping import Condition
-from rosld.server.hypermedia.offers import Sight
+from rosld.server.hypermedia.offers import Snapshot
 from rosld.server.resources.context import Robot
 
 
-async def seen_anew(robot: Robot, layout: Layout, reads: Sequence[Property]) -> Sight:
+async def seen_anew(robot: Robot, layout: ResourceTree, reads: Sequence[Property]) -> Snapshot:
     """The state as it is now, not as it was a moment ago."""
     return robot.offers.sight(layout, await robot.offers.look(reads, anew=True))
 
 
-def require_writable(robot: Robot, plan: PropertyPlan, sight: Sight) -> None:
+def require_writable(robot: Robot, plan: PropertyPlan, sight: Snapshot) -> None:
     """Raise a 404 Problem where a property is not there now, a 409 with the report where it must not be written."""
     robot.offers.require(plan.exists_when, sight.verdicts, plan.of.name)
     refuse(robot, plan.guards, sight, f"{plan.of.name} must not be written now")
 
 
-def require_offered(robot: Robot, plan: ActionPlan, sight: Sight) -> None:
+def require_offered(robot: Robot, plan: ActionPlan, sight: Snapshot) -> None:
     """Raise a 404 Problem where what an action belongs to is not there, a 409 with the report if it is not offered."""
     robot.offers.require(plan.exists_when, sight.verdicts, plan.home)
     refuse(robot, plan.conditions, sight, f"{plan.name} is not on offer now")
 
 
-def refuse(robot: Robot, conditions: Sequence[Condition], sight: Sight, sentence: str) -> None:
+def refuse(robot: Robot, conditions: Sequence[Condition], sight: Snapshot, sentence: str) -> None:
     """Raise a 409 Problem with the report of the conditions that do not hold."""
     broken: tuple[Violation, ...] = sight.verdicts.report(conditions)
     if broken:

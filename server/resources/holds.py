@@ -26,7 +26,7 @@ from rosld.server.html import DeleteForm, Form
 from rosld.server.http import field
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.patch import merge_patch
-from rosld.server.resources.context import Robot, Same
+from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.publishing import Publishing
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
@@ -104,7 +104,7 @@ class HoldResource(Resource):
     def shown(self, hold: Hold) -> State:
         """The state of this hold as it stood."""
         return self.robot.states.get(
-            self.url, Same(hold), lambda: State(lambda: self.document(hold), lambda: self._plain(hold))
+            self.url, IdentityKey(hold), lambda: State(lambda: self.document(hold), lambda: self._plain(hold))
         )
 
     def document(self, hold: Hold) -> Document:
@@ -162,7 +162,7 @@ class HoldResource(Resource):
     async def patch(self, exchange: Exchange) -> Answer:
         robot, hold = self.robot, self.hold
         require_holder(exchange, hold)
-        robot.gate.require_open()
+        robot.interlock.require_open()
         publishing = Publishing(robot, hold.topic)
         asked = await self._changed(exchange, publishing, hold)
         then, then_asked = hold.then, hold.then_asked
@@ -243,11 +243,11 @@ def _number(exchange: Exchange, name: str, most: float, words: str) -> float | N
 
 def _readable(robot: Robot, find: Find | None, exchange: Exchange) -> Find | None:
     """What finds resources for whoever asks: of those that they may not read it says nothing."""
-    if find is None or exchange.judge.whole:
+    if find is None or exchange.permissions.whole:
         return find
 
     def found(path: str) -> Resource:
-        if not exchange.judge.may_read(robot.space.base + path.lstrip("/")):
+        if not exchange.permissions.may_read(robot.space.base + path.lstrip("/")):
             raise nothing()
         return find(path)
 

@@ -37,7 +37,7 @@ from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.triples import RDF_SOURCE, about, text
 from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import rdf, ros
-from rosld.server.auth.permissions import Judge
+from rosld.server.auth.permissions import Permissions
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.layout import path_of
@@ -47,7 +47,7 @@ from rosld.server.resources import types
 from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.bags import BagMessage
 from rosld.server.resources.complex import ComplexResource
-from rosld.server.resources.context import Robot, Same
+from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.holds import HoldResource
 from rosld.server.resources.members import MemberResource
 from rosld.server.resources.namespaces import listed, listed_members, namespace_described, namespaces, of_room
@@ -101,7 +101,7 @@ class Dataset:
     @property
     def writes(self) -> int:
         """How many writes have ended that the robot was told of."""
-        return self._robot.gate.writes
+        return self._robot.interlock.writes
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
         """Every graph without live values, by IRI."""
@@ -122,7 +122,7 @@ class Dataset:
             paths.update(layout.actions)
         return {url_of(path, space) for path in paths}
 
-    async def unread(self, needs: Needs, judge: Judge) -> Mapping[str, int]:
+    async def unread(self, needs: Needs, permissions: Permissions) -> Mapping[str, int]:
         """How many graphs that are there only on demand the needs could match without asking for them, by container.
 
         Only those count that the judge lets be read.
@@ -132,18 +132,18 @@ class Dataset:
         if needs.everything:
             wanted = {one.url for one in self._resources(needs)}
             urls = {space.topic(name) for name in robot.graph.topics}
-            found["topics"] = sum(map(judge.may_read, urls - wanted))
+            found["topics"] = sum(map(permissions.may_read, urls - wanted))
         if needs.resources:
             layout = await robot.offers.layout()
             urls = {url_of(path, space) for path in (*layout.paths, *layout.properties, *layout.actions)}
-            found["resources"] = sum(map(judge.may_read, urls - needs.documents))
+            found["resources"] = sum(map(permissions.may_read, urls - needs.documents))
             left = () if needs.everything else (url for url in self._live if url not in needs.documents)
-            found |= {url.removeprefix(space.base): int(judge.may_read(url)) for url in left}
+            found |= {url.removeprefix(space.base): int(permissions.may_read(url)) for url in left}
         if needs.trees:
             urls = {space.container("parameters", path) for path in namespaces(robot.graph, "parameters")}
-            found["parameters"] = sum(map(judge.may_read, urls - needs.graph_names))
+            found["parameters"] = sum(map(permissions.may_read, urls - needs.graph_names))
         if needs.records:
-            recordings = [one for one in robot.adapter.recordings.values() if judge.may_read(space.bag(one.name))]
+            recordings = [one for one in robot.adapter.recordings.values() if permissions.may_read(space.bag(one.name))]
             named = (space.location(url) for url in needs.documents)
             count = sum(one is not None and one.kind == "bags" and len(one.segments) == 3 for one in named)
             found["bags"] = sum(one.count for one in recordings) - count
@@ -348,7 +348,7 @@ class Dataset:
         space, graph = self._robot.space, self._robot.graph
         for path in namespaces(graph, "parameters"):
             tree = ParameterTree(self._robot, path)
-            yield _described(tree.url, Same(graph.parameters), partial(_of_itself, tree))
+            yield _described(tree.url, IdentityKey(graph.parameters), partial(_of_itself, tree))
         for room in ("nodes", "topics", "services", "actions"):
             for path, whole in namespaces(graph, room).items():
                 members = listed_members(self._robot, room, path)
@@ -375,9 +375,11 @@ class Dataset:
             describe = partial(type_container_document, room, path, below, space)
             yield _described(space.container(room, path), below, describe)
         shapes = types.whole_container(self._robot)
-        yield _described(shapes.url, Same(shapes), lambda: shapes)
+        yield _described(shapes.url, IdentityKey(shapes), lambda: shapes)
         for name in WHOLE:
-            yield _described(space.shape(name), Same(self._robot.limits), partial(whole_shape, self._robot, name))
+            yield _described(
+                space.shape(name), IdentityKey(self._robot.limits), partial(whole_shape, self._robot, name)
+            )
         variants = known_types(self._robot)
         for schema in self._robot.schemas.all():
             yield from self._type(schema, variants)
@@ -404,7 +406,7 @@ class Dataset:
         yield _described(room, held, partial(container_document, room, held, "Holds"))
         for hold in holds:
             of = HoldResource(self._robot, hold.id)
-            yield _described(of.url, Same(hold), partial(of.document, hold))
+            yield _described(of.url, IdentityKey(hold), partial(of.document, hold))
         stop = StopResource(self._robot)
         yield _described(stop.url, (self._robot.stops.revision, self._robot.stops.steps), stop.document)
         goals = self._robot.goals.all()
@@ -414,7 +416,7 @@ class Dataset:
         )
         for goal in goals:
             told = GoalResource(self._robot, goal.id)
-            yield _described(told.url, Same(goal), partial(told.document, goal))
+            yield _described(told.url, IdentityKey(goal), partial(told.document, goal))
 
 
 def described_parameter(parameter: Parameter, space: Space) -> Document:

@@ -22,8 +22,8 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.content import rdf_content
 from rosld.server.hypermedia.describe import action_document, property_document, property_json
-from rosld.server.hypermedia.layout import ActionPlan, Layout, PropertyPlan, parent_of
-from rosld.server.hypermedia.offers import Sight
+from rosld.server.hypermedia.layout import ActionPlan, PropertyPlan, ResourceTree, parent_of
+from rosld.server.hypermedia.offers import Snapshot
 from rosld.server.hypermedia.value import MessageValue
 from rosld.server.hypermedia.views import PropertyView
 from rosld.server.hypermedia.writing import PlannedWrite, Written, carry_out
@@ -38,7 +38,7 @@ from rosld.server.resources.limits import require_message
 from rosld.server.resources.requests import called, declined_by, failure, request_in
 from rosld.server.resources.writes import planned, told
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.plan import Move, Plan
+from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import (
     ABSENT,
     JSON,
@@ -77,7 +77,7 @@ class MemberResource(Resource):
             raise self._missing(layout)
 
     @property
-    def _layout(self) -> Layout | None:
+    def _layout(self) -> ResourceTree | None:
         return self.robot.offers.at_hand()
 
     def methods(self) -> frozenset[str]:
@@ -137,7 +137,7 @@ class MemberResource(Resource):
             )
         raise self._missing(layout)
 
-    def _shown(self, plan: PropertyPlan, sight: Sight) -> State:
+    def _shown(self, plan: PropertyPlan, sight: Snapshot) -> State:
         robot = self.robot
         view = robot.offers.property_view(plan, sight)
         return State(
@@ -148,12 +148,12 @@ class MemberResource(Resource):
             view=view,
         )
 
-    def _shown_action(self, plan: ActionPlan, sight: Sight) -> State:
+    def _shown_action(self, plan: ActionPlan, sight: Snapshot) -> State:
         robot = self.robot
         view = robot.offers.action_view(plan, sight)
         return State(lambda: action_document(view, robot.space, robot.lifting), view=view)
 
-    def _missing(self, layout: Layout) -> Problem:
+    def _missing(self, layout: ResourceTree) -> Problem:
         """308 to the complex resource of that name, or to the property that a mapping calls so here; else 404."""
         path = f"{self.name}/"
         if path in layout.paths:
@@ -207,7 +207,7 @@ class MemberResource(Resource):
             written = await self._write(layout, plan, content)
             return told(written, await carry_out(self.robot, written), exchange.accept)
 
-    async def _write(self, layout: Layout, plan: PropertyPlan, content: object) -> PlannedWrite:
+    async def _write(self, layout: ResourceTree, plan: PropertyPlan, content: object) -> PlannedWrite:
         """How the property comes to be what `content` says, if it may be written now; nothing moves."""
         if plan.conditional or plan.member.field is not None:
             sight = await seen_anew(self.robot, layout, plan.reads)
@@ -228,9 +228,9 @@ class MemberResource(Resource):
         async def carried_out() -> bool:
             return await carry_out(self.robot, written) is Written.DONE
 
-        return Move(f"write {self.name} by {written.writer.name}", carried_out)
+        return RobotWrite(f"write {self.name} by {written.writer.name}", carried_out)
 
-    def concerned(self, layout: Layout) -> tuple[str, ...]:
+    def concerned(self, layout: ResourceTree) -> tuple[str, ...]:
         """The names that a write through its graph concerns."""
         plan = layout.property(self.name)
         return (self.name,) if plan is None else (self.name, plan.of.name)
@@ -245,14 +245,14 @@ class MemberResource(Resource):
             written = await planned(self.robot, plan.of, content)
             return told(written, await carry_out(self.robot, written), exchange.accept)
 
-    async def _property(self) -> tuple[Layout, PropertyPlan]:
+    async def _property(self) -> tuple[ResourceTree, PropertyPlan]:
         layout = await self.robot.offers.layout()
         plan = layout.property(self.name)
         if plan is None:
             raise self._missing(layout)
         return layout, plan
 
-    def _whole(self, plan: PropertyPlan, sight: Sight, content: object) -> object:
+    def _whole(self, plan: PropertyPlan, sight: Snapshot, content: object) -> object:
         """The content of the whole property, where what is written is one field of it."""
         field = plan.member.field
         return content if field is None else with_field(all_of(sight.readings[plan.of.name], self.name), field, content)
@@ -270,7 +270,7 @@ class MemberResource(Resource):
             subject, predicate = home, plan.mapped.predicate
         return rdf_content(body, subject, predicate, plan.of, self.robot.lifting)
 
-    def _patched(self, exchange: Exchange, plan: PropertyPlan, sight: Sight, data: bytes) -> object:
+    def _patched(self, exchange: Exchange, plan: PropertyPlan, sight: Snapshot, data: bytes) -> object:
         view = self.robot.offers.property_view(plan, sight)
         if view.reading.value is None:
             why = view.reading.failure or "it has no value yet"
@@ -300,7 +300,7 @@ class MemberResource(Resource):
             raise problem
         return await self._after(plan.home, outcome)
 
-    async def _send_goal(self, exchange: Exchange, layout: Layout, plan: ActionPlan) -> Answer:
+    async def _send_goal(self, exchange: Exchange, layout: ResourceTree, plan: ActionPlan) -> Answer:
         """Send a goal to the action of ROS that the mapping names: what is made is the goal."""
         action = ActionResource(self.robot, plan.service)
         schema, goal = await action.goal_in(exchange, self.url)

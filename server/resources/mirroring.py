@@ -51,7 +51,7 @@ def mirror_of(robot: Robot, process: QueryProcess, synchroniser: Synchroniser, r
         _Graphs(robot.space.base, rooms, synchroniser),
         _Reading(robot, synchroniser).refresh,
         interval=1 / settings.store_rate,
-        run_name=robot.boot,
+        run_name=robot.instance_id,
     )
 
 

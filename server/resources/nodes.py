@@ -79,7 +79,7 @@ class NodeResource(Resource):
 
     def _closed(self, lifecycle: Lifecycle) -> str | None:
         """The name by which its lifecycle belongs to what is written under /resources/ only."""
-        return next((name for name in (self.name, lifecycle.service) if self.robot.is_closed(name)), None)
+        return next((name for name in (self.name, lifecycle.service) if self.robot.is_resources_only(name)), None)
 
     def why_not(self, method: str) -> str:
         lifecycle = self.lifecycle

@@ -30,7 +30,7 @@ from rosld.ontology.parameters import (
 from rosld.ontology.urls import encode_segment
 from rosld.ontology.vocab import ros
 from rosld.server.auth.enforcement import require_below
-from rosld.server.auth.permissions import Judge
+from rosld.server.auth.permissions import Permissions
 from rosld.server.events.asked import EVENT_STREAM
 from rosld.server.html import DeleteForm, Form, Listing, ParameterForm, Step, ValueForm
 from rosld.server.html.view import visible
@@ -62,7 +62,7 @@ from rosld.server.rest.paging import (
     read_named_place,
     send_to_first,
 )
-from rosld.server.rest.plan import Move, Plan
+from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.redaction import veiled_state
 from rosld.server.rest.resource import (
     BASIC_CONTAINER,
@@ -106,7 +106,7 @@ class _Parameters(Resource):
     def why_not(self, method: str) -> str:
         if self.robot.settings.read_only:
             return "This server is read-only."
-        if self.robot.is_closed(self.name):
+        if self.robot.is_resources_only(self.name):
             return closed(self.name)
         return f"The parameters of this {self.robot.adapter.capabilities.system} do not answer {method} here."
 
@@ -124,7 +124,7 @@ class _Parameters(Resource):
         return bool(_below(self.name, self.robot))
 
     def _can(self, operation: Operation) -> bool:
-        if self.robot.settings.read_only or self.robot.is_closed(self.name):
+        if self.robot.settings.read_only or self.robot.is_resources_only(self.name):
             return False
         return operation in self.robot.adapter.allows(Ref(Kind.PARAMETER, self.name))
 
@@ -183,7 +183,7 @@ class _Parameters(Resource):
     def _require_open(self, name: str, value: ParameterValue) -> None:
         """Raise a 409 Problem where a tree holds, or would hold, a name that is written under /resources/ only."""
         for each in (name, *_below(name, self.robot), *_leaves(name, value)):
-            if self.robot.is_closed(each):
+            if self.robot.is_resources_only(each):
                 raise Problem(409, closed(each))
 
     async def delete(self, exchange: Exchange) -> Answer:
@@ -207,7 +207,7 @@ class ParameterResource(_Parameters):
         return constraint_url(self.url, self._descriptor(self.name)) or super().constrained_by
 
     def why_not(self, method: str) -> str:
-        if self.robot.settings.read_only or self.robot.is_closed(self.name):
+        if self.robot.settings.read_only or self.robot.is_resources_only(self.name):
             return super().why_not(method)
         words = kept(self.robot.graph, self.name, delete=method == "DELETE")
         return words or super().why_not(method)
@@ -279,7 +279,7 @@ class ParameterResource(_Parameters):
                 await self._delete([self.name])
                 return True
 
-            return Move(f"delete the parameter {self.name}", deleted)
+            return RobotWrite(f"delete the parameter {self.name}", deleted)
         if "PUT" not in methods:
             raise Problem(403, self.why_not("PUT"))
         value = lower_parameter(body, self.url)
@@ -290,7 +290,7 @@ class ParameterResource(_Parameters):
             await self._set({self.name: value})
             return True
 
-        return Move(f"set the parameter {self.name} to {parameter_json(value).decode()}", set_to)
+        return RobotWrite(f"set the parameter {self.name} to {parameter_json(value).decode()}", set_to)
 
     async def _parsed(self, exchange: Exchange) -> ParameterValue:
         data = await exchange.body()
@@ -369,7 +369,7 @@ class ParameterTree(_Parameters):
     def _can_change_node(self) -> bool:
         """Whether this is the container of a node whose parameters can be set."""
         settings, allows = self.robot.settings, self.robot.adapter.allows
-        return not (settings.read_only or self.robot.is_closed(self.name)) and any(
+        return not (settings.read_only or self.robot.is_resources_only(self.name)) and any(
             one.node == self.name and Operation.SET_PARAMETER in allows(Ref(Kind.PARAMETER, one.name))
             for one in self.robot.graph.parameters.values()
         )
@@ -480,10 +480,10 @@ class ParameterTree(_Parameters):
         members = self._members()
         return None if self._place is None or members is None else Listing(total=count(members))
 
-    def veiled(self, state: State, judge: Judge) -> State:
+    def veiled(self, state: State, permissions: Permissions) -> State:
         plain = state.plain
         assert plain is not None
-        return veiled_state(state, judge, plain=lambda: _pruned(plain(), self.url, judge))
+        return veiled_state(state, permissions, plain=lambda: _pruned(plain(), self.url, permissions))
 
     async def post(self, exchange: Exchange) -> Answer:
         """A new member, named by Slug where it is free (LDP 5.2.3.10)."""
@@ -560,19 +560,19 @@ def _without(name: str, tree: dict[str, ParameterValue], hidden: Container[str])
 
 def _require_below(exchange: Exchange, url: str, value: ParameterValue) -> None:
     """Refuse a tree where not everything in it is for who asks to write."""
-    place = exchange.judge.place(url)
+    place = exchange.permissions.place(url)
     if isinstance(value, dict) and place is not None:
-        require_below(exchange.judge, exchange.method, place)
+        require_below(exchange.permissions, exchange.method, place)
 
 
-def _pruned(data: bytes, url: str, judge: Judge) -> bytes:
+def _pruned(data: bytes, url: str, permissions: Permissions) -> bytes:
     """The object of a tree's values at a URL, without those that may not be read."""
 
     def pruned(value: object, at: str) -> object:
         if not isinstance(value, dict):
             return value
         ends = {key: encode_segment(key) + ("/" if isinstance(inner, dict) else "") for key, inner in value.items()}
-        return {key: pruned(value[key], at + end) for key, end in ends.items() if judge.may_read(at + end)}
+        return {key: pruned(value[key], at + end) for key, end in ends.items() if permissions.may_read(at + end)}
 
     return json.dumps(pruned(json.loads(data), url), ensure_ascii=False, separators=(",", ":")).encode()
 

@@ -21,7 +21,7 @@ from rosld.server.resources.limits import require_message
 from rosld.server.resources.messages import decode
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import JSON, MERGE_PATCH
-from rosld.server.robot.publication import Publication, publish, unheard
+from rosld.server.robot.publication import Publication, no_subscriber_problem, publish
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,5 +162,5 @@ class Publishing:
         if plan.creates:
             return Response(status_code=201, headers={"Location": self.url})
         if published.matched == 0:
-            return render(unheard(self.name), accept).response()
+            return render(no_subscriber_problem(self.name), accept).response()
         return Response(status_code=204)

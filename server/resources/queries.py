@@ -27,7 +27,7 @@ from rosld.server.http.body import declared_length
 from rosld.server.http.conditional import ETag, digest, guard
 from rosld.server.http.problem import Problem
 from rosld.server.policies.queries import ROOM, query_triples
-from rosld.server.resources.context import Robot, Same
+from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.kept.bodies import require_small
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.files import KeptFile
@@ -46,7 +46,7 @@ from rosld.server.resources.sparql import (
 )
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.pages import Pages
-from rosld.server.rest.prepared import Prepared
+from rosld.server.rest.prepared import RawResponse
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.resource_headers import standing_headers
 from rosld.server.rest.state import State
@@ -89,14 +89,14 @@ class Runner:
             return None
         request = QueryRequest(bind(query, given, self.base), timeout=timeout)
         hung_up = disconnect.of(exchange.request.receive)
-        answer = await answered(self.service, request, accept, hung_up, exchange.judge)
+        answer = await answered(self.service, request, accept, hung_up, exchange.permissions)
         return self._identified(exchange, resource, answer, state)
 
     def _identified(self, exchange: Exchange, resource: Resource, answer: Response, state: str | None) -> Response:
         """Results with what every answer about the query says, and an entity tag where they are there at once."""
         for name, value in standing_headers(resource).items():
             answer.headers[name] = value
-        if isinstance(answer, Prepared):
+        if isinstance(answer, RawResponse):
             found = digest(bytes(answer.body))
             etag = ETag(found, "results") if state is None else ETag(state, f"results-{found}")
             answer.headers["etag"] = str(etag)
@@ -127,12 +127,12 @@ class Runner:
             try:
                 request = QueryRequest(bind(query, given, self.base), timeout=timeout)
                 results = await results_of(
-                    self.service, request, disconnect.of(exchange.request.receive), exchange.judge
+                    self.service, request, disconnect.of(exchange.request.receive), exchange.permissions
                 )
             except Problem as problem:
                 notices, status = (Notice(problem.detail, Tone.ERROR),), problem.status
         page = QueryPage(
-            self.pages.site_for(exchange.judge),
+            self.pages.site_for(exchange.permissions),
             html.StoredQuery(resource.url, query.name, query.purpose, query.text),
             tuple(
                 QueryParameter(one.name, one.about, given.get(one.name, one.default or "")) for one in query.parameters
@@ -252,7 +252,7 @@ class QueryContainer(ContainerResource):
         version = self.robot.queries.version
         return self.robot.states.get(
             f"{self.url}?{self._place}#{self._parts.variant} with what is shipped",
-            (Same(kept), version),
+            (IdentityKey(kept), version),
             lambda: replace(
                 kept, describe=lambda: self._with_shipped(kept.document), token=f"{kept.tag}-{version}", renderings={}
             ),
@@ -334,7 +334,7 @@ def _described(robot: Robot, record: Record) -> State:
         return Document(document.url, tuple(dict.fromkeys((*document.triples, *robot.queries.said(record)))))
 
     url = f"{robot.space.base}{record.path}# with what it says"
-    return robot.states.get(url, Same(state), lambda: replace(state, describe=describe, renderings={}))
+    return robot.states.get(url, IdentityKey(state), lambda: replace(state, describe=describe, renderings={}))
 
 
 async def _require_size(robot: Robot, exchange: Exchange) -> None:

@@ -13,7 +13,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.http.problem import Problem
-from rosld.server.resources.context import Robot, Same
+from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
 from rosld.server.resources.requests import called, failure, request_in
@@ -50,7 +50,7 @@ class ServiceResource(Resource):
         return is_absent(self.robot, "services", self.name)
 
     def methods(self) -> frozenset[str]:
-        if self.robot.settings.read_only or self.robot.is_closed(self.name):
+        if self.robot.settings.read_only or self.robot.is_resources_only(self.name):
             return READ
         allowed = Operation.CALL in self.robot.adapter.allows(Ref(Kind.SERVICE, self.name))
         return READ | {"POST"} if allowed else READ
@@ -58,7 +58,7 @@ class ServiceResource(Resource):
     def why_not(self, method: str) -> str:
         if self.robot.settings.read_only:
             return "This server is read-only."
-        if method == "POST" and self.robot.is_closed(self.name):
+        if method == "POST" and self.robot.is_resources_only(self.name):
             return closed(self.name)
         if method == "POST":
             return self.service.uncallable or f"{self.name} cannot be called."
@@ -68,7 +68,7 @@ class ServiceResource(Resource):
         service = self.service
         space = self.robot.space
         return self.robot.states.get(
-            self.url, Same(service), lambda: State(lambda: service_document(service, space, self.robot.graph))
+            self.url, IdentityKey(service), lambda: State(lambda: service_document(service, space, self.robot.graph))
         )
 
     @property
@@ -140,7 +140,7 @@ class CallResource(Resource):
 
     async def state(self) -> State:
         call = self.call
-        return self.robot.states.get(self.url, Same(call), lambda: self.shown(call))
+        return self.robot.states.get(self.url, IdentityKey(call), lambda: self.shown(call))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         return self.robot.calls.changes.watch(wake)

@@ -11,7 +11,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import about, each
 from rosld.ontology.vocab import rdf, rdfs, ros, sd
 from rosld.server import html
-from rosld.server.auth.permissions import EVERYTHING, Judge
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import Notice, Results, SparqlPage, StoredQuery
 from rosld.server.html.page import Tone
 from rosld.server.http import negotiation
@@ -20,7 +20,7 @@ from rosld.server.http.text import FORM
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.pages import Pages
-from rosld.server.rest.prepared import Prepared
+from rosld.server.rest.prepared import RawResponse
 from rosld.server.rest.resource import RDF_BODIES, READ, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.sparql import disconnect
@@ -94,16 +94,16 @@ async def answered(
     request: QueryRequest,
     accept: str | None,
     hung_up: HangUp | None = None,
-    judge: Judge = EVERYTHING,
+    permissions: Permissions = ALLOW_ALL,
 ) -> Response:
     """The response with the results of a query: where XML cannot carry them, in what else the client takes."""
     try:
-        answer = await service.answer(request, accept, hung_up, judge)
+        answer = await service.answer(request, accept, hung_up, permissions)
     except Problem as problem:
         other = without_xml(service.check(request.text).form, accept) if problem.extra == REASON else None
         if other is None:
             raise
-        answer = await service.answer(request, other, hung_up, judge)
+        answer = await service.answer(request, other, hung_up, permissions)
     return told(answer)
 
 
@@ -120,7 +120,7 @@ def told(answer: QueryAnswer) -> Response:
     if isinstance(answer.body, bytes):
         length = (b"content-length", b"%d" % len(answer.body))
         kind = (b"content-type", answer.content_type.encode("ascii"))
-        return Prepared(200, answer.body, [kind, length, *standing])
+        return RawResponse(200, answer.body, [kind, length, *standing])
     stream: AsyncIterator[bytes] = answer.body
     headers = {name.decode(): value.decode() for name, value in standing}
     return StreamingResponse(stream, headers={**headers, "Content-Type": answer.content_type})
@@ -137,10 +137,10 @@ _UNREAD = {
 
 
 async def results_of(
-    service: QueryService, request: QueryRequest, hung_up: HangUp | None = None, judge: Judge = EVERYTHING
+    service: QueryService, request: QueryRequest, hung_up: HangUp | None = None, permissions: Permissions = ALLOW_ALL
 ) -> Results:
     """The first rows of the answer to a query, for a page."""
-    table = await service.table(request, ROWS + 1, hung_up, judge)
+    table = await service.table(request, ROWS + 1, hung_up, permissions)
     left = "; ".join(_UNREAD.get(name, f"/{name}").format(count) for name, count in table.unread.items())
     note = f"Not looked at, as the query does not name them: {left}." if left else ""
     return Results(table.variables, table.rows, table.boolean, ROWS, note)
@@ -262,7 +262,7 @@ class SparqlResource(Resource):
             if not exchange.query.keys().isdisjoint(_OF_GRAPHS):
                 store = f"{self.robot.space.base}graphs"
                 raise Problem(400, f"Graphs are read and written at {store}?graph=URL; here queries are answered.")
-            return self._page(exchange.judge) if prefers_page(accept) else None
+            return self._page(exchange.permissions) if prefers_page(accept) else None
         request = query_request("GET", exchange.request.scope["query_string"])
         return await self._answer(request, accept, exchange)
 
@@ -278,26 +278,26 @@ class SparqlResource(Resource):
     async def _updated(self, request: UpdateRequest, exchange: Exchange) -> Response:
         if self._updates is None:
             raise self._no_updates()
-        dry_run, judge = exchange.flag("dry-run"), exchange.judge
+        dry_run, permissions = exchange.flag("dry-run"), exchange.permissions
         if dry_run:
             exchange.account.only_reads()
-        return await self._updates.answer(request, dry_run=dry_run, accept=wished(exchange), judge=judge)
+        return await self._updates.answer(request, dry_run=dry_run, accept=wished(exchange), permissions=permissions)
 
     async def _answer(self, request: QueryRequest, accept: str | None, exchange: Exchange) -> Response:
-        hung_up, judge = disconnect.of(exchange.request.receive), exchange.judge
+        hung_up, permissions = disconnect.of(exchange.request.receive), exchange.permissions
         if not prefers_page(accept):
-            return await answered(self._service, request, accept, hung_up, judge)
+            return await answered(self._service, request, accept, hung_up, permissions)
         try:
-            return self._page(judge, request.text, await results_of(self._service, request, hung_up, judge))
+            return self._page(permissions, request.text, await results_of(self._service, request, hung_up, permissions))
         except Problem as problem:
-            return self._page(judge, request.text, None, problem)
+            return self._page(permissions, request.text, None, problem)
 
     def _page(
-        self, judge: Judge, text: str = "", results: Results | None = None, problem: Problem | None = None
+        self, permissions: Permissions, text: str = "", results: Results | None = None, problem: Problem | None = None
     ) -> Response:
         notices = () if problem is None else (Notice(problem.detail, Tone.ERROR),)
-        examples = tuple(each for each in self._examples() if judge.may_read(each.url))
-        page = SparqlPage(self._pages.site_for(judge), text, examples, results, notices)
+        examples = tuple(each for each in self._examples() if permissions.may_read(each.url))
+        page = SparqlPage(self._pages.site_for(permissions), text, examples, results, notices)
         headers = {**self._pages.headers, "Vary": "Accept", "Cache-Control": "no-cache"}
         status = 200 if problem is None else problem.status
         return Response(html.render_sparql(page), status, headers, "text/html; charset=utf-8")

@@ -13,7 +13,7 @@ from rosld.ontology.describe_holds import StepView, stop_document
 from rosld.ontology.document import Document
 from rosld.ontology.triples import moment
 from rosld.ontology.vocab import ros
-from rosld.server.auth.permissions import EVERYTHING, Judge
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http.problem import Problem
 from rosld.server.http.tokens import without_tokens
@@ -67,7 +67,7 @@ class StopResource(Resource):
     def shown(self) -> State:
         """What it is like now."""
         robot = self.robot
-        version = (robot.stops.revision, robot.stops.steps, robot.stops.standstill)
+        version = (robot.stops.revision, robot.stops.steps, robot.stops.stop_state)
         return robot.states.get(self.url, version, lambda: State(self.document, self._plain))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
@@ -76,47 +76,47 @@ class StopResource(Resource):
     def document(self) -> Document:
         """The RDF of the stop."""
         stops = self.robot.stops
-        standstill = stops.standstill
+        stop_state = stops.stop_state
         return stop_document(
             self.robot.space,
             [StepView(step.does, ros.terms()[step.fate.value], step.words, step.touches) for step in stops.steps],
-            by=None if standstill is None else standstill.by,
-            since_ns=None if standstill is None else standstill.since_ns,
-            reason=None if standstill is None else standstill.reason,
+            by=None if stop_state is None else stop_state.by,
+            since_ns=None if stop_state is None else stop_state.since_ns,
+            reason=None if stop_state is None else stop_state.reason,
             usable=may_stop(self.robot) is None,
         )
 
     def _plain(self) -> bytes:
-        return self._plain_for(EVERYTHING)
+        return self._plain_for(ALLOW_ALL)
 
-    def _plain_for(self, judge: Judge) -> bytes:
+    def _plain_for(self, permissions: Permissions) -> bytes:
         """The stop as JSON, with the steps that the agent may know of."""
         stops = self.robot.stops
-        standstill = stops.standstill
-        since = None if standstill is None else moment(standstill.since_ns)
+        stop_state = stops.stop_state
+        since = None if stop_state is None else moment(stop_state.since_ns)
         steps = [
             {"does": step.does, "state": step.fate.value, "words": step.words}
             for step in stops.steps
-            if all(map(judge.may_read, step.touches))
+            if all(map(permissions.may_read, step.touches))
         ]
         return orjson.dumps(
             {
-                "stopped": standstill is not None,
-                "by": None if standstill is None else standstill.by,
+                "stopped": stop_state is not None,
+                "by": None if stop_state is None else stop_state.by,
                 "since": None if since is None else since.value,
-                "reason": None if standstill is None else standstill.reason,
+                "reason": None if stop_state is None else stop_state.reason,
                 "steps": steps,
             }
         )
 
-    def veiled(self, state: State, judge: Judge) -> State:
-        return veiled_state(state, judge, plain=lambda: self._plain_for(judge))
+    def veiled(self, state: State, permissions: Permissions) -> State:
+        return veiled_state(state, permissions, plain=lambda: self._plain_for(permissions))
 
     async def forms(self) -> Sequence[Form]:
         if may_stop(self.robot) is not None:
             return ()
         stop = DeleteForm("Stop the robot", "Stop", _ABOUT, method="POST")
-        if self.robot.stops.standstill is None:
+        if self.robot.stops.stop_state is None:
             return (stop,)
         about = "Writes reach the robot again. Nothing is begun anew by that."
         return (DeleteForm("Release the robot", "Release", about), stop)

@@ -8,11 +8,11 @@ from dataclasses import replace
 from starlette.responses import Response
 
 from rosld.server.auth.authenticator import OPEN
-from rosld.server.auth.permissions import EVERYTHING, Judge
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.layout import ComplexPlan, Layout
+from rosld.server.hypermedia.layout import ComplexPlan, ResourceTree
 from rosld.server.hypermedia.thing import MEDIA_TYPE, ThingLink, thing_description
 from rosld.server.hypermedia.thing_rights import thing_for
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
@@ -36,8 +36,8 @@ def wants_thing(exchange: Exchange) -> bool:
 def thing_response(exchange: Exchange, robot: Robot, data: bytes) -> Response:
     """The answer with a Thing Description, as it is for who asks."""
     if exchange.visit is not OPEN:
-        data = thing_for(data, exchange.judge)
-    return held(exchange, data, MEDIA_TYPE, ETag(f"{robot.boot}-{digest(data)}", FORMAT))
+        data = thing_for(data, exchange.permissions)
+    return held(exchange, data, MEDIA_TYPE, ETag(f"{robot.instance_id}-{digest(data)}", FORMAT))
 
 
 def complex_thing(robot: Robot, plan: ComplexPlan) -> bytes:
@@ -60,7 +60,7 @@ def complex_thing(robot: Robot, plan: ComplexPlan) -> bytes:
     )
 
 
-def robot_thing(robot: Robot, layout: Layout, judge: Judge = EVERYTHING) -> bytes:
+def robot_thing(robot: Robot, layout: ResourceTree, permissions: Permissions = ALLOW_ALL) -> bytes:
     """The Thing Description of the whole robot: the affordances of all its complex resources, named by their paths.
 
     Of a complex resource that the agent may not read, its properties are there as their own URLs have them.
@@ -72,7 +72,7 @@ def robot_thing(robot: Robot, layout: Layout, judge: Judge = EVERYTHING) -> byte
         plan = layout.complex(path)
         assert plan is not None
         own, acts = _affordances(robot, plan)
-        if judge.may_read(url_of(path, robot.space)):
+        if permissions.may_read(url_of(path, robot.space)):
             properties += (replace(one, name=path[1:] + one.name) for one in own)
         else:
             properties += _by_themselves(robot, layout, plan)
@@ -98,7 +98,7 @@ def _affordances(robot: Robot, plan: ComplexPlan) -> tuple[Sequence[PropertyAffo
     return properties, tuple(map(offers.action_affordance, plan.actions))
 
 
-def _by_themselves(robot: Robot, layout: Layout, plan: ComplexPlan) -> Iterator[PropertyAffordance]:
+def _by_themselves(robot: Robot, layout: ResourceTree, plan: ComplexPlan) -> Iterator[PropertyAffordance]:
     """The members of a complex resource as their own URLs have them, whatever it calls them."""
     for name in (member.at for member in plan.members if member.at is not None):
         own = layout.property(name)
@@ -118,4 +118,4 @@ class RobotThing(Resource):
 
     async def special(self, exchange: Exchange) -> Response | None:
         layout = await self.robot.offers.layout()
-        return thing_response(exchange, self.robot, robot_thing(self.robot, layout, exchange.judge))
+        return thing_response(exchange, self.robot, robot_thing(self.robot, layout, exchange.permissions))

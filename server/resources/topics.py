@@ -19,18 +19,18 @@ from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import digest, require_if_match
 from rosld.server.http.problem import Problem
-from rosld.server.resources.context import Robot, Same
+from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.holds import hold_topic
 from rosld.server.resources.messages import Decoded, decode, field_response, lifted
 from rosld.server.resources.namespaces import moved_to_namespace
 from rosld.server.resources.publishing import Publishing
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.plan import Move, Plan
+from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import JSON, MERGE_PATCH, RDF_BODIES, READ, SPARQL_UPDATE, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.publication import publish
 from rosld.server.robot.topic_view import View
-from rosld.server.robot.write_policy import RESERVED, closed, refusal
+from rosld.server.robot.write_policy import RESERVED, closed, denied_reason
 from rosld.server.runtime.signals import together
 
 _LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
@@ -72,13 +72,13 @@ class TopicResource(Resource):
         """The verbs and the refusal in the graph as it is: found once a graph."""
         graph = self.robot.graph
         if self._allowed is None or self._allowed[0] is not graph:
-            refusal = self._refusal()
-            self._allowed = (graph, self._verbs(refusal), refusal)
+            denied_reason = self._refusal()
+            self._allowed = (graph, self._verbs(denied_reason), denied_reason)
         return self._allowed
 
-    def _verbs(self, refusal: str | None) -> frozenset[str]:
+    def _verbs(self, denied_reason: str | None) -> frozenset[str]:
         """The verbs of a topic that is there; of one that is not, what makes it: nothing can be read of it."""
-        verbs = READ if refusal else self._writing()
+        verbs = READ if denied_reason else self._writing()
         is_there = self.topic is not None or moved_to_namespace(self.robot, "topics", self.name) is not None
         return verbs if is_there else verbs - {"GET", "HEAD"}
 
@@ -94,12 +94,12 @@ class TopicResource(Resource):
         robot, topic = self.robot, self.topic
         if robot.settings.read_only:
             return "This server is read-only."
-        if robot.is_closed(self.name):
+        if robot.is_resources_only(self.name):
             return closed(self.name)
         if Operation.PUBLISH not in robot.adapter.allows(Ref(Kind.TOPIC, self.name)):
             return f"Nothing can be published on {self.name} of a {robot.adapter.capabilities.system}."
         if topic is not None:
-            return refusal(topic, robot.graph, robot.settings.allow_publish)
+            return denied_reason(topic, robot.graph, robot.settings.allow_publish)
         if self.name in RESERVED and self.name not in robot.settings.allow_publish:
             return f"{self.name} belongs to ROS itself."
         return None if _LEGAL.fullmatch(self.name) else f"{self.name!r} is no legal name for a new topic."
@@ -128,7 +128,7 @@ class TopicResource(Resource):
         graph = robot.graph
         topic = graph.topics.get(self.name) or Topic(self.name)
         hold, methods = robot.holds.on(self.name), self.methods()
-        version = (Same(topic), Same(view), graph.simulated_time, hold and hold.id, "POST" in methods)
+        version = (IdentityKey(topic), IdentityKey(view), graph.simulated_time, hold and hold.id, "POST" in methods)
         known = robot.states.known(self.url, version)
         if known is None:
             decoded = [await decode(robot, sample) for sample in view.samples]
@@ -206,9 +206,9 @@ class TopicResource(Resource):
         return await field_response(self.robot, view.newest, exchange.query["field"])
 
     async def planned(self, triples: Sequence[Triple] | None) -> Plan:
-        refusal = self.why_unwritable()
-        if refusal is not None:
-            raise Problem(403, refusal)
+        denied_reason = self.why_unwritable()
+        if denied_reason is not None:
+            raise Problem(403, denied_reason)
         if triples is None:
             raise Problem(403, f"{self.name} is there for as long as a node has it: it cannot be dropped.")
         plan = await self._publishing.plan_graph(triples)
@@ -216,7 +216,7 @@ class TopicResource(Resource):
         async def carried_out() -> bool:
             return (await publish(self.robot, plan.publication)).matched > 0
 
-        return Move(f"publish a {plan.publication.type.name} on {self.name}", carried_out)
+        return RobotWrite(f"publish a {plan.publication.type.name} on {self.name}", carried_out)
 
     async def put(self, exchange: Exchange) -> Answer:
         return await self._publishing.carry_out(await self._publishing.plan(exchange), exchange.accept)

@@ -19,7 +19,7 @@ from rosld.ontology.vocab import dcterms, rdf
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.policies import limits
-from rosld.server.resources.context import Robot, Same
+from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.kept.bodies import require_small
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.room import kept_room
@@ -63,7 +63,7 @@ class TypeResource(Resource):
         variants = tuple(ref for ref in known_types(self.robot) if ref.name == self.ref.name)
         return self.robot.states.get(
             self.url,
-            (Same(schema), variants),
+            (IdentityKey(schema), variants),
             lambda: State(lambda: type_document(schema, self.robot.space, variants)),
         )
 
@@ -84,7 +84,7 @@ class ShapeResource(Resource):
     async def state(self) -> State:
         schema = await schema_of(self.robot, TypeRef(self.name))
         return self.robot.states.get(
-            self.url, Same(schema), lambda: State(lambda: shape_document(schema, self.robot.space))
+            self.url, IdentityKey(schema), lambda: State(lambda: shape_document(schema, self.robot.space))
         )
 
 
@@ -106,7 +106,7 @@ class WholeShapeResource(Resource):
 
     async def state(self) -> State:
         return self.robot.states.get(
-            self.url, Same(self.robot.limits), lambda: State(lambda: whole_shape(self.robot, self.title))
+            self.url, IdentityKey(self.robot.limits), lambda: State(lambda: whole_shape(self.robot, self.title))
         )
 
 
@@ -237,7 +237,7 @@ class LimitsContainer(ContainerResource):
 
         return self.robot.states.get(
             f"{self.url}?{self._place}#{self._parts.variant} with what is generated",
-            (Same(kept), more),
+            (IdentityKey(kept), more),
             lambda: replace(kept, describe=describe, token=f"{kept.tag}-{digest(repr(more).encode())}", renderings={}),
         )
 

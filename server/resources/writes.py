@@ -11,7 +11,7 @@ from rosld.server.hypermedia.value import MessageValue
 from rosld.server.hypermedia.writing import PlannedWrite, Written, plan_write
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message, require_parameter
-from rosld.server.robot.publication import unheard
+from rosld.server.robot.publication import no_subscriber_problem
 
 
 async def planned(robot: Robot, own: Property, content: object) -> PlannedWrite:
@@ -33,4 +33,4 @@ def told(plan: PlannedWrite, written: Written, accept: str | None) -> Response:
     """The answer to a write that was carried out: 204, or 202 where nobody was there to hear it."""
     if written is Written.DONE:
         return Response(status_code=204)
-    return render(unheard(plan.writer.name), accept).response()
+    return render(no_subscriber_problem(plan.writer.name), accept).response()

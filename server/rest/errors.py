@@ -31,10 +31,10 @@ def problem_of(error: RosError) -> Problem:
     if error.words is not None:
         extra["words"] = error.words
     match error:
-        case Stopped(standstill=standstill):
-            since = moment(standstill.since_ns)
-            extra |= {"stoppedBy": standstill.by, "since": since.value if since else None, "reason": standstill.reason}
-            about = () if standstill.url is None else (standstill.url,)
+        case Stopped(stop_state=stop_state):
+            since = moment(stop_state.since_ns)
+            extra |= {"stoppedBy": stop_state.by, "since": since.value if since else None, "reason": stop_state.reason}
+            about = () if stop_state.url is None else (stop_state.url,)
         case TopicHeld(holder=holder):
             extra |= {"holder": holder.name, "hold": holder.hold}
             about = (holder.hold,)

@@ -13,13 +13,13 @@ from starlette.types import Receive, Scope
 from rosld.ontology.charsets import UTF_8
 from rosld.server.auth.agent import Agent
 from rosld.server.auth.authenticator import OPEN
-from rosld.server.auth.enforcement import Judged
-from rosld.server.auth.permissions import Judge
+from rosld.server.auth.enforcement import Protected
+from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.rate_limit import Client
 from rosld.server.http import media, prefer, text
 from rosld.server.http.body import TIMEOUT, read_body, read_chunks
 from rosld.server.http.problem import Problem
-from rosld.server.receipts.account import Account
+from rosld.server.receipts.account import AuditContext
 from rosld.server.runtime.memory import MEMORY, PER_BYTE
 
 
@@ -39,20 +39,20 @@ class Exchange:
         """Who asks, and what they may do."""
         self.client: Client | None = None
         """Whose limits it counts against, once it was let pass."""
-        self.account = Account()
+        self.account = AuditContext()
         """What it tells of its write, for its receipt."""
-        self.answering: Judged | None = None
+        self.answering: Protected | None = None
         """The resource that answers, once it is known."""
 
     @property
     def agent(self) -> Agent:
         """Who asks."""
-        return self.visit.judge.agent
+        return self.visit.permissions.agent
 
     @property
-    def judge(self) -> Judge:
+    def permissions(self) -> Permissions:
         """What who asks may do."""
-        return self.visit.judge
+        return self.visit.permissions
 
     @cached_property
     def query(self) -> Mapping[str, str]:
@@ -127,7 +127,7 @@ class Exchange:
         self.headers = {**self.headers, "content-type": media_type}
         self._body = body
 
-    def readdress(self, scope: Scope) -> None:
+    def redirect_internally(self, scope: Scope) -> None:
         """Turn into the same request to another URL of this server, which `scope` has."""
         self.request = Request(scope, self.request.receive)
         self.__dict__.pop("query", None)

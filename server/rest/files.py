@@ -20,7 +20,7 @@ from starlette.types import Receive, Scope, Send
 
 from rosld.server.http import field, media, ranges
 from rosld.server.http.problem import Problem
-from rosld.server.rest.prepared import Prepared
+from rosld.server.rest.prepared import RawResponse
 
 CHUNK = 128 * 1024
 """Bytes read at a time; answers of no more are read at once."""
@@ -88,9 +88,9 @@ async def file_response(
     added |= {"content-length": str(length), "etag": etag, **_standing(media_type, name)}
     status, encoded = 200 if spans is None else 206, _encoded({"cache-control": "no-cache", **headers, **added})
     if head:
-        return Prepared(status, b"", encoded)
+        return RawResponse(status, b"", encoded)
     if length <= CHUNK:
-        return Prepared(status, await asyncio.to_thread(_whole, path, pieces), encoded)
+        return RawResponse(status, await asyncio.to_thread(_whole, path, pieces), encoded)
     return _FileStream(status, encoded, await asyncio.to_thread(FileIO, path), pieces)
 
 

@@ -10,7 +10,7 @@ from weakref import WeakValueDictionary
 from rosld.server.http.problem import Problem
 
 
-class Alone:
+class KeyedLock:
     """Lets one write that depends on the state at a time at each URL (RFC 9110 13.1.1: no update is lost)."""
 
     def __init__(self, patience: float) -> None:

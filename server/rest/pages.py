@@ -15,7 +15,7 @@ from rosld.adapters.model import Stale
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.urls import Space
 from rosld.server import html
-from rosld.server.auth.permissions import EVERYTHING, Judge
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import (
     ChoiceForm,
     Csrf,
@@ -38,7 +38,7 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.large import LargeDocuments, shortened
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
-from rosld.server.robot.stop import Stops
+from rosld.server.robot.stop import SoftwareStop
 
 if TYPE_CHECKING:
     from rosld.server.rest.resource import Resource
@@ -54,7 +54,7 @@ class Pages:
 
     headers: Mapping[str, str] = {name.lower(): value for name, value in html.HEADERS.items()}
 
-    def __init__(self, session: Session, stops: Stops, large: LargeDocuments) -> None:
+    def __init__(self, session: Session, stops: SoftwareStop, large: LargeDocuments) -> None:
         self._session = session
         self._stops = stops
         self._keys = FormKey()
@@ -68,11 +68,11 @@ class Pages:
     @property
     def site(self) -> Site:
         """What every page says of this server."""
-        return self.site_for(EVERYTHING)
+        return self.site_for(ALLOW_ALL)
 
-    def site_for(self, judge: Judge) -> Site:
+    def site_for(self, permissions: Permissions) -> Site:
         """The same, for one who may do this much."""
-        session, standstill = self._session, self._stops.standstill
+        session, stop_state = self._session, self._stops.stop_state
         state = session.graph.state
         stale = f"since {_moment(state.since_ns)}: {state.why}" if isinstance(state, Stale) else None
         return Site(
@@ -83,32 +83,39 @@ class Pages:
             session.settings.read_only,
             (*SECTIONS, "bags") if session.adapter.recordings else SECTIONS,
             session.space.types,
-            stop_token=self._stop_token(judge),
-            stopped="" if standstill is None or not judge.may_read(session.space.stop) else standstill.words,
-            may=judge.may,
-            may_below=lambda method, url: (place := judge.place(url)) is None or judge.may_below(method, place),
-            veiled=not judge.whole,
+            stop_token=self._stop_token(permissions),
+            stopped="" if stop_state is None or not permissions.may_read(session.space.stop) else stop_state.words,
+            may=permissions.may,
+            may_below=lambda method, url: (
+                (place := permissions.place(url)) is None or permissions.may_below(method, place)
+            ),
+            veiled=not permissions.whole,
         )
 
-    def _stop_token(self, judge: Judge) -> str:
+    def _stop_token(self, permissions: Permissions) -> str:
         """The token of the form that stops the robot, empty where it is not for this reader to stop."""
         session = self._session
-        usable = self._stops.is_usable and judge.may("POST", session.space.stop)
-        return self._keys.token(_of_agent(session.space.stop, judge)) if usable else ""
+        usable = self._stops.is_usable and permissions.may("POST", session.space.stop)
+        return self._keys.token(_of_agent(session.space.stop, permissions)) if usable else ""
 
     @property
     def edition(self) -> Hashable:
         """Changes whenever what every page says does: who keeps a page keeps it for one edition."""
-        return self._stops.standstill
+        return self._stops.stop_state
 
     async def page(
-        self, resource: Resource, state: State, notices: Sequence[Notice] = (), judge: Judge = EVERYTHING
+        self, resource: Resource, state: State, notices: Sequence[Notice] = (), permissions: Permissions = ALLOW_ALL
     ) -> bytes:
         """The page of a resource as it is, for one who may do this much."""
-        return await self._page(resource, state, await resource.forms(), notices, judge)
+        return await self._page(resource, state, await resource.forms(), notices, permissions)
 
     async def _page(
-        self, resource: Resource, state: State, forms: Sequence[Form], notices: Sequence[Notice], judge: Judge
+        self,
+        resource: Resource,
+        state: State,
+        forms: Sequence[Form],
+        notices: Sequence[Notice],
+        permissions: Permissions,
     ) -> bytes:
         """A page with these forms; of what is large it shows the beginning, and says so."""
         if state.is_large:
@@ -116,7 +123,7 @@ class Pages:
             state = shortened(state, excerpt)
             words = f"This page shows the first {len(excerpt.document.triples):,} of {excerpt.total:,} triples."
             notices = (*notices, Notice(words, link=NoticeLink("?format=ttl", "All of them, as Turtle")))
-        page = resource.page(self.site_for(judge), state, forms, self._csrf(resource, judge), notices)
+        page = resource.page(self.site_for(permissions), state, forms, self._csrf(resource, permissions), notices)
         if isinstance(page, bytes):
             return page
         if len(page.document.triples) <= _SHORT_PAGE:
@@ -128,7 +135,7 @@ class Pages:
         if negotiation.choose(exchange.accept, _PROBLEM_OFFERS) != "text/html":
             return None
         page = ProblemPage(
-            self.site_for(exchange.judge), problem.status, problem.title, problem.detail, url, problem.violations
+            self.site_for(exchange.permissions), problem.status, problem.title, problem.detail, url, problem.violations
         )
         headers = {**problem.headers, **self.headers, "Vary": "Accept", "Cache-Control": "no-store"}
         return Response(html.render_problem(page), problem.status, headers, "text/html; charset=utf-8")
@@ -140,7 +147,7 @@ class Pages:
         """
         pairs = await self._pairs(exchange)
         token, method, typed = html.split_hidden(pairs)
-        self._keys.require(token, _of_agent(resource.url, exchange.judge))
+        self._keys.require(token, _of_agent(resource.url, exchange.permissions))
         forms = await resource.forms()
         form = next((form for form in forms if form.method == method and not form.action), None)
         if form is None:
@@ -153,7 +160,7 @@ class Pages:
         exchange.typed = typed
         return form
 
-    async def refused(self, resource: Resource, refusal: FormRefused, judge: Judge = EVERYTHING) -> Response:
+    async def refused(self, resource: Resource, refusal: FormRefused, permissions: Permissions = ALLOW_ALL) -> Response:
         """The page again with the form as it was filled in, and with what is wrong: beside the fields that do not fit.
 
         Raises the problem itself where there is no page to tell it on.
@@ -166,18 +173,18 @@ class Pages:
         again = await resource.forms() if isinstance(form, ChoiceForm) else [form.refilled(refusal.typed, fields)]
         try:
             state = await resource.state()
-            state = state if judge.whole else resource.veiled(state, judge)
+            state = state if permissions.whole else resource.veiled(state, permissions)
         except Problem:
             raise problem from None
-        body = await self._page(resource, state, again, [notice], judge)
+        body = await self._page(resource, state, again, [notice], permissions)
         headers = {**problem.headers, **self.headers, "Cache-Control": "no-store"}
         return Response(body, problem.status, headers, "text/html; charset=utf-8")
 
-    async def told(self, resource: Resource, sentence: str, judge: Judge = EVERYTHING) -> Response:
+    async def told(self, resource: Resource, sentence: str, permissions: Permissions = ALLOW_ALL) -> Response:
         """The page with a notice, after a form that was carried out with a reservation (202)."""
         state = await resource.state()
-        state = state if judge.whole else resource.veiled(state, judge)
-        body = await self.page(resource, state, [Notice(sentence, Tone.WARNING)], judge)
+        state = state if permissions.whole else resource.veiled(state, permissions)
+        body = await self.page(resource, state, [Notice(sentence, Tone.WARNING)], permissions)
         return Response(body, 202, {**self.headers, "Cache-Control": "no-store"}, "text/html; charset=utf-8")
 
     def came_from(self, exchange: Exchange) -> str | None:
@@ -199,14 +206,14 @@ class Pages:
         except (UnicodeDecodeError, ValueError) as error:
             raise Problem(400, f"The form cannot be read: {error}.") from error
 
-    def _csrf(self, resource: Resource, judge: Judge) -> Csrf:
+    def _csrf(self, resource: Resource, permissions: Permissions) -> Csrf:
         """Tokens for the forms of its page, each for the URL it posts to and for who reads the page."""
-        return lambda action: self._keys.token(_of_agent(action or resource.url, judge))
+        return lambda action: self._keys.token(_of_agent(action or resource.url, permissions))
 
 
-def _of_agent(url: str, judge: Judge) -> str:
+def _of_agent(url: str, permissions: Permissions) -> str:
     """What a form's token is for: a URL, and who may send it where that is known."""
-    return f"{url} {judge.mark}" if judge.mark else url
+    return f"{url} {permissions.mark}" if permissions.mark else url
 
 
 class FormRefused(Exception):

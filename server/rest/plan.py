@@ -10,7 +10,7 @@ from rosld.server.storage import Write
 
 
 @dataclass(frozen=True, slots=True)
-class Move:
+class RobotWrite:
     """The robot is to be told something: `does` says what, `carry_out` does it and tells whether it was heard.
 
     `carry_out` raises RosError, and Problems where the robot declines.
@@ -21,11 +21,11 @@ class Move:
 
 
 @dataclass(frozen=True, slots=True)
-class Keep:
+class StorageWrite:
     """Something is to be kept, or to be kept no longer: these writes together do it."""
 
     does: str
     writes: tuple[Write, ...]
 
 
-Plan: TypeAlias = "Move | Keep"
+Plan: TypeAlias = "RobotWrite | StorageWrite"

@@ -10,7 +10,7 @@ from rosld.server.http.conditional import ETag, guard
 from rosld.server.rest.exchange import Exchange
 
 
-class Prepared(Response):
+class RawResponse(Response):
     """A response whose header list is ready."""
 
     def __init__(self, status: int, body: bytes, headers: list[tuple[bytes, bytes]]) -> None:
@@ -20,14 +20,14 @@ class Prepared(Response):
         self.raw_headers = headers
 
 
-def done() -> Prepared:
+def done() -> RawResponse:
     """204: it was done, and there is nothing more to say (RFC 9110 15.3.5)."""
-    return Prepared(204, b"", [])
+    return RawResponse(204, b"", [])
 
 
 def held(
     exchange: Exchange, data: bytes, media_type: str, etag: ETag, more: Iterable[tuple[str, str]] = ()
-) -> Prepared:
+) -> RawResponse:
     """The answer to a GET with bytes that are at hand; 304 where they are known, 412 as RFC 9110 13.1 has it.
 
     `more` are headers beside those of the bytes themselves.
@@ -35,6 +35,6 @@ def held(
     standing = {"etag": str(etag), "vary": "Accept", "cache-control": "no-cache", **dict(more)}
     headers = [(name.encode("latin-1"), value.encode("latin-1")) for name, value in standing.items()]
     if guard("GET", etag, if_match=exchange.header("if-match"), if_none_match=exchange.header("if-none-match")):
-        return Prepared(304, b"", headers)
+        return RawResponse(304, b"", headers)
     content = [(b"content-type", media_type.encode("latin-1")), (b"content-length", b"%d" % len(data))]
-    return Prepared(200, data, [*content, *headers])
+    return RawResponse(200, data, [*content, *headers])

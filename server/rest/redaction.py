@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from rosld.ontology.document import Document
-from rosld.server.auth.permissions import Judge
+from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction import veiled
 from rosld.server.hypermedia.redaction import veiled_view
 from rosld.server.rest.state import State
@@ -15,7 +15,7 @@ from rosld.server.rest.state import State
 
 def veiled_state(
     state: State,
-    judge: Judge,
+    permissions: Permissions,
     document: Callable[[], Document] | None = None,
     plain: Callable[[], bytes] | None = None,
 ) -> State:
@@ -25,19 +25,19 @@ def veiled_state(
     """
 
     def described() -> Document:
-        return veiled(state.document if document is None else document(), judge)
+        return veiled(state.document if document is None else document(), permissions)
 
     is_for_worker = state.is_large and document is None
     return replace(
         state,
-        describe=partial(_veiled_document, state.describe, judge) if is_for_worker else described,
+        describe=partial(_veiled_document, state.describe, permissions) if is_for_worker else described,
         plain=state.plain if plain is None else plain,
         token=state.tag,
-        view=None if state.view is None else veiled_view(state.view, judge),
+        view=None if state.view is None else veiled_view(state.view, permissions),
         renderings={},
         veils={},
     )
 
 
-def _veiled_document(describe: Callable[[], Document], judge: Judge) -> Document:
-    return veiled(describe(), judge)
+def _veiled_document(describe: Callable[[], Document], permissions: Permissions) -> Document:
+    return veiled(describe(), permissions)

@@ -17,7 +17,7 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
 from rosld.ontology.serialize import Syntax
-from rosld.server.auth.permissions import Judge
+from rosld.server.auth.permissions import Permissions
 from rosld.server.html import Csrf, Form, Listing, Notice, Page, Site, Step
 from rosld.server.http.link import Link, uri
 from rosld.server.http.problem import Problem
@@ -110,9 +110,9 @@ class Resource:
         """What it is like now. Raises a 404 (or 410) Problem where there is nothing."""
         raise NotImplementedError
 
-    def veiled(self, state: State, judge: Judge) -> State:
+    def veiled(self, state: State, permissions: Permissions) -> State:
         """Its state as an agent may see it who may not know of everything."""
-        return veiled_state(state, judge)
+        return veiled_state(state, permissions)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         """Call `wake` on the loop whenever its state may have changed, until the watch is closed.

@@ -1,66 +1,151 @@
-"""The adapter as requests have it: what it is told, the account of the write that is under way is told too."""
+"""The adapter as the server uses it: each write passes the interlock, and is noted in the audit of its request."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
-from rosld.adapters.base import Adapter, Published
-from rosld.adapters.model import GoalId, ParameterValue, TypeRef
+from rosld.adapters.base import Adapter, Capabilities, Published, Recording, Sink, Subscription, Watch
+from rosld.adapters.model import GoalId, Graph, Operation, ParameterValue, Ref, Sample, Schema, TypeRef
 from rosld.ontology.urls import Space
 from rosld.server.receipts.account import accounted_for, under_way
-from rosld.server.robot.interlock import Gate
-from rosld.server.robot.interlocked_adapter import Gated
+from rosld.server.robot.interlock import WriteInterlock
 
 
-class Accounted(Gated):
-    """A gated adapter all of whose writes are accounted for."""
+class AuditedAdapter:
+    """An `Adapter` behind the interlock that records each write in the audit context of its request.
 
-    def __init__(self, inner: Adapter, gate: Gate, space: Space) -> None:
-        super().__init__(inner, gate)
+    `inner` is the adapter itself, for what reads by calling (getters). `published` are the topics that were published
+    to, until they are no longer advertised.
+    """
+
+    def __init__(self, inner: Adapter, interlock: WriteInterlock, space: Space) -> None:
+        self.inner = inner
+        self.published: set[str] = set()
+        self._interlock = interlock
         self._space = space
-        self._topic = lru_cache(maxsize=4096)(space.topic)
+        self._topic_url = lru_cache(maxsize=4096)(space.topic)
+
+    # Writes
 
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
     ) -> Published:
-        account = under_way.get()
-        if account is None:
-            return await super().publish(topic, type, data, latch=latch, deadline=deadline)
-        account.plans(f"publish a {type.name} on {topic}", self._topic(topic))
-        published = await super().publish(topic, type, data, latch=latch, deadline=deadline)
-        account.heard(published.matched)
+        """`Adapter.publish`; raises TopicHeld while somebody holds the topic."""
+        audit = under_way.get()
+        if audit is not None:
+            audit.plans(f"publish a {type.name} on {topic}", self._topic_url(topic))
+        self._interlock.require_free(topic)
+        self.published.add(topic)
+        published = await self._interlock.run(
+            lambda: self.inner.publish(topic, type, data, latch=latch, deadline=deadline)
+        )
+        if audit is not None:
+            audit.heard(published.matched)
         return published
 
+    async def publish_held(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
+        """`Adapter.publish` for the hold of the topic."""
+        self.published.add(topic)
+        return await self._interlock.run(lambda: self.inner.publish(topic, type, data, deadline=deadline))
+
+    async def publish_at_last(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
+        """`Adapter.publish`, also while the robot is stopped: for what ends a hold, or stops the robot."""
+        self.published.add(topic)
+        return await self._interlock.run_always(self.inner.publish(topic, type, data, deadline=deadline))
+
+    async def call_at_last(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        """`Adapter.call`, also while the robot is stopped: for what stops it."""
+        return await self._interlock.run_always(self.inner.call(service, type, request, deadline=deadline))
+
     async def unadvertise(self, topic: str) -> None:
+        """`Adapter.unadvertise`; raises TopicHeld while somebody holds the topic."""
         accounted_for(f"stop advertising {topic}", self._space.topic(topic))
-        await super().unadvertise(topic)
+        self._interlock.require_free(topic)
+        await self._interlock.run(lambda: self.inner.unadvertise(topic))
+        self.published.discard(topic)
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        """`Adapter.call`."""
         accounted_for(f"call {service} ({type.name})", self._space.service(service))
-        return await super().call(service, type, request, deadline=deadline)
+        return await self._interlock.run(lambda: self.inner.call(service, type, request, deadline=deadline))
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
+        """`Adapter.send_goal`."""
         accounted_for(f"send a goal to {action} ({type.name})", self._space.action(action))
-        return await super().send_goal(action, type, goal, deadline=deadline)
+        return await self._interlock.run(lambda: self.inner.send_goal(action, type, goal, deadline=deadline))
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
+        """`Adapter.cancel_goal`, also while the robot is stopped: it ends what moves."""
         accounted_for(f"cancel the goal {goal.id} of {goal.action}", self._space.action(goal.action))
-        await super().cancel_goal(goal, deadline=deadline)
+        await self._interlock.run_always(self.inner.cancel_goal(goal, deadline=deadline))
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
+        """`Adapter.change_state`."""
         accounted_for(f"have {node} {transition}", self._space.node(node))
-        await super().change_state(node, transition, deadline=deadline)
+        await self._interlock.run(lambda: self.inner.change_state(node, transition, deadline=deadline))
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
+        """`Adapter.set_parameters`."""
         for name in values:
-            accounted_for(f"set the parameter {name}", self._url_of(name))
-        await super().set_parameters(values, deadline=deadline)
+            accounted_for(f"set the parameter {name}", self._space.parameter(name))
+        await self._interlock.run(lambda: self.inner.set_parameters(values, deadline=deadline))
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
+        """`Adapter.delete_parameters`."""
         for name in names:
-            accounted_for(f"delete the parameter {name}", self._url_of(name))
-        await super().delete_parameters(names, deadline=deadline)
+            accounted_for(f"delete the parameter {name}", self._space.parameter(name))
+        await self._interlock.run(lambda: self.inner.delete_parameters(names, deadline=deadline))
 
-    def _url_of(self, name: str) -> str:
-        return self._space.parameter(name)
+    # Reads
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """`Adapter.capabilities`."""
+        return self.inner.capabilities
+
+    @property
+    def graph(self) -> Graph:
+        """`Adapter.graph`."""
+        return self.inner.graph
+
+    @property
+    def recordings(self) -> Mapping[str, Recording]:
+        """`Adapter.recordings`."""
+        return self.inner.recordings
+
+    async def open(self, sink: Sink, *, deadline: float) -> None:
+        """`Adapter.open`."""
+        await self.inner.open(sink, deadline=deadline)
+
+    async def close(self) -> None:
+        """`Adapter.close`."""
+        await self.inner.close()
+
+    def allows(self, ref: Ref) -> frozenset[Operation]:
+        """`Adapter.allows`."""
+        return self.inner.allows(ref)
+
+    async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
+        """`Adapter.schema`."""
+        return await self.inner.schema(ref, deadline=deadline)
+
+    def known_types(self) -> Sequence[TypeRef]:
+        """`Adapter.known_types`."""
+        return self.inner.known_types()
+
+    async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
+        """`Adapter.subscribe`."""
+        return await self.inner.subscribe(topic, depth=depth)
+
+    def age_ns(self, sample: Sample) -> int:
+        """`Adapter.age_ns`."""
+        return self.inner.age_ns(sample)
+
+    async def follow_goals(self, action: str, *, deadline: float) -> Watch:
+        """`Adapter.follow_goals`."""
+        return await self.inner.follow_goals(action, deadline=deadline)
+
+    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
+        """`Adapter.get_parameters`."""
+        return await self.inner.get_parameters(names, deadline=deadline)

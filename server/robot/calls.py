@@ -181,7 +181,7 @@ class Calls:
 
     def _revise(self) -> None:
         self.revision += 1
-        self.changes.give()
+        self.changes.emit()
 
     def _drop(self, id: str) -> None:
         self._calls.pop(id, None)

@@ -338,8 +338,8 @@ class Goals:
 
     def _revise(self, goal: Goal) -> None:
         self.revision += 1
-        self.changes.give(goal.action)
-        self.changes.give(goal.id)
+        self.changes.emit(goal.action)
+        self.changes.emit(goal.id)
 
     def _new_id(self, key: GoalId) -> str:
         """What a goal is called in URLs: its own id where that is safe and nobody else's, else made of it."""

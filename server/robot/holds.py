@@ -21,9 +21,9 @@ from rosld.server.auth.agent import Agent
 from rosld.server.http.problem import Problem
 from rosld.server.robot.interlock import Holder
 from rosld.server.robot.publication import require_rate
-from rosld.server.robot.schedule import Lapse, Publish, Schedule, Wait
+from rosld.server.robot.schedule import LeaseExpired, Publish, Schedule, Wait
 from rosld.server.robot.session import Session
-from rosld.server.robot.write_policy import refusal
+from rosld.server.robot.write_policy import denied_reason
 from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.signals import Signal
 
@@ -119,22 +119,22 @@ class Holds:
         Raises TopicHeld, Stopped, a 429 Problem where the topic is published to too often, and what the adapter raises:
         then there is no hold.
         """
-        session, gate = self._session, self._session.gate
-        gate.require_open()
-        gate.require_free(hold.topic)
+        session, interlock = self._session, self._session.interlock
+        interlock.require_open()
+        interlock.require_free(hold.topic)
         if self._closed is not None:
             raise Problem(503, f"No hold can begin: {self._closed}.")
         require_rate(session, hold.topic)
-        holder = gate.held[hold.topic] = Holder(hold.holder.name, session.space.hold(hold.id))
+        holder = interlock.held[hold.topic] = Holder(hold.holder.name, session.space.hold(hold.id))
         running = _Running(self, session, hold)
         try:
             await running.publish(session.deadline(session.settings.publish_wait))
-            gate.require_open()
+            interlock.require_open()
             if self._closed is not None:
                 raise Problem(503, f"No hold can begin: {self._closed}.")
         except BaseException:
-            if gate.held.get(hold.topic) is holder:
-                del gate.held[hold.topic]
+            if interlock.held.get(hold.topic) is holder:
+                del interlock.held[hold.topic]
             raise
         finally:
             session.announce_write(Kind.TOPIC, hold.topic)
@@ -181,7 +181,7 @@ class Holds:
         graph, permitted = self._session.graph, self._session.settings.allow_publish
         for hold in self.all():
             topic = graph.topics.get(hold.topic)
-            why = None if topic is None else refusal(topic, graph, permitted, needs_subscriber=False)
+            why = None if topic is None else denied_reason(topic, graph, permitted, needs_subscriber=False)
             if why is not None:
                 _log.warning("the hold on %s ends: %s", hold.topic, why)
                 self.end(hold.id, f"it would be refused now. {why.removesuffix('.')}")
@@ -198,7 +198,7 @@ class Holds:
     def ended(self, hold: Hold, why: str) -> None:
         """A hold has published its last: forget it, but why."""
         self._running.pop(hold.id, None)
-        self._session.gate.held.pop(hold.topic, None)
+        self._session.interlock.held.pop(hold.topic, None)
         self._ended[hold.id] = why
         while len(self._ended) > _REMEMBERED:
             self._ended.popitem(last=False)
@@ -208,8 +208,8 @@ class Holds:
     def revise(self, hold: Hold) -> None:
         """Something about a hold is another than before."""
         self.revision += 1
-        self.changes.give(hold.id)
-        self.changes.give(hold.topic)
+        self.changes.emit(hold.id)
+        self.changes.emit(hold.topic)
 
 
 def new(
@@ -278,7 +278,7 @@ class _Running:
             self._timer.cancel()
         step = self._schedule.step(self._loop.time())
         match step:
-            case Lapse():
+            case LeaseExpired():
                 self.end("its lease lapsed")
                 return
             case Publish(after=after):

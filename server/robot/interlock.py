@@ -14,7 +14,7 @@ _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
-class Standstill:
+class StopState:
     """That the robot is stopped: who stopped it, when (wall-clock nanoseconds), and why if they said so.
 
     `url` is where that may be read.
@@ -36,10 +36,10 @@ class Standstill:
 class Stopped(RosError):
     """The robot is stopped, so it is told nothing (`sent` is NO), or was cut off while it was told (MAYBE)."""
 
-    def __init__(self, standstill: Standstill, *, sent: Sent = Sent.NO) -> None:
+    def __init__(self, stop_state: StopState, *, sent: Sent = Sent.NO) -> None:
         what = "This write was refused" if sent is Sent.NO else "This write was cut off, and may have been carried out"
-        super().__init__(f"{standstill.words.rstrip('.')}. {what}; DELETE of /stop lets writes pass again.", sent=sent)
-        self.standstill = standstill
+        super().__init__(f"{stop_state.words.rstrip('.')}. {what}; DELETE of /stop lets writes pass again.", sent=sent)
+        self.stop_state = stop_state
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +58,14 @@ class TopicHeld(RosError):
         self.holder = holder
 
 
-class Gate:
+class WriteInterlock:
     """Where writes pass, one by one: all while it is open, none while the robot is stopped.
 
     What is under way when the robot is stopped is cut off. A topic in `held` is published to by its hold only.
     """
 
     def __init__(self) -> None:
-        self.standstill: Standstill | None = None
+        self.stop_state: StopState | None = None
         self.held: dict[str, Holder] = {}
         """Who holds a topic, by topic."""
         self.writes = 0
@@ -73,20 +73,20 @@ class Gate:
         self._under_way: set[_UnderWay] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
 
-    def shut(self, standstill: Standstill) -> None:
+    def engage(self, stop_state: StopState) -> None:
         """Let no write pass from now on, and cut off those that are under way."""
-        self.standstill = standstill
+        self.stop_state = stop_state
         for each in self._under_way:
             each.cut()
 
-    def lift(self) -> None:
+    def release(self) -> None:
         """Let writes pass again."""
-        self.standstill = None
+        self.stop_state = None
 
     def require_open(self) -> None:
         """Raises Stopped where the robot is stopped."""
-        if self.standstill is not None:
-            raise Stopped(self.standstill)
+        if self.stop_state is not None:
+            raise Stopped(self.stop_state)
 
     def require_free(self, topic: str) -> None:
         """Raises TopicHeld where somebody holds the topic."""
@@ -94,7 +94,7 @@ class Gate:
         if holder is not None:
             raise TopicHeld(topic, holder)
 
-    async def let_pass(self, write: Callable[[], Awaitable[_T]]) -> _T:
+    async def run(self, write: Callable[[], Awaitable[_T]]) -> _T:
         """Carry a write out, unless the robot is stopped before it is done: raises Stopped."""
         self.require_open()
         loop = self._loop = self._loop or asyncio.get_running_loop()  # a system call before Python 3.12
@@ -105,15 +105,15 @@ class Gate:
         try:
             return await write()
         except asyncio.CancelledError:
-            if under_way.is_cut and self.standstill is not None:
+            if under_way.is_cut and self.stop_state is not None:
                 under_way.go_on()
-                raise Stopped(self.standstill, sent=Sent.MAYBE) from None
+                raise Stopped(self.stop_state, sent=Sent.MAYBE) from None
             raise
         finally:
             self.writes += 1
             self._under_way.discard(under_way)
 
-    async def let_by(self, write: Awaitable[_T]) -> _T:
+    async def run_always(self, write: Awaitable[_T]) -> _T:
         """Carry a write out that must reach the robot also while it is stopped."""
         try:
             return await write

@@ -42,7 +42,7 @@ def require_rate(session: Session, topic: str) -> None:
         raise Problem(429, sentence, headers={"Retry-After": str(max(1, round(wait)))})
 
 
-def unheard(topic: str) -> Problem:
+def no_subscriber_problem(topic: str) -> Problem:
     """What tells that nobody was listening (202)."""
     sentence = f"The message was published, but no subscriber of {topic} was there to get it."
     return Problem(202, sentence, title="Nobody is listening")

@@ -21,11 +21,11 @@ class Publish:
 
 
 @dataclass(frozen=True, slots=True)
-class Lapse:
+class LeaseExpired:
     """The lease is over."""
 
 
-Step: TypeAlias = "Wait | Publish | Lapse"
+Step: TypeAlias = "Wait | Publish | LeaseExpired"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class Schedule:
     def step(self, now: float) -> Step:
         """What is to be done now. A lease that is over comes before all else."""
         if now >= self.expires:
-            return Lapse()
+            return LeaseExpired()
         if now < self.due:
             return Wait(min(self.due, self.expires))
         beat = max(self.beat, int((now - self.origin) / self.period)) + 1

@@ -11,10 +11,10 @@ from rosld.adapters.base import Adapter
 from rosld.adapters.model import ActionSchema, GoalEvent, GoalId, Graph, Kind, RosError, TypeRef
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.urls import Space
-from rosld.server.robot.audited_adapter import Accounted
+from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.calls import Calls
 from rosld.server.robot.goals import Goals
-from rosld.server.robot.interlock import Gate
+from rosld.server.robot.interlock import WriteInterlock
 from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topics import LiveSettings, LiveTopics
@@ -36,8 +36,8 @@ class Session:
         self.settings = settings
         self.space = Space(settings.base_url, settings.types_namespace)
         self.lifting = LiftSettings(settings.types_namespace, settings.inline_limit)
-        self.gate = Gate()
-        self.adapter = Accounted(adapter, self.gate, self.space)
+        self.interlock = WriteInterlock()
+        self.adapter = AuditedAdapter(adapter, self.interlock, self.space)
         self.schemas = Schemas(adapter)
         live = LiveSettings(
             settings.first_value_wait, settings.idle_time, settings.subscription_budget, tuple(settings.subscribe)
@@ -86,7 +86,7 @@ class Session:
         urls = map(self.space.topic, self.topics.subscribed())
         return {url: age for url in urls if (age := self.seconds_since(url)) is not None}
 
-    def is_closed(self, name: str) -> bool:
+    def is_resources_only(self, name: str) -> bool:
         """Whether a topic, service or parameter is written under /resources/ only."""
         return any(fnmatchcase(name, glob) for glob in self.settings.resources_only)
 
@@ -132,7 +132,7 @@ class Session:
 
     def parameter_changed(self, name: str) -> None:
         """`Sink`: tell those who watch it. Whoever asks reads it anew in any case."""
-        self._follower.call_soon(lambda: self.parameter_changes.give(name))
+        self._follower.call_soon(lambda: self.parameter_changes.emit(name))
 
     def _action_schema(self, name: str) -> ActionSchema | None:
         """The schema of an action of the graph, as far as it is at hand."""
@@ -165,7 +165,7 @@ class GraphFollower:
     def look(self) -> None:
         """Look at the graph, which may have changed."""
         self._changed.set()
-        self._session.changes.give()
+        self._session.changes.emit()
 
     def start(self) -> None:
         """Follow, from the graph of now on."""

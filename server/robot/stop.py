@@ -14,14 +14,14 @@ from rosld.ontology.lower import LoweringError, lowerer, parse_json
 from rosld.server.auth.agent import Agent
 from rosld.server.robot.goals import Goal
 from rosld.server.robot.holds import Hold, Holds
-from rosld.server.robot.interlock import Standstill
+from rosld.server.robot.interlock import StopState
 from rosld.server.robot.session import Session
 from rosld.server.runtime.signals import Signal
 
 _log = logging.getLogger("rosld")
 
 
-class Fate(Enum):
+class StepStatus(Enum):
     """What became of a step; the values are terms of the vocabulary."""
 
     PLANNED = "NotSent"
@@ -36,7 +36,7 @@ class Step:
 
     does: str
     touches: tuple[str, ...] = ()
-    fate: Fate = Fate.PLANNED
+    fate: StepStatus = StepStatus.PLANNED
     words: str | None = None
 
 
@@ -52,7 +52,7 @@ class MappedStop:
     content: str = "{}"
 
 
-class Stops:
+class SoftwareStop:
     """Stops one robot. `steps` are those of the latest stop while it lasts, else what a stop would do.
 
     `mapped` tells the steps that mappings ask for, each with the IRI of the complex resource that does.
@@ -68,9 +68,9 @@ class Stops:
         self.changes = Signal()
 
     @property
-    def standstill(self) -> Standstill | None:
+    def stop_state(self) -> StopState | None:
         """Who stopped the robot, when and why; None while it is not stopped."""
-        return self._session.gate.standstill
+        return self._session.interlock.stop_state
 
     @property
     def is_usable(self) -> bool:
@@ -85,7 +85,7 @@ class Stops:
     @property
     def steps(self) -> tuple[Step, ...]:
         """What the stop did, or would do now."""
-        if self.standstill is not None:
+        if self.stop_state is not None:
             return tuple(self._steps.values())
         return tuple(Step(_words(each), self._touched(each, iri)) for each, iri in self._mapped())
 
@@ -96,33 +96,33 @@ class Stops:
         are done, at the latest after `call_deadline`.
         """
         session = self._session
-        standstill = self.standstill or Standstill(by.name, time.time_ns(), reason, session.space.stop)
-        session.gate.shut(standstill)
+        stop_state = self.stop_state or StopState(by.name, time.time_ns(), reason, session.space.stop)
+        session.interlock.engage(stop_state)
         deadline = session.deadline(session.settings.call_deadline)
         space = session.space
         for each, iri in self._mapped():
             self._begin(_words(each), self._carried_out(each, deadline), *self._touched(each, iri))
-        for hold, ended in self._holds.end_all(standstill.words):
+        for hold, ended in self._holds.end_all(stop_state.words):
             self._begin(_end_of(hold), ended, space.hold(hold.id), space.topic(hold.topic))
         for goal in self._goals():
             canceled = session.goals.cancel(goal, deadline=deadline)
             words = f"cancel the goal {goal.id} of {goal.action}"
             self._begin(words, canceled, space.goal(goal.id), space.action(goal.action))
-        _log.warning("%s.", standstill.words.rstrip("."))
+        _log.warning("%s.", stop_state.words.rstrip("."))
         self._revise()
-        session.changes.give()
+        session.changes.emit()
         while self._running and session.deadline(0) < deadline:
             await asyncio.wait(self._running, timeout=deadline - session.deadline(0))
 
     def lift(self, by: Agent) -> None:
         """Let writes pass again; nothing happens where the robot is not stopped."""
-        if self.standstill is None:
+        if self.stop_state is None:
             return
-        self._session.gate.lift()
+        self._session.interlock.release()
         self._steps.clear()
         _log.warning("The stop was lifted by %s.", by.name)
         self._revise()
-        self._session.changes.give()
+        self._session.changes.emit()
 
     def _touched(self, mapped: MappedStop, iri: str) -> tuple[str, ...]:
         """The URLs of what a step of a mapping is about: what it calls or publishes on, and the mapping."""
@@ -136,7 +136,7 @@ class Stops:
         return [goal for goal in self._session.goals.all() if goal.own and goal.is_cancelable]
 
     def _begin(self, does: str, work: Awaitable[None], *touches: str) -> None:
-        self._steps[does] = Step(does, touches, Fate.RUNNING)
+        self._steps[does] = Step(does, touches, StepStatus.RUNNING)
         task = asyncio.ensure_future(self._followed(does, work))
         self._running.add(task)
         task.add_done_callback(self._over)
@@ -146,14 +146,14 @@ class Stops:
         self._revise()
 
     async def _followed(self, does: str, work: Awaitable[None]) -> None:
-        fate, words = Fate.DONE, None
+        fate, words = StepStatus.DONE, None
         try:
             await work
         except (RosError, LoweringError, ValueError) as error:
-            fate, words = Fate.FAILED, str(error)
+            fate, words = StepStatus.FAILED, str(error)
             _log.error("while the robot was stopped: %s: %s", does, words)
         except Exception as error:
-            fate, words = Fate.FAILED, "the server failed; its log says more"
+            fate, words = StepStatus.FAILED, "the server failed; its log says more"
             _log.exception("while the robot was stopped: %s", does, exc_info=error)
         if does in self._steps:
             self._steps[does] = replace(self._steps[does], fate=fate, words=words)
@@ -186,7 +186,7 @@ class Stops:
 
     def _revise(self) -> None:
         self.revision += 1
-        self.changes.give()
+        self.changes.emit()
 
     async def ended(self) -> None:
         """Returns when nothing of a stop is under way."""

@@ -14,7 +14,9 @@ RESERVED = frozenset({"/clock", "/tf", "/tf_static", "/rosout", "/rosout_agg", "
 _ACTION_PARTS = frozenset({"goal", "cancel", "status", "feedback", "result"})
 
 
-def refusal(topic: Topic, graph: Graph, permitted: tuple[str, ...], *, needs_subscriber: bool = True) -> str | None:
+def denied_reason(
+    topic: Topic, graph: Graph, permitted: tuple[str, ...], *, needs_subscriber: bool = True
+) -> str | None:
     """Why `topic` must not be published to, in a sentence; None where it may be.
 
     `permitted` are the globs of --allow-publish; reserved topics must be among them by their exact name.

@@ -16,10 +16,10 @@ from rosld.ontology.serialize import CannotCarry, Syntax, serialize
 from rosld.ontology.urls import Location
 from rosld.server.auth import enforcement
 from rosld.server.auth.errors import unproven
-from rosld.server.auth.permissions import EVERYTHING, Judge
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.events import asked
-from rosld.server.events.feed import Feeds
-from rosld.server.events.stream import HEADERS, EventStream, Telling
+from rosld.server.events.feed import Broadcasters
+from rosld.server.events.stream import HEADERS, EventStream, StreamFormat
 from rosld.server.events.waiting import changed_since
 from rosld.server.http import link, negotiation
 from rosld.server.http.conditional import ETag, digest, guard
@@ -29,10 +29,10 @@ from rosld.server.rest.errors import problem_of, problem_of_body
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.files import file_stream
 from rosld.server.rest.formats import FORMATS, HTML, OFFERS, VARIANTS
-from rosld.server.rest.keyed_lock import Alone
+from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.large import LargeDocuments
 from rosld.server.rest.pages import FormRefused, Pages
-from rosld.server.rest.prepared import Prepared
+from rosld.server.rest.prepared import RawResponse
 from rosld.server.rest.resource import JSON, LDP, Answer, Created, Resource, Shown, allow
 from rosld.server.rest.resource_headers import ACCEPT_FIELDS, rendered, standing_headers
 from rosld.server.rest.state import Rendering, State
@@ -42,13 +42,13 @@ _JSON_IS_JSONLD = {JSON: Syntax.JSON_LD.media_type}
 
 
 @dataclass(frozen=True, slots=True)
-class Verbs:
+class Dispatcher:
     """Answers requests on resources. `boot` tells this run of the server from others in ETags."""
 
-    boot: str
+    instance_id: str
     pages: Pages
-    feeds: Feeds
-    alone: Alone
+    feeds: Broadcasters
+    alone: KeyedLock
     large: LargeDocuments
 
     async def answer(self, exchange: Exchange, resource: Resource) -> Response:
@@ -56,8 +56,8 @@ class Verbs:
         try:
             resource = await resource.narrowed(exchange)
             await resource.ready()
-            if not exchange.judge.whole:
-                self._judge(exchange, resource)
+            if not exchange.permissions.whole:
+                self._permissions(exchange, resource)
                 exchange.answering = resource
             response = await self._answered(exchange, resource)
         except (BodyError, LoweringError, RosError, Problem) as error:
@@ -66,10 +66,10 @@ class Verbs:
             response.raw_headers = [*response.raw_headers, (b"link", rendered(resource.links).encode("latin-1"))]
         return response
 
-    def _judge(self, exchange: Exchange, resource: Resource) -> None:
+    def _permissions(self, exchange: Exchange, resource: Resource) -> None:
         """Refuse what who asks may not do here. A form is judged once it has said what it means."""
         if not _is_form(exchange, resource):
-            enforcement.require(exchange.judge, exchange.method, self._place(exchange), resource)
+            enforcement.authorize(exchange.permissions, exchange.method, self._place(exchange), resource)
 
     def _place(self, exchange: Exchange) -> Location | None:
         return enforcement.place_of(exchange.request.scope, self.pages.space)
@@ -124,17 +124,17 @@ class Verbs:
                 raise unproven("Your rights have changed meanwhile.")
             state = await resource.state()
             unchanged = asked.is_state(exchange.query["after"], self._name(state))
-        media_type = chosen(exchange)
+        media_type = negotiate(exchange)
         if state.is_large and media_type != HTML and not (media_type == JSON and state.plain is not None):
             return await self._read_large(exchange, resource, state, media_type, unchanged=unchanged)
-        rendering = await self.represented(resource, state, media_type, exchange.judge)
+        rendering = await self.represented(resource, state, media_type, exchange.permissions)
         headers = rendering.headers
         if state.received_ns is not None:
             age = max(0, time.time_ns() - state.received_ns) // 1_000_000_000
             headers = [*headers, (b"age", b"%d" % age)]
         if unchanged or _not_modified(exchange, rendering):
-            return Prepared(304, b"", [pair for pair in headers if pair[0] not in _CONTENT])
-        return Prepared(200, rendering.body, headers)
+            return RawResponse(304, b"", [pair for pair in headers if pair[0] not in _CONTENT])
+        return RawResponse(200, rendering.body, headers)
 
     async def _read_large(
         self, exchange: Exchange, resource: Resource, state: State, media_type: str, *, unchanged: bool
@@ -143,54 +143,56 @@ class Verbs:
 
         Without a representation nothing tells its length, and HEAD may leave that out (RFC 9110 9.3.2).
         """
-        judge = exchange.judge
-        variant = _variant(media_type, judge)
+        permissions = exchange.permissions
+        variant = _variant(media_type, permissions)
         syntax = _JSON_IS_JSONLD.get(media_type, media_type)
         etag = str(ETag(self._name(state), variant + state.part))
         headers = _headers(resource, state, media_type, etag)
         if unchanged or _not_modified(exchange, Rendering(b"", [], etag)):
-            return Prepared(304, b"", _encoded({name: headers[name] for name in headers if name != "content-type"}))
+            return RawResponse(304, b"", _encoded({name: headers[name] for name in headers if name != "content-type"}))
         if exchange.method == "HEAD":
-            return Prepared(200, b"", _encoded(headers))
+            return RawResponse(200, b"", _encoded(headers))
         try:
-            file, size = await self.large.file((resource.url, etag, syntax), seen(resource, state, judge), syntax)
+            file, size = await self.large.file((resource.url, etag, syntax), seen(resource, state, permissions), syntax)
         except CannotCarry as error:
             raise _cannot_carry(media_type, error) from error
         return file_stream(_encoded({**headers, "content-length": str(size)}), file, size)
 
     async def rendering(self, exchange: Exchange, resource: Resource, state: State) -> Rendering:
         """The representation that the request prefers, kept with the state or made now. Raises a 406 Problem."""
-        return await self.represented(resource, state, chosen(exchange), exchange.judge)
+        return await self.represented(resource, state, negotiate(exchange), exchange.permissions)
 
     async def represented(
-        self, resource: Resource, state: State, media_type: str, judge: Judge = EVERYTHING
+        self, resource: Resource, state: State, media_type: str, permissions: Permissions = ALLOW_ALL
     ) -> Rendering:
         """The representation in a media type, kept with the state or made now. Raises a 406 Problem.
 
         Bytes are shared by agents of the same rights; a page, which has forms, is one agent's.
         """
-        variant = _variant(media_type, judge)
-        if not judge.whole:
-            state = seen(resource, state, judge)
+        variant = _variant(media_type, permissions)
+        if not permissions.whole:
+            state = seen(resource, state, permissions)
         if media_type == HTML and self.pages.edition is not None:
-            return await self._render(resource, state, media_type, variant, judge)
+            return await self._render(resource, state, media_type, variant, permissions)
         found = state.renderings.get(variant)
         if found is None:
             if len(state.renderings) >= _MOST_RENDERINGS:
                 state.renderings.clear()
-            found = state.renderings[variant] = await self._render(resource, state, media_type, variant, judge)
+            found = state.renderings[variant] = await self._render(resource, state, media_type, variant, permissions)
         return found
 
-    async def _render(self, resource: Resource, state: State, media_type: str, variant: str, judge: Judge) -> Rendering:
+    async def _render(
+        self, resource: Resource, state: State, media_type: str, variant: str, permissions: Permissions
+    ) -> Rendering:
         if media_type == HTML:
-            body = await self.pages.page(resource, state, judge=judge)
+            body = await self.pages.page(resource, state, permissions=permissions)
         elif media_type == JSON and state.plain is not None:
             body = state.plain()
         elif state.is_large:
             raise Problem(406, "This is too large to be sent here: GET it, or follow it by its notifications.")
         else:
             body = _serialized(state, _JSON_IS_JSONLD.get(media_type, media_type))
-        name = f"{self.boot}-{digest(body)}" if media_type == HTML else self._name(state)  # a page shows more
+        name = f"{self.instance_id}-{digest(body)}" if media_type == HTML else self._name(state)  # a page shows more
         etag = str(ETag(name, variant + state.part))
         headers = {**_headers(resource, state, media_type, etag), "content-length": str(len(body))}
         if media_type == HTML:
@@ -199,7 +201,7 @@ class Verbs:
 
     def _name(self, state: State) -> str:
         """The state part of the ETags of a state's representations."""
-        return f"{state.scope or self.boot}-{state.tag}"
+        return f"{state.scope or self.instance_id}-{state.tag}"
 
     async def _stream(self, exchange: Exchange, resource: Resource) -> Response:
         """The changes of a resource as an event stream. What can be refused is refused before it begins."""
@@ -207,16 +209,17 @@ class Verbs:
         rate = asked.rate(exchange.query)
 
         async def render(state: State) -> bytes:
-            return (await self.represented(resource, state, media_type, exchange.judge)).body
+            return (await self.represented(resource, state, media_type, exchange.permissions)).body
 
         await render(await resource.state())
         self.feeds.require_room(exchange.request.client)
         headers = _encoded(standing_headers(resource))
         if exchange.method == "HEAD":
-            return Prepared(200, b"", [*HEADERS, *headers])
-        variant = f"{VARIANTS[media_type]}-{exchange.judge.key}{exchange.judge.mark if media_type == HTML else ''}"
-        told = partial(enforcement.told, exchange.judge, place=self._place(exchange))
-        telling = Telling(variant, render, self._name, exchange.visit.still, told)
+            return RawResponse(200, b"", [*HEADERS, *headers])
+        mark = exchange.permissions.mark if media_type == HTML else ""
+        variant = f"{VARIANTS[media_type]}-{exchange.permissions.key}{mark}"
+        told = partial(enforcement.redact_problem, exchange.permissions, place=self._place(exchange))
+        telling = StreamFormat(variant, render, self._name, exchange.visit.still, told)
         if media_type == HTML:
             telling = replace(telling, edition=lambda: self.pages.edition)
         known, lasting = exchange.header("last-event-id"), resource.followed(exchange)
@@ -244,8 +247,8 @@ class Verbs:
         """A form of one of our pages: the write it means, then the way back to a page (303)."""
         try:
             form = await self.pages.meant(exchange, resource)
-            if not exchange.judge.whole:
-                enforcement.require(exchange.judge, form.method, self._place(exchange), resource)
+            if not exchange.permissions.whole:
+                enforcement.authorize(exchange.permissions, form.method, self._place(exchange), resource)
             exchange.account.begin()
             try:
                 answer = await _VERBS[form.method](resource, exchange)
@@ -256,10 +259,10 @@ class Verbs:
                 raise FormRefused(form, exchange.typed, problem) from error
         except FormRefused as refusal:
             exchange.account.refused(refusal.problem.detail)
-            return await self.pages.refused(resource, refusal, exchange.judge)
+            return await self.pages.refused(resource, refusal, exchange.permissions)
         if isinstance(answer, Response) and answer.status_code == 202 and form.method != "DELETE":
             return await self.pages.told(
-                resource, "It was published, but no subscriber was there to get it.", exchange.judge
+                resource, "It was published, but no subscriber was there to get it.", exchange.permissions
             )
         back = _back(resource, answer, self.pages.came_from(exchange))
         if form.method == "DELETE" and not (isinstance(answer, Response) and answer.status_code == 202):
@@ -283,24 +286,24 @@ class Verbs:
             headers.append((b"content-length", b"0"))
             if exchange.prefer.minimal:
                 headers.append((b"preference-applied", b"return=minimal"))
-            return Prepared(201, b"", headers)
+            return RawResponse(201, b"", headers)
         if is_member:
             types = (replace(each, anchor=resource.url) for each in resource.links if each.rel == "type")
             links = (*links, *types)
         if links:
             headers.append((b"link", link.render(links).encode("latin-1")))
-        return Prepared(201, rendering.body, [*rendering.headers, *headers, (b"content-location", headers[0][1])])
+        return RawResponse(201, rendering.body, [*rendering.headers, *headers, (b"content-location", headers[0][1])])
 
     async def _shown(self, exchange: Exchange, shown: Shown) -> Response:
         """200 with the representation of the resource that shows it (RFC 9110 8.7), or 204 where less is preferred."""
         location = (b"content-location", link.uri(shown.resource.url).encode("ascii"))
         added = [(b"link", link.render(shown.links).encode("latin-1"))] if shown.links else []
         if exchange.prefer.minimal:
-            return Prepared(204, b"", [location, *added, (b"preference-applied", b"return=minimal")])
+            return RawResponse(204, b"", [location, *added, (b"preference-applied", b"return=minimal")])
         rendering = await self._outcome(exchange, shown.resource, shown.state)
         if rendering is None:
-            return Prepared(204, b"", [location, *added])
-        return Prepared(200, rendering.body, [*rendering.headers, location, *added])
+            return RawResponse(204, b"", [location, *added])
+        return RawResponse(200, rendering.body, [*rendering.headers, location, *added])
 
     async def _as_preferred(self, exchange: Exchange, resource: Resource, response: Response) -> Response:
         """The representation after a write instead of an empty 204, where the request prefers it (RFC 7240 4.2)."""
@@ -311,7 +314,7 @@ class Verbs:
             return response
         headers = [*rendering.headers, (b"preference-applied", b"return=representation")]
         headers.append((b"content-location", link.uri(resource.url).encode("ascii")))
-        return Prepared(200, rendering.body, headers)
+        return RawResponse(200, rendering.body, headers)
 
     async def _outcome(
         self, exchange: Exchange, resource: Resource, state: State | None = None, *, answer: bool = False
@@ -320,7 +323,7 @@ class Verbs:
 
         What who asks may not read is not shown, unless it is the `answer` to what was asked, such as a call.
         """
-        if not answer and not exchange.judge.may_read(resource.url):
+        if not answer and not exchange.permissions.may_read(resource.url):
             return None
         try:
             return await self.rendering(exchange, resource, await resource.state() if state is None else state)
@@ -328,10 +331,10 @@ class Verbs:
             return None
 
 
-def _variant(media_type: str, judge: Judge) -> str:
+def _variant(media_type: str, permissions: Permissions) -> str:
     """The variant part of the ETags of representations in a media type, for agents of these rights."""
-    variant = VARIANTS[media_type] if judge.whole else f"{VARIANTS[media_type]}-{judge.key}"
-    return variant + judge.mark if media_type == HTML else variant
+    variant = VARIANTS[media_type] if permissions.whole else f"{VARIANTS[media_type]}-{permissions.key}"
+    return variant + permissions.mark if media_type == HTML else variant
 
 
 def _headers(resource: Resource, state: State, media_type: str, etag: str) -> dict[str, str]:
@@ -353,15 +356,15 @@ def _is_form(exchange: Exchange, resource: Resource) -> bool:
     )
 
 
-def seen(resource: Resource, state: State, judge: Judge) -> State:
+def seen(resource: Resource, state: State, permissions: Permissions) -> State:
     """A state as an agent may see it: made once for the same rights."""
-    if judge.whole:
+    if permissions.whole:
         return state
-    found = state.veils.get(judge.key)
+    found = state.veils.get(permissions.key)
     if found is None:
         if len(state.veils) >= _MOST_RENDERINGS:
             state.veils.clear()
-        found = state.veils[judge.key] = resource.veiled(state, judge)
+        found = state.veils[permissions.key] = resource.veiled(state, permissions)
     return found
 
 
@@ -413,7 +416,7 @@ def _linked(resource: Resource, problem: Problem) -> Problem:
     return problem
 
 
-def chosen(exchange: Exchange) -> str:
+def negotiate(exchange: Exchange) -> str:
     """The media type to answer with: `?format=` before Accept. Raises a 406 Problem naming what there is."""
     if b"format=" in exchange.request.scope["query_string"] and (wanted := exchange.query.get("format")):
         if wanted not in FORMATS:

@@ -9,7 +9,7 @@ MOST = 4
 """Requests begun in a turn. One takes about half a millisecond, so that a turn is over in a few."""
 
 
-class Turns:
+class RequestScheduler:
     """Lets the first requests of a turn begin at once, and the others in the turns after it, in their order.
 
     Belongs to one loop.

@@ -20,7 +20,7 @@ class Signal:
         self._watches[watch] = None
         return watch
 
-    def give(self, about: str = "") -> None:
+    def emit(self, about: str = "") -> None:
         """Wake those whom it concerns."""
         for watch in tuple(self._watches):
             watch.take(about)

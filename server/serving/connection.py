@@ -15,7 +15,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.serving.connections import Connections
 from rosld.server.serving.request_head import LONGEST_TARGET, RequestHead
-from rosld.server.serving.transport import Together
+from rosld.server.serving.transport import CoalescingTransport
 from rosld.server.serving.websocket_connection import WebSocketConnection
 
 _FRAMING_RATIO = 16
@@ -90,7 +90,7 @@ class Connection(HttpToolsProtocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """A client connected, and has a while to say what it wants."""
-        super().connection_made(cast("asyncio.Transport", Together(transport, self.loop)))
+        super().connection_made(cast("asyncio.Transport", CoalescingTransport(transport, self.loop)))
         config = self.config if isinstance(self.config, Bounded) else Bounded
         self._bounds, self._connections = config.bounds, config.connections
         self._impatience = self.loop.call_later(self._bounds.head_seconds, self._too_slow)

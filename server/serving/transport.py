@@ -8,7 +8,7 @@ from collections.abc import Iterable
 _JOINED = 64 * 1024
 
 
-class Together:
+class CoalescingTransport:
     """A transport that sends the head of an answer together with the first of its body: one call of the system less.
 
     uvicorn writes the two one after the other, and uvloop sends each at once, which costs a small answer 7 %.

@@ -23,7 +23,7 @@ class Changes(NamedTuple):
     unfinished: str | None = None
 
 
-class KeptSource(Protocol):
+class ChangeSource(Protocol):
     """Graphs that clients keep. There may be very many, few of which change at a time. Called on the loop."""
 
     @property
@@ -55,5 +55,5 @@ class _Nothing:
         return iter(())
 
 
-NOTHING: KeptSource = _Nothing()
+NOTHING: ChangeSource = _Nothing()
 """Nothing is kept."""

@@ -11,7 +11,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
-from rosld.server.auth.permissions import EVERYTHING, Judge
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.dataset import QueryError
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.loop_time import loop_time
@@ -65,11 +65,11 @@ class QuerySettings:
         return Limits(self.time_limit, self.memory_limit, self.row_limit, self.workers, self.waiting)
 
 
-Unread: TypeAlias = Callable[[Needs, Judge], Awaitable[Mapping[str, int]]]
+Unread: TypeAlias = Callable[[Needs, Permissions], Awaitable[Mapping[str, int]]]
 """How many graphs the needs could match without asking for them, by container."""
 
 
-async def _nothing(needs: Needs, judge: Judge) -> Mapping[str, int]:
+async def _nothing(needs: Needs, permissions: Permissions) -> Mapping[str, int]:
     return {}
 
 
@@ -112,7 +112,7 @@ class QueryService:
         request: QueryRequest,
         accept: str | None,
         hung_up: HangUp | None = None,
-        judge: Judge = EVERYTHING,
+        permissions: Permissions = ALLOW_ALL,
     ) -> QueryAnswer:
         """The results in the form that the client prefers, over what the judge lets be seen; `hung_up` ends it early.
 
@@ -124,27 +124,27 @@ class QueryService:
         analysis = await self._analysed(request.text, limits, until)
         media_type = results.choose(results.QUADS if request.quads else analysis.form, accept)
         await self._process.ready(until)
-        needs = await self._needed(analysis, request, judge)
-        unread = await self._unread(needs, judge)
+        needs = await self._needed(analysis, request, permissions)
+        unread = await self._unread(needs, permissions)
         async with self._synced(needs, limits, _scope(analysis, request)):
-            work = Answer(self._query(analysis, request, judge), media_type, limits.rows)
-            body = await self._done(work, analysis.text, limits, until, hung_up, judge)
+            work = Answer(self._query(analysis, request, permissions), media_type, limits.rows)
+            body = await self._done(work, analysis.text, limits, until, hung_up, permissions)
         return QueryAnswer(media_type, body, unread)
 
     async def table(
-        self, request: QueryRequest, limit: int, hung_up: HangUp | None = None, judge: Judge = EVERYTHING
+        self, request: QueryRequest, limit: int, hung_up: HangUp | None = None, permissions: Permissions = ALLOW_ALL
     ) -> Table:
         """At most `limit` rows of the results, as terms, for a page. Raises as `answer` does."""
         limits, until = self._begun(request)
         analysis = await self._analysed(request.text, limits, until)
         await self._process.ready(until)
-        needs = await self._needed(analysis, request, judge)
+        needs = await self._needed(analysis, request, permissions)
         async with self._synced(needs, limits, _scope(analysis, request)):
-            work = FirstRows(self._query(analysis, request, judge), limit)
-            body = await self._done(work, analysis.text, limits, until, hung_up, judge)
+            work = FirstRows(self._query(analysis, request, permissions), limit)
+            body = await self._done(work, analysis.text, limits, until, hung_up, permissions)
         whole = body if isinstance(body, bytes) else b"".join([chunk async for chunk in body])
         table: Table = pickle.loads(whole)  # from our own process
-        return table._replace(unread=await self._unread(needs, judge))
+        return table._replace(unread=await self._unread(needs, permissions))
 
     async def over(
         self, needs: Needs, graphs: frozenset[str] | None, prepare: Callable[[], Awaitable[Work]]
@@ -172,7 +172,7 @@ class QueryService:
     def prepared(self, text: str, default_graphs: tuple[str, ...] = (), named_graphs: tuple[str, ...] = ()) -> Query:
         """A query as the process takes it now: the ages of topics are of this moment. Raises Problem 400."""
         request = QueryRequest(text, default_graphs, named_graphs)
-        return self._query(self._analyser.analyse(text), request, EVERYTHING)
+        return self._query(self._analyser.analyse(text), request, ALLOW_ALL)
 
     def _begun(self, request: QueryRequest) -> tuple[Limits, float]:
         """The limits of a request, and when its time is over."""
@@ -196,9 +196,9 @@ class QueryService:
         finally:
             self._long -= 1
 
-    async def _needed(self, analysis: Analysis, request: QueryRequest, judge: Judge) -> Needs:
+    async def _needed(self, analysis: Analysis, request: QueryRequest, permissions: Permissions) -> Needs:
         """What the query needs, with all documents that it names, as far as it may be read."""
-        return _readable(await self._synchroniser.resolved(_needs(analysis, request)), judge)
+        return _readable(await self._synchroniser.resolved(_needs(analysis, request)), permissions)
 
     @asynccontextmanager
     async def _synced(self, needs: Needs, limits: Limits, scope: frozenset[str] | None) -> AsyncIterator[None]:
@@ -214,22 +214,22 @@ class QueryService:
         finally:
             await synced.__aexit__(None, None, None)
 
-    def _query(self, analysis: Analysis, request: QueryRequest, judge: Judge) -> Query:
+    def _query(self, analysis: Analysis, request: QueryRequest, permissions: Permissions) -> Query:
         default, named = _dataset(analysis, request)
         ages = None
         if analysis.asks_age:
-            ages = {topic: age for topic, age in self._ages().items() if judge.may_read(topic)}
+            ages = {topic: age for topic, age in self._ages().items() if permissions.may_read(topic)}
         base, prefixes = self._analyser.base, analysis.prefixes
         return Query(analysis.text, base, prefixes, default, named, analysis.plan, ages, analysis.functions)
 
     async def _done(
-        self, work: Work, text: str, limits: Limits, until: float, hung_up: HangUp | None, judge: Judge
+        self, work: Work, text: str, limits: Limits, until: float, hung_up: HangUp | None, permissions: Permissions
     ) -> bytes | AsyncIterator[bytes]:
         dataset = 0
-        if not judge.reads_all:
+        if not permissions.reads_all:
             if self._restricted is None:
                 raise Problem(403, "Queries are for those who may read everything.")
-            dataset = await self._restricted.of(judge, limits, until)
+            dataset = await self._restricted.of(permissions, limits, until)
         try:
             return await self._process.answer(work, limits, until, hung_up, dataset)
         except QueryError as error:
@@ -247,15 +247,15 @@ def _scope(analysis: Analysis, request: QueryRequest) -> frozenset[str] | None:
     return frozenset(default + named) if default or named else analysis.enclosed
 
 
-def _readable(needs: Needs, judge: Judge) -> Needs:
+def _readable(needs: Needs, permissions: Permissions) -> Needs:
     """Needs without what may not be read: nothing is subscribed to or called for one who may not see it."""
-    if judge.reads_all:
+    if permissions.reads_all:
         return needs
     demands = (
-        one if one.graphs is None else replace(one, graphs=frozenset(filter(judge.may_read, one.graphs)))
+        one if one.graphs is None else replace(one, graphs=frozenset(filter(permissions.may_read, one.graphs)))
         for one in needs.demands
     )
-    documents = frozenset(filter(judge.may_read, needs.documents))
+    documents = frozenset(filter(permissions.may_read, needs.documents))
     return Needs(tuple(one for one in demands if one.graphs is None or one.graphs), documents)
 
 

@@ -23,7 +23,7 @@ from pyoxigraph import Triple
 from rosld.server.dataset import Edit
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.memory import MEMORY, SENT_PER_CHARACTER
-from rosld.server.sparql.change_source import NOTHING, Changes, KeptSource
+from rosld.server.sparql.change_source import NOTHING, Changes, ChangeSource
 from rosld.server.sparql.limits import restarting
 from rosld.server.sparql.needs import Needs
 
@@ -212,8 +212,8 @@ class Synchroniser:
         self,
         target: Target,
         source: GraphSource,
-        kept: KeptSource = NOTHING,
-        *more: KeptSource,
+        kept: ChangeSource = NOTHING,
+        *more: ChangeSource,
         interval: float = WILDCARD_INTERVAL,
         mentioned: Mentioned | None = None,
     ) -> None:
@@ -493,7 +493,7 @@ class Synchroniser:
         self._ahead.clear()
         return True
 
-    def _fill(self, sources: Sequence[KeptSource]) -> _Filling:
+    def _fill(self, sources: Sequence[ChangeSource]) -> _Filling:
         """Begin to bring what changed in these sources."""
         total = sum(kept.version - before for kept, before in zip(sources, self._versions, strict=False))
         filling = self._filling = _Filling(total)
@@ -507,7 +507,7 @@ class Synchroniser:
         if not task.cancelled():
             task.exception()  # whoever waits for it sees it too
 
-    async def _bring(self, sources: Sequence[KeptSource], filling: _Filling) -> None:
+    async def _bring(self, sources: Sequence[ChangeSource], filling: _Filling) -> None:
         """Bring what changed in these sources by now, part by part."""
         generation, done = self._generation, 0
         for place, kept in enumerate(sources):

@@ -8,7 +8,7 @@ from functools import partial
 from pyoxigraph import NamedNode, RdfFormat, parse
 
 from rosld.ontology.vocab import rdf, ros
-from rosld.server.sparql.change_source import Changes, KeptSource
+from rosld.server.sparql.change_source import Changes, ChangeSource
 from rosld.server.sparql.terms import document
 
 _LIVE = ("topics/", "parameters/", "resources/", "bags/")
@@ -66,7 +66,7 @@ class Mentions:
 class Noting:
     """What clients keep, noting what it mentions as it is rendered: a `KeptSource`."""
 
-    def __init__(self, kept: KeptSource, mentions: Mentions) -> None:
+    def __init__(self, kept: ChangeSource, mentions: Mentions) -> None:
         self._kept = kept
         self._mentions = mentions
 

@@ -17,7 +17,7 @@ from itertools import islice
 from pyoxigraph import RdfFormat, parse, serialize
 
 from rosld.ontology.document import Document
-from rosld.server.auth.permissions import Judge
+from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction import veiled
 from rosld.server.dataset import Edit
 from rosld.server.sparql.limits import Limits
@@ -39,18 +39,18 @@ class RestrictedDatasets:
         self._kept: OrderedDict[str, _Restricted] = OrderedDict()
         process.watch(self._changed)
 
-    async def of(self, judge: Judge, limits: Limits, until: float) -> int:
+    async def of(self, permissions: Permissions, limits: Limits, until: float) -> int:
         """The number of the dataset as the judge lets it be seen, of now: to be asked at once. Raises Problems."""
-        revision = self._revision() if judge.rights.is_typed else None
-        found = self._kept.get(judge.key)
+        revision = self._revision() if permissions.rights.is_typed else None
+        found = self._kept.get(permissions.key)
         if found is None or found.revision != revision or found.generation != self._process.generation:
             if found is not None:
-                self._drop(judge.key)
+                self._drop(permissions.key)
             names: list[str] = pickle.loads(await self._process.result(Graphs(), limits, until))
-            found = self._kept[judge.key] = _Restricted(self._process, judge, revision, names)
+            found = self._kept[permissions.key] = _Restricted(self._process, permissions, revision, names)
             while len(self._kept) > _MOST:
                 self._drop(next(iter(self._kept)))
-        self._kept.move_to_end(judge.key)
+        self._kept.move_to_end(permissions.key)
         async with found.turn:
             await found.catch_up(limits, until)
         return found.number
@@ -68,14 +68,16 @@ class RestrictedDatasets:
 class _Restricted:
     """The dataset as one set of rights lets it be seen."""
 
-    def __init__(self, process: QueryProcess, judge: Judge, revision: Hashable, names: Sequence[str]) -> None:
+    def __init__(
+        self, process: QueryProcess, permissions: Permissions, revision: Hashable, names: Sequence[str]
+    ) -> None:
         self.number = process.new_dataset()
         self.generation = process.generation
         self.revision = revision
         self.turn = asyncio.Lock()
         self.behind: dict[str, None] = dict.fromkeys(names)
         self._process = process
-        self._judge = judge
+        self._permissions = permissions
 
     async def catch_up(self, limits: Limits, until: float) -> None:
         """Bring here what has changed. What changes by then is brought, too: so it ends with all of one moment."""
@@ -83,7 +85,7 @@ class _Restricted:
             part = tuple(islice(self.behind, _PART))
             for graph in part:
                 del self.behind[graph]
-            readable = tuple(filter(self._judge.may_read, part))
+            readable = tuple(filter(self._permissions.may_read, part))
             texts: dict[str, str | None] = dict.fromkeys(part)
             try:
                 if readable:
@@ -95,13 +97,15 @@ class _Restricted:
                 raise
 
     def _seen(self, texts: Mapping[str, str | None]) -> dict[str, str | None]:
-        return {graph: None if text is None else _veiled(graph, text, self._judge) for graph, text in texts.items()}
+        return {
+            graph: None if text is None else _veiled(graph, text, self._permissions) for graph, text in texts.items()
+        }
 
 
-def _veiled(graph: str, text: str, judge: Judge) -> str:
+def _veiled(graph: str, text: str, permissions: Permissions) -> str:
     """The N-Triples of a graph as they may be read."""
     triples = tuple(quad.triple for quad in parse(text.encode(), RdfFormat.N_TRIPLES))
-    left = veiled(Document(graph, triples), judge).triples
+    left = veiled(Document(graph, triples), permissions).triples
     if len(left) == len(triples):
         return text
     return (serialize(left, format=RdfFormat.N_TRIPLES) or b"").decode()

@@ -30,7 +30,7 @@ import pyoxigraph
 
 from rosld.server.storage import packing
 from rosld.server.storage.blobs import ID, Blobs
-from rosld.server.storage.ledger import Busy, Entry, Ledger, failure
+from rosld.server.storage.ledger import Busy, Entry, RecordTable, failure
 from rosld.server.storage.paths import check, container_of
 from rosld.server.storage.record import NO_MEMBER, Blob, Membership, Model, Put, Record, StorageError
 from rosld.server.storage.sqlite import BLOBS, DATABASE, connect
@@ -89,7 +89,7 @@ def _snapshot(folder: Path, gone: IO[bytes]) -> Iterator[Entry]:
     """All entries as they are at one moment; at the end the paths of what is gone then are in `gone`."""
     try:
         with contextlib.closing(connect(folder)) as connection:
-            ledger = Ledger(connection)
+            ledger = RecordTable(connection)
             connection.execute("BEGIN")
             yield from ledger.entries()
             for path in ledger.gone():
@@ -213,7 +213,7 @@ class _Moved:
 def _replace_all(connection: sqlite3.Connection, entries: Iterable[Entry], gone: Iterable[str]) -> list[str]:
     """Put entries in place of all records; the blobs set free."""
     connection.execute("PRAGMA synchronous = FULL")
-    ledger = Ledger(connection)
+    ledger = RecordTable(connection)
     try:
         ledger.begin()
         freed = ledger.restore(entries, gone, time.time_ns())

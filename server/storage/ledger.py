@@ -122,7 +122,7 @@ class Applied:
         return sorted(changed, key=_version)
 
 
-class Ledger:
+class RecordTable:
     """Records in a database whose tables are there. Belongs to one thread at a time.
 
     `known` tells of a record without asking the database; it may be out of date.
@@ -194,7 +194,7 @@ class Ledger:
 
         self._execute = refuse
 
-    def succeed(self, former: Ledger, undone: Iterable[str]) -> None:
+    def succeed(self, former: RecordTable, undone: Iterable[str]) -> None:
         """Take the place of a former ledger, some of whose writes were not kept: these have changed once more.
 
         Versions go on from its own, so that none stands for two states. Raises what a write raises.

@@ -20,7 +20,7 @@ from rosld.server.storage.cache import Cache
 from rosld.server.storage.differences import Differences, Step
 from rosld.server.storage.durability import Durability, carried_over
 from rosld.server.storage.group import Group, Job
-from rosld.server.storage.ledger import Applied, Busy, Ledger, is_full, relisted
+from rosld.server.storage.ledger import Applied, Busy, RecordTable, is_full, relisted
 from rosld.server.storage.log import close_as_it_is
 from rosld.server.storage.paths import check
 from rosld.server.storage.record import (
@@ -120,7 +120,7 @@ class SqliteRecords:
             folder.mkdir(parents=True, exist_ok=True)
         self._connection = _connect_where_full(folder) if folder is not None else connect(None)
         try:
-            self._ledger = Ledger(self._connection, self._cache.get)
+            self._ledger = RecordTable(self._connection, self._cache.get)
             self._make_roots(roots)
             if folder is not None:
                 self._keep_in(folder)
@@ -303,7 +303,7 @@ class SqliteRecords:
             _log.error("%s", error)
             return
         self._connection.execute("PRAGMA busy_timeout = 0")
-        self._ledger = Ledger(self._connection, self._cache.get)
+        self._ledger = RecordTable(self._connection, self._cache.get)
         undone = () if self._durability.failure is not None else tuple(self._undone)
         try:
             self._ledger.succeed(former, undone)

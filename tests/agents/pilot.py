@@ -70,9 +70,9 @@ class Demand:
         """The value as Turtle. Raises Forbidden where the shape does not let it through."""
         subject = URIRef(target)
         body = Graph().add((subject, self.path, Literal(str(value), datatype=self.datatype)))
-        judge = Graph() + self.graph
-        judge.add((self.shape, SH.targetNode, subject))
-        conforms, _, words = pyshacl.validate(body, shacl_graph=judge)
+        permissions = Graph() + self.graph
+        permissions.add((self.shape, SH.targetNode, subject))
+        conforms, _, words = pyshacl.validate(body, shacl_graph=permissions)
         if not conforms:
             raise Forbidden(f"{value:g} is not sent to {target}: {words}")
         return body.serialize(format=TURTLE)

@@ -127,7 +127,7 @@ class Server:
         found: dict[str, Any] = item[method.lower()]
         return found
 
-    def judge(self, path: str, method: str, answer: Answer) -> None:
+    def permissions(self, path: str, method: str, answer: Answer) -> None:
         """That the description tells of this answer to this operation."""
         sound(answer, method)
         responses = self.operation(path, method)["responses"]
@@ -335,7 +335,7 @@ def test_what_the_description_makes_is_answered_as_it_tells(
         def attempt(case: Any) -> None:
             answer = case.call(base_url=server.url.rstrip("/"), timeout=PATIENCE, stream=False)
             headers = {name.lower(): ", ".join(values) for name, values in answer.headers.items()}
-            server.judge(case.path, case.method, Answer(answer.status_code, headers, answer.content))
+            server.permissions(case.path, case.method, Answer(answer.status_code, headers, answer.content))
 
         try:
             attempt()
@@ -486,7 +486,7 @@ def judged(server: Server, method: str, path: str, answer: Answer) -> None:
     if at is None:
         sound(answer, method)
     else:
-        server.judge(at, method, answer)
+        server.permissions(at, method, answer)
 
 
 @pytest.mark.parametrize("method", ["GET", "HEAD", "OPTIONS"])

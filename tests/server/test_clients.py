@@ -6,7 +6,7 @@ import pytest
 
 from rosld.server.auth import rate_limit as limits
 from rosld.server.auth.agent import ANYBODY, Agent
-from rosld.server.auth.rate_limit import Allowance, Clients, name_of
+from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits, name_of
 from rosld.server.http.problem import Problem
 
 FAR, OTHER = "192.0.2.1", "192.0.2.2"
@@ -22,11 +22,11 @@ class Clock:
 
 def clients(
     clock: Clock, *, rate: float = 10.0, requests: int = 1000, connections: int = 10, loopback: bool = False
-) -> Clients:
-    return Clients(Allowance(rate, requests, connections), loopback=loopback, clock=clock)
+) -> ClientLimiter:
+    return ClientLimiter(ClientLimits(rate, requests, connections), loopback=loopback, clock=clock)
 
 
-def passing(of: Clients, agent: Agent = ANYBODY, address: str = FAR) -> int:
+def passing(of: ClientLimiter, agent: Agent = ANYBODY, address: str = FAR) -> int:
     """How many requests pass at this moment."""
     for number in range(1000):
         try:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.server.robot.schedule import Lapse, Publish, Schedule, Wait
+from rosld.server.robot.schedule import LeaseExpired, Publish, Schedule, Wait
 
 periods = st.floats(0.02, 10.0)
 origins = st.floats(0.0, 1e6)
@@ -29,7 +29,7 @@ def run(schedule: Schedule, delays: list[float]) -> list[tuple[float, int]]:
                 assert after.due > now
                 schedule = after
                 now = after.due + delay
-            case Lapse():
+            case LeaseExpired():
                 break
     return published
 
@@ -66,7 +66,7 @@ def test_nothing_is_published_when_the_lease_is_over(
 ) -> None:
     schedule = Schedule(period, origin, origin + lease)
     assert all(at < origin + lease for at, _ in run(schedule, delays))
-    assert schedule.step(origin + lease) == Lapse()
+    assert schedule.step(origin + lease) == LeaseExpired()
     waiting = schedule.step(origin - 1.0)
     assert isinstance(waiting, Wait)
     assert waiting.until <= origin + lease

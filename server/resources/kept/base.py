@@ -37,8 +37,8 @@ class Kept(Resource):
     @property
     def makes(self) -> Sequence[str]:
         """The media types of what may be made here: those of its judge, where somebody judges it."""
-        judge = judge_of(self.robot, self.path + "?")
-        return (*RDF_BODIES, ANYTHING) if judge is None else judge.makes
+        permissions = judge_of(self.robot, self.path + "?")
+        return (*RDF_BODIES, ANYTHING) if permissions is None else permissions.makes
 
     def methods(self) -> frozenset[str]:
         return READ if self.robot.settings.read_only else READ | self.writes
@@ -50,8 +50,8 @@ class Kept(Resource):
 
     @property
     def constrained_by(self) -> str | None:
-        judge = judge_of(self.robot, self.path)
-        return self.robot.space.shape("data" if judge is None else judge.shape)
+        permissions = judge_of(self.robot, self.path)
+        return self.robot.space.shape("data" if permissions is None else permissions.shape)
 
     def there(self) -> Record:
         """The record; a 404 or 410 Problem where there is none."""

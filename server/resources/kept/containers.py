@@ -94,11 +94,11 @@ class ContainerResource(SourceResource):
         """A member, named by Slug where that is free (LDP 5.2.3)."""
         self.there()
         model = self._model(exchange)
-        judge = exchange.judge
+        permissions = exchange.permissions
 
         def is_taken(name: str) -> bool:
             """Whether it is taken, or not for who asks to give: which of both is not told."""
-            return not judge.may("PUT", self.url + encode_segment(name)) or self.is_taken(name)
+            return not permissions.may("PUT", self.url + encode_segment(name)) or self.is_taken(name)
 
         blob = await received(self.robot, exchange) if model is Model.NON_RDF_SOURCE else None
         while True:

@@ -71,7 +71,7 @@ class MappingJudge:
     def _told(self, act: Callable[[], None]) -> Callable[[], None]:
         def sequel() -> None:
             act()
-            self._robot.changes.give()
+            self._robot.changes.emit()
 
         return sequel
 
@@ -91,10 +91,10 @@ class QueryJudge:
 
     async def judged(self, write: Write) -> Callable[[], None]:
         if isinstance(write, Put):
-            await self._judge(write)
-        return self._robot.changes.give
+            await self._permissions(write)
+        return self._robot.changes.emit
 
-    async def _judge(self, put: Put) -> None:
+    async def _permissions(self, put: Put) -> None:
         robot = self._robot
         if put.blob is None or "/" in put.path.removeprefix(QUERIES):
             room = robot.space.base + QUERIES
@@ -140,7 +140,7 @@ class LimitsJudge:
         def sequel() -> None:
             act()
             self._robot.states.clear()  # bounds are part of what resources say of themselves
-            self._robot.changes.give()
+            self._robot.changes.emit()
 
         return sequel
 

@@ -25,7 +25,7 @@ from rosld.server.resources.kept.sources import DescriptionResource
 from rosld.server.resources.kept.stated import N3_PATCH, is_light, patched
 from rosld.server.resources.kept.together import kept_together
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.plan import Keep
+from rosld.server.rest.plan import StorageWrite
 from rosld.server.rest.resource import ABSENT, RDF_BODIES, SPARQL_UPDATE, Answer, Created, Resource, moved
 from rosld.server.rest.resource_headers import standing_headers
 from rosld.server.rest.state import State
@@ -78,7 +78,7 @@ class AbsentResource(Kept):
     def _missing(self, exchange: Exchange) -> Problem:
         """That nothing is here, and for those who may make something what that may be."""
         problem = missing(self.robot, self.path)
-        if problem.status in (404, 410) and self.methods() > ABSENT and exchange.judge.may("PUT", self.url):
+        if problem.status in (404, 410) and self.methods() > ABSENT and exchange.permissions.may("PUT", self.url):
             problem.headers |= {name: value for name, value in standing_headers(self).items() if name != "link"}
         return problem
 
@@ -94,12 +94,14 @@ class AbsentResource(Kept):
     def _model(self, exchange: Exchange) -> Model:
         return asked_model(exchange, self.url, container=self.url.endswith("/"))
 
-    async def planned(self, triples: Sequence[Triple] | None) -> Keep:
+    async def planned(self, triples: Sequence[Triple] | None) -> StorageWrite:
         if "PUT" not in self.methods():
             raise Problem(403, self.why_not("PUT"))
         if triples is None:
             raise missing(self.robot, self.path)
-        return Keep(f"make {self.title}", tuple(await making(self.robot, self.path, self._plain_model, triples)))
+        return StorageWrite(
+            f"make {self.title}", tuple(await making(self.robot, self.path, self._plain_model, triples))
+        )
 
     @property
     def _plain_model(self) -> Model:

@@ -36,7 +36,7 @@ from rosld.server.resources.kept.stated import (
     stand_in,
 )
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.plan import Keep
+from rosld.server.rest.plan import StorageWrite
 from rosld.server.rest.prepared import done
 from rosld.server.rest.resource import RDF_BODIES, SPARQL_UPDATE, Answer
 from rosld.server.rest.state import State, require_memory
@@ -123,14 +123,14 @@ class SourceResource(Kept):
         require_same_members(before, after, self.url)
         return after
 
-    async def planned(self, triples: Sequence[Triple] | None) -> Keep:
+    async def planned(self, triples: Sequence[Triple] | None) -> StorageWrite:
         method = "DELETE" if triples is None else "PUT"
         if method not in self.methods():
             raise Problem(403, self.why_not(method))
         if triples is None:
-            return Keep(f"delete {self.title}", (Remove(self.path, self.there().version),))
+            return StorageWrite(f"delete {self.title}", (Remove(self.path, self.there().version),))
         record = self.there()
-        return Keep(f"store {self.title}", (await self.with_triples(record, triples, record.version),))
+        return StorageWrite(f"store {self.title}", (await self.with_triples(record, triples, record.version),))
 
     @property
     def document_url(self) -> str:

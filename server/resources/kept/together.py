@@ -15,14 +15,14 @@ async def kept_together(robot: Robot, writes: Sequence[Write]) -> Sequence[Recor
     """Do these writes in one transaction, if they are found good. Raises Conflict, Problems and LoweringError."""
     for write in writes:
         accounted_for(f"{'store' if isinstance(write, Put) else 'delete'} /{write.path}", robot.space.base + write.path)
-    judges = [(write, judge) for write in writes if (judge := judge_of(robot, write.path)) is not None]
+    judges = [(write, permissions) for write in writes if (permissions := judge_of(robot, write.path)) is not None]
     if not judges:
         return await robot.records.write(*writes)
-    turns = {judge.shape: judge.turn for _, judge in judges}
+    turns = {permissions.shape: permissions.turn for _, permissions in judges}
     async with contextlib.AsyncExitStack() as held:
         for shape in sorted(turns):
             await held.enter_async_context(turns[shape])
-        sequels = [await judge.judged(write) for write, judge in judges]
+        sequels = [await permissions.judged(write) for write, permissions in judges]
         records = await robot.records.write(*writes)
         for sequel in sequels:
             sequel()

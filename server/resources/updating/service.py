@@ -13,7 +13,7 @@ from starlette.responses import Response
 from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
-from rosld.server.auth.permissions import EVERYTHING, Judge
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.http.problem import Problem
 from rosld.server.receipts.account import accounted_for
 from rosld.server.resources.complex import ComplexResource
@@ -25,14 +25,14 @@ from rosld.server.resources.updating.loading import loaded
 from rosld.server.resources.updating.report import Entry, Fate, RefusedGraphs, answer, failure, partly, reason
 from rosld.server.resources.updating.rights import require_change, require_rights
 from rosld.server.resources.updating.silent import without_silent_failures, without_silent_on
-from rosld.server.rest.keyed_lock import Alone
-from rosld.server.rest.plan import Keep, Move, Plan
+from rosld.server.rest.keyed_lock import KeyedLock
+from rosld.server.rest.plan import Plan, RobotWrite, StorageWrite
 from rosld.server.rest.resource import READ, Resource
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.syntax.lexer import Bounds
 from rosld.server.sparql.update.evaluate import GraphChange, graphs_named
-from rosld.server.sparql.update.executor import Drawer, Drawn
+from rosld.server.sparql.update.executor import Delta, UpdateEvaluator
 from rosld.server.sparql.update.operations import Manage, Operation, Verb
 from rosld.server.sparql.update.reading import read_update
 from rosld.server.storage import Cause, Conflict, Write
@@ -69,21 +69,21 @@ class Updates:
     def __init__(
         self,
         robot: Robot,
-        drawer: Drawer,
+        drawer: UpdateEvaluator,
         analyser: Analyser,
         bounds: Bounds,
         at: Callable[[str], Resource],
-        alone: Alone,
+        alone: KeyedLock,
     ) -> None:
         self._robot = robot
         self._drawer = drawer
         self._read_operations = partial(read_update, prefixes=analyser.prefixes, base=analyser.base, bounds=bounds)
         self._at = at
         self._alone = alone
-        self._line = Alone(_PATIENCE)
+        self._line = KeyedLock(_PATIENCE)
 
     async def answer(
-        self, request: UpdateRequest, *, dry_run: bool, accept: str | None, judge: Judge = EVERYTHING
+        self, request: UpdateRequest, *, dry_run: bool, accept: str | None, permissions: Permissions = ALLOW_ALL
     ) -> Response:
         """Carry an update out, or tell what it would do (`dry_run`). Raises Problems.
 
@@ -93,13 +93,15 @@ class Updates:
         """
         if self._robot.settings.read_only:
             raise Problem(403, "This server is read-only.")
-        return await self.carry_out(await self._read(request), dry_run=dry_run, judge=judge)
+        return await self.carry_out(await self._read(request), dry_run=dry_run, permissions=permissions)
 
-    async def carry_out(self, operations: Sequence[Operation], *, dry_run: bool, judge: Judge = EVERYTHING) -> Response:
+    async def carry_out(
+        self, operations: Sequence[Operation], *, dry_run: bool, permissions: Permissions = ALLOW_ALL
+    ) -> Response:
         """Carry out operations, as `answer` does those of an update. Raises Problems."""
         if self._robot.settings.read_only:
             raise Problem(403, "This server is read-only.")
-        operations = without_silent_failures(operations, lambda each: require_rights([each], judge))
+        operations = without_silent_failures(operations, lambda each: require_rights([each], permissions))
         operations = without_silent_failures(operations, self._require_manageable)
         settings = self._robot.settings
         operations = await loaded(
@@ -111,7 +113,7 @@ class Updates:
         async with self._in_line(operations):
             while True:
                 try:
-                    return await self._drawn_and_done(operations, judge, dry_run=dry_run)
+                    return await self._drawn_and_done(operations, permissions, dry_run=dry_run)
                 except RefusedGraphs as refusal:
                     left = without_silent_on(operations, refusal.graphs)
                     if len(left) == len(operations):
@@ -130,7 +132,9 @@ class Updates:
                     await held.enter_async_context(self._line.at(graph))
             yield
 
-    async def _drawn_and_done(self, operations: Sequence[Operation], judge: Judge, *, dry_run: bool) -> Response:
+    async def _drawn_and_done(
+        self, operations: Sequence[Operation], permissions: Permissions, *, dry_run: bool
+    ) -> Response:
         more: frozenset[str] = frozenset()
         turns: frozenset[str] = frozenset()
         for _ in range(ATTEMPTS):
@@ -140,7 +144,7 @@ class Updates:
                 if unseen - more:
                     more |= unseen
                     drawn = await self._drawer.draw(operations, more)
-                done = await self._carried_out(drawn, judge, turns, dry_run=dry_run)
+                done = await self._carried_out(drawn, permissions, turns, dry_run=dry_run)
             if done is not None:
                 return done
             turns |= {change.graph for change in drawn.changes}
@@ -162,7 +166,7 @@ class Updates:
         location = self._robot.space.location(graph)
         return None if location is None else location.kind
 
-    def _unseen(self, drawn: Drawn) -> frozenset[str]:
+    def _unseen(self, drawn: Delta) -> frozenset[str]:
         """The graphs that change by themselves, and whose values were not there when the update was drawn."""
         changed = (change.graph for change in drawn.changes)
         return frozenset(graph for graph in changed if graph not in drawn.seen and self._kind(graph) in _LIVE)
@@ -202,10 +206,10 @@ class Updates:
     # From a drawing to its end
 
     async def _carried_out(
-        self, drawn: Drawn, judge: Judge, turns: frozenset[str], *, dry_run: bool
+        self, drawn: Delta, permissions: Permissions, turns: frozenset[str], *, dry_run: bool
     ) -> Response | None:
         """The answer; None where what the update was drawn over is no longer so. The graphs `turns` are held."""
-        targets = await self._targets(drawn.changes, judge)
+        targets = await self._targets(drawn.changes, permissions)
         async with self._turns(targets, turns):
             if not await self._holds(drawn, targets):
                 return None
@@ -216,14 +220,14 @@ class Updates:
                 return None
             return await self._done(plans)
 
-    async def _targets(self, changes: Sequence[GraphChange], judge: Judge) -> Sequence[Target]:
+    async def _targets(self, changes: Sequence[GraphChange], permissions: Permissions) -> Sequence[Target]:
         """What is written; the Problem of all that cannot be written whatever they are to say, if any is."""
         found, reasons = [], []
         for change in changes:
             try:
                 resource = self._resource(change.graph)
                 await resource.ready()
-                require_change(judge, change.graph, resource)
+                require_change(permissions, change.graph, resource)
                 if resource.methods() <= READ:
                     raise Problem(403, resource.why_not("PATCH" if {*resource.accepts} == {"PATCH"} else "PUT"))
                 found.append(Target(change, resource))
@@ -253,7 +257,7 @@ class Updates:
                 await held.enter_async_context(self._robot.offers.turn(layout, *names, changed=names))
             yield
 
-    async def _holds(self, drawn: Drawn, targets: Sequence[Target]) -> bool:
+    async def _holds(self, drawn: Delta, targets: Sequence[Target]) -> bool:
         """Whether everything that the update was drawn over is as it was."""
         for target in targets:
             if isinstance(target.resource, Kept):
@@ -291,10 +295,10 @@ class Updates:
 
     async def _done(self, plans: Sequence[Planned]) -> Response | None:
         """Carry plans out: what is kept in one transaction, then what moves the robot, one after the other."""
-        kept = [(graph, plan) for graph, plan in plans if isinstance(plan, Keep)]
-        moves = [(graph, plan) for graph, plan in plans if isinstance(plan, Move)]
+        kept = [(graph, plan) for graph, plan in plans if isinstance(plan, StorageWrite)]
+        moves = [(graph, plan) for graph, plan in plans if isinstance(plan, RobotWrite)]
         if moves:
-            self._robot.gate.require_open()
+            self._robot.interlock.require_open()
         if kept:
             writes: dict[str, Write] = {}
             for graph, plan in kept:

@@ -29,7 +29,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.sparql import results, rows
 from rosld.server.sparql.functions import functions, unknown
 from rosld.server.sparql.process.cost import Plan, may_take_long
-from rosld.server.sparql.update.evaluate import Canvas, GraphChange, Row, asks_again, copies, draw, graphs_named
+from rosld.server.sparql.update.evaluate import GraphChange, Row, StagingDataset, asks_again, copies, draw, graphs_named
 from rosld.server.sparql.update.operations import Hole, Modify, Operation, QuadTemplate, Where
 
 _MOST_GRAPHS = 8
@@ -191,7 +191,7 @@ class Draw(NamedTuple):
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         operations, asked = _opened(self.update)
         by_where = {id(one.where): one for one in asked}
-        canvas = Canvas(store.triples, store.dataset if asks_again(operations) else None)
+        canvas = StagingDataset(store.triples, store.dataset if asks_again(operations) else None)
         draw(operations, canvas, lambda where: by_where[id(where)].solutions(store))
         output.write(pickle.dumps([_written(change) for change in canvas.changes()]))
 

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from starlette.responses import Response
 
-from rosld.server.auth.permissions import EVERYTHING, Judge
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.update.operations import Operation
 
@@ -16,7 +16,7 @@ class Updates(Protocol):
     """Carries out updates."""
 
     async def answer(
-        self, request: UpdateRequest, *, dry_run: bool, accept: str | None, judge: Judge = EVERYTHING
+        self, request: UpdateRequest, *, dry_run: bool, accept: str | None, permissions: Permissions = ALLOW_ALL
     ) -> Response:
         """Carry an update out, or only say what it would do (`dry_run`); `accept` is the request's Accept field.
 
@@ -24,7 +24,9 @@ class Updates(Protocol):
         """
         ...
 
-    async def carry_out(self, operations: Sequence[Operation], *, dry_run: bool, judge: Judge = EVERYTHING) -> Response:
+    async def carry_out(
+        self, operations: Sequence[Operation], *, dry_run: bool, permissions: Permissions = ALLOW_ALL
+    ) -> Response:
         """Carry out operations, as `answer` does those of an update."""
         ...
 

@@ -44,7 +44,7 @@ class GraphChange(NamedTuple):
     after: tuple[Triple, ...] | None
 
 
-class Canvas:
+class StagingDataset:
     """Graphs being changed, as copies; and with them those of a `dataset` that is thrown away afterwards, if given."""
 
     def __init__(self, look: Look, dataset: pyoxigraph.Store | None = None) -> None:
@@ -120,7 +120,7 @@ def _name(quad: Quad) -> str:
     return quad.graph_name.value
 
 
-def draw(operations: Sequence[Operation], canvas: Canvas, ask: Ask) -> None:
+def draw(operations: Sequence[Operation], canvas: StagingDataset, ask: Ask) -> None:
     """Carry operations out on a canvas. Raises Problems for what cannot be done as they say, whatever the graphs are.
 
     `ask` answers over the dataset as the canvas has it by then, which is the dataset as it was before the first
@@ -167,7 +167,7 @@ def _named(operations: Sequence[Operation]) -> Iterator[str]:
 # Modify
 
 
-def _modify(operation: Modify, canvas: Canvas, ask: Ask) -> None:
+def _modify(operation: Modify, canvas: StagingDataset, ask: Ask) -> None:
     for quad in (*operation.deletes, *operation.inserts):
         if quad.graph is None:
             raise Problem(
@@ -214,7 +214,7 @@ def filled(quads: Sequence[QuadTemplate], values: Mapping[str, Term | None]) -> 
 # Manage
 
 
-def _manage(operation: Manage, canvas: Canvas) -> None:
+def _manage(operation: Manage, canvas: StagingDataset) -> None:
     verb, target, source = operation.verb, operation.target, operation.source
     if isinstance(target, Several) or isinstance(source, Several):
         if operation.silent:
@@ -237,7 +237,7 @@ def _manage(operation: Manage, canvas: Canvas) -> None:
         _copy(verb, source, target, canvas)
 
 
-def _copy(verb: Verb, source: str, target: str, canvas: Canvas) -> None:
+def _copy(verb: Verb, source: str, target: str, canvas: StagingDataset) -> None:
     # What it needs has threads of its own, which the query process must not have: copies are drawn in forks of it.
     from rosld.server.sparql.update.copying import unmanaged_triples
 

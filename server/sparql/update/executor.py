@@ -20,7 +20,7 @@ _INLINE_BYTES = 128 * 1024
 """Bytes of what an update comes to that are read on the loop."""
 
 
-class Drawn(NamedTuple):
+class Delta(NamedTuple):
     """What operations come to. It holds for as long as the graphs with live values in `seen` have these tokens, and
 
     what clients keep of the graphs that change is not of a later version than `kept`. Those in `named` it names.
@@ -41,14 +41,14 @@ class _Asked(NamedTuple):
     scope: frozenset[str] | None
 
 
-class Drawer:
+class UpdateEvaluator:
     """Draws updates. Belongs to one loop."""
 
     def __init__(self, service: QueryService, analyser: Analyser) -> None:
         self._service = service
         self._analyser = analyser
 
-    async def draw(self, operations: Sequence[Operation], more: frozenset[str] = frozenset()) -> Drawn:
+    async def draw(self, operations: Sequence[Operation], more: frozenset[str] = frozenset()) -> Delta:
         """What operations come to now; `more` are graphs whose values are to be there beside those they name.
 
         Raises Problems as a query does, and those of `drawing.draw`.
@@ -66,7 +66,7 @@ class Drawer:
 
         result, seen = await self._service.over(needs, _scope(asked, graphs), prepare)
         changes = drawn(result) if len(result) <= _INLINE_BYTES else await asyncio.to_thread(drawn, result)
-        return Drawn(changes, _read(needs, seen), seen.kept, graphs | needs.documents)
+        return Delta(changes, _read(needs, seen), seen.kept, graphs | needs.documents)
 
     def _asked(self, where: Where) -> _Asked:
         analysis = self._analyser.analyse(where.query)

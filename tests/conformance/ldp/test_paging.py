@@ -15,7 +15,7 @@ from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.vocab import ldp
 from rosld.server.storage import Model, Put, Record, Remove, Write
-from rosld.server.storage.ledger import Entry, Ledger
+from rosld.server.storage.ledger import Entry, RecordTable
 from rosld.server.storage.sqlite import connect
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of data with a container of 100,000 members."""
     folder = tmp_path_factory.mktemp("large")
     connection = connect(folder)
-    ledger = Ledger(connection)
+    ledger = RecordTable(connection)
     ledger.begin()
     ledger.restore(entries(), (), time.time_ns())
     ledger.commit()
@@ -56,7 +56,7 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def steps(filled: Path) -> Callable[[Write], int]:
     """How many steps SQLite takes for a write, which is then undone; asked for before a server has the folder."""
     connection = connect(filled)
-    ledger, taken = Ledger(connection), [0]
+    ledger, taken = RecordTable(connection), [0]
 
     def count() -> int:
         taken[0] += 1

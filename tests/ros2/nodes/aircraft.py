@@ -111,7 +111,7 @@ class Aircraft(Node):
             Fly,
             "/aircraft/fly",
             self.fly,
-            goal_callback=self.judge,
+            goal_callback=self.permissions,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             callback_group=ReentrantCallbackGroup(),
         )
@@ -146,7 +146,7 @@ class Aircraft(Node):
 
         self.create_service(kind, name, answer)
 
-    def judge(self, goal: Any) -> GoalResponse:
+    def permissions(self, goal: Any) -> GoalResponse:
         """A distance that is none is rejected, and so is every goal while the aircraft is off."""
         with self.flight.lock:
             return GoalResponse.ACCEPT if self.flight.on and goal.distance > 0.0 else GoalResponse.REJECT

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.server.dataset import Edit, MemoryStore
-from rosld.server.dataset.replica_state import Told
+from rosld.server.dataset.replica_state import ReplicaState
 
 G = "http://h/g"
 LINES = st.lists(
@@ -17,7 +17,7 @@ LINES = st.lists(
 
 @given(st.lists(LINES, max_size=6))
 def test_differences_make_of_each_text_the_next(texts: list[list[str]]) -> None:
-    told, here, there = Told(), MemoryStore(), MemoryStore()
+    told, here, there = ReplicaState(), MemoryStore(), MemoryStore()
     for lines in texts:
         here.replace({G: "".join(lines)})
         text = here.ntriples(G) or ""
@@ -30,7 +30,7 @@ def test_differences_make_of_each_text_the_next(texts: list[list[str]]) -> None:
 
 
 def test_what_has_blank_nodes_was_forgotten_or_is_large_is_told_whole() -> None:
-    told = Told()
+    told = ReplicaState()
     line = '<http://h/s> <http://h/p> "1" .\n'
     assert told.difference(G, line) is None
     assert told.difference(G, line) == Edit(G)
@@ -45,7 +45,7 @@ def test_what_has_blank_nodes_was_forgotten_or_is_large_is_told_whole() -> None:
 
 
 def test_what_is_remembered_is_bounded() -> None:
-    told = Told()
+    told = ReplicaState()
     text = '<http://h/s> <http://h/p> "1" .\n' * 1500
     for number in range(1000):
         told.difference(f"{G}{number}", text)

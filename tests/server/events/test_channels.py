@@ -18,7 +18,7 @@ from rosld.ontology.notifications import activity, notify
 from rosld.server.events import channels as kept
 from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.delivery import Delivery
-from rosld.server.events.feed import Feeds
+from rosld.server.events.feed import Broadcasters
 from rosld.server.events.subscriptions import Subscription
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import BASIC_CONTAINER, Resource
@@ -52,7 +52,7 @@ class Things(Resource):
 
     def become(self, *members: str, problem: Problem | None = None) -> None:
         self.members, self.problem = members, problem
-        self._signal.give()
+        self._signal.emit()
 
 
 class Told:
@@ -93,7 +93,7 @@ class Set:
     def __init__(self) -> None:
         self.things = Things()
         self.channels = Channels("boot")
-        self.feeds = Feeds(Signal())
+        self.feeds = Broadcasters(Signal())
 
     async def open(self, wish: Subscription | None = None) -> Channel:
         wish = wish or Subscription(URL, interval=0.01)

@@ -261,17 +261,17 @@ class Made(Resource):
 def test_what_a_resource_is_made_of_is_found_anew_whenever_anything_in_general_changed() -> None:
     async def main() -> None:
         general, resource = Signal(), Made()
-        with feed.Feeds(general).following(resource) as followed:
+        with feed.Broadcasters(general).following(resource) as followed:
             assert (await followed.look()).name == "1"
-            general.give()
+            general.emit()
             assert (await followed.look()).name == "2"
             seen = followed.version
-            resource.sources[0].give()
+            resource.sources[0].emit()
             assert followed.version == seen
-            resource.sources[1].give()
+            resource.sources[1].emit()
             assert followed.version == seen + 1
-        resource.sources[1].give()
-        general.give()
+        resource.sources[1].emit()
+        general.emit()
         assert followed.version == seen + 1
 
     asyncio.run(main())
@@ -283,12 +283,12 @@ def test_what_cannot_be_watched_is_a_problem_until_it_can(monkeypatch: pytest.Mo
     async def main() -> None:
         resource = Made()
         resource.fails = True
-        with feed.Feeds(Signal()).following(resource) as followed:
+        with feed.Broadcasters(Signal()).following(resource) as followed:
             broken = (await followed.look()).state
             assert isinstance(broken, Problem)
             assert broken.status == 503
             resource.fails = False
-            version, sleeper = followed.version, feed.Sleeper()
+            version, sleeper = followed.version, feed.Waiter()
             await asyncio.wait_for(followed.wait(sleeper, version), 60)
             assert isinstance((await followed.look()).state, State)
 

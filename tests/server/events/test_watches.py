@@ -12,10 +12,10 @@ def test_a_signal_wakes_its_watches_until_they_are_closed() -> None:
     signal = Signal()
     first = signal.watch(lambda: woken.append("first"))
     signal.watch(lambda: woken.append("second"))
-    signal.give()
+    signal.emit()
     first.close()
     first.close()
-    signal.give()
+    signal.emit()
     assert woken == ["first", "second", "second"]
 
 
@@ -23,9 +23,9 @@ def test_a_watch_may_care_for_some_of_it_only() -> None:
     woken: list[str] = []
     signal = Signal()
     signal.watch(lambda: woken.append("a"), lambda about: about.startswith("/a"))
-    signal.give("/b")
+    signal.emit("/b")
     assert woken == []
-    signal.give("/a/x")
+    signal.emit("/a/x")
     assert woken == ["a"]
 
 
@@ -39,7 +39,7 @@ def test_a_watch_may_close_itself_and_others_while_it_is_woken() -> None:
             each.close()
 
     watches = [signal.watch(lambda number=number: wake(number)) for number in range(3)]
-    signal.give()
+    signal.emit()
     assert woken == [0]
 
 
@@ -53,7 +53,7 @@ def test_several_watches_are_one_and_what_cannot_tell_is_looked_at_again() -> No
             woken.clear()
         both.close()
         both.close()
-        signal.give()
+        signal.emit()
         assert not woken.is_set()
         await asyncio.sleep(0.05)
         assert not woken.is_set()

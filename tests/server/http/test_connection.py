@@ -20,7 +20,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.serving import http_server
 from rosld.server.serving.connection import Bounds
-from rosld.server.serving.transport import Together
+from rosld.server.serving.transport import CoalescingTransport
 from tests.server.conftest import servers
 
 _V = TypeVar("_V")
@@ -381,7 +381,7 @@ def sent(*acts: tuple[str, object]) -> list[object]:
 
     async def act() -> list[object]:
         noted = Sent()
-        together = Together(cast("asyncio.Transport", noted), asyncio.get_running_loop())
+        together = CoalescingTransport(cast("asyncio.Transport", noted), asyncio.get_running_loop())
         for name, argument in acts:
             method = getattr(together, name)
             method() if argument is None else method(argument)

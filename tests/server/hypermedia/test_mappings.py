@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from rosld.ontology.urls import Space
 from rosld.server.hypermedia.documents import MappingDocument, MappingRefused, load_mapping, read_mapping
-from rosld.server.hypermedia.mapping import Arrangement, Condition
+from rosld.server.hypermedia.mapping import Condition, MappingSet
 from rosld.server.hypermedia.mappings import (
     Mappings,
     actions_by_service,
@@ -52,7 +52,7 @@ def having(member: str, *, when: str = "") -> str:
     return f'; map:property [ map:predicate :p ; map:member "{member}" {when} ]'
 
 
-def arranged(*documents: MappingDocument) -> Arrangement:
+def arranged(*documents: MappingDocument) -> MappingSet:
     mappings = Mappings()
     for each in documents:
         mappings.replace(each)
@@ -67,7 +67,7 @@ def abouts(conditions: Iterable[Condition]) -> list[str]:
 
 
 def test_nothing_is_in_force_at_first() -> None:
-    assert Mappings().arrangement == Arrangement()
+    assert Mappings().arrangement == MappingSet()
     assert not Mappings().documents
 
 

@@ -15,7 +15,7 @@ import pytest
 from rosld.ontology.describe_activities import Receipt
 from rosld.ontology.urls import Space
 from rosld.server.auth.agent import Agent
-from rosld.server.receipts.entry import Asked, held
+from rosld.server.receipts.entry import AuditEntry, held
 from rosld.server.receipts.journal import Forgotten, Journal
 from rosld.server.receipts.sqlite_log import DATABASE
 from rosld.server.sparql.receipt_graphs import ReceiptGraphs
@@ -32,11 +32,11 @@ def asked(
     ended_ns: int | None = None,
     plan: tuple[str, ...] = ("publish",),
     words: str | None = None,
-) -> Asked:
+) -> AuditEntry:
     now = time.time_ns() if ended_ns is None else ended_ns
     kept, digest = (None, None) if body is None else held(body)
     length = 0 if body is None else len(body)
-    return Asked(
+    return AuditEntry(
         Agent("ann"), now - 1000, now, "PUT", url, query, "application/json", kept, length, digest, plan, (url,), 1,
         status, None, words,
     )  # fmt: skip
@@ -46,7 +46,7 @@ def journal(folder: Path | None = None, *, most: int = 100, age: float = 3600.0,
     return Journal(folder, most=most, age=age, excerpt_bytes=excerpt)
 
 
-def receipt(*requests: Asked, excerpt: int = 500) -> Receipt:
+def receipt(*requests: AuditEntry, excerpt: int = 500) -> Receipt:
     """The receipt of the last of these requests."""
 
     async def noted() -> Receipt:
@@ -97,7 +97,7 @@ def test_no_excerpt_is_told_where_none_is_wanted() -> None:
         asked(b'{"password": "hunter2"}' + b" " * 5000),  # too long to be held: it came with a digest
     ],
 )
-def test_of_a_body_that_looks_like_credentials_nothing_is_told(request_: Asked) -> None:
+def test_of_a_body_that_looks_like_credentials_nothing_is_told(request_: AuditEntry) -> None:
     found = receipt(request_)
     assert found.withheld
     assert (found.excerpt, found.digest) == (None, None)

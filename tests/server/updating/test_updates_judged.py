@@ -28,7 +28,7 @@ from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.syntax.lexer import BOUNDS
 from rosld.server.sparql.update.evaluate import GraphChange
-from rosld.server.sparql.update.executor import Drawer
+from rosld.server.sparql.update.executor import UpdateEvaluator
 from rosld.server.sparql.update.operations import Modify
 from rosld.server.sparql.update.reading import read_update
 from tests.server.sparql.local import LocalProcess
@@ -211,7 +211,7 @@ def drawn(text: str, live: bool) -> tuple[GraphChange, ...]:
         process, analyser = LocalProcess(), Analyser(BASE, "https://w3id.org/rosld/types/")
         service = QueryService(process, Synchroniser(process, Room(live)), analyser)
         operations = read_update(UpdateRequest(text), {}, BASE, BOUNDS)
-        return (await Drawer(service, analyser).draw(operations)).changes
+        return (await UpdateEvaluator(service, analyser).draw(operations)).changes
 
     try:
         return asyncio.run(asyncio.wait_for(drawing(), 60))

@@ -37,7 +37,7 @@ def fly(handle: Any) -> Fly.Result:
     return Fly.Result(flown=flown, message="arrived")
 
 
-def judge(goal: Fly.Goal) -> GoalResponse:
+def permissions(goal: Fly.Goal) -> GoalResponse:
     return GoalResponse.ACCEPT if goal.distance >= 0 else GoalResponse.REJECT
 
 
@@ -50,7 +50,7 @@ def main(arguments: list[str]) -> None:
     executor.add_node(node)
     if not arguments:
         cancel = {"cancel_callback": lambda _: CancelResponse.ACCEPT}
-        server = ActionServer(node, Fly, "/fly", fly, goal_callback=judge, **cancel)
+        server = ActionServer(node, Fly, "/fly", fly, goal_callback=permissions, **cancel)
         assert server is not None
     threading.Thread(target=executor.spin, daemon=True).start()
     print("ready", flush=True)

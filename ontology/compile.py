@@ -28,7 +28,7 @@ from rosld.ontology.literals import (
     singles,
     wide,
 )
-from rosld.ontology.notation import Json, Notation, Site
+from rosld.ontology.syntax_codegen import Json, Notation, Site
 from rosld.ontology.typenames import TypeName, type_names
 
 TIME = "builtin_interfaces/msg/Time"

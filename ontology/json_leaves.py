@@ -13,7 +13,7 @@ import numpy as np
 import orjson
 
 from rosld.adapters.model import Array, FieldType, Primitive
-from rosld.ontology.fitting import (
+from rosld.ontology.coercion import (
     RANGES,
     SPECIALS,
     Misfit,

@@ -14,7 +14,15 @@ from math import isfinite, isinf
 
 from pyoxigraph import NamedNode
 
-from rosld.ontology.fitting import RANGES, SPECIALS, Misfit, Number, base64_octets, may_tie, single
+from rosld.ontology.coercion import (
+    RANGES,
+    SPECIALS,
+    Misfit,
+    Number,
+    base64_octets,
+    may_tie,
+    single,
+)
 from rosld.ontology.literals import DATATYPES
 from rosld.ontology.vocab import xsd
 

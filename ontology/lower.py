@@ -13,7 +13,7 @@ from pyoxigraph import NamedNode
 
 from rosld.adapters.model import Message, MessageSchema
 from rosld.ontology.body import RdfBody, Term, parse_json
-from rosld.ontology.fitting import Misfit
+from rosld.ontology.coercion import Misfit
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower_graph import GraphReaders, GraphReading
 from rosld.ontology.lower_json import JsonReaders, JsonReading

@@ -14,8 +14,7 @@ from pyoxigraph import Literal, NamedNode
 
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
 from rosld.ontology.body import RdfBody, Term
-from rosld.ontology.compile import TIME
-from rosld.ontology.fitting import (
+from rosld.ontology.coercion import (
     Misfit,
     Number,
     described,
@@ -26,6 +25,7 @@ from rosld.ontology.fitting import (
     sized,
     string_fit,
 )
+from rosld.ontology.compile import TIME
 from rosld.ontology.json_leaves import array_of_json
 from rosld.ontology.lexical import BINARIES, NUMBERS, boolean, nanoseconds
 from rosld.ontology.literals import DTYPES, STRINGS

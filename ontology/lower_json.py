@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from rosld.adapters.model import Array, Field, FieldType, Message, MessageSchema, Nested, Primitive
-from rosld.ontology.fitting import Misfit, described, sized
+from rosld.ontology.coercion import Misfit, described, sized
 from rosld.ontology.json_leaves import json_leaf, unexpected
 from rosld.ontology.literals import DTYPES, STRINGS
 from rosld.ontology.violations import Findings, Path

@@ -21,8 +21,8 @@ from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import ParameterValue
 from rosld.ontology.body import BodyError, RdfBody, Term, parse_json
+from rosld.ontology.coercion import Misfit
 from rosld.ontology.document import Document
-from rosld.ontology.fitting import Misfit
 from rosld.ontology.lexical import NUMBERS, boolean
 from rosld.ontology.triples import CONTAINER, RDF_SOURCE, about, double, integer, text
 from rosld.ontology.triples import boolean as boolean_literal

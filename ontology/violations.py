@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode
 
-from rosld.ontology.fitting import Misfit
+from rosld.ontology.coercion import Misfit
 
 Path: TypeAlias = "tuple[Path, str] | None"
 """The way from the message to a field, innermost last: (((None, "linear"), "x")); text only once it is needed."""

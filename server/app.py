@@ -11,8 +11,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from rosld.adapters.base import Adapter
 from rosld.server.auth.authenticator import Authenticator
 from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits
+from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channels import Channels
-from rosld.server.events.feed import Broadcasters
 from rosld.server.html import prepare_pages
 from rosld.server.http import link
 from rosld.server.http.origin import Site, site
@@ -36,8 +36,8 @@ from rosld.server.resources.kept.graphs import RecordGraphs
 from rosld.server.resources.live_graphs import ELSEWHERE, Dataset
 from rosld.server.resources.mirror import mirror_room
 from rosld.server.resources.mirroring import mirror_of
+from rosld.server.resources.resource_types import types_at
 from rosld.server.resources.status import status_room
-from rosld.server.resources.typed import types_at
 from rosld.server.resources.updating.service import Updates
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.keyed_lock import KeyedLock

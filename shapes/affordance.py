@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.adapters.model import Array, Field, MessageSchema, Nested, Primitive
-from rosld.ontology.fitting import RANGES
+from rosld.ontology.coercion import RANGES
 from rosld.ontology.literals import DATATYPES
 from rosld.ontology.triples import Statement, Value, about, each, integer, text
 from rosld.ontology.urls import Space

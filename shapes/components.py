@@ -11,7 +11,7 @@ from pyoxigraph import Literal, NamedNode
 from rosld.ontology.body import Term
 from rosld.ontology.literals import quoted
 from rosld.ontology.vocab import rdf, rdfs, sh, xsd
-from rosld.shapes.pattern import Pattern
+from rosld.shapes.safe_regex import Pattern
 from rosld.shapes.shape import OfSet, OfValue, SetTest, Shape, ValueTest
 from rosld.shapes.terms import Number, compared, is_numeric, is_plain, normal, number
 from rosld.shapes.view import View

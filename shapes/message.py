@@ -24,9 +24,9 @@ from rosld.adapters.model import (
     ServiceSchema,
     halves_of,
 )
+from rosld.ontology.coercion import RANGES
 from rosld.ontology.describe_types import constant_value, written
 from rosld.ontology.document import Document
-from rosld.ontology.fitting import RANGES
 from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
 from rosld.ontology.triples import RDF_SOURCE, Statement, Value, about, boolean, each, integer, text
 from rosld.ontology.urls import Space

@@ -13,8 +13,8 @@ from rosld.ontology.body import Term
 from rosld.ontology.vocab import rdf, sh, xsd
 from rosld.shapes import components
 from rosld.shapes.bounds import merged, narrowed
-from rosld.shapes.pattern import Pattern, pattern
-from rosld.shapes.reference import Reference
+from rosld.shapes.pyshacl_fallback import Reference
+from rosld.shapes.safe_regex import Pattern, pattern
 from rosld.shapes.shape import OfSet, OfValue, Shape
 from rosld.shapes.terms import is_numeric, number
 from rosld.shapes.value import UNBOUNDED, Bounds

@@ -19,7 +19,7 @@ from rdflib.term import BNode, URIRef
 from rdflib.term import Literal as Normal
 
 from rosld.ontology.body import Term
-from rosld.ontology.fitting import RANGES
+from rosld.ontology.coercion import RANGES
 from rosld.ontology.literals import DATATYPES
 from rosld.ontology.vocab import rdf, xsd
 

@@ -12,7 +12,6 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.ros1.actions import Actions
 from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
 from rosld.adapters.ros1.hosts import Hosts
-from rosld.adapters.ros1.learnt import EndpointFacts, Learnt
 from rosld.adapters.ros1.leftovers import Leftovers
 from rosld.adapters.ros1.master import Looked, MasterApi
 from rosld.adapters.ros1.parameters import Parameters
@@ -20,6 +19,7 @@ from rosld.adapters.ros1.publications import Publications, addresses
 from rosld.adapters.ros1.services import Services
 from rosld.adapters.ros1.sources import Nodes, TopicReader
 from rosld.adapters.ros1.subscription import Feed
+from rosld.adapters.ros1.type_cache import EndpointFacts, Learnt
 from rosld.adapters.ros1.types import Types
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from rosld.adapters.model import Endpoint, Graph, Live, Master, Node, Parameter, Service, Stale, Topic, TypeRef, frozen
 from rosld.adapters.ros1.actionlib import actions_of
-from rosld.adapters.ros1.learnt import EndpointFacts, Learnt, ServiceFacts
+from rosld.adapters.ros1.type_cache import EndpointFacts, Learnt, ServiceFacts
 from rosld.adapters.ros1.types import message_type
 
 _V = TypeVar("_V")

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 
 from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, TypeRef, UnknownType, Unreachable
 from rosld.adapters.ros1.hosts import Hosts, host_and_port
-from rosld.adapters.ros1.learnt import Learnt, ServiceFacts
 from rosld.adapters.ros1.master import MasterApi
 from rosld.adapters.ros1.tcpros import MOST_HEADER, BadFrame, Header, decode_header, encode_header, frame, read_frame
+from rosld.adapters.ros1.type_cache import Learnt, ServiceFacts
 from rosld.adapters.ros1.types import Types, service_type
 
 _AT_ONCE = 4

@@ -18,7 +18,7 @@ from typing import Any, cast
 from rosld.adapters.model import Action, GoalEvent, GoalId, GoalStatus, NotFound, Qos, Refused, RosError, Sent
 from rosld.adapters.ros2.calls import Calls
 from rosld.adapters.ros2.middleware import Participant, Reader, deserialized, made, serialized
-from rosld.adapters.ros2.waiter import Waiter
+from rosld.adapters.ros2.wait_set import Waiter
 
 _STATUS = "action_msgs/msg/GoalStatusArray"
 _CANCEL = "action_msgs/srv/CancelGoal"

@@ -12,7 +12,7 @@ from functools import partial
 
 from rosld.adapters.model import Sent, TimedOut, UnknownType, Unreachable
 from rosld.adapters.ros2.middleware import Client, Participant
-from rosld.adapters.ros2.waiter import Waiter
+from rosld.adapters.ros2.wait_set import Waiter
 
 _IDLE = 30.0
 _FIRST_LOOK = 0.002

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Encoding, Sample, TypeRef
 from rosld.adapters.ros2.middleware import Reader, Taken
-from rosld.adapters.ros2.waiter import Waiter
+from rosld.adapters.ros2.wait_set import Waiter
 from rosld.adapters.slots import LoopWatch, Watches
 
 _ECHO_NS = 250_000_000

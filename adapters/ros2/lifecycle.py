@@ -25,7 +25,7 @@ from rosld.adapters.model import (
 )
 from rosld.adapters.ros2.calls import Calls
 from rosld.adapters.ros2.middleware import Names, Participant, Reader, class_problem, deserialized, made
-from rosld.adapters.ros2.waiter import Waiter
+from rosld.adapters.ros2.wait_set import Waiter
 
 _STATE = "lifecycle_msgs/srv/GetState"
 _TRANSITIONS = "lifecycle_msgs/srv/GetAvailableTransitions"

@@ -44,7 +44,7 @@ from rosld.adapters.ros2.profiles import override_for, publishing_profile, readi
 from rosld.adapters.ros2.publications import Publication
 from rosld.adapters.ros2.source import Source
 from rosld.adapters.ros2.types import Types
-from rosld.adapters.ros2.waiter import Waiter
+from rosld.adapters.ros2.wait_set import Waiter
 
 _EVERY = 0.2
 _COUNTS = 1.0

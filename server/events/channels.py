@@ -16,8 +16,8 @@ from rosld.ontology.notifications import Activity, Terms
 from rosld.ontology.vocab import ldp
 from rosld.server.auth.authenticator import OPEN, AuthContext
 from rosld.server.auth.permissions import Permissions
-from rosld.server.events import asked
-from rosld.server.events.feed import Observation
+from rosld.server.events import query_params
+from rosld.server.events.broadcaster import Observation
 from rosld.server.events.subscriptions import Subscription
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import Resource
@@ -162,7 +162,7 @@ class Channels:
         now = Told(name, moment.state if _tells_members(channel.resource, moment.state) else None)
         if told.name is None:
             return Activity("Create", topic, state=name), now
-        if asked.is_state(told.name, name):
+        if query_params.is_state(told.name, name):
             return None, now
         return _changed(topic, told.container, now, channel.visit.permissions), now
 

@@ -15,8 +15,8 @@ import orjson
 
 from rosld.ontology.notifications import ACTIVITY_CONTEXT, CONTEXT, Activity, with_context
 from rosld.ontology.serialize import Syntax, serialize
+from rosld.server.events.broadcaster import Broadcaster, Broadcasters, Observation, Waiter
 from rosld.server.events.channels import Channel, Channels
-from rosld.server.events.feed import Broadcaster, Broadcasters, Observation, Waiter
 
 Send: TypeAlias = Callable[[bytes], Awaitable[None]]
 KEEP_ALIVE_SECONDS = 15.0

@@ -12,8 +12,14 @@ from typing import TypeAlias
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from rosld.server.events import asked, frame
-from rosld.server.events.feed import RETRY_SECONDS, Broadcaster, Broadcasters, Observation, Waiter
+from rosld.server.events import frame, query_params
+from rosld.server.events.broadcaster import (
+    RETRY_SECONDS,
+    Broadcaster,
+    Broadcasters,
+    Observation,
+    Waiter,
+)
 from rosld.server.events.pace import Pace
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
@@ -29,7 +35,7 @@ EventSource that comes back to a 404 gives up for ever. What is deleted for good
 """
 Headers: TypeAlias = "list[tuple[bytes, bytes]]"
 HEADERS: Headers = [
-    (b"content-type", f"{asked.EVENT_STREAM}; charset=utf-8".encode("ascii")),
+    (b"content-type", f"{query_params.EVENT_STREAM}; charset=utf-8".encode("ascii")),
     (b"cache-control", b"no-store"),
     (b"x-accel-buffering", b"no"),
     (b"vary", b"Accept"),
@@ -149,7 +155,7 @@ class EventStream(Response):
 
     def _is_known(self, state: State | Problem) -> bool:
         """Whether the reader says that it has this state."""
-        return isinstance(state, State) and asked.is_state(self._known, self._telling.name(state))
+        return isinstance(state, State) and query_params.is_state(self._known, self._telling.name(state))
 
     async def _event(self, send: Send, moment: Observation) -> None:
         chunk = await self._telling.chunk(moment)

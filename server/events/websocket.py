@@ -11,9 +11,9 @@ import time
 from starlette.types import Message, Receive, Scope, Send
 
 from rosld.ontology.notifications import channel_type
+from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.delivery import Delivery
-from rosld.server.events.feed import Broadcasters
 from rosld.server.http.origin import Site, check_host
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render

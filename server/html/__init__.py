@@ -6,6 +6,13 @@ up to date while it is looked at, and `filter.js`, which finds things on long on
 """
 
 from rosld.server.html.affordances import action_form, forms_of, property_form
+from rosld.server.html.form_parser import (
+    parse_choice,
+    parse_form,
+    parse_parameter,
+    parse_value,
+    split_hidden,
+)
 from rosld.server.html.forms import (
     ChoiceForm,
     DeleteForm,
@@ -33,7 +40,6 @@ from rosld.server.html.page import (
     Step,
     StoredQuery,
 )
-from rosld.server.html.reading import parse_choice, parse_form, parse_parameter, parse_value, split_hidden
 from rosld.server.html.render import (
     CONTENT_SECURITY_POLICY,
     FILTER_SCRIPT,

@@ -12,7 +12,7 @@ from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal, InvalidOperation
 from pyoxigraph import Literal
 
 from rosld.adapters.model import Primitive
-from rosld.ontology.fitting import RANGES
+from rosld.ontology.coercion import RANGES
 from rosld.shapes.value import Bounds
 
 _MOST_DIGITS = 40

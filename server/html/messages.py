@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from rosld.adapters.model import Array, Field, Message, MessageSchema, MessageType, Nested, Primitive
 from rosld.ontology.literals import OCTETS, STRINGS
-from rosld.server.html.moments import duration, moment
+from rosld.server.html.timestamps import duration, moment
 from rosld.server.html.view import Many, Octets, Row, Rows, Series, Text, View, text_view
 
 TIME = "builtin_interfaces/msg/Time"

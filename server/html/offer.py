@@ -14,10 +14,10 @@ from pyoxigraph import NamedNode
 from rosld.ontology.vocab import ros
 from rosld.server.html.forms import Form
 from rosld.server.html.labels import label
-from rosld.server.html.moments import moment
 from rosld.server.html.page import Csrf, Offer
 from rosld.server.html.site import Anchor, Site, readable
 from rosld.server.html.terms import iri_view
+from rosld.server.html.timestamps import moment
 from rosld.server.html.units import unit_symbol
 from rosld.server.html.values import value_view
 from rosld.server.html.view import Go, Row, Rows, Text, View, visible

@@ -13,15 +13,15 @@ from jinja2 import DictLoader, Environment, StrictUndefined
 from pyoxigraph import NamedNode
 
 from rosld.ontology.vocab import ldp, ros, td
+from rosld.server.html.auto_refresh import RATE, is_live
 from rosld.server.html.breadcrumb import breadcrumb
-from rosld.server.html.carried import carried
 from rosld.server.html.description import describe, first_text
 from rosld.server.html.endpoints import endpoints
 from rosld.server.html.folding import folded_groups
 from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD, Form, ValueForm
 from rosld.server.html.labels import sentence
 from rosld.server.html.listing import contents
-from rosld.server.html.liveness import RATE, is_live
+from rosld.server.html.message_sections import carried
 from rosld.server.html.offer import FormTarget, draw, posted_forms
 from rosld.server.html.page import THING, EntryPage, Notice, Page, ProblemPage, QueryPage, SparqlPage, Tone
 from rosld.server.html.site import Anchor, Site

@@ -7,9 +7,9 @@ import json
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.vocab import rdf, xsd
-from rosld.server.html.moments import from_text
 from rosld.server.html.page import Cell, Term
 from rosld.server.html.site import Site
+from rosld.server.html.timestamps import from_text
 from rosld.server.html.view import Go, Octets, Series, Text, View, text_view, visible
 
 _PLAIN = frozenset({xsd.string, rdf.langString})

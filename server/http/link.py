@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from urllib.parse import quote, unquote
 
-from rosld.server.http import field
+from rosld.server.http import header_syntax
 
 _FORBIDDEN = re.compile(r"[\x00-\x20\x7f<>\"{}|\\^`]")
 _RESERVED = "!#$%&'()*+,/:;=?@[]~"
@@ -33,17 +33,17 @@ class Link:
         return "; ".join((f"<{uri(self.target)}>", *self._parameters()))
 
     def _parameters(self) -> Iterator[str]:
-        yield f"rel={field.quote(self.rel)}"
+        yield f"rel={header_syntax.quote(self.rel)}"
         if self.anchor is not None:
-            yield f"anchor={field.quote(uri(self.anchor))}"
+            yield f"anchor={header_syntax.quote(uri(self.anchor))}"
         if self.type is not None:
-            yield f"type={field.quote(self.type)}"
+            yield f"type={header_syntax.quote(self.type)}"
         if self.title is not None:
             yield from _text("title", self.title)
         for name, value in self.attributes:
-            if not field.is_token(name):
+            if not header_syntax.is_token(name):
                 raise ValueError(f"{name!r} is no name of a target attribute")
-            yield f"{name}={field.quote(value)}"
+            yield f"{name}={header_syntax.quote(value)}"
 
 
 def render(links: Iterable[Link]) -> str:
@@ -53,7 +53,7 @@ def render(links: Iterable[Link]) -> str:
 
 def parse(text: str) -> tuple[Link, ...]:
     """The links of a Link field; malformed ones are passed over (RFC 8288, appendix B.2)."""
-    return tuple(link for member in field.split(text, ",") for link in _link(member))
+    return tuple(link for member in header_syntax.split(text, ",") for link in _link(member))
 
 
 def uri(iri: str) -> str:
@@ -69,7 +69,7 @@ def uri(iri: str) -> str:
 def _text(name: str, value: str) -> Iterator[str]:
     """A parameter with free text: quoted where it is plain, else extended (RFC 8187)."""
     try:
-        yield f"{name}={field.quote(value)}"
+        yield f"{name}={header_syntax.quote(value)}"
     except ValueError:
         yield f"{name}*=UTF-8''{quote(value, safe=_ATTRIBUTE_CHARS)}"
 
@@ -79,7 +79,7 @@ def _link(member: str) -> Iterator[Link]:
     if not member.startswith("<") or end < 0:
         return
     try:
-        found = _first_of_each(map(field.parameter, field.split(member[end + 1 :], ";")))
+        found = _first_of_each(map(header_syntax.parameter, header_syntax.split(member[end + 1 :], ";")))
         yield Link(
             target=uri(member[1:end].strip(" \t")),
             rel=found.pop("rel"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-from rosld.server.http import field
+from rosld.server.http import header_syntax
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,20 +30,21 @@ class MediaType:
 
     def __str__(self) -> str:
         return self.essence + "".join(
-            f";{name}={value if field.is_token(value) else field.quote(value)}" for name, value in self.parameters
+            f";{name}={value if header_syntax.is_token(value) else header_syntax.quote(value)}"
+            for name, value in self.parameters
         )
 
 
 @lru_cache(maxsize=256)
 def parse(text: str) -> MediaType:
     """The media type in `text`, such as a Content-Type. Raises ValueError naming what is wrong."""
-    essence, *rest = field.split(text, ";") or [""]
+    essence, *rest = header_syntax.split(text, ";") or [""]
     kind, slash, subtype = essence.partition("/")
-    if not slash or not field.is_token(kind) or not field.is_token(subtype):
+    if not slash or not header_syntax.is_token(kind) or not header_syntax.is_token(subtype):
         raise ValueError(f"{text!r} is no media type; one looks like text/turtle")
     parameters: dict[str, str] = {}
     for part in rest:
-        name, value = field.parameter(part)
+        name, value = header_syntax.parameter(part)
         if name in parameters:
             raise ValueError(f"the parameter {name!r} occurs twice in {text!r}")
         parameters[name] = value.lower() if name == "charset" else value

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
-from rosld.server.http import field, media
+from rosld.server.http import header_syntax, media
 from rosld.server.http.media import MediaType
 
 _WEIGHT = re.compile(r"0(\.[0-9]{0,3})?|1(\.0{0,3})?")
@@ -81,7 +81,7 @@ def quality(offer: MediaType, ranges: tuple[MediaRange, ...]) -> float:
 
 def parse(accept: str) -> Iterator[MediaRange]:
     """The valid members of an Accept field, in order."""
-    for member in field.split(accept, ","):
+    for member in header_syntax.split(accept, ","):
         try:
             yield _range(member)
         except ValueError:
@@ -89,11 +89,11 @@ def parse(accept: str) -> Iterator[MediaRange]:
 
 
 def _range(member: str) -> MediaRange:
-    essence, *rest = field.split(member, ";")
+    essence, *rest = header_syntax.split(member, ";")
     weight, kept = 1.0, [essence]
     for part in rest:
-        if part[:1] in "qQ" and field.parameter(part)[0] == "q":
-            weight = _weight(field.parameter(part)[1])
+        if part[:1] in "qQ" and header_syntax.parameter(part)[0] == "q":
+            weight = _weight(header_syntax.parameter(part)[1])
             break  # what follows are accept-ext, which RFC 9110 took out of the grammar
         kept.append(part)
     found = media.parse(";".join(kept))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from rosld.server.http import field as fields
+from rosld.server.http import header_syntax as fields
 
 Parameters = tuple[tuple[str, str], ...]
 

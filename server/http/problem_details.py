@@ -16,7 +16,7 @@ from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.triples import about, integer, text
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf, rdfs
-from rosld.server.http import field, negotiation
+from rosld.server.http import header_syntax, negotiation
 from rosld.server.http.problem import Problem
 from rosld.shapes.report import validation_report
 
@@ -147,7 +147,7 @@ def _clean(text: str) -> str:
 
 def _sendable(name: str, value: str) -> bool:
     try:
-        field.safe(value)
+        header_syntax.safe(value)
     except ValueError:
         return False
-    return field.is_token(name)
+    return header_syntax.is_token(name)

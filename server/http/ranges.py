@@ -7,7 +7,7 @@ import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rosld.server.http import field
+from rosld.server.http import header_syntax
 from rosld.server.http.problem import Problem
 
 MOST = 32
@@ -93,7 +93,7 @@ def framing(spans: Sequence[Span], size: int, media_type: str) -> Framing:
     Raises ValueError for a media type that could end its header early.
     """
     boundary = secrets.token_hex(16)
-    kind = field.safe(media_type)
+    kind = header_syntax.safe(media_type)
     heads = tuple(
         f"{_NEXT if number else ''}--{boundary}\r\n"
         f"Content-Type: {kind}\r\nContent-Range: {span.content_range(size)}\r\n\r\n".encode("ascii")

@@ -11,8 +11,8 @@ from rosld.ontology.lift import LiftSettings
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf
-from rosld.server.hypermedia.layout import ResourceTree, segments_of
 from rosld.server.hypermedia.mapping import Condition
+from rosld.server.hypermedia.resource_tree import ResourceTree, segments_of
 from rosld.server.hypermedia.value import MessageValue, Reading, lifted, literal
 
 

@@ -34,7 +34,7 @@ from rosld.server.hypermedia.catalogue import (
     ValueKind,
     Writer,
 )
-from rosld.server.hypermedia.signatures import answered_fields, kind_of, lowers
+from rosld.server.hypermedia.type_inference import answered_fields, kind_of, lowers
 
 SchemaOf: TypeAlias = Callable[[TypeRef], "Schema | None"]
 

@@ -9,8 +9,8 @@ from types import MappingProxyType
 
 from rosld.ontology.namespaces import Kept
 from rosld.ontology.violations import Violation
-from rosld.server.hypermedia.documents import MappingDocument, MappingRefused
 from rosld.server.hypermedia.mapping import ComplexResource, Condition, MappedAction, MappingSet
+from rosld.server.hypermedia.mapping_parser import MappingDocument, MappingRefused
 
 
 class Mappings:

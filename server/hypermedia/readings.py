@@ -14,8 +14,8 @@ from weakref import WeakValueDictionary
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import MessageSchema, names
 from rosld.ontology.urls import Space
-from rosld.server.hypermedia.answers import Ask, Room, SingleFlightCache
 from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource
+from rosld.server.hypermedia.single_flight_cache import Ask, Room, SingleFlightCache
 from rosld.server.hypermedia.sources import NOTHING, ReadResult, Seen, Sources, decoded, late
 from rosld.server.hypermedia.value import Reading
 from rosld.server.robot.schemas import Schemas

@@ -16,7 +16,7 @@ from typing import TypeAlias
 from pyoxigraph import Literal
 
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
-from rosld.ontology.fitting import RANGES, Misfit
+from rosld.ontology.coercion import RANGES, Misfit
 from rosld.ontology.lexical import NUMBERS, boolean
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.literals import OCTETS, SAFE_INTEGER, STRINGS, special, wide

@@ -6,7 +6,13 @@ from collections.abc import Iterable, Mapping
 from http import HTTPStatus
 
 from rosld.adapters.model import Sent
-from rosld.server.events.asked import DEFAULT_RATE, EVENT_STREAM, LEAST_RATE, MOST_RATE, MOST_TIMEOUT
+from rosld.server.events.query_params import (
+    DEFAULT_RATE,
+    EVENT_STREAM,
+    LEAST_RATE,
+    MOST_RATE,
+    MOST_TIMEOUT,
+)
 from rosld.server.hypermedia.schema import Json
 from rosld.server.openapi.json_schema import ANYTHING, JSON_LD, TEXT, Schema
 from rosld.server.rest.formats import HTML, OFFERS

@@ -9,7 +9,7 @@ from http import HTTPStatus
 
 import orjson
 
-from rosld.server.events.asked import EVENT_STREAM
+from rosld.server.events.query_params import EVENT_STREAM
 from rosld.server.hypermedia.schema import Json
 from rosld.server.openapi.components import (
     READING,

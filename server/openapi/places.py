@@ -27,9 +27,9 @@ from rosld.ontology.notifications import CHANNEL_TYPES
 from rosld.server.events.source import LINES
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.layout import ActionPlan, ResourceTree
+from rosld.server.hypermedia.resource_tree import ActionPlan, ResourceTree
 from rosld.server.hypermedia.schema import DataSchema, Json, message_schema, value_schema
-from rosld.server.hypermedia.thing import MEDIA_TYPE as THING
+from rosld.server.hypermedia.thing_description import MEDIA_TYPE as THING
 from rosld.server.openapi import json_schema
 from rosld.server.openapi.components import reference
 from rosld.server.openapi.json_schema import ANYTHING, OBJECT, TEXT, or_null

@@ -10,7 +10,7 @@ from pyoxigraph import RdfFormat, parse
 from rosld.adapters.base import Adapter
 from rosld.ontology.body import indexed
 from rosld.ontology.urls import Space
-from rosld.server.hypermedia.documents import MappingDocument, load_mapping, mapping_of
+from rosld.server.hypermedia.mapping_parser import MappingDocument, load_mapping, mapping_of
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.settings import Settings
 from rosld.server.storage import Model, Put, Records

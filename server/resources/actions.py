@@ -33,7 +33,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
-from rosld.server.resources.requests import message_in
+from rosld.server.resources.service_request import message_in
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import JSON, RDF_BODIES, READ, Answer, Created, Resource

@@ -12,7 +12,7 @@ from rosld.ontology.describe_activities import Receipt, activity_document
 from rosld.ontology.describe_containers import container_document
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
-from rosld.server.events import asked
+from rosld.server.events import query_params
 from rosld.server.html import Listing, Step
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
@@ -86,7 +86,7 @@ class ActivityContainer(Resource):
         """The page that `?page=` asks for, the first of many pages (303); as a stream, the newest receipt."""
         if exchange.method not in ("GET", "HEAD"):
             return self
-        if asked.stream_is_preferred(exchange.accept, OFFERS):
+        if query_params.stream_is_preferred(exchange.accept, OFFERS):
             return NewestActivity(self.robot)
         token = exchange.query.get("page")
         if token is not None:

@@ -27,8 +27,8 @@ from rosld.ontology.notifications import (
 from rosld.ontology.urls import Location, locate
 from rosld.server.auth import enforcement
 from rosld.server.auth.permissions import Permissions
+from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channels import Channel, Channels
-from rosld.server.events.feed import Broadcasters
 from rosld.server.events.source import Source, headers_of
 from rosld.server.events.subscriptions import JSON_LD, MEDIA_TYPES, MOST_BYTES, check_profile, read_subscription
 from rosld.server.events.websocket import Receiver

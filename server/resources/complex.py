@@ -17,17 +17,23 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.html import Form, forms_of
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.describe import complex_document, complex_json
-from rosld.server.hypermedia.layout import ComplexPlan, ResourceTree
-from rosld.server.hypermedia.offers import Snapshot
 from rosld.server.hypermedia.redaction import veiled_view
-from rosld.server.hypermedia.thing import MEDIA_TYPE
+from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
+from rosld.server.hypermedia.thing_description import MEDIA_TYPE
 from rosld.server.hypermedia.views import ComplexView
 from rosld.server.ldp.patch import updated
-from rosld.server.resources.changes import Change, carried_out, changes_in_graph, changes_in_json, planned_changes
+from rosld.server.resources.bulk_write import (
+    Change,
+    carried_out,
+    changes_in_graph,
+    changes_in_json,
+    planned_changes,
+)
 from rosld.server.resources.context import Robot
-from rosld.server.resources.guarding import seen_anew
+from rosld.server.resources.preconditions import seen_anew
 from rosld.server.resources.things import complex_thing, thing_response, wants_thing
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.plan import Plan, RobotWrite

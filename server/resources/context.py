@@ -7,8 +7,8 @@ import secrets
 from collections.abc import Hashable, Sequence
 
 from rosld.adapters.base import Adapter
+from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.mappings import Mappings
-from rosld.server.hypermedia.offers import AffordanceService
 from rosld.server.hypermedia.readings import Readings
 from rosld.server.policies import limits, mappings, queries
 from rosld.server.policies.limits import ActiveLimits, given_limits

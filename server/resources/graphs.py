@@ -27,7 +27,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import Kept
 from rosld.server.resources.kept.containers import ContainerResource
-from rosld.server.resources.kept.room import AbsentResource
+from rosld.server.resources.kept.routes import AbsentResource
 from rosld.server.resources.kept.sources import N3_PATCH
 from rosld.server.resources.sparql import answered, formats_of, wished
 from rosld.server.rest.exchange import Exchange

@@ -20,10 +20,10 @@ from rosld.ontology.describe_holds import LEAST_OF_HOLDS, MOST_LEASE, MOST_RATE,
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import LoweringError, find_message, lowerer, parse_json
-from rosld.ontology.zero import TWISTS, zeroed
+from rosld.ontology.neutral_message import TWISTS, zeroed
 from rosld.server.auth.errors import nothing
 from rosld.server.html import DeleteForm, Form
-from rosld.server.http import field
+from rosld.server.http import header_syntax
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.patch import merge_patch
 from rosld.server.resources.context import IdentityKey, Robot
@@ -235,7 +235,7 @@ def _number(exchange: Exchange, name: str, most: float, words: str) -> float | N
     if name not in exchange.query:
         return None
     given = exchange.query[name]
-    value = field.number(given)
+    value = header_syntax.number(given)
     if value is None or not LEAST_OF_HOLDS <= value <= most:
         raise Problem(400, f"?{name}={given[:100]}: it must be {words}.")
     return value

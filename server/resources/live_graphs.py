@@ -40,8 +40,8 @@ from rosld.ontology.vocab import rdf, ros
 from rosld.server.auth.permissions import Permissions
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.layout import path_of
 from rosld.server.hypermedia.mappings import related
+from rosld.server.hypermedia.resource_tree import path_of
 from rosld.server.policies import limits, queries
 from rosld.server.resources import types
 from rosld.server.resources.actions import ActionResource, GoalResource

@@ -19,23 +19,23 @@ from rosld.ontology.vocab import rdf, ros
 from rosld.server.html import Form, action_form, property_form
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.content import rdf_content
 from rosld.server.hypermedia.describe import action_document, property_document, property_json
-from rosld.server.hypermedia.layout import ActionPlan, PropertyPlan, ResourceTree, parent_of
-from rosld.server.hypermedia.offers import Snapshot
+from rosld.server.hypermedia.property_writer import PlannedWrite, Written, carry_out
+from rosld.server.hypermedia.property_writer import why_not as why_not_writable
+from rosld.server.hypermedia.resource_tree import ActionPlan, PropertyPlan, ResourceTree, parent_of
 from rosld.server.hypermedia.value import MessageValue
+from rosld.server.hypermedia.value_body import rdf_content
 from rosld.server.hypermedia.views import PropertyView
-from rosld.server.hypermedia.writing import PlannedWrite, Written, carry_out
-from rosld.server.hypermedia.writing import why_not as why_not_writable
 from rosld.server.ldp.patch import merge_patch, updated
 from rosld.server.resources.actions import ActionResource
-from rosld.server.resources.changes import all_of, with_field
+from rosld.server.resources.bulk_write import all_of, with_field
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.context import Robot
-from rosld.server.resources.guarding import require_offered, require_writable, seen_anew
 from rosld.server.resources.limits import require_message
-from rosld.server.resources.requests import called, declined_by, failure, request_in
+from rosld.server.resources.preconditions import require_offered, require_writable, seen_anew
+from rosld.server.resources.service_request import called, declined_by, failure, request_in
 from rosld.server.resources.writes import planned, told
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.plan import Plan, RobotWrite

@@ -31,7 +31,7 @@ from rosld.ontology.urls import encode_segment
 from rosld.ontology.vocab import ros
 from rosld.server.auth.enforcement import require_below
 from rosld.server.auth.permissions import Permissions
-from rosld.server.events.asked import EVENT_STREAM
+from rosld.server.events.query_params import EVENT_STREAM
 from rosld.server.html import DeleteForm, Form, Listing, ParameterForm, Step, ValueForm
 from rosld.server.html.view import visible
 from rosld.server.http import negotiation

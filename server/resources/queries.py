@@ -31,8 +31,8 @@ from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.kept.bodies import require_small
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.files import KeptFile
-from rosld.server.resources.kept.room import AbsentResource, kept_room
-from rosld.server.resources.kept.showing import all_members, page_at, shown
+from rosld.server.resources.kept.representation import all_members, page_at, shown
+from rosld.server.resources.kept.routes import AbsentResource, kept_room
 from rosld.server.resources.kept.sources import DescriptionResource
 from rosld.server.resources.sparql import (
     FORMATS,

@@ -16,7 +16,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
-from rosld.server.resources.requests import called, failure, request_in
+from rosld.server.resources.service_request import called, failure, request_in
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import JSON, RDF_BODIES, READ, Answer, Created, Resource
 from rosld.server.rest.state import State

@@ -12,9 +12,9 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.layout import ComplexPlan, ResourceTree
-from rosld.server.hypermedia.thing import MEDIA_TYPE, ThingLink, thing_description
-from rosld.server.hypermedia.thing_rights import thing_for
+from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
+from rosld.server.hypermedia.thing_description import MEDIA_TYPE, ThingLink, thing_description
+from rosld.server.hypermedia.thing_description_rights import thing_for
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange

@@ -22,8 +22,8 @@ from rosld.server.policies import limits
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.kept.bodies import require_small
 from rosld.server.resources.kept.containers import ContainerResource
-from rosld.server.resources.kept.room import kept_room
-from rosld.server.resources.kept.showing import all_members
+from rosld.server.resources.kept.representation import all_members
+from rosld.server.resources.kept.routes import kept_room
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
 from rosld.server.rest.state import State

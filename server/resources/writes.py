@@ -7,8 +7,8 @@ from starlette.responses import Response
 from rosld.adapters.model import Kind
 from rosld.server.http.problem_details import render
 from rosld.server.hypermedia.catalogue import Property, Setter
+from rosld.server.hypermedia.property_writer import PlannedWrite, Written, plan_write
 from rosld.server.hypermedia.value import MessageValue
-from rosld.server.hypermedia.writing import PlannedWrite, Written, plan_write
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message, require_parameter
 from rosld.server.robot.publication import no_subscriber_problem

@@ -18,7 +18,7 @@ from urllib.parse import quote
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from rosld.server.http import field, media, ranges
+from rosld.server.http import header_syntax, media, ranges
 from rosld.server.http.problem import Problem
 from rosld.server.rest.prepared import RawResponse
 
@@ -48,7 +48,7 @@ def exact_media_type(stated: str | None) -> str:
         return UNKNOWN
     try:
         media.parse(stated)
-        return field.safe(stated.strip(" \t"))
+        return header_syntax.safe(stated.strip(" \t"))
     except ValueError as error:
         raise Problem(415, f"Content-Type: {error}.") from error
 
@@ -203,8 +203,8 @@ def _disposition(media_type: str, name: str | None) -> str:
         return kind
     plain = "".join(char if char.isascii() and (char.isalnum() or char in _PLAIN_NAME) else "_" for char in name)
     extended = "" if plain == name else f"; filename*=UTF-8''{quote(name, safe='', errors='replace')}"
-    return f"{kind}; filename={field.quote(plain)}{extended}"
+    return f"{kind}; filename={header_syntax.quote(plain)}{extended}"
 
 
 def _encoded(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
-    return [(name.encode("ascii"), field.safe(value).encode("ascii")) for name, value in headers.items()]
+    return [(name.encode("ascii"), header_syntax.safe(value).encode("ascii")) for name, value in headers.items()]

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from rosld.adapters.model import Encoding, Kind, Message, MessageSchema, RosError
-from rosld.ontology.zero import is_unstamped, stamped
+from rosld.ontology.neutral_message import is_unstamped, stamped
 from rosld.server.auth.agent import Agent
 from rosld.server.http.problem import Problem
 from rosld.server.robot.interlock import Holder

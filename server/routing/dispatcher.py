@@ -17,10 +17,10 @@ from rosld.ontology.urls import Location
 from rosld.server.auth import enforcement
 from rosld.server.auth.errors import unproven
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
-from rosld.server.events import asked
-from rosld.server.events.feed import Broadcasters
+from rosld.server.events import query_params
+from rosld.server.events.broadcaster import Broadcasters
+from rosld.server.events.long_poll import changed_since
 from rosld.server.events.stream import HEADERS, EventStream, StreamFormat
-from rosld.server.events.waiting import changed_since
 from rosld.server.http import link, negotiation
 from rosld.server.http.conditional import ETag, digest, guard
 from rosld.server.http.problem import Problem
@@ -114,7 +114,7 @@ class Dispatcher:
         special = await resource.special(exchange)
         if special is not None:
             return special
-        if asked.stream_is_preferred(exchange.accept, OFFERS):
+        if query_params.stream_is_preferred(exchange.accept, OFFERS):
             return await self._stream(exchange, resource)
         state = await resource.state()
         unchanged = False
@@ -123,7 +123,7 @@ class Dispatcher:
             if not exchange.visit.still():
                 raise unproven("Your rights have changed meanwhile.")
             state = await resource.state()
-            unchanged = asked.is_state(exchange.query["after"], self._name(state))
+            unchanged = query_params.is_state(exchange.query["after"], self._name(state))
         media_type = negotiate(exchange)
         if state.is_large and media_type != HTML and not (media_type == JSON and state.plain is not None):
             return await self._read_large(exchange, resource, state, media_type, unchanged=unchanged)
@@ -206,7 +206,7 @@ class Dispatcher:
     async def _stream(self, exchange: Exchange, resource: Resource) -> Response:
         """The changes of a resource as an event stream. What can be refused is refused before it begins."""
         media_type = _told_as(exchange)
-        rate = asked.rate(exchange.query)
+        rate = query_params.rate(exchange.query)
 
         async def render(state: State) -> bytes:
             return (await self.represented(resource, state, media_type, exchange.permissions)).body
@@ -227,8 +227,8 @@ class Dispatcher:
 
     async def _wait_for_another(self, exchange: Exchange, resource: Resource, state: State) -> None:
         """Until the state is another than `?after=`, at most `?timeout=`."""
-        after, seconds = exchange.query["after"], asked.timeout(exchange.query)
-        if asked.is_state(after, self._name(state)):
+        after, seconds = exchange.query["after"], query_params.timeout(exchange.query)
+        if query_params.is_state(after, self._name(state)):
             await changed_since(self.feeds, resource, after, self._name, exchange.request, seconds)
 
     async def _check_preconditions(self, exchange: Exchange, resource: Resource) -> None:

@@ -11,7 +11,7 @@ from starlette.types import Scope
 from rosld.ontology.urls import Location, locate
 from rosld.server.html import StoredQuery
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.layout import path_of
+from rosld.server.hypermedia.resource_tree import path_of
 from rosld.server.openapi.resource import OpenApiResource
 from rosld.server.resources import listings
 from rosld.server.resources.actions import ActionResource, GoalResource
@@ -20,10 +20,9 @@ from rosld.server.resources.bags import bag_room
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.entry import EntryResource
-from rosld.server.resources.files import FILES
 from rosld.server.resources.graphs import GraphStore
 from rosld.server.resources.holds import HoldResource
-from rosld.server.resources.kept.room import kept_room
+from rosld.server.resources.kept.routes import kept_room
 from rosld.server.resources.members import MemberResource
 from rosld.server.resources.namespaces import NamespaceContainer
 from rosld.server.resources.nodes import NodeResource
@@ -32,6 +31,7 @@ from rosld.server.resources.parameters import ParameterResource, ParameterTree
 from rosld.server.resources.queries import Runner, query_room
 from rosld.server.resources.services import CallResource, ServiceResource
 from rosld.server.resources.sparql import SparqlResource
+from rosld.server.resources.static_assets import FILES
 from rosld.server.resources.stop import StopResource
 from rosld.server.resources.things import RobotThing
 from rosld.server.resources.topics import TopicResource

@@ -11,7 +11,7 @@ from urllib.parse import parse_qsl
 from pyoxigraph import NamedNode
 
 from rosld.ontology.charsets import UTF_8
-from rosld.server.http import field, media
+from rosld.server.http import header_syntax, media
 from rosld.server.http.media import MediaType
 from rosld.server.http.problem import Problem
 from rosld.server.http.text import FORM, as_utf8, codec_of
@@ -164,7 +164,7 @@ def timeout_asked(parameters: Iterable[tuple[str, str]]) -> float | None:
     given = [value for name, value in parameters if name == "timeout"]
     if not given:
         return None
-    seconds = field.number(given[0])
+    seconds = header_syntax.number(given[0])
     if len(given) > 1 or seconds is None or not 0 < seconds < inf:
         raise Problem(400, f"timeout={given[0]} is no number of seconds above 0, such as 2.5, given once.")
     return seconds

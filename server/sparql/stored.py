@@ -16,8 +16,8 @@ from itertools import count
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Store, Triple, Variable
 
+from rosld.ontology.coercion import Misfit
 from rosld.ontology.describe_graph import ROOMS
-from rosld.ontology.fitting import Misfit
 from rosld.ontology.lexical import NUMBERS
 from rosld.ontology.lift import TYPES
 from rosld.ontology.triples import double

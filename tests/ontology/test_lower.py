@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from rosld.adapters.model import Array, Encoding, Message, MessageSchema, Primitive
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.body import RdfBody, parse_body
+from rosld.ontology.coercion import Misfit, described, float_fit, single
 from rosld.ontology.document import Envelope
-from rosld.ontology.fitting import Misfit, described, float_fit, single
 from rosld.ontology.lexical import NUMBERS, nanoseconds
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.lower import LoweringError, Violation, find_message, lowerer, parse_json

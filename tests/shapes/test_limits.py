@@ -17,7 +17,7 @@ import rosld.adapters.aircraft
 from rosld.adapters.model import Array, Field, Message, MessageSchema, Nested, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.body import BodyError
-from rosld.ontology.fitting import RANGES
+from rosld.ontology.coercion import RANGES
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.literals import DTYPES, STRINGS
 from rosld.ontology.urls import TYPES, Space

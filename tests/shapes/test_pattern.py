@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rosld.shapes.pattern import pattern
+from rosld.shapes.safe_regex import pattern
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,8 @@ from rosld.adapters.base import Watch
 from rosld.server.http.conditional import require_if_match
 from rosld.server.http.problem import Problem
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.judging import judge_of
-from rosld.server.resources.kept.together import kept_together
+from rosld.server.resources.kept.transaction import kept_together
+from rosld.server.resources.kept.validation import judge_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import RDF_BODIES, READ, Answer, Resource, moved
 from rosld.server.storage import Cause, Conflict, Record, Remove, Write

@@ -14,7 +14,7 @@ from rosld.server.http.link import Link
 from rosld.server.http.link import parse as parse_links
 from rosld.server.http.problem import Problem
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.showing import all_members, stand_ins
+from rosld.server.resources.kept.representation import all_members, stand_ins
 from rosld.server.resources.kept.stated import (
     CONTAINED,
     MOST_PATCHED,

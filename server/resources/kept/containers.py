@@ -10,9 +10,9 @@ from rosld.server.http.link import Link
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import Kept, told
 from rosld.server.resources.kept.bodies import asked_model, received
+from rosld.server.resources.kept.creation import made
 from rosld.server.resources.kept.files import KeptFile
-from rosld.server.resources.kept.making import made
-from rosld.server.resources.kept.showing import page_at, page_shown, shown
+from rosld.server.resources.kept.representation import page_at, page_shown, shown
 from rosld.server.resources.kept.sources import N3_PATCH, SourceResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.interaction import model_links

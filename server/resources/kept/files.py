@@ -20,7 +20,7 @@ from rosld.server.ldp.patch import merge_patch
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import ANYTHING, Kept
 from rosld.server.resources.kept.bodies import one_chunk, received, require_model
-from rosld.server.resources.kept.showing import shown
+from rosld.server.resources.kept.representation import shown
 from rosld.server.resources.kept.stated import LIGHT_BYTES
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.files import file_response

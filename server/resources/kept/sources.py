@@ -22,9 +22,9 @@ from rosld.server.resources.kept.bodies import (
     require_model,
     statements,
 )
+from rosld.server.resources.kept.graph_merge import united
 from rosld.server.resources.kept.managed import managed_of, require_as_it_is, require_membership
-from rosld.server.resources.kept.merging import united
-from rosld.server.resources.kept.showing import shown
+from rosld.server.resources.kept.representation import shown
 from rosld.server.resources.kept.stated import (
     MOST_PATCHED,
     N3_PATCH,

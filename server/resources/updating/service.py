@@ -19,7 +19,7 @@ from rosld.server.receipts.account import accounted_for
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import Kept, told
-from rosld.server.resources.kept.together import kept_together
+from rosld.server.resources.kept.transaction import kept_together
 from rosld.server.resources.members import MemberResource
 from rosld.server.resources.updating.loading import loaded
 from rosld.server.resources.updating.report import Entry, Fate, RefusedGraphs, answer, failure, partly, reason

@@ -12,8 +12,8 @@ from rosld.adapters.registry import adapter_for
 from rosld.adapters.ros1 import Ros1Adapter
 from rosld.adapters.ros1.adapter import master_address, node_name
 from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
-from rosld.adapters.ros1.learnt import EndpointFacts, Learnt
 from rosld.adapters.ros1.publications import addresses
+from rosld.adapters.ros1.type_cache import EndpointFacts, Learnt
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.server.events import asked
+from rosld.server.events import query_params
 from rosld.server.http.problem import Problem
 from rosld.server.rest.formats import OFFERS
 
@@ -18,7 +18,7 @@ from rosld.server.rest.formats import OFFERS
     ["text/event-stream", "Text/Event-Stream", "text/event-stream, */*;q=0.1", "text/event-stream;charset=utf-8"],
 )
 def test_a_stream_is_for_those_who_like_it_best(accept: str) -> None:
-    assert asked.stream_is_preferred(accept, OFFERS)
+    assert query_params.stream_is_preferred(accept, OFFERS)
 
 
 @pytest.mark.parametrize(
@@ -29,21 +29,21 @@ def test_a_stream_is_for_those_who_like_it_best(accept: str) -> None:
     ],
 )  # fmt: skip
 def test_nobody_else_gets_one(accept: str | None) -> None:
-    assert not asked.stream_is_preferred(accept, OFFERS)
+    assert not query_params.stream_is_preferred(accept, OFFERS)
 
 
 def test_a_rate_beyond_the_most_is_the_most() -> None:
-    assert asked.rate({}) == 10.0
-    assert asked.rate({"rate": "0.5"}) == 0.5
-    assert asked.rate({"rate": "1000"}) == 100.0
-    assert asked.rate({"rate": "1e3"}) == 100.0
-    assert asked.rate({"rate": "9" * 20}) == 100.0
+    assert query_params.rate({}) == 10.0
+    assert query_params.rate({"rate": "0.5"}) == 0.5
+    assert query_params.rate({"rate": "1000"}) == 100.0
+    assert query_params.rate({"rate": "1e3"}) == 100.0
+    assert query_params.rate({"rate": "9" * 20}) == 100.0
 
 
 def test_a_timeout_beyond_the_most_is_the_most() -> None:
-    assert asked.timeout({}) == 25.0
-    assert asked.timeout({"timeout": "0"}) == 0.0
-    assert asked.timeout({"timeout": "3600"}) == 60.0
+    assert query_params.timeout({}) == 25.0
+    assert query_params.timeout({"timeout": "0"}) == 0.0
+    assert query_params.timeout({"timeout": "3600"}) == 60.0
 
 
 HOSTILE = ["", "0", "-1", "nan", "inf", "0x10", "10Hz", "١٠", "1_0", " 1", "1;2", "9" * 21, "0.0001", "%00"]
@@ -52,7 +52,7 @@ HOSTILE = ["", "0", "-1", "nan", "inf", "0x10", "10Hz", "١٠", "1_0", " 1", "1;
 @pytest.mark.parametrize("text", HOSTILE)
 def test_what_is_no_rate_is_refused_with_what_would_be(text: str) -> None:
     with pytest.raises(Problem, match=r"from 0\.001 to 100") as refused:
-        asked.rate({"rate": text})
+        query_params.rate({"rate": text})
     assert refused.value.status == 400
 
 
@@ -66,16 +66,16 @@ def number(read: Callable[[Mapping[str, str]], float], name: str, text: str) -> 
 
 @given(st.text(max_size=30) | st.floats().map(str) | st.integers().map(str))
 def test_any_text_is_refused_or_within_the_bounds(text: str) -> None:
-    rate, timeout = number(asked.rate, "rate", text), number(asked.timeout, "timeout", text)
+    rate, timeout = number(query_params.rate, "rate", text), number(query_params.timeout, "timeout", text)
     assert rate is None or 0.001 <= rate <= 100.0
     assert timeout is None or 0.0 <= timeout <= 60.0
 
 
 @pytest.mark.parametrize("text", ["boot-1", '"boot-1.ttl"', "boot-1.json", 'W/"boot-1.json"', ' "boot-1" '])
 def test_a_state_is_known_by_its_event_or_by_any_of_its_entity_tags(text: str) -> None:
-    assert asked.is_state(text, "boot-1")
+    assert query_params.is_state(text, "boot-1")
 
 
 @pytest.mark.parametrize("text", [None, "", "boot-2", '"boot-11.ttl"', "boot", '"', "."])
 def test_another_state_is_not(text: str | None) -> None:
-    assert not asked.is_state(text, "boot-1")
+    assert not query_params.is_state(text, "boot-1")

@@ -13,7 +13,7 @@ import pytest
 from rosld.adapters.base import Watch
 from rosld.adapters.model import TypeRef, Unreachable
 from rosld.ontology.document import Document
-from rosld.server.events import feed, frame, stream
+from rosld.server.events import broadcaster, frame, stream
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
@@ -138,7 +138,7 @@ def test_a_topic_that_is_watched_stays_subscribed_and_no_longer(opened: Any, rea
 
 
 def test_one_reader_too_many_is_told_to_come_back(opened: Any, reader: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(feed, "MOST_READERS", 2)
+    monkeypatch.setattr(broadcaster, "MOST_READERS", 2)
 
     async def main() -> None:
         async with opened() as app:
@@ -261,7 +261,7 @@ class Made(Resource):
 def test_what_a_resource_is_made_of_is_found_anew_whenever_anything_in_general_changed() -> None:
     async def main() -> None:
         general, resource = Signal(), Made()
-        with feed.Broadcasters(general).following(resource) as followed:
+        with broadcaster.Broadcasters(general).following(resource) as followed:
             assert (await followed.look()).name == "1"
             general.emit()
             assert (await followed.look()).name == "2"
@@ -278,17 +278,17 @@ def test_what_a_resource_is_made_of_is_found_anew_whenever_anything_in_general_c
 
 
 def test_what_cannot_be_watched_is_a_problem_until_it_can(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(feed, "_LOOK_AGAIN_SECONDS", 0.01)
+    monkeypatch.setattr(broadcaster, "_LOOK_AGAIN_SECONDS", 0.01)
 
     async def main() -> None:
         resource = Made()
         resource.fails = True
-        with feed.Broadcasters(Signal()).following(resource) as followed:
+        with broadcaster.Broadcasters(Signal()).following(resource) as followed:
             broken = (await followed.look()).state
             assert isinstance(broken, Problem)
             assert broken.status == 503
             resource.fails = False
-            version, sleeper = followed.version, feed.Waiter()
+            version, sleeper = followed.version, broadcaster.Waiter()
             await asyncio.wait_for(followed.wait(sleeper, version), 60)
             assert isinstance((await followed.look()).state, State)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pyoxigraph import Literal
 
 from rosld.adapters.model import Primitive
-from rosld.ontology.fitting import RANGES
+from rosld.ontology.coercion import RANGES
 from rosld.server.html.bounds import browser_pattern, demanded, number_range, option_texts, same_value
 from rosld.shapes.value import UNBOUNDED, Bounds
 

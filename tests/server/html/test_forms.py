@@ -27,8 +27,8 @@ from rosld.adapters.model import (
     TypeRef,
 )
 from rosld.adapters.model.library import TypeLibrary
+from rosld.ontology.coercion import RANGES
 from rosld.ontology.document import Document
-from rosld.ontology.fitting import RANGES
 from rosld.ontology.lift import lifter
 from rosld.ontology.literals import OCTETS, STRINGS
 from rosld.ontology.lower import LoweringError, Violation, lowerer

@@ -19,8 +19,8 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ldp, rdf, ros, xsd
 from rosld.server.html import Page, Results, Site, SparqlPage, render_page, render_sparql
 from rosld.server.html.messages import message_view
-from rosld.server.html.moments import duration, from_text, moment
 from rosld.server.html.page import Term
+from rosld.server.html.timestamps import duration, from_text, moment
 from rosld.server.html.view import Moment, Octets, Rows, Series, Text, View
 
 BASE = "http://127.0.0.1:8080/"

@@ -18,10 +18,10 @@ from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import LoweringError, lowerer
 from rosld.ontology.vocab import av, rdf, xsd
 from rosld.server.hypermedia.catalogue import Getter, OpenKind, ParameterSource, Property, Setter, TopicSource
-from rosld.server.hypermedia.content import rdf_content
-from rosld.server.hypermedia.signatures import answered_fields, kind_of
+from rosld.server.hypermedia.property_writer import lowered
+from rosld.server.hypermedia.type_inference import answered_fields, kind_of
 from rosld.server.hypermedia.value import MessageValue, lifted
-from rosld.server.hypermedia.writing import lowered
+from rosld.server.hypermedia.value_body import rdf_content
 
 P = "http://127.0.0.1:8080/resources/robot/thing"
 C = "http://127.0.0.1:8080/resources/robot/"

@@ -49,7 +49,7 @@ from rosld.server.hypermedia.catalogue import (
     ValueKind,
 )
 from rosld.server.hypermedia.conventions import CONVENTIONS, Conventions, catalogue, needed_types
-from rosld.server.hypermedia.signatures import answered_fields, is_light, kind_of, lowers
+from rosld.server.hypermedia.type_inference import answered_fields, is_light, kind_of, lowers
 
 _V = TypeVar("_V")
 

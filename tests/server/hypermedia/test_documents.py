@@ -20,8 +20,9 @@ from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import av, mapping, rdf, rdfs, sh, xsd
-from rosld.server.hypermedia import documents
-from rosld.server.hypermedia.documents import (
+from rosld.server.hypermedia import mapping_parser
+from rosld.server.hypermedia.mapping import ComplexResource, MappedProperty
+from rosld.server.hypermedia.mapping_parser import (
     MOST_TRIPLES,
     MappingDocument,
     MappingRefused,
@@ -29,7 +30,6 @@ from rosld.server.hypermedia.documents import (
     mapping_of,
     read_mapping,
 )
-from rosld.server.hypermedia.mapping import ComplexResource, MappedProperty
 from rosld.server.robot.stop import MappedStop
 from rosld.shapes.value import Measure
 
@@ -572,7 +572,7 @@ def test_depth_does_no_harm(case: str) -> None:
 
 
 def test_conditions_that_take_too_long_to_be_read_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(documents, "_LONGEST_READING", -1.0)
+    monkeypatch.setattr(mapping_parser, "_LONGEST_READING", -1.0)
     (found,) = refused(TEXT)
     assert "too large" in found.message
 

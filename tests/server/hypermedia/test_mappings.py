@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.ontology.urls import Space
-from rosld.server.hypermedia.documents import MappingDocument, MappingRefused, load_mapping, read_mapping
 from rosld.server.hypermedia.mapping import Condition, MappingSet
+from rosld.server.hypermedia.mapping_parser import MappingDocument, MappingRefused, load_mapping, read_mapping
 from rosld.server.hypermedia.mappings import (
     Mappings,
     actions_by_service,

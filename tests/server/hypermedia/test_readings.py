@@ -38,7 +38,7 @@ from rosld.ontology.urls import Space
 from rosld.server.hypermedia.catalogue import Catalogue, Getter, OpenKind, ParameterSource, Property, TopicSource
 from rosld.server.hypermedia.conventions import catalogue
 from rosld.server.hypermedia.readings import Readings
-from rosld.server.hypermedia.signatures import answered_fields
+from rosld.server.hypermedia.type_inference import answered_fields
 from rosld.server.hypermedia.value import Reading, plain_json
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topics import LiveSettings, LiveTopics

@@ -48,9 +48,7 @@ from rosld.server.hypermedia.catalogue import (
     Writer,
 )
 from rosld.server.hypermedia.conventions import catalogue
-from rosld.server.hypermedia.signatures import kind_of
-from rosld.server.hypermedia.value import MessageValue, StoredValue, plain_json
-from rosld.server.hypermedia.writing import (
+from rosld.server.hypermedia.property_writer import (
     PlannedWrite,
     Written,
     carry_out,
@@ -59,6 +57,8 @@ from rosld.server.hypermedia.writing import (
     why_not,
     writer_of,
 )
+from rosld.server.hypermedia.type_inference import kind_of
+from rosld.server.hypermedia.value import MessageValue, StoredValue, plain_json
 from rosld.server.resources.context import Robot
 from rosld.server.robot.calls import Unreadable
 from rosld.server.settings import Settings

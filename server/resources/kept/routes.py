@@ -17,13 +17,13 @@ from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import Kept, missing, told
 from rosld.server.resources.kept.bodies import asked_model, received, require_model
 from rosld.server.resources.kept.containers import creation, resource_of
+from rosld.server.resources.kept.creation import making, require_free
 from rosld.server.resources.kept.files import KeptFile
-from rosld.server.resources.kept.making import making, require_free
-from rosld.server.resources.kept.merging import unite
-from rosld.server.resources.kept.showing import shown
+from rosld.server.resources.kept.graph_merge import unite
+from rosld.server.resources.kept.representation import shown
 from rosld.server.resources.kept.sources import DescriptionResource
 from rosld.server.resources.kept.stated import N3_PATCH, is_light, patched
-from rosld.server.resources.kept.together import kept_together
+from rosld.server.resources.kept.transaction import kept_together
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.plan import StorageWrite
 from rosld.server.rest.resource import ABSENT, RDF_BODIES, SPARQL_UPDATE, Answer, Created, Resource, moved

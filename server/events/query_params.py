@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from rosld.server.http import field, negotiation
+from rosld.server.http import header_syntax, negotiation
 from rosld.server.http.problem import Problem
 
 EVENT_STREAM = "text/event-stream"
@@ -53,4 +53,4 @@ def _number(query: Mapping[str, str], name: str, default: float) -> float | None
     given = query.get(name)
     if given is None:
         return default
-    return field.number(given)
+    return header_syntax.number(given)

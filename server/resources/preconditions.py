@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from rosld.ontology.violations import Violation, in_words
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.catalogue import Property
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.layout import ActionPlan, PropertyPlan, ResourceTree
 from rosld.server.hypermedia.mapping import Condition
-from rosld.server.hypermedia.offers import Snapshot
+from rosld.server.hypermedia.resource_tree import ActionPlan, PropertyPlan, ResourceTree
 from rosld.server.resources.context import Robot
 
 

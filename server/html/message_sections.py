@@ -11,9 +11,9 @@ from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.vocab import ros
 from rosld.server.html.labels import label, sentence
 from rosld.server.html.messages import message_view
-from rosld.server.html.moments import moment
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.terms import iri_view
+from rosld.server.html.timestamps import moment
 from rosld.server.html.view import Rows, View, visible
 
 _TITLES = {ros.latest: "Latest message", ros.message: "Message"}

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from rosld.server.receipts.account import accounted_for
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.judging import judge_of
+from rosld.server.resources.kept.validation import judge_of
 from rosld.server.storage import Put, Record, Write
 
 

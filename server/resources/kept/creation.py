@@ -14,7 +14,7 @@ from rosld.server.resources.kept.base import Kept
 from rosld.server.resources.kept.bodies import as_statements, statements
 from rosld.server.resources.kept.managed import first_times, managed_of, require_classes
 from rosld.server.resources.kept.stated import NOTHING, Statements, contained, own, stand_in
-from rosld.server.resources.kept.together import kept_together
+from rosld.server.resources.kept.transaction import kept_together
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.interaction import membership_of
 from rosld.server.storage import Blob, Model, Put, Record

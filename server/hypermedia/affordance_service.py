@@ -21,10 +21,17 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, Reader, TopicSource, Writer
 from rosld.server.hypermedia.conditions import Verdicts, url_of
 from rosld.server.hypermedia.conventions import CONVENTIONS, Conventions, catalogue, needed_types
-from rosld.server.hypermedia.layout import ActionPlan, ComplexPlan, MemberPlan, PropertyPlan, ResourceTree
 from rosld.server.hypermedia.mapping import Condition, MappingSet
 from rosld.server.hypermedia.mappings import Mappings
+from rosld.server.hypermedia.property_writer import writer_of
 from rosld.server.hypermedia.readings import Readings
+from rosld.server.hypermedia.resource_tree import (
+    ActionPlan,
+    ComplexPlan,
+    MemberPlan,
+    PropertyPlan,
+    ResourceTree,
+)
 from rosld.server.hypermedia.shape import as_declared, field_shape, value_shape
 from rosld.server.hypermedia.value import Reading
 from rosld.server.hypermedia.views import (
@@ -36,7 +43,6 @@ from rosld.server.hypermedia.views import (
     PropertyAffordance,
     PropertyView,
 )
-from rosld.server.hypermedia.writing import writer_of
 from rosld.server.robot.session import Session
 from rosld.server.runtime.signals import Signal, every, together
 from rosld.server.runtime.version_cache import VersionCache

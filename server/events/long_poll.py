@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 from starlette.requests import Request
 
-from rosld.server.events import asked
-from rosld.server.events.feed import Broadcaster, Broadcasters, Waiter
+from rosld.server.events import query_params
+from rosld.server.events.broadcaster import Broadcaster, Broadcasters, Waiter
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
@@ -35,6 +35,6 @@ async def _until_other(feed: Broadcaster, after: str, name: Callable[[State], st
     while True:
         version = feed.version
         state = (await feed.look()).state
-        if isinstance(state, Problem) or not asked.is_state(after, name(state)):
+        if isinstance(state, Problem) or not query_params.is_state(after, name(state)):
             return
         await feed.wait(sleeper, version)

@@ -20,7 +20,7 @@ from rosld.adapters.model import (
     Refused,
     Sent,
 )
-from rosld.ontology.fitting import Misfit
+from rosld.ontology.coercion import Misfit
 from rosld.ontology.json_leaves import json_leaf
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import LoweringError, Violation, lowerer

@@ -15,17 +15,17 @@ from rosld.ontology.parameters import lower_term, parameter_json
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import rdf
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.catalogue import Property
-from rosld.server.hypermedia.content import rdf_content
 from rosld.server.hypermedia.describe import fragment
-from rosld.server.hypermedia.layout import ComplexPlan, MemberPlan
-from rosld.server.hypermedia.offers import Snapshot
+from rosld.server.hypermedia.property_writer import PlannedWrite, Written, carry_out
+from rosld.server.hypermedia.resource_tree import ComplexPlan, MemberPlan
 from rosld.server.hypermedia.value import WHOLE, MessageValue, Reading, literal, picked_json, plain_json
+from rosld.server.hypermedia.value_body import rdf_content
 from rosld.server.hypermedia.views import ComplexView, Member
-from rosld.server.hypermedia.writing import PlannedWrite, Written, carry_out
 from rosld.server.ldp.patch import merge_patch
 from rosld.server.resources.context import Robot
-from rosld.server.resources.guarding import refuse
+from rosld.server.resources.preconditions import refuse
 from rosld.server.resources.writes import planned
 from rosld.server.rest.errors import problem_of
 

@@ -17,7 +17,7 @@ from types import MappingProxyType
 
 from rosld.adapters import parameters
 from rosld.adapters.aircraft.flight import Declined, Flight
-from rosld.adapters.aircraft.fly import ACTION, Fly, called_off, ended, taken
+from rosld.adapters.aircraft.fly import ACTION, Fly, accept, cancel, ended
 from rosld.adapters.aircraft.fly import TYPE as FLY
 from rosld.adapters.aircraft.graph import AIRCRAFT, DISPLAY, ROSLD, SPEED, Advertised, aircraft_graph
 from rosld.adapters.aircraft.services import SERVICES
@@ -223,7 +223,7 @@ class Aircraft:
             raise Refused(f"{action} cannot read the goal", words=str(error)) from error
         distance = float(getattr(asked, "distance", math.nan))
         try:
-            self._fly = taken(self._flight, self._fly, secrets.token_hex(16), distance, time.monotonic_ns())
+            self._fly = accept(self._flight, self._fly, secrets.token_hex(16), distance, time.monotonic_ns())
         except Declined as declined:
             raise Refused(f"{action} rejected the goal: {declined}", words=str(declined)) from declined
         self._told(self._fly, GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True))
@@ -235,7 +235,7 @@ class Aircraft:
         self._action(goal.action)
         if self._fly is None or self._fly.id != goal.id:
             raise NotFound(f"the aircraft does not pursue the goal {goal.id}")
-        self._fly = called_off(self._fly)
+        self._fly = cancel(self._fly)
         self._told(self._fly, GoalEvent(time.time_ns(), GoalStatus.CANCELING, own=True))
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:

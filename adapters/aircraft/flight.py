@@ -65,13 +65,13 @@ def powered(flight: Flight, power: str, now_ns: int) -> Flight:
     raise Declined(f"the power is 'on' or 'off', not {power!r}")
 
 
-def hastened(flight: Flight, speed: float, now_ns: int) -> Flight:
+def set_speed(flight: Flight, speed: float, now_ns: int) -> Flight:
     """On its way to another speed. Declined while off and outside 0 to 1000."""
     _on_and_within(flight, "speed", speed, MOST_SPEED)
     return replace(flight, speed=flight.speed_at(now_ns), commanded=_positive(speed), since_ns=now_ns)
 
 
-def turned(flight: Flight, direction: float, now_ns: int) -> Flight:
+def set_heading(flight: Flight, direction: float, now_ns: int) -> Flight:
     """Heading to another direction, at once. Declined while off and outside 0 to 360."""
     _on_and_within(flight, "direction", direction, MOST_DIRECTION)
     return replace(flight, speed=flight.speed_at(now_ns), direction=_positive(direction), since_ns=now_ns)

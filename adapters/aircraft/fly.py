@@ -39,7 +39,7 @@ class Ended:
     message: str
 
 
-def taken(flight: Flight, underway: Fly | None, id: str, distance: float, now_ns: int) -> Fly:
+def accept(flight: Flight, underway: Fly | None, id: str, distance: float, now_ns: int) -> Fly:
     """A goal that is taken. Declined while off, while another is underway, and outside 0 to 100000."""
     if not flight.on:
         raise Declined("the aircraft is off: start it before it is to fly")
@@ -50,7 +50,7 @@ def taken(flight: Flight, underway: Fly | None, id: str, distance: float, now_ns
     return Fly(id, distance, now_ns)
 
 
-def called_off(fly: Fly) -> Fly:
+def cancel(fly: Fly) -> Fly:
     """The goal, to be canceled."""
     return replace(fly, canceling=True)
 

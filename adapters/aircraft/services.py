@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple, Protocol, TypeAlias, cast
 
-from rosld.adapters.aircraft.flight import Declined, Flight, hastened, powered, started, stopped, turned
+from rosld.adapters.aircraft.flight import Declined, Flight, powered, set_heading, set_speed, started, stopped
 from rosld.adapters.model import Message
 
 Values: TypeAlias = Mapping[str, object]
@@ -68,11 +68,11 @@ SERVICES: Mapping[str, AircraftService] = MappingProxyType(
         "/aircraft/get_power": AircraftService("rosld_aircraft/srv/GetText", _question(lambda flight: flight.power)),
         "/aircraft/engine/set_speed": AircraftService(
             "rosld_aircraft/srv/SetNumber",
-            _command(lambda flight, request, now: hastened(flight, _number(request), now), "speed set"),
+            _command(lambda flight, request, now: set_speed(flight, _number(request), now), "speed set"),
         ),
         "/aircraft/engine/set_direction": AircraftService(
             "rosld_aircraft/srv/SetNumber",
-            _command(lambda flight, request, now: turned(flight, _number(request), now), "direction set"),
+            _command(lambda flight, request, now: set_heading(flight, _number(request), now), "direction set"),
         ),
         "/aircraft/engine/get_direction": AircraftService(
             "rosld_aircraft/srv/GetNumber", _question(lambda flight: flight.direction)

@@ -17,7 +17,7 @@ from typing import Any, cast
 
 from rosld.adapters.model import Action, GoalEvent, GoalId, GoalStatus, NotFound, Qos, Refused, RosError, Sent
 from rosld.adapters.ros2.calls import Calls
-from rosld.adapters.ros2.middleware import Participant, Reader, deserialized, made, serialized
+from rosld.adapters.ros2.middleware import Participant, Reader, deserialized, make_message, serialized
 from rosld.adapters.ros2.wait_set import Waiter
 
 _STATUS = "action_msgs/msg/GoalStatusArray"
@@ -102,7 +102,7 @@ class Actions:
         try:
             await self._matched(line, min(until, self._loop.time() + _MATCHED))
             fields: dict[str, object] = {"goal_id": _uuid(id), "goal": asked}
-            request = made(f"{type}_SendGoal", fields, "Request")
+            request = make_message(f"{type}_SendGoal", fields, "Request")
             answer = cast(
                 Any, await self._calls.call(f"{action.name}/_action/send_goal", f"{type}_SendGoal", request, until)
             )
@@ -129,8 +129,8 @@ class Actions:
             raise NotFound(
                 f"{goal.action} has no goal {goal.id!r}: a goal's id is {2 * _UUID} hex digits, not all zero"
             )
-        info = made("action_msgs/msg/GoalInfo", {"goal_id": _uuid(id)})
-        request = made(_CANCEL, {"goal_info": info}, "Request")
+        info = make_message("action_msgs/msg/GoalInfo", {"goal_id": _uuid(id)})
+        request = make_message(_CANCEL, {"goal_info": info}, "Request")
         answer = cast(Any, await self._calls.call(f"{goal.action}/_action/cancel_goal", _CANCEL, request, until))
         if answer.return_code == 2:
             raise NotFound(f"{goal.action} knows no goal {goal.id}")
@@ -258,7 +258,7 @@ class Actions:
         words = result = None
         status = known or GoalStatus.LOST
         try:
-            request = made(f"{line.type}_GetResult", {"goal_id": _uuid(bytes.fromhex(id))}, "Request")
+            request = make_message(f"{line.type}_GetResult", {"goal_id": _uuid(bytes.fromhex(id))}, "Request")
             name = f"{line.name}/_action/get_result"
             answer = cast(Any, await self._calls.call(name, f"{line.type}_GetResult", request, until))
             if answer.status in _STATUSES:
@@ -295,4 +295,4 @@ def _type_of(action: Action) -> str:
 
 
 def _uuid(id: bytes) -> object:
-    return made("unique_identifier_msgs/msg/UUID", {"uuid": list(id)})
+    return make_message("unique_identifier_msgs/msg/UUID", {"uuid": list(id)})

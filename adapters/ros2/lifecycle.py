@@ -24,7 +24,7 @@ from rosld.adapters.model import (
     frozen,
 )
 from rosld.adapters.ros2.calls import Calls
-from rosld.adapters.ros2.middleware import Names, Participant, Reader, class_problem, deserialized, made
+from rosld.adapters.ros2.middleware import Names, Participant, Reader, class_problem, deserialized, make_message
 from rosld.adapters.ros2.wait_set import Waiter
 
 _STATE = "lifecycle_msgs/srv/GetState"
@@ -107,7 +107,7 @@ class Lifecycles:
         if transition is None:
             legal = ", ".join(each.label for each in one.lifecycle.transitions) or "none"
             raise Refused(f"{node} is {_state_of(one)}: {label!r} is no legal transition now; legal is {legal}")
-        wanted = made(_TRANSITION, {"id": transition.id, "label": transition.label})
+        wanted = make_message(_TRANSITION, {"id": transition.id, "label": transition.label})
         try:
             answer = await self._call(node, "change_state", _CHANGE, {"transition": wanted}, until)
         finally:
@@ -227,7 +227,7 @@ class Lifecycles:
         self._list_anew()
 
     async def _call(self, node: str, service: str, type: str, fields: dict[str, object], until: float) -> Any:
-        return cast(Any, await self.calls.call(f"{node}/{service}", type, made(type, fields, "Request"), until))
+        return cast(Any, await self.calls.call(f"{node}/{service}", type, make_message(type, fields, "Request"), until))
 
     def _list_anew(self) -> None:
         lifecycles = {node: one.lifecycle for node, one in sorted(self._managed.items())}

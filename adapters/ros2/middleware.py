@@ -372,7 +372,7 @@ def serialized(message: object) -> bytes:
     return bytes(importlib.import_module("rclpy.serialization").serialize_message(message))
 
 
-def made(type: str, values: Mapping[str, object], half: str | None = None) -> object:
+def make_message(type: str, values: Mapping[str, object], half: str | None = None) -> object:
     """An object of a type's class, or of its `Request`."""
     kind = _class(type)
     return (getattr(kind, half) if half else kind)(**values)

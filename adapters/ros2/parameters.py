@@ -27,7 +27,7 @@ from rosld.adapters.model import (
 from rosld.adapters.model.names import segments
 from rosld.adapters.ros2.calls import Calls
 from rosld.adapters.ros2.descriptors import descriptor_of
-from rosld.adapters.ros2.middleware import Names, ParameterChange, made
+from rosld.adapters.ros2.middleware import Names, ParameterChange, make_message
 from rosld.adapters.ros2.values import Tag, from_message, to_fields
 
 _SERVICES = {
@@ -353,7 +353,7 @@ class Parameters:
 
     async def _ask(self, node: str, service: str, fields: dict[str, object], until: float) -> Any:
         type = _SERVICES[service]
-        return cast(Any, await self.calls.call(f"{node}/{service}", type, made(type, fields, "Request"), until))
+        return cast(Any, await self.calls.call(f"{node}/{service}", type, make_message(type, fields, "Request"), until))
 
     def _list_anew(self) -> None:
         names = {
@@ -411,8 +411,8 @@ def _tree(name: str, values: Mapping[str, ParameterValue]) -> ParameterValue:
 
 
 def _parameter(name: str, fields: dict[str, object]) -> object:
-    value = made("rcl_interfaces/msg/ParameterValue", fields)
-    return made("rcl_interfaces/msg/Parameter", {"name": name, "value": value})
+    value = make_message("rcl_interfaces/msg/ParameterValue", fields)
+    return make_message("rcl_interfaces/msg/Parameter", {"name": name, "value": value})
 
 
 def _refused(name: str, node: str, reason: str) -> Refused:

@@ -15,7 +15,7 @@ from rosld.adapters.model.derived import written_as
 from rosld.adapters.model.description import IndividualTypeMessage, definition_of
 from rosld.adapters.model.library import SEPARATOR, TypeLibrary
 from rosld.adapters.ros2.calls import Calls
-from rosld.adapters.ros2.middleware import class_problem, made
+from rosld.adapters.ros2.middleware import class_problem, make_message
 
 _DESCRIPTION = "type_description_interfaces/srv/GetTypeDescription"
 _KINDS = ("msg", "srv", "action")
@@ -121,7 +121,7 @@ class Types:
         }
         service = f"{node}/get_type_description"
         try:
-            request = made(_DESCRIPTION, fields, "Request")
+            request = make_message(_DESCRIPTION, fields, "Request")
             answer = cast(DescriptionMessage, await self._calls.call(service, _DESCRIPTION, request, until))
             if not answer.successful:
                 return None

@@ -20,7 +20,7 @@ from rosld.server.auth.permissions import Permissions
 _Term: TypeAlias = "NamedNode | BlankNode | Literal | Triple"
 
 
-def veiled(document: Document, permissions: Permissions) -> Document:
+def redact_document(document: Document, permissions: Permissions) -> Document:
     """The document as an agent with these rights may read it; it may read what the document is about."""
     if permissions.whole:
         return document

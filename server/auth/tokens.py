@@ -23,7 +23,7 @@ _TOKEN68 = re.compile(r"[A-Za-z0-9\-._~+/]+=*")
 _MOST = 16 * 1024
 
 
-def made() -> str:
+def generate_token() -> str:
     """A new token."""
     return PREFIX + secrets.token_urlsafe(32)
 

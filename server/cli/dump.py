@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from rosld.server.cli import data_folder
-from rosld.server.cli.failure import Failure, told
+from rosld.server.cli.failure import Failure, user_errors
 from rosld.server.storage.archive import pack
 from rosld.server.storage.record import StorageError
 
@@ -16,7 +16,7 @@ from rosld.server.storage.record import StorageError
 def dump(folder: Path, output: Path) -> None:
     """Write the records of a data folder, whether a server runs on it or not. Raises Failure."""
     draft = output.with_name(f".{output.name}.{os.getpid()}")
-    with told():
+    with user_errors():
         base = data_folder.owner(folder)
         if base is None:
             raise Failure(f"{folder} is no folder that rosld keeps data in: {data_folder.NAME} is missing")

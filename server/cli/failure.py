@@ -23,7 +23,7 @@ class Failure(click.ClickException):
 
 
 @contextmanager
-def told() -> Iterator[None]:
+def user_errors() -> Iterator[None]:
     """Turns what can go wrong with a user's source, folder, address or file into a Failure."""
     try:
         yield

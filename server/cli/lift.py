@@ -20,7 +20,7 @@ from rosld.adapters.base import AdapterOptions
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.serialize import Syntax
 from rosld.ontology.urls import Space
-from rosld.server.cli.failure import Failure, told
+from rosld.server.cli.failure import Failure, user_errors
 from rosld.server.cli.lifting import Lifting
 from rosld.server.cli.types import opened
 from rosld.server.cli.writing import writer
@@ -61,7 +61,7 @@ def lift(recording: Path, output: Path, base: str, options: AdapterOptions, sett
     for number in end_signals():
         if number is not signal.SIGINT:
             signal.signal(number, _exit)  # an exception, so that the draft is removed
-    with told():
+    with user_errors():
         to, space = target(output), Space(base, settings.types)
         with opened(f"recording:{recording}", options) as adapter:
             for found in adapter.recordings.values():

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from rosld.server.cli import data_folder
-from rosld.server.cli.failure import Failure, told
+from rosld.server.cli.failure import Failure, user_errors
 from rosld.server.settings import canonical_base
 from rosld.server.storage.archive import Unpacking
 from rosld.server.storage.blobs import Blobs
@@ -25,7 +25,7 @@ def load(archive: Path, folder: Path, base: str | None) -> None:
 
     `base` is what its IRIs shall begin with; a folder that is there knows it, else it is the dump's own.
     """
-    with told(), archive.open("rb") as file:
+    with user_errors(), archive.open("rb") as file:
         unpacking = Unpacking(file)
         owner = data_folder.owner(folder)
         to = base or owner or canonical_base(unpacking.base)

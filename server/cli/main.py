@@ -12,7 +12,7 @@ import rosld
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import Qos, read_profile
 from rosld.server import settings as declared
-from rosld.server.cli.failure import told
+from rosld.server.cli.failure import user_errors
 from rosld.server.settings import Declaration, Settings
 
 _F = TypeVar("_F", bound=Callable[..., Any])
@@ -137,7 +137,7 @@ def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None
       rosld serve ros1://robot:11311 --ros-ip 10.0.0.7 --allow-publish /cmd_vel
       rosld serve ros1: --host 0.0.0.0 --base-url http://robot.example:8080/
     """
-    with told():
+    with user_errors():
         options |= {name.replace("-", "_"): declared.parse(name, text) for name, text in others}
         if base_url is not None:
             options["base_url"] = declared.canonical_base(base_url)
@@ -181,7 +181,7 @@ def lift(recording: Path, output: Path, base_url: str, inline_limit: int, types:
     from rosld.ontology.lift import LiftSettings
     from rosld.server.cli.lift import lift as run
 
-    with told():
+    with user_errors():
         base = declared.canonical_base(base_url)
     run(recording, output, base, AdapterOptions(types=types), LiftSettings(inline_limit=inline_limit))
 
@@ -301,6 +301,6 @@ def load(file: Path, folder: Path, base_url: str | None) -> None:
     """
     from rosld.server.cli.load import load as run
 
-    with told():
+    with user_errors():
         base = None if base_url is None else declared.canonical_base(base_url)
     run(file, folder, base)

@@ -16,7 +16,7 @@ from rosld.adapters.base import Adapter
 from rosld.adapters.registry import adapter_for
 from rosld.server import settings as settings_module
 from rosld.server.cli import data_folder
-from rosld.server.cli.failure import told
+from rosld.server.cli.failure import user_errors
 from rosld.server.serving import http_server, tls
 from rosld.server.serving.connection import Bounds
 from rosld.server.serving.lifespan import lifespan
@@ -36,10 +36,10 @@ def serve(source: str, settings: Settings, *, base_given: bool) -> None:
     """Serve a source until a signal comes. Raises Failure where it cannot begin."""
     http_server.quiet_logs()
     allow_open_files()
-    with told():
+    with user_errors():
         adapter = adapter_for(source, settings.adapter_options)
         sock = http_server.bind(settings.host, settings.port)
-    with contextlib.closing(sock), told(), contextlib.ExitStack() as lasting:
+    with contextlib.closing(sock), user_errors(), contextlib.ExitStack() as lasting:
         settings = settings_module.bound(settings, sock.getsockname()[1], base_given=base_given)
         if settings.data is not None:
             lasting.enter_context(data_folder.hold(settings.data))

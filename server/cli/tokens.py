@@ -14,7 +14,7 @@ import click
 
 from rosld.server.auth import config, tokens
 from rosld.server.auth.config import Access
-from rosld.server.cli.failure import told
+from rosld.server.cli.failure import user_errors
 
 _TABLE = re.compile(r"^[ \t]*\[", re.MULTILINE)
 _TOKEN = re.compile(r"^[ \t]*\[\[[ \t]*token[ \t]*\]\]")
@@ -22,7 +22,7 @@ _TOKEN = re.compile(r"^[ \t]*\[\[[ \t]*token[ \t]*\]\]")
 
 def add(file: Path, name: str, modes: Sequence[str], globs: Sequence[str]) -> None:
     """Give an agent a new token, and these rights where there are any; the token is told once, here."""
-    token = tokens.made()
+    token = tokens.generate_token()
     made = datetime.now(timezone.utc).strftime("%Y-%m-%d")
     more = f'\n[[token]]\nagent = {_text(name)}\nsha256 = "{tokens.digest(token)}"\ncreated = "{made}"\n'
     if modes or globs:
@@ -30,7 +30,7 @@ def add(file: Path, name: str, modes: Sequence[str], globs: Sequence[str]) -> No
             f"\n[[rule]]\nagents = [{_text(name)}]\nmodes = [{', '.join(map(_text, modes or ('read',)))}]\n"
             f"paths = [{', '.join(map(_text, globs or ('/**',)))}]\n"
         )
-    with told():
+    with user_errors():
         before = _content(file)
         _write(file, before + (more if before.strip() else more.lstrip("\n")))
     click.echo(token)
@@ -38,7 +38,7 @@ def add(file: Path, name: str, modes: Sequence[str], globs: Sequence[str]) -> No
 
 def listed(file: Path) -> None:
     """Who has tokens, and how many."""
-    with told():
+    with user_errors():
         found = _read(file)
     counts: dict[str, int] = {}
     for agent in found.tokens.agents.values():
@@ -49,7 +49,7 @@ def listed(file: Path) -> None:
 
 def remove(file: Path, name: str) -> None:
     """Take all tokens of an agent away; the rules about it stay, and are about nobody."""
-    with told():
+    with user_errors():
         found = _read(file)
         if name not in found.tokens.agents.values():
             raise ValueError(f"{file}: {name!r} has no token")

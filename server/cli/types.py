@@ -11,7 +11,7 @@ import click
 from rosld.adapters.base import Adapter, AdapterOptions
 from rosld.adapters.model import GoalEvent, GoalId, Graph, TypeRef
 from rosld.adapters.registry import adapter_for
-from rosld.server.cli.failure import told
+from rosld.server.cli.failure import user_errors
 
 OPEN_SECONDS = 5.0
 
@@ -54,7 +54,7 @@ def used(graph: Graph) -> set[TypeRef]:
 
 def types(source: str, options: AdapterOptions) -> None:
     """Print one line a type: its name and, after a tab, its hash where it is known."""
-    with told(), opened(source, options) as adapter:
+    with user_errors(), opened(source, options) as adapter:
         found = used(adapter.graph) | set(adapter.known_types())
     hashed = {ref.name for ref in found if ref.hash is not None}
     for ref in sorted(found, key=lambda ref: (ref.name, ref.hash or "")):

@@ -23,9 +23,9 @@ from rosld.server.html.inputs import (
     can_be_typed,
     choice,
     controls,
+    editable_json,
     number_text,
     primitive,
-    written,
 )
 from rosld.server.html.units import unit_symbol
 from rosld.server.html.view import visible
@@ -236,7 +236,7 @@ def _parameter_text(value: Json) -> str:
         return "true" if value else "false"
     if isinstance(value, int | float):
         return number_text(value)
-    return written(value, indent=2)
+    return editable_json(value, indent=2)
 
 
 def _parameter_input(kind: str, text: str) -> Input:

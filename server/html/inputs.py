@@ -278,13 +278,13 @@ def json_text(kind: FieldType, value: Json) -> str | None:
     if not isinstance(value, list if isinstance(kind, Array) else Mapping):
         return None
     try:
-        text = written(value, indent=2 if _is_of_messages(kind) else None)
+        text = editable_json(value, indent=2 if _is_of_messages(kind) else None)
     except (TypeError, ValueError):
         return None
     return text if len(text) <= MOST_TEXT else None
 
 
-def written(value: Json, indent: int | None = None) -> str:
+def editable_json(value: Json, indent: int | None = None) -> str:
     """A value as JSON that a browser sends back as it is."""
     text = json.dumps(value, ensure_ascii=False, indent=indent)
     return text if visible(text) == text else json.dumps(value, indent=indent)

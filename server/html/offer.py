@@ -156,7 +156,7 @@ def draw(offer: Offer, site: Site, posted: Iterable[FormTarget]) -> Drawn:
             return _complex(offer, site, {each.form.action: each for each in posted if each.form.action})
         case PropertyView(affordance, reading):
             return DrawnProperty(
-                told(affordance, reading, None, site),
+                value_of(affordance, reading, None, site),
                 tuple(_facts(affordance.shape, site)),
                 _behind(site, (ros.readsFrom, offer.reads_from), (ros.writesTo, offer.writes_to)),
                 site.anchor(offer.part_of),
@@ -202,7 +202,9 @@ def _property_row(member: Member, site: Site, posted: Mapping[str, FormTarget]) 
     anchor = _named(one.url, one.title or one.name, site)
     own = posted.get(one.url) if member.field is None else None
     change = anchor if one.write and own is None else None
-    return PropertyRow(anchor, _term(one.predicate, site), told(one, member.reading, member.field, site), own, change)
+    return PropertyRow(
+        anchor, _term(one.predicate, site), value_of(one, member.reading, member.field, site), own, change
+    )
 
 
 def _action_row(action: ActionAffordance, site: Site, posted: Mapping[str, FormTarget]) -> ActionRow:
@@ -217,7 +219,7 @@ def _link_rows(links: Iterable[LinkAffordance], site: Site) -> Iterator[LinkRow]
             yield LinkRow(visible(label(link.relation.value)), anchor, _term(link.relation, site))
 
 
-def told(affordance: PropertyAffordance, reading: Reading, field: str | None, site: Site) -> Told:
+def value_of(affordance: PropertyAffordance, reading: Reading, field: str | None, site: Site) -> Told:
     """The value of a property, or one field of it, with its unit and when it was read."""
     read = moment(reading.read_ns) if reading.read_ns is not None else None
     if reading.value is not None:

@@ -6,7 +6,7 @@ from typing import cast
 
 from rosld.ontology.body import parse_json
 from rosld.ontology.lift import LiftSettings
-from rosld.server.html.inputs import Json, written
+from rosld.server.html.inputs import Json, editable_json
 from rosld.server.html.messages import message_view
 from rosld.server.html.site import Site
 from rosld.server.html.terms import cell_view
@@ -27,7 +27,7 @@ def value_view(value: Value, site: Site, field: str | None = None) -> View:
     if isinstance(value, MessageValue):
         octets = f"{site.href(value.origin)}?field="
         return message_view(value.schema, value.message, fields=value.fields, octets=octets)
-    return text_view(written(plain_value(value), indent=2))
+    return text_view(editable_json(plain_value(value), indent=2))
 
 
 def plain_value(value: Value | None) -> Json:

@@ -60,7 +60,7 @@ class Tag:
 Tags: TypeAlias = "Literal['*'] | tuple[Tag, ...]"
 
 
-class Verdict(Enum):
+class PreconditionResult(Enum):
     """What the preconditions of a request come to; the values are statuses, 0 for none."""
 
     PROCEED = 0
@@ -81,30 +81,34 @@ def parse(text: str, name: str = "If-Match") -> Tags:
     return tuple(Tag(found[2], bool(found[1])) for found in _TAG.finditer(stripped))
 
 
-def evaluate(method: str, current: ETag | None, *, if_match: str | None, if_none_match: str | None) -> Verdict:
+def evaluate(
+    method: str, current: ETag | None, *, if_match: str | None, if_none_match: str | None
+) -> PreconditionResult:
     """Judges a request's preconditions in the order of RFC 9110 13.2.2; `current` is None where nothing is there.
 
     If-Match uses the strong comparison (a weak tag never matches), If-None-Match the weak one. A write changes all
     representations, so that the tag of any of them is the current one (RFC 9110 13.1.2).
     """
     if if_match is not None and not _any_state(parse(if_match, "If-Match"), current):
-        return Verdict.PRECONDITION_FAILED
+        return PreconditionResult.PRECONDITION_FAILED
     if if_none_match is None:
-        return Verdict.PROCEED
+        return PreconditionResult.PROCEED
     tags = parse(if_none_match, "If-None-Match")
     if method in _SAFE_METHODS:
-        return Verdict.NOT_MODIFIED if _any_tag(tags, current) else Verdict.PROCEED
-    return Verdict.PRECONDITION_FAILED if _any_state(tags, current, weakly=True) else Verdict.PROCEED
+        return PreconditionResult.NOT_MODIFIED if _any_tag(tags, current) else PreconditionResult.PROCEED
+    return (
+        PreconditionResult.PRECONDITION_FAILED if _any_state(tags, current, weakly=True) else PreconditionResult.PROCEED
+    )
 
 
-def guard(method: str, current: ETag | None, *, if_match: str | None, if_none_match: str | None) -> bool:
+def check_preconditions(method: str, current: ETag | None, *, if_match: str | None, if_none_match: str | None) -> bool:
     """As `evaluate`, raising the 412 Problem; True means: answer 304."""
     verdict = evaluate(method, current, if_match=if_match, if_none_match=if_none_match)
-    if verdict is Verdict.PRECONDITION_FAILED:
+    if verdict is PreconditionResult.PRECONDITION_FAILED:
         raise Problem(
             412, "The resource is not in the state the request asks for; read it again.", headers=_told(current)
         )
-    return verdict is Verdict.NOT_MODIFIED
+    return verdict is PreconditionResult.NOT_MODIFIED
 
 
 def require_if_match(if_match: str | None, why: str) -> str:

@@ -49,7 +49,7 @@ from rosld.server.hypermedia.value import (
 from rosld.server.robot.calls import Unreadable
 from rosld.server.robot.publication import Publication, publish
 from rosld.server.robot.session import Session
-from rosld.server.robot.write_policy import denied_reason, kept
+from rosld.server.robot.write_policy import denied_reason, parameter_denied_reason
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +115,7 @@ def _setter_refusal(session: Session, name: str) -> str | None:
 def _parameter_refusal(session: Session, name: str) -> str | None:
     if name not in session.graph.parameters:
         return f"There is no parameter {name} any more."
-    if (words := kept(session.graph, name)) is not None:
+    if (words := parameter_denied_reason(session.graph, name)) is not None:
         return words
     if Operation.SET_PARAMETER in session.adapter.allows(Ref(Kind.PARAMETER, name)):
         return None

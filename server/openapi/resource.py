@@ -24,7 +24,7 @@ from rosld.server.openapi.places import OPENAPI, Places, Resolve, learn
 from rosld.server.openapi.rights import places_for, with_security
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.prepared import held
+from rosld.server.rest.prepared import bytes_response
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
 from rosld.server.rest.resource_headers import standing_headers
 
@@ -79,7 +79,7 @@ class OpenApiResource(Resource):
         if exchange.visit is not OPEN:
             data = await self._for_agent(kept, hidden, exchange.permissions, exchange.visit.public)
         etag = ETag(f"{self.robot.instance_id}-{_digest(data)}", media_type.partition("/")[2].replace(".", "-"))
-        return held(exchange, data, media_type, etag, standing_headers(self).items())
+        return bytes_response(exchange, data, media_type, etag, standing_headers(self).items())
 
     async def _for_agent(self, kept: _Described, hidden: bool, permissions: Permissions, public: Permissions) -> bytes:
         """The description as it is for an agent, kept for as long as it is the same."""

@@ -14,7 +14,7 @@ from rosld.server.hypermedia.mapping_parser import MappingDocument, load_mapping
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.settings import Settings
 from rosld.server.storage import Model, Put, Records
-from rosld.server.storage.describe import written
+from rosld.server.storage.describe import to_ntriples
 from rosld.server.storage.packing import unpack
 
 ROOM = "mappings/"
@@ -50,7 +50,7 @@ async def keep_mappings(mappings: Mappings, records: Records, settings: Settings
         if records.was_there(path):
             mappings.remove(document.url)
         elif records.get(path) is None or document.url in named:
-            await records.write(Put(path, Model.RDF_SOURCE, written(document.triples)))
+            await records.write(Put(path, Model.RDF_SOURCE, to_ntriples(document.triples)))
             begun.add(document.url)
     for member in records.members(ROOM):
         record, url = records.get(member.path), space.base + member.path

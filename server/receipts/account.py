@@ -73,7 +73,7 @@ under_way: ContextVar[AuditContext | None] = ContextVar("under_way", default=Non
 """The account of the write that this task is carrying out; None where it carries out none."""
 
 
-def accounted_for(does: str, *touches: str) -> None:
+def record_step(does: str, *touches: str) -> None:
     """As `Account.plans`, told to the write that is under way."""
     account = under_way.get()
     if account is not None:

@@ -47,7 +47,7 @@ class AuditEntry(NamedTuple):
     words: str | None
 
 
-def held(body: bytes) -> tuple[bytes, bytes | None]:
+def excerpt_of(body: bytes) -> tuple[bytes, bytes | None]:
     """What is held of a body, and its digest where that is not all of it."""
     return (body, None) if len(body) <= SCANNED else (body[:SCANNED], hashlib.sha256(body).digest())
 

@@ -40,7 +40,7 @@ from rosld.server.rest.resource import JSON, RDF_BODIES, READ, Answer, Created, 
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import Gone, KeyReused
 from rosld.server.robot.goals import Goal, Sending
-from rosld.server.robot.write_policy import closed
+from rosld.server.robot.write_policy import resources_only_reason
 
 _READ_ONLY = "This server is read-only."
 
@@ -80,7 +80,7 @@ class ActionResource(Resource):
         if self.robot.settings.read_only:
             return _READ_ONLY
         if method == "POST" and self.robot.is_resources_only(self.name):
-            return closed(self.name)
+            return resources_only_reason(self.name)
         if method == "POST":
             return self.action.unusable or f"No goal can be sent to {self.name}."
         return f"Goals are sent to an action with POST; it does not answer {method}."
@@ -207,7 +207,7 @@ class GoalResource(Resource):
             return f"A goal is canceled with DELETE; it does not answer {method}."
         if goal.status is GoalStatus.CANCELING:
             return f"The goal {self.id} is being canceled: it can be forgotten once it has ended."
-        return closed(goal.action)
+        return resources_only_reason(goal.action)
 
     def _is_open(self, goal: Goal) -> bool:
         """Whether anything may be done with it: what has ended may be forgotten in any case."""

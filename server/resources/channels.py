@@ -42,7 +42,7 @@ from rosld.server.resources.context import Robot
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
-from rosld.server.rest.prepared import RawResponse, held
+from rosld.server.rest.prepared import RawResponse, bytes_response
 from rosld.server.rest.resource import (
     BASIC_CONTAINER,
     JSON,
@@ -200,7 +200,7 @@ class Described(Resource):
             return None
         body = orjson.dumps(with_context(members))
         etag = ETag(f"{self.notifications.robot.instance_id}-{digest(body)}", "jsonld")
-        return held(exchange, body, JSON_LD, etag, standing_headers(self).items())
+        return bytes_response(exchange, body, JSON_LD, etag, standing_headers(self).items())
 
     def _headers(self) -> list[tuple[bytes, bytes]]:
         standing = {**standing_headers(self), "vary": "Accept"}

@@ -29,7 +29,7 @@ from rosld.server.resources.kept.base import Kept
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.routes import AbsentResource
 from rosld.server.resources.kept.sources import N3_PATCH
-from rosld.server.resources.sparql import answered, formats_of, wished
+from rosld.server.resources.sparql import answer_query, formats_of, wished
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import RDF_BODIES, READ, SPARQL_UPDATE, Answer, Resource
 from rosld.server.rest.state import State
@@ -239,7 +239,7 @@ class _Whole(Resource):
             content_type = results.content_type(results.choose(self.form, accept))
             return Response(headers={"Content-Type": content_type, "Vary": "Accept", "Cache-Control": "no-cache"})
         asked = replace(self.asked, timeout=timeout_asked(exchange.query.items()))
-        return await answered(self._service, asked, accept, permissions=exchange.permissions)
+        return await answer_query(self._service, asked, accept, permissions=exchange.permissions)
 
 
 class DefaultGraph(_Whole):

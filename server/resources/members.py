@@ -36,7 +36,7 @@ from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.preconditions import require_offered, require_writable, seen_anew
 from rosld.server.resources.service_request import called, declined_by, failure, request_in
-from rosld.server.resources.writes import planned, told
+from rosld.server.resources.writes import planned, write_response
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import (
@@ -205,7 +205,7 @@ class MemberResource(Resource):
         changed = () if plan.member.field is None else (plan.of.name,)
         async with self.robot.offers.turn(layout, self.name, changed=changed):
             written = await self._write(layout, plan, content)
-            return told(written, await carry_out(self.robot, written), exchange.accept)
+            return write_response(written, await carry_out(self.robot, written), exchange.accept)
 
     async def _write(self, layout: ResourceTree, plan: PropertyPlan, content: object) -> PlannedWrite:
         """How the property comes to be what `content` says, if it may be written now; nothing moves."""
@@ -243,7 +243,7 @@ class MemberResource(Resource):
             require_writable(self.robot, plan, sight)
             content = self._whole(plan, sight, self._patched(exchange, plan, sight, data))
             written = await planned(self.robot, plan.of, content)
-            return told(written, await carry_out(self.robot, written), exchange.accept)
+            return write_response(written, await carry_out(self.robot, written), exchange.accept)
 
     async def _property(self) -> tuple[ResourceTree, PropertyPlan]:
         layout = await self.robot.offers.layout()

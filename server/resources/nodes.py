@@ -24,7 +24,7 @@ from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import JSON, RDF_BODIES, READ, Answer, Resource
 from rosld.server.rest.state import State
-from rosld.server.robot.write_policy import closed
+from rosld.server.robot.write_policy import resources_only_reason
 
 TRANSITION = "transition"
 """The member of a JSON body, and the field of a form, that names a transition."""
@@ -88,7 +88,9 @@ class NodeResource(Resource):
         if method != "POST" or lifecycle is None:
             return f"{self.name} has no lifecycle: it does not answer {method}."
         name = self._closed(lifecycle)
-        return closed(name) if name is not None else f"No transition can be asked for: {lifecycle.unknown}."
+        return (
+            resources_only_reason(name) if name is not None else f"No transition can be asked for: {lifecycle.unknown}."
+        )
 
     async def state(self) -> State:
         view, space, simulated = self.view, self.robot.space, self.robot.graph.simulated_time

@@ -79,7 +79,7 @@ from rosld.server.rest.resource import (
     moved,
 )
 from rosld.server.rest.state import State
-from rosld.server.robot.write_policy import closed, kept
+from rosld.server.robot.write_policy import parameter_denied_reason, resources_only_reason
 from rosld.server.runtime.signals import every, together
 from rosld.shapes.parameter import constraint_url, declared_shape, declared_triples
 from rosld.shapes.value import OpenShape
@@ -107,7 +107,7 @@ class _Parameters(Resource):
         if self.robot.settings.read_only:
             return "This server is read-only."
         if self.robot.is_resources_only(self.name):
-            return closed(self.name)
+            return resources_only_reason(self.name)
         return f"The parameters of this {self.robot.adapter.capabilities.system} do not answer {method} here."
 
     @property
@@ -153,7 +153,7 @@ class _Parameters(Resource):
 
     def _require_not_kept(self, name: str, *, delete: bool = False) -> None:
         """Raise a 409 Problem where the node of a parameter declares that this is never done with it."""
-        words = kept(self.robot.graph, name, delete=delete)
+        words = parameter_denied_reason(self.robot.graph, name, delete=delete)
         if words is not None:
             raise Problem(409, words)
 
@@ -184,7 +184,7 @@ class _Parameters(Resource):
         """Raise a 409 Problem where a tree holds, or would hold, a name that is written under /resources/ only."""
         for each in (name, *_below(name, self.robot), *_leaves(name, value)):
             if self.robot.is_resources_only(each):
-                raise Problem(409, closed(each))
+                raise Problem(409, resources_only_reason(each))
 
     async def delete(self, exchange: Exchange) -> Answer:
         if await self._value() is None:
@@ -209,7 +209,7 @@ class ParameterResource(_Parameters):
     def why_not(self, method: str) -> str:
         if self.robot.settings.read_only or self.robot.is_resources_only(self.name):
             return super().why_not(method)
-        words = kept(self.robot.graph, self.name, delete=method == "DELETE")
+        words = parameter_denied_reason(self.robot.graph, self.name, delete=method == "DELETE")
         return words or super().why_not(method)
 
     def methods(self) -> frozenset[str]:

@@ -24,21 +24,21 @@ from rosld.server.html import Listing, Notice, QueryPage, QueryParameter, Result
 from rosld.server.html.page import Tone
 from rosld.server.http import negotiation
 from rosld.server.http.body import declared_length
-from rosld.server.http.conditional import ETag, digest, guard
+from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.problem import Problem
 from rosld.server.policies.queries import ROOM, query_triples
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.kept.bodies import require_small
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.files import KeptFile
-from rosld.server.resources.kept.representation import all_members, page_at, shown
+from rosld.server.resources.kept.representation import all_members, page_at, state_of
 from rosld.server.resources.kept.routes import AbsentResource, kept_room
 from rosld.server.resources.kept.sources import DescriptionResource
 from rosld.server.resources.sparql import (
     FORMATS,
     GRAPH_FORMS,
     OFFERS,
-    answered,
+    answer_query,
     formats_of,
     prefers_page,
     results_of,
@@ -89,7 +89,7 @@ class Runner:
             return None
         request = QueryRequest(bind(query, given, self.base), timeout=timeout)
         hung_up = disconnect.of(exchange.request.receive)
-        answer = await answered(self.service, request, accept, hung_up, exchange.permissions)
+        answer = await answer_query(self.service, request, accept, hung_up, exchange.permissions)
         return self._identified(exchange, resource, answer, state)
 
     def _identified(self, exchange: Exchange, resource: Resource, answer: Response, state: str | None) -> Response:
@@ -101,7 +101,7 @@ class Runner:
             etag = ETag(found, "results") if state is None else ETag(state, f"results-{found}")
             answer.headers["etag"] = str(etag)
             if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
-            if guard(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
+            if check_preconditions(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
                 headers = {**standing_headers(resource), "etag": str(etag), "vary": "Accept"}
                 return Response(status_code=304, headers=headers)
         return answer
@@ -327,7 +327,7 @@ def whole_container(robot: Robot) -> Callable[[], Document]:
 
 def _described(robot: Robot, record: Record) -> State:
     """The description of a kept query: that of the file, and what its text says."""
-    state = shown(robot, record)
+    state = state_of(robot, record)
 
     def describe() -> Document:
         document = state.document

@@ -21,7 +21,7 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import JSON, RDF_BODIES, READ, Answer, Created, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import Call, Gone
-from rosld.server.robot.write_policy import closed
+from rosld.server.robot.write_policy import resources_only_reason
 
 
 class ServiceResource(Resource):
@@ -59,7 +59,7 @@ class ServiceResource(Resource):
         if self.robot.settings.read_only:
             return "This server is read-only."
         if method == "POST" and self.robot.is_resources_only(self.name):
-            return closed(self.name)
+            return resources_only_reason(self.name)
         if method == "POST":
             return self.service.uncallable or f"{self.name} cannot be called."
         return f"A service is called with POST; it does not answer {method}."

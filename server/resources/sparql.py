@@ -89,7 +89,7 @@ def prefers_page(accept: str | None) -> bool:
     return negotiation.choose(accept, OFFERS) == HTML
 
 
-async def answered(
+async def answer_query(
     service: QueryService,
     request: QueryRequest,
     accept: str | None,
@@ -104,10 +104,10 @@ async def answered(
         if other is None:
             raise
         answer = await service.answer(request, other, hung_up, permissions)
-    return told(answer)
+    return results_response(answer)
 
 
-def told(answer: QueryAnswer) -> Response:
+def results_response(answer: QueryAnswer) -> Response:
     """The response with the results of a query; streamed ones break off where they cannot be finished.
 
     The field `Unread-Graphs` tells what it was not asked over: a list of containers, each with the number of graphs
@@ -286,7 +286,7 @@ class SparqlResource(Resource):
     async def _answer(self, request: QueryRequest, accept: str | None, exchange: Exchange) -> Response:
         hung_up, permissions = disconnect.of(exchange.request.receive), exchange.permissions
         if not prefers_page(accept):
-            return await answered(self._service, request, accept, hung_up, permissions)
+            return await answer_query(self._service, request, accept, hung_up, permissions)
         try:
             return self._page(permissions, request.text, await results_of(self._service, request, hung_up, permissions))
         except Problem as problem:

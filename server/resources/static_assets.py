@@ -7,7 +7,7 @@ from collections.abc import Callable
 from starlette.responses import Response
 
 from rosld.server import html
-from rosld.server.http.conditional import ETag, digest, guard
+from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.link import Link
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
@@ -37,7 +37,7 @@ class FileResource(Resource):
             "x-content-type-options": "nosniff",
         }
         if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
-        if guard(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
+        if check_preconditions(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
             return Response(status_code=304, headers=headers)
         return Response(self._data, media_type=self._media_type, headers=headers)
 

@@ -18,7 +18,7 @@ from rosld.server.hypermedia.thing_description_rights import thing_for
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.prepared import held
+from rosld.server.rest.prepared import bytes_response
 from rosld.server.rest.resource import RDF_BODIES, RESOURCE, Resource
 
 FORMAT = "td"
@@ -37,7 +37,7 @@ def thing_response(exchange: Exchange, robot: Robot, data: bytes) -> Response:
     """The answer with a Thing Description, as it is for who asks."""
     if exchange.visit is not OPEN:
         data = thing_for(data, exchange.permissions)
-    return held(exchange, data, MEDIA_TYPE, ETag(f"{robot.instance_id}-{digest(data)}", FORMAT))
+    return bytes_response(exchange, data, MEDIA_TYPE, ETag(f"{robot.instance_id}-{digest(data)}", FORMAT))
 
 
 def complex_thing(robot: Robot, plan: ComplexPlan) -> bytes:

@@ -30,7 +30,7 @@ from rosld.server.rest.resource import JSON, MERGE_PATCH, RDF_BODIES, READ, SPAR
 from rosld.server.rest.state import State
 from rosld.server.robot.publication import publish
 from rosld.server.robot.topic_view import View
-from rosld.server.robot.write_policy import RESERVED, closed, denied_reason
+from rosld.server.robot.write_policy import RESERVED, denied_reason, resources_only_reason
 from rosld.server.runtime.signals import together
 
 _LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
@@ -95,7 +95,7 @@ class TopicResource(Resource):
         if robot.settings.read_only:
             return "This server is read-only."
         if robot.is_resources_only(self.name):
-            return closed(self.name)
+            return resources_only_reason(self.name)
         if Operation.PUBLISH not in robot.adapter.allows(Ref(Kind.TOPIC, self.name)):
             return f"Nothing can be published on {self.name} of a {robot.adapter.capabilities.system}."
         if topic is not None:

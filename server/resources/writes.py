@@ -29,7 +29,7 @@ async def planned(robot: Robot, own: Property, content: object) -> PlannedWrite:
     return plan
 
 
-def told(plan: PlannedWrite, written: Written, accept: str | None) -> Response:
+def write_response(plan: PlannedWrite, written: Written, accept: str | None) -> Response:
     """The answer to a write that was carried out: 204, or 202 where nobody was there to hear it."""
     if written is Written.DONE:
         return Response(status_code=204)

@@ -45,7 +45,7 @@ class Parts:
 ALL = Parts()
 
 
-def wanted(preferences: Preferences) -> Parts:
+def select_parts(preferences: Preferences) -> Parts:
     """What `include` and `omit` of return=representation choose (LDP 7.2.2).
 
     What is omitted is left out. Where something is included, members and membership that are not are left out; what the

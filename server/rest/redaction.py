@@ -8,7 +8,7 @@ from functools import partial
 
 from rosld.ontology.document import Document
 from rosld.server.auth.permissions import Permissions
-from rosld.server.auth.redaction import veiled
+from rosld.server.auth.redaction import redact_document
 from rosld.server.hypermedia.redaction import veiled_view
 from rosld.server.rest.state import State
 
@@ -25,7 +25,7 @@ def veiled_state(
     """
 
     def described() -> Document:
-        return veiled(state.document if document is None else document(), permissions)
+        return redact_document(state.document if document is None else document(), permissions)
 
     is_for_worker = state.is_large and document is None
     return replace(
@@ -40,4 +40,4 @@ def veiled_state(
 
 
 def _veiled_document(describe: Callable[[], Document], permissions: Permissions) -> Document:
-    return veiled(describe(), permissions)
+    return redact_document(describe(), permissions)

@@ -8,7 +8,7 @@ from functools import lru_cache
 from rosld.adapters.base import Adapter, Capabilities, Published, Recording, Sink, Subscription, Watch
 from rosld.adapters.model import GoalId, Graph, Operation, ParameterValue, Ref, Sample, Schema, TypeRef
 from rosld.ontology.urls import Space
-from rosld.server.receipts.account import accounted_for, under_way
+from rosld.server.receipts.account import record_step, under_way
 from rosld.server.robot.interlock import WriteInterlock
 
 
@@ -60,41 +60,41 @@ class AuditedAdapter:
 
     async def unadvertise(self, topic: str) -> None:
         """`Adapter.unadvertise`; raises TopicHeld while somebody holds the topic."""
-        accounted_for(f"stop advertising {topic}", self._space.topic(topic))
+        record_step(f"stop advertising {topic}", self._space.topic(topic))
         self._interlock.require_free(topic)
         await self._interlock.run(lambda: self.inner.unadvertise(topic))
         self.published.discard(topic)
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """`Adapter.call`."""
-        accounted_for(f"call {service} ({type.name})", self._space.service(service))
+        record_step(f"call {service} ({type.name})", self._space.service(service))
         return await self._interlock.run(lambda: self.inner.call(service, type, request, deadline=deadline))
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
         """`Adapter.send_goal`."""
-        accounted_for(f"send a goal to {action} ({type.name})", self._space.action(action))
+        record_step(f"send a goal to {action} ({type.name})", self._space.action(action))
         return await self._interlock.run(lambda: self.inner.send_goal(action, type, goal, deadline=deadline))
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
         """`Adapter.cancel_goal`, also while the robot is stopped: it ends what moves."""
-        accounted_for(f"cancel the goal {goal.id} of {goal.action}", self._space.action(goal.action))
+        record_step(f"cancel the goal {goal.id} of {goal.action}", self._space.action(goal.action))
         await self._interlock.run_always(self.inner.cancel_goal(goal, deadline=deadline))
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         """`Adapter.change_state`."""
-        accounted_for(f"have {node} {transition}", self._space.node(node))
+        record_step(f"have {node} {transition}", self._space.node(node))
         await self._interlock.run(lambda: self.inner.change_state(node, transition, deadline=deadline))
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
         """`Adapter.set_parameters`."""
         for name in values:
-            accounted_for(f"set the parameter {name}", self._space.parameter(name))
+            record_step(f"set the parameter {name}", self._space.parameter(name))
         await self._interlock.run(lambda: self.inner.set_parameters(values, deadline=deadline))
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
         """`Adapter.delete_parameters`."""
         for name in names:
-            accounted_for(f"delete the parameter {name}", self._space.parameter(name))
+            record_step(f"delete the parameter {name}", self._space.parameter(name))
         await self._interlock.run(lambda: self.inner.delete_parameters(names, deadline=deadline))
 
     # Reads

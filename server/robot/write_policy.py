@@ -41,12 +41,12 @@ def denied_reason(
     return _conflict(topic)
 
 
-def closed(name: str) -> str:
+def resources_only_reason(name: str) -> str:
     """Why a name that belongs to `--resources-only` is not written to by its own URL."""
     return f"{name} is written under /resources/ only (--resources-only), where mappings guard it."
 
 
-def kept(graph: Graph, name: str, *, delete: bool = False) -> str | None:
+def parameter_denied_reason(graph: Graph, name: str, *, delete: bool = False) -> str | None:
     """Why a node never lets its parameter be set (or deleted), as it declares, in a sentence; None where it may."""
     parameter = graph.parameters.get(name)
     descriptor = None if parameter is None else parameter.descriptor

@@ -22,7 +22,7 @@ from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.long_poll import changed_since
 from rosld.server.events.stream import HEADERS, EventStream, StreamFormat
 from rosld.server.http import link, negotiation
-from rosld.server.http.conditional import ETag, digest, guard
+from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.problem import Problem
 from rosld.server.http.text import FORM
 from rosld.server.rest.errors import problem_of, problem_of_body
@@ -153,7 +153,9 @@ class Dispatcher:
         if exchange.method == "HEAD":
             return RawResponse(200, b"", _encoded(headers))
         try:
-            file, size = await self.large.file((resource.url, etag, syntax), seen(resource, state, permissions), syntax)
+            file, size = await self.large.file(
+                (resource.url, etag, syntax), redacted_state(resource, state, permissions), syntax
+            )
         except CannotCarry as error:
             raise _cannot_carry(media_type, error) from error
         return file_stream(_encoded({**headers, "content-length": str(size)}), file, size)
@@ -171,7 +173,7 @@ class Dispatcher:
         """
         variant = _variant(media_type, permissions)
         if not permissions.whole:
-            state = seen(resource, state, permissions)
+            state = redacted_state(resource, state, permissions)
         if media_type == HTML and self.pages.edition is not None:
             return await self._render(resource, state, media_type, variant, permissions)
         found = state.renderings.get(variant)
@@ -241,7 +243,7 @@ class Dispatcher:
                 raise
             state = None
         current = None if state is None else ETag(self._name(state), "any")
-        guard(exchange.method, current, if_match=if_match, if_none_match=if_none_match)
+        check_preconditions(exchange.method, current, if_match=if_match, if_none_match=if_none_match)
 
     async def _form(self, exchange: Exchange, resource: Resource) -> Response:
         """A form of one of our pages: the write it means, then the way back to a page (303)."""
@@ -356,7 +358,7 @@ def _is_form(exchange: Exchange, resource: Resource) -> bool:
     )
 
 
-def seen(resource: Resource, state: State, permissions: Permissions) -> State:
+def redacted_state(resource: Resource, state: State, permissions: Permissions) -> State:
     """A state as an agent may see it: made once for the same rights."""
     if permissions.whole:
         return state
@@ -446,7 +448,7 @@ def _not_modified(exchange: Exchange, rendering: Rendering) -> bool:
     if if_none_match is None and if_match is None:
         return False
     state, _, variant = rendering.etag.strip('"').rpartition(".")
-    return guard(exchange.method, ETag(state, variant), if_match=if_match, if_none_match=if_none_match)
+    return check_preconditions(exchange.method, ETag(state, variant), if_match=if_match, if_none_match=if_none_match)
 
 
 def _serialized(state: State, media_type: str) -> bytes:

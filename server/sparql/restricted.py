@@ -18,7 +18,7 @@ from pyoxigraph import RdfFormat, parse, serialize
 
 from rosld.ontology.document import Document
 from rosld.server.auth.permissions import Permissions
-from rosld.server.auth.redaction import veiled
+from rosld.server.auth.redaction import redact_document
 from rosld.server.dataset import Edit
 from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
@@ -105,7 +105,7 @@ class _Restricted:
 def _veiled(graph: str, text: str, permissions: Permissions) -> str:
     """The N-Triples of a graph as they may be read."""
     triples = tuple(quad.triple for quad in parse(text.encode(), RdfFormat.N_TRIPLES))
-    left = veiled(Document(graph, triples), permissions).triples
+    left = redact_document(Document(graph, triples), permissions).triples
     if len(left) == len(triples):
         return text
     return (serialize(left, format=RdfFormat.N_TRIPLES) or b"").decode()

@@ -97,7 +97,7 @@ def _beside(times: SaidTimes, record: Record) -> bytes:
     return unpack(record.triples)[sum(map(len, times)) :]
 
 
-def bare(record: Record, url: str) -> Record:
+def without_statements(record: Record, url: str) -> Record:
     """A record of which clients say nothing but its times."""
     return replace(record, triples=b"".join(said_times(record, url)))
 
@@ -141,6 +141,6 @@ def may_be_managed(ntriples: bytes) -> bool:
     return _SIGN.search(ntriples) is not None
 
 
-def written(triples: Iterable[Triple]) -> bytes:
+def to_ntriples(triples: Iterable[Triple]) -> bytes:
     """Triples as they are kept."""
     return "".join([f"{triple} .\n" for triple in triples]).encode()

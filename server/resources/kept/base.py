@@ -82,7 +82,7 @@ class Kept(Resource):
                 return
             except Conflict as error:
                 if error.cause is not Cause.CHANGED or exchange.is_conditional:
-                    raise told(self.robot, error) from error
+                    raise conflict_problem(self.robot, error) from error
                 if time.monotonic() > until:
                     words = f"{self.url} was changed by others all the time for {patience:g} s; nothing was done."
                     raise Problem(503, words, headers={"Retry-After": "1"}) from error
@@ -97,7 +97,7 @@ class Kept(Resource):
         return Response(status_code=204)
 
 
-def told(robot: Robot, error: Conflict) -> Problem:
+def conflict_problem(robot: Robot, error: Conflict) -> Problem:
     """The Problem of a write that cannot be done as things are."""
     status = {Cause.GONE: 410, Cause.CHANGED: 412, Cause.MISSING: 404}.get(error.cause, 409)
     return Problem(status, f"{robot.space.base}{error.path}: {error.words}.")

@@ -31,7 +31,7 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.files import exact_media_type
 from rosld.server.rest.interaction import membership_triples, model_asked
 from rosld.server.storage import Blob, Model, Record
-from rosld.server.storage.describe import written
+from rosld.server.storage.describe import to_ntriples
 from rosld.server.storage.models import rdf_types
 
 
@@ -78,7 +78,7 @@ async def as_statements(triples: Sequence[Triple], subject: str) -> Statements:
         return triples
     if len(triples) <= MOST_PATCHED:
         return stated([*triples])
-    return await asyncio.to_thread(lambda: looked_through(written(triples), subject))
+    return await asyncio.to_thread(lambda: looked_through(to_ntriples(triples), subject))
 
 
 def require_small(triples: Sequence[Triple]) -> None:

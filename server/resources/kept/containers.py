@@ -8,16 +8,16 @@ from rosld.ontology.urls import encode_segment
 from rosld.server.html import Form, Step
 from rosld.server.http.link import Link
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import Kept, told
+from rosld.server.resources.kept.base import Kept, conflict_problem
 from rosld.server.resources.kept.bodies import asked_model, received
-from rosld.server.resources.kept.creation import made
+from rosld.server.resources.kept.creation import create
 from rosld.server.resources.kept.files import KeptFile
-from rosld.server.resources.kept.representation import page_at, page_shown, shown
+from rosld.server.resources.kept.representation import page_at, page_shown, state_of
 from rosld.server.resources.kept.sources import N3_PATCH, SourceResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.interaction import model_links
 from rosld.server.rest.paging import Place, page_query, read_place, send_to_first
-from rosld.server.rest.prefer_container import ALL, Parts, wanted
+from rosld.server.rest.prefer_container import ALL, Parts, select_parts
 from rosld.server.rest.resource import RDF_BODIES, SPARQL_UPDATE, Answer, Created, Resource
 from rosld.server.rest.slug import free_name
 from rosld.server.rest.state import State
@@ -53,7 +53,7 @@ class ContainerResource(SourceResource):
         """The parts that Prefer asks for (LDP 7.2), the page that `?page=` does, the first of many pages (303)."""
         if exchange.method not in ("GET", "HEAD"):
             return self
-        parts = wanted(exchange.prefer) if exchange.header("prefer") is not None else ALL
+        parts = select_parts(exchange.prefer) if exchange.header("prefer") is not None else ALL
         page = exchange.query.get("page")
         if page is not None:
             return ContainerResource(self.robot, self.path, parts, read_place(page))
@@ -64,7 +64,7 @@ class ContainerResource(SourceResource):
     async def state(self) -> State:
         record = self.there()
         if self._place is None:
-            return shown(self.robot, record, self._parts)
+            return state_of(self.robot, record, self._parts)
         return page_shown(self.robot, record, self._parts, self._place)
 
     @property
@@ -108,7 +108,7 @@ class ContainerResource(SourceResource):
                 return await creation(self.robot, path, model, exchange, blob, unused=True)
             except Conflict as error:
                 if error.path != path or error.cause not in _NAMED_MEANWHILE:
-                    raise told(self.robot, error) from error
+                    raise conflict_problem(self.robot, error) from error
 
 
 def resource_of(robot: Robot, path: str, model: Model) -> Kept:
@@ -126,8 +126,8 @@ async def creation(
     robot: Robot, path: str, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
 ) -> Created:
     """A new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3). Raises Conflict as `made` does."""
-    record = await made(resource_of(robot, path, model), model, exchange, blob, unused=unused)
+    record = await create(resource_of(robot, path, model), model, exchange, blob, unused=unused)
     resource = resource_of(robot, path, model)  # as it is now that it is there
     if model is Model.NON_RDF_SOURCE:
         return Created(resource.url, resource, None, (Link(resource.url + META, "describedby", anchor=resource.url),))
-    return Created(resource.url, resource, shown(robot, record))
+    return Created(resource.url, resource, state_of(robot, record))

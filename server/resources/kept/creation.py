@@ -21,7 +21,7 @@ from rosld.server.storage import Blob, Model, Put, Record
 from rosld.server.storage.paths import container_of
 
 
-async def made(kept: Kept, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False) -> Record:
+async def create(kept: Kept, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False) -> Record:
     """Make the resource that `kept` stands for, and the containers on the way to it that are missing.
 
     `blob` is the body of a non-RDF source. Raises Conflict where something was made at its path meanwhile, or with

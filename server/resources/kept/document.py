@@ -10,7 +10,7 @@ from rosld.ontology.document import Document
 from rosld.server.rest.interaction import declared, membership_triples, stand_ins
 from rosld.server.rest.prefer_container import Parts
 from rosld.server.storage import Member, Record
-from rosld.server.storage.describe import bare, record_document
+from rosld.server.storage.describe import record_document, without_statements
 
 
 def kept_document(
@@ -22,7 +22,7 @@ def kept_document(
     if record.membership is not None and parts.membership:
         membership += membership_triples(record.membership, members_stand_for(base, members))
     contained = [base + each.path for each in members] if parts.containment else []
-    kept = record if parts.minimal else bare(record, url)
+    kept = record if parts.minimal else without_statements(record, url)
     return record_document(kept, url, contained, [*membership, *more])
 
 

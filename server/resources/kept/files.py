@@ -12,7 +12,7 @@ from starlette.responses import Response
 
 from rosld.ontology.lower import parse_json
 from rosld.server.http import media
-from rosld.server.http.conditional import ETag, guard
+from rosld.server.http.conditional import ETag, check_preconditions
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.http.text import as_utf8, codec_of
@@ -20,7 +20,7 @@ from rosld.server.ldp.patch import merge_patch
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import ANYTHING, Kept
 from rosld.server.resources.kept.bodies import one_chunk, received, require_model
-from rosld.server.resources.kept.representation import shown
+from rosld.server.resources.kept.representation import state_of
 from rosld.server.resources.kept.stated import LIGHT_BYTES
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.files import file_response
@@ -47,7 +47,7 @@ class KeptFile(Kept):
         return exchange.method == "PUT"
 
     async def state(self) -> State:
-        return shown(self.robot, self.there())
+        return state_of(self.robot, self.there())
 
     in_turn = frozenset({"PATCH"})
 
@@ -66,7 +66,7 @@ class KeptFile(Kept):
         etag = ETag(f"{self.robot.records.identity}-{record.version}", "bin")
         if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
         headers = {**standing_headers(self), "vary": "Accept", "cache-control": "no-cache"}
-        if guard(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
+        if check_preconditions(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
             return Response(status_code=304, headers={**headers, "etag": str(etag)})
         return await file_response(
             self.robot.records.file(record.blob),

@@ -15,7 +15,7 @@ from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.stated import Statements, apart, is_light, looked_through
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import RDF_BODIES
-from rosld.server.storage.describe import written
+from rosld.server.storage.describe import to_ntriples
 from rosld.server.storage.packing import size_of, unpack
 
 _N_TRIPLES = "application/n-triples"
@@ -51,7 +51,7 @@ def _united(data: bytes, boundary: str | None, url: str, subject: str) -> Statem
     except ValueError as error:
         raise Problem(400, f"{MULTIPART}: {error}.") from error
     triples = [triple for number, part in enumerate(found, 1) for triple in _read(part, number, url)]
-    return looked_through(written(triples), subject)
+    return looked_through(to_ntriples(triples), subject)
 
 
 def _read(part: Part, number: int, url: str) -> list[Triple]:

@@ -19,7 +19,7 @@ from rosld.server.dataset import Edit
 from rosld.server.rest.interaction import declared, stand_ins
 from rosld.server.sparql.change_source import Changes
 from rosld.server.storage import Changed, Member, Membership, Model, Record, Records, Step
-from rosld.server.storage.describe import META, bare, managed_triples, record_document, said_beside_times
+from rosld.server.storage.describe import META, managed_triples, record_document, said_beside_times, without_statements
 from rosld.server.storage.packing import size_of
 from rosld.server.storage.paths import container_of
 
@@ -260,13 +260,13 @@ def _membership(membership: Membership, member: str) -> str:
 def _text(record: Record, url: str, said: Said) -> str:
     """What it says, its members aside. What clients say stands as it is kept, which spares reading it."""
     membership = declared(record.membership, url) if record.membership is not None else ()
-    managed = record_document(bare(record, url), url, (), (*membership, *said(record)))
+    managed = record_document(without_statements(record, url), url, (), (*membership, *said(record)))
     return serialize(managed, Syntax.N_TRIPLES).decode() + said_beside_times(record, url).decode()
 
 
 def _managed_lines(record: Record, url: str) -> frozenset[str]:
     """What the server says of a record, and of what clients say its times."""
-    return frozenset(_text(bare(record, url), url, _nothing).splitlines(keepends=True))
+    return frozenset(_text(without_statements(record, url), url, _nothing).splitlines(keepends=True))
 
 
 def _modified(record: Record, url: str) -> str:

@@ -19,7 +19,7 @@ from rosld.server.storage.describe import (
     managed_triples,
     parsed,
     said_times,
-    written,
+    to_ntriples,
 )
 from rosld.server.storage.models import rdf_types
 
@@ -51,7 +51,7 @@ def first_times(managed: Sequence[Triple]) -> bytes:
         if said and len(str(said[0].object).encode()) > LONGEST_TIME - 100:
             raise Problem(409, f"{predicate.value} is longer than any date: say it shorter.")
         found += said
-    return written(found)
+    return to_ntriples(found)
 
 
 def require_classes(managed: Sequence[Triple], model: Model) -> None:

@@ -33,7 +33,7 @@ def stand_ins(robot: Robot, members: Iterable[Member]) -> list[str]:
     return members_stand_for(robot.space.base, members)
 
 
-def shown(robot: Robot, record: Record, parts: Parts = ALL) -> State:
+def state_of(robot: Robot, record: Record, parts: Parts = ALL) -> State:
     """A record as it is, or the parts of a container that are asked for: kept while it does not change.
 
     A container that comes in pages is shown without its members: what is done with it does not grow with them.

@@ -14,13 +14,13 @@ from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.patch import deletes
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import Kept, missing, told
+from rosld.server.resources.kept.base import Kept, conflict_problem, missing
 from rosld.server.resources.kept.bodies import asked_model, received, require_model
 from rosld.server.resources.kept.containers import creation, resource_of
 from rosld.server.resources.kept.creation import making, require_free
 from rosld.server.resources.kept.files import KeptFile
 from rosld.server.resources.kept.graph_merge import unite
-from rosld.server.resources.kept.representation import shown
+from rosld.server.resources.kept.representation import state_of
 from rosld.server.resources.kept.sources import DescriptionResource
 from rosld.server.resources.kept.stated import N3_PATCH, is_light, patched
 from rosld.server.resources.kept.transaction import kept_together
@@ -86,7 +86,7 @@ class AbsentResource(Kept):
         found = self.robot.records.get(self.path)
         if found is None:
             raise missing(self.robot, self.path)
-        return shown(self.robot, found)  # it was made while this request waited for its turn
+        return state_of(self.robot, found)  # it was made while this request waited for its turn
 
     def streams(self, exchange: Exchange) -> bool:
         return exchange.method == "PUT" and self._model(exchange) is Model.NON_RDF_SOURCE
@@ -117,7 +117,7 @@ class AbsentResource(Kept):
             return await creation(self.robot, self.path, model, exchange, blob)
         except Conflict as error:
             if error.path != self.path or error.cause is not Cause.THERE:
-                raise told(self.robot, error) from error
+                raise conflict_problem(self.robot, error) from error
         if exchange.is_conditional:
             raise Problem(412, f"{self.url} was made by another request meanwhile; nothing was done.")
         return await self._once_more(exchange, blob)
@@ -135,11 +135,11 @@ class AbsentResource(Kept):
             record = (await kept_together(self.robot, await making(self.robot, self.path, self._plain_model, said)))[-1]
         except Conflict as error:
             if error.path != self.path or error.cause is not Cause.THERE or exchange.is_conditional:
-                raise told(self.robot, error) from error
+                raise conflict_problem(self.robot, error) from error
             return await self._patch_there(exchange)
         assert record is not None
         made = resource_of(self.robot, self.path, record.model)
-        return Created(made.url, made, shown(self.robot, record))
+        return Created(made.url, made, state_of(self.robot, record))
 
     async def _patch_there(self, exchange: Exchange) -> Answer:
         there = resource_of(self.robot, self.path, self.there().model)

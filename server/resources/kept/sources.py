@@ -24,7 +24,7 @@ from rosld.server.resources.kept.bodies import (
 )
 from rosld.server.resources.kept.graph_merge import united
 from rosld.server.resources.kept.managed import managed_of, require_as_it_is, require_membership
-from rosld.server.resources.kept.representation import shown
+from rosld.server.resources.kept.representation import state_of
 from rosld.server.resources.kept.stated import (
     MOST_PATCHED,
     N3_PATCH,
@@ -37,7 +37,7 @@ from rosld.server.resources.kept.stated import (
 )
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.plan import StorageWrite
-from rosld.server.rest.prepared import done
+from rosld.server.rest.prepared import no_content
 from rosld.server.rest.resource import RDF_BODIES, SPARQL_UPDATE, Answer
 from rosld.server.rest.state import State, require_memory
 from rosld.server.storage import NO_MEMBER, Model, Put, Record, Remove, Write
@@ -60,7 +60,7 @@ class SourceResource(Kept):
     }
 
     async def state(self) -> State:
-        return shown(self.robot, self.there())
+        return state_of(self.robot, self.there())
 
     async def forms(self) -> Sequence[Form]:
         return [DeleteForm("Delete it")] if "DELETE" in self.methods() else []
@@ -76,7 +76,7 @@ class SourceResource(Kept):
             return await self.with_triples(record, triples, expected)
 
         await self.change(exchange, replaced)
-        return done()
+        return no_content()
 
     async def post(self, exchange: Exchange) -> Answer:
         """The body is merged into what is here (SPARQL 1.1 Graph Store Protocol 5.5)."""
@@ -85,7 +85,7 @@ class SourceResource(Kept):
         added = await read(self.robot, exchange, self.document_url, self._subject)
 
         async def with_added(record: Record) -> Write:
-            before = shown(self.robot, record)
+            before = state_of(self.robot, record)
             require_memory(before)
             work = partial(merged, before.describe, added, self._subject)
             is_large = added.is_large or before.is_large
@@ -93,7 +93,7 @@ class SourceResource(Kept):
             return await self.with_triples(record, stated, record.version)
 
         await self.change(exchange, with_added)
-        return done()
+        return no_content()
 
     async def patch(self, exchange: Exchange) -> Answer:
         self.require_guard(exchange)
@@ -103,7 +103,7 @@ class SourceResource(Kept):
             return patch_of(data, media_type, url, MOST_PATCHED)(before)
 
         async def changed(record: Record) -> Write:
-            before = shown(self.robot, record)
+            before = state_of(self.robot, record)
             require_memory(before)
             if not before.is_large:
                 with suppress(Grown):
@@ -114,7 +114,7 @@ class SourceResource(Kept):
             return await self.with_triples(record, await self.robot.workers.run(work), record.version)
 
         await self.change(exchange, changed)
-        return done()
+        return no_content()
 
     async def _patched(
         self, patch: Callable[[Sequence[Triple]], Sequence[Triple]], before: Sequence[Triple]

@@ -20,7 +20,7 @@ from rosld.server.ldp.n3patch import applied, read_patch
 from rosld.server.ldp.patch import updated
 from rosld.server.rest.interaction import member_of
 from rosld.server.storage import Difference, Membership, Model, Record
-from rosld.server.storage.describe import is_managed, may_be_managed, unmanaged, written
+from rosld.server.storage.describe import is_managed, may_be_managed, to_ntriples, unmanaged
 from rosld.server.storage.differences import MOST as DIFFERENT
 from rosld.server.storage.packing import is_packed, pack, unpack
 
@@ -65,7 +65,7 @@ class Statements(Sequence[Triple]):
     @cached_property
     def kept(self) -> bytes:
         """As they are kept."""
-        return self._given if isinstance(self._given, bytes) else pack(written(self._given))
+        return self._given if isinstance(self._given, bytes) else pack(to_ntriples(self._given))
 
     @property
     def is_large(self) -> bool:
@@ -94,7 +94,7 @@ class Statements(Sequence[Triple]):
         triples = [*self.changed.removed, *self.changed.added]
         if any(_has_blank(each) for each in triples) or len(unmanaged(triples, url, before.model)) < len(triples):
             return None
-        removed, added = map(written, self.changed)
+        removed, added = map(to_ntriples, self.changed)
         return Difference(before, times, removed, added) if len(removed) + len(added) <= DIFFERENT else None
 
     @cached_property
@@ -212,7 +212,7 @@ def merged(describe: Callable[[], Document], added: Statements, subject: str) ->
     """The statements of a document and those that are added to it."""
     before = describe().triples
     after = dict.fromkeys((*before, *apart(added)))
-    return _noting(before, after, looked_through(written(after), subject))
+    return _noting(before, after, looked_through(to_ntriples(after), subject))
 
 
 def patched(describe: Callable[[], Document], data: bytes, media_type: str, url: str, subject: str) -> Statements:
@@ -220,7 +220,7 @@ def patched(describe: Callable[[], Document], data: bytes, media_type: str, url:
     before = describe().triples
     after = patch_of(data, media_type, url)(before)
     require_same_members(before, after, url)
-    return _noting(before, after, looked_through(written(after), subject))
+    return _noting(before, after, looked_through(to_ntriples(after), subject))
 
 
 def _noting(before: Sequence[Triple], after: Collection[Triple], found: Statements) -> Statements:
@@ -241,7 +241,7 @@ def own(kept: Statements, subject: str, model: Model, servers: frozenset[Triple]
 
     It begins with `times`, which its first writer said.
     """
-    return pack(times + written([each for each in unmanaged(kept, subject, model) if each not in servers]))
+    return pack(times + to_ntriples([each for each in unmanaged(kept, subject, model) if each not in servers]))
 
 
 def stand_in(membership: Membership, kept: Statements, url: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 
-from rosld.server.receipts.account import accounted_for
+from rosld.server.receipts.account import record_step
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.validation import judge_of
 from rosld.server.storage import Put, Record, Write
@@ -14,7 +14,7 @@ from rosld.server.storage import Put, Record, Write
 async def kept_together(robot: Robot, writes: Sequence[Write]) -> Sequence[Record | None]:
     """Do these writes in one transaction, if they are found good. Raises Conflict, Problems and LoweringError."""
     for write in writes:
-        accounted_for(f"{'store' if isinstance(write, Put) else 'delete'} /{write.path}", robot.space.base + write.path)
+        record_step(f"{'store' if isinstance(write, Put) else 'delete'} /{write.path}", robot.space.base + write.path)
     judges = [(write, permissions) for write in writes if (permissions := judge_of(robot, write.path)) is not None]
     if not judges:
         return await robot.records.write(*writes)

@@ -15,10 +15,10 @@ from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.http.problem import Problem
-from rosld.server.receipts.account import accounted_for
+from rosld.server.receipts.account import record_step
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import Kept, told
+from rosld.server.resources.kept.base import Kept, conflict_problem
 from rosld.server.resources.kept.transaction import kept_together
 from rosld.server.resources.members import MemberResource
 from rosld.server.resources.updating.loading import loaded
@@ -310,10 +310,12 @@ class Updates:
             except Conflict as error:
                 if error.cause in _CHANGED:
                     return None
-                raise RefusedGraphs([(self._robot.space.base + error.path, told(self._robot, error))]) from error
+                raise RefusedGraphs(
+                    [(self._robot.space.base + error.path, conflict_problem(self._robot, error))]
+                ) from error
         entries = [Entry(graph, plan.does, Fate.DONE) for graph, plan in kept]
         for graph, move in moves:
-            accounted_for(move.does, graph)
+            record_step(move.does, graph)
         for place, (graph, move) in enumerate(moves):
             try:
                 heard = await move.carry_out()

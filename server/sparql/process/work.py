@@ -250,7 +250,7 @@ def _written(change: GraphChange) -> _Written:
     return graph, was_there, None if after is None else serialize(after, format=RdfFormat.N_TRIPLES)
 
 
-def drawn(result: bytes) -> tuple[GraphChange, ...]:
+def read_changes(result: bytes) -> tuple[GraphChange, ...]:
     """What the result of `Draw` says."""
     changes: list[_Written] = pickle.loads(result)  # from our own process
     return tuple(GraphChange(graph, was_there, _read(after)) for graph, was_there, after in changes)

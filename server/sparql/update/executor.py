@@ -10,7 +10,7 @@ from rosld.server.sparql.analysis import Analyser, Analysis
 from rosld.server.sparql.endpoint import QueryService
 from rosld.server.sparql.materializer import Seen
 from rosld.server.sparql.needs import Demand, Needs
-from rosld.server.sparql.process.work import Ask, Work, drawn, to_draw
+from rosld.server.sparql.process.work import Ask, Work, read_changes, to_draw
 from rosld.server.sparql.update.evaluate import GraphChange, graphs_named
 from rosld.server.sparql.update.operations import Modify, Operation, Where
 
@@ -65,7 +65,9 @@ class UpdateEvaluator:
             return to_draw(operations, queries)
 
         result, seen = await self._service.over(needs, _scope(asked, graphs), prepare)
-        changes = drawn(result) if len(result) <= _INLINE_BYTES else await asyncio.to_thread(drawn, result)
+        changes = (
+            read_changes(result) if len(result) <= _INLINE_BYTES else await asyncio.to_thread(read_changes, result)
+        )
         return Delta(changes, _read(needs, seen), seen.kept, graphs | needs.documents)
 
     def _asked(self, where: Where) -> _Asked:

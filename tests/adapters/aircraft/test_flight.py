@@ -12,11 +12,11 @@ from rosld.adapters.aircraft.flight import (
     ACCELERATION,
     Declined,
     Flight,
-    hastened,
     powered,
+    set_heading,
+    set_speed,
     started,
     stopped,
-    turned,
 )
 
 SECOND = 10**9
@@ -31,7 +31,7 @@ def test_at_start_it_is_off_at_rest_and_heads_north() -> None:
 
 
 def test_speed_changes_by_a_hundred_a_second_and_reaches_the_commanded_one_exactly() -> None:
-    flight = hastened(started(Flight(), 0), 250.0, 0)
+    flight = set_speed(started(Flight(), 0), 250.0, 0)
     assert flight.speed_at(SECOND) == 100.0
     assert flight.speed_at(2 * SECOND) == 200.0
     assert flight.speed_at(5 * SECOND // 2) == 250.0
@@ -39,15 +39,15 @@ def test_speed_changes_by_a_hundred_a_second_and_reaches_the_commanded_one_exact
 
 
 def test_speed_falls_as_it_rises() -> None:
-    flight = hastened(hastened(started(Flight(), 0), 300.0, 0), 50.0, 10 * SECOND)
+    flight = set_speed(set_speed(started(Flight(), 0), 300.0, 0), 50.0, 10 * SECOND)
     assert flight.speed_at(11 * SECOND) == 200.0
     assert flight.speed_at(13 * SECOND) == 50.0
 
 
 @given(speeds, speeds, moments, moments)
 def test_no_command_makes_the_speed_jump(first: float, second: float, told: int, later: int) -> None:
-    flight = hastened(started(Flight(), 0), first, 0)
-    again = hastened(flight, second, told)
+    flight = set_speed(started(Flight(), 0), first, 0)
+    again = set_speed(flight, second, told)
     assert again.speed_at(told) == pytest.approx(flight.speed_at(told))
     gone = abs(again.speed_at(told + later) - flight.speed_at(told))
     assert gone <= ACCELERATION * later / SECOND + 1e-6
@@ -55,14 +55,14 @@ def test_no_command_makes_the_speed_jump(first: float, second: float, told: int,
 
 @given(speeds, moments)
 def test_the_speed_is_the_commanded_one_after_ten_seconds_at_most(speed: float, told: int) -> None:
-    flight = hastened(started(Flight(), 0), speed, told)
+    flight = set_speed(started(Flight(), 0), speed, told)
     assert flight.speed_at(told + 10 * SECOND) == speed
 
 
 @given(directions, moments)
 def test_turning_leaves_the_speed_as_it_is(direction: float, told: int) -> None:
-    flight = hastened(started(Flight(), 0), 700.0, 0)
-    turning = turned(flight, direction, told)
+    flight = set_speed(started(Flight(), 0), 700.0, 0)
+    turning = set_heading(flight, direction, told)
     assert turning.direction == direction
     assert turning.speed_at(told) == flight.speed_at(told)
     assert turning.speed_at(told + 10 * SECOND) == 700.0
@@ -71,25 +71,25 @@ def test_turning_leaves_the_speed_as_it_is(direction: float, told: int) -> None:
 @pytest.mark.parametrize("value", [-0.1, 1000.1, math.nan, math.inf, -math.inf, 1e308])
 def test_a_speed_out_of_range_is_declined_naming_it(value: float) -> None:
     with pytest.raises(Declined, match=f"between 0 and 1000, not {value:g}".replace("+", r"\+")):
-        hastened(started(Flight(), 0), value, 0)
+        set_speed(started(Flight(), 0), value, 0)
 
 
 @pytest.mark.parametrize("value", [-1.0, 360.1, math.nan, math.inf])
 def test_a_direction_out_of_range_is_declined(value: float) -> None:
     with pytest.raises(Declined, match="between 0 and 360"):
-        turned(started(Flight(), 0), value, 0)
+        set_heading(started(Flight(), 0), value, 0)
 
 
 @pytest.mark.parametrize("value", [0.0, 1000.0])
 def test_the_ends_of_the_range_belong_to_it(value: float) -> None:
-    assert hastened(started(Flight(), 0), value, 0).commanded == value
+    assert set_speed(started(Flight(), 0), value, 0).commanded == value
 
 
 def test_nothing_is_set_while_off() -> None:
     with pytest.raises(Declined, match="the aircraft is off"):
-        hastened(Flight(), 10.0, 0)
+        set_speed(Flight(), 10.0, 0)
     with pytest.raises(Declined, match="the aircraft is off"):
-        turned(Flight(), 10.0, 0)
+        set_heading(Flight(), 10.0, 0)
 
 
 def test_starting_twice_is_declined_in_either_way() -> None:
@@ -101,18 +101,18 @@ def test_starting_twice_is_declined_in_either_way() -> None:
 
 
 def test_it_is_not_switched_off_while_it_moves_but_once_it_stands() -> None:
-    flight = hastened(started(Flight(), 0), 100.0, 0)
+    flight = set_speed(started(Flight(), 0), 100.0, 0)
     for off in (lambda now: stopped(flight, now), lambda now: powered(flight, "off", now)):
         with pytest.raises(Declined, match="still moves at 50"):
             off(SECOND // 2)
-    braked = hastened(flight, 0.0, SECOND)
+    braked = set_speed(flight, 0.0, SECOND)
     with pytest.raises(Declined):
         stopped(braked, 3 * SECOND // 2)
     assert not stopped(braked, 2 * SECOND).on
 
 
 def test_a_speed_that_is_only_commanded_does_not_keep_it_from_stopping() -> None:
-    flight = hastened(started(Flight(), 0), 100.0, 7)
+    flight = set_speed(started(Flight(), 0), 100.0, 7)
     off = stopped(flight, 7)
     assert off.speed_at(3600 * SECOND) == 0.0
 
@@ -128,4 +128,4 @@ def test_other_words_for_the_power_are_declined(word: str) -> None:
 
 
 def test_minus_nought_is_nought() -> None:
-    assert math.copysign(1, hastened(started(Flight(), 0), -0.0, 0).commanded) == 1
+    assert math.copysign(1, set_speed(started(Flight(), 0), -0.0, 0).commanded) == 1

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.adapters.aircraft.flight import Declined, Flight
-from rosld.adapters.aircraft.fly import MOST_DISTANCE, PACE, Fly, called_off, ended, taken
+from rosld.adapters.aircraft.fly import MOST_DISTANCE, PACE, Fly, accept, cancel, ended
 from rosld.adapters.model import GoalStatus
 
 ON, OFF = Flight(on=True), Flight()
@@ -18,19 +18,19 @@ ON, OFF = Flight(on=True), Flight()
 @pytest.mark.parametrize("distance", [math.nan, math.inf, -math.inf, -1.0, MOST_DISTANCE + 1])
 def test_no_goal_is_taken_beyond_its_range(distance: float) -> None:
     with pytest.raises(Declined, match="between 0 and 100000"):
-        taken(ON, None, "a", distance, 0)
+        accept(ON, None, "a", distance, 0)
 
 
 def test_no_goal_is_taken_while_off_or_underway() -> None:
     with pytest.raises(Declined, match="off"):
-        taken(OFF, None, "a", 1.0, 0)
+        accept(OFF, None, "a", 1.0, 0)
     with pytest.raises(Declined, match="flies already"):
-        taken(ON, Fly("b", 1.0, 0), "a", 1.0, 0)
+        accept(ON, Fly("b", 1.0, 0), "a", 1.0, 0)
 
 
 @given(st.floats(0, MOST_DISTANCE), st.lists(st.integers(0, 10**13)))
 def test_it_never_flies_back_nor_too_far(distance: float, times: list[int]) -> None:
-    fly = taken(ON, None, "a", distance, 0)
+    fly = accept(ON, None, "a", distance, 0)
     flown = [fly.flown_at(now) for now in sorted(times)]
     assert flown == sorted(flown)
     assert all(0 <= each <= distance for each in flown)
@@ -39,7 +39,7 @@ def test_it_never_flies_back_nor_too_far(distance: float, times: list[int]) -> N
 
 
 def test_it_ends_canceled_aborted_or_arrived() -> None:
-    fly = taken(ON, None, "a", 10 * PACE, 0)
+    fly = accept(ON, None, "a", 10 * PACE, 0)
     assert ended(fly, ON, 1) is None
-    ends = [ended(called_off(fly), ON, 1), ended(fly, OFF, 1), ended(fly, ON, 10 * 10**9)]
+    ends = [ended(cancel(fly), ON, 1), ended(fly, OFF, 1), ended(fly, ON, 10 * 10**9)]
     assert [end and end.status for end in ends] == [GoalStatus.CANCELED, GoalStatus.ABORTED, GoalStatus.SUCCEEDED]

@@ -18,7 +18,7 @@ from cryptography.x509.oid import NameOID
 
 from rosld.server.auth import config
 from rosld.server.auth.rules import Mode
-from rosld.server.auth.tokens import credentials, digest, made
+from rosld.server.auth.tokens import credentials, digest, generate_token
 from rosld.server.cli.main import main
 from tests.server.conftest import Served
 
@@ -119,7 +119,7 @@ def test_tokens_are_made_listed_and_taken_away(tmp_path: Path) -> None:
 
 
 def test_a_token_has_256_bits_and_is_found_by_its_digest_alone() -> None:
-    one, other = made(), made()
+    one, other = generate_token(), generate_token()
     assert one != other
     assert len(one.removeprefix("rosld_")) == 43
     sent = credentials(f"Bearer {one}")

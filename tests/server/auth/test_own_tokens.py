@@ -14,7 +14,7 @@ from urllib.parse import quote
 import httpx
 import pytest
 
-from rosld.server.auth.tokens import made
+from rosld.server.auth.tokens import generate_token
 from rosld.server.http.tokens import WITHHELD, has_token
 
 TOKEN = "rosld_S18GwepwBtiQPG1TbT9Ds-VaGrpqB_7tcmN9QmWM7yE"
@@ -121,4 +121,4 @@ def test_names_of_ros_that_look_a_little_like_a_token_are_names(plane: httpx.Cli
 
 
 def test_every_token_that_is_made_is_recognised() -> None:
-    assert all(has_token(f"x{made()}.") for _ in range(2000))
+    assert all(has_token(f"x{generate_token()}.") for _ in range(2000))

@@ -14,7 +14,7 @@ from rosld.ontology.vocab import hctl, htv, td
 from rosld.server.auth.agent import ANYBODY
 from rosld.server.auth.globs import Glob
 from rosld.server.auth.permissions import Permissions
-from rosld.server.auth.redaction import veiled
+from rosld.server.auth.redaction import redact_document
 from rosld.server.auth.rules import Mode, Rights, Rule
 from tests.server.auth.conftest import TURTLE, Guarded
 
@@ -184,6 +184,6 @@ def test_of_an_affordance_only_the_forms_are_left_that_may_be_used() -> None:
             Triple(form, htv.methodName, Literal(method)),
         )
     ]
-    told = veiled(Document(url, tuple(forms)), Permissions(ANYBODY, Rights((rule,)), Space(base))).triples
+    told = redact_document(Document(url, tuple(forms)), Permissions(ANYBODY, Rights((rule,)), Space(base))).triples
     assert {triple.object for triple in told if triple.predicate == td.hasForm} == {read}
     assert write not in {triple.subject for triple in told}

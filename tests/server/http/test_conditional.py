@@ -8,7 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.server.http.conditional import ETag, Tag, Verdict, evaluate, guard, parse, require_if_match
+from rosld.server.http.conditional import (
+    ETag,
+    PreconditionResult,
+    Tag,
+    check_preconditions,
+    evaluate,
+    parse,
+    require_if_match,
+)
 from rosld.server.http.problem import Problem
 
 NOW = ETag("b00t-42", "ttl")
@@ -16,7 +24,7 @@ NOW = ETag("b00t-42", "ttl")
 
 def judged(
     method: str, current: ETag | None = NOW, *, if_match: str | None = None, if_none_match: str | None = None
-) -> Verdict:
+) -> PreconditionResult:
     return evaluate(method, current, if_match=if_match, if_none_match=if_none_match)
 
 
@@ -34,65 +42,65 @@ def test_a_tag_that_could_not_be_read_back_is_not_made(state: str, variant: str)
 
 
 def test_without_preconditions_everything_proceeds() -> None:
-    assert judged("GET") is Verdict.PROCEED
-    assert judged("PUT", None) is Verdict.PROCEED
+    assert judged("GET") is PreconditionResult.PROCEED
+    assert judged("PUT", None) is PreconditionResult.PROCEED
 
 
 @pytest.mark.parametrize("method", ["GET", "HEAD"])
 @pytest.mark.parametrize("field", ['"b00t-42.ttl"', 'W/"b00t-42.ttl"', '"x", "b00t-42.ttl"', "*", ' ,"b00t-42.ttl",'])
 def test_a_read_of_what_the_client_has_is_not_modified(method: str, field: str) -> None:
-    assert judged(method, if_none_match=field) is Verdict.NOT_MODIFIED
+    assert judged(method, if_none_match=field) is PreconditionResult.NOT_MODIFIED
 
 
 @pytest.mark.parametrize("field", ['"b00t-42.json"', '"b00t-41.ttl"', '"other-42.ttl"', '"b00t-42"', '""'])
 def test_a_read_of_another_state_or_variant_or_boot_is_answered_whole(field: str) -> None:
-    assert judged("GET", if_none_match=field) is Verdict.PROCEED
+    assert judged("GET", if_none_match=field) is PreconditionResult.PROCEED
 
 
 def test_a_reader_of_turtle_may_guard_a_write_in_json() -> None:
-    assert judged("PUT", if_match='"b00t-42.json"') is Verdict.PROCEED
-    assert judged("PUT", if_match='"b00t-42.ttl"') is Verdict.PROCEED
+    assert judged("PUT", if_match='"b00t-42.json"') is PreconditionResult.PROCEED
+    assert judged("PUT", if_match='"b00t-42.ttl"') is PreconditionResult.PROCEED
 
 
 @pytest.mark.parametrize("field", ['"b00t-41.ttl"', '"other-42.ttl"', 'W/"b00t-42.ttl"', '"b00t-4", "b00t-421.ttl"'])
 def test_a_write_on_another_state_fails_and_so_does_a_weak_tag(field: str) -> None:
-    assert judged("PUT", if_match=field) is Verdict.PRECONDITION_FAILED
+    assert judged("PUT", if_match=field) is PreconditionResult.PRECONDITION_FAILED
 
 
 def test_a_star_means_that_something_is_there() -> None:
-    assert judged("PUT", if_match="*") is Verdict.PROCEED
-    assert judged("PUT", None, if_match="*") is Verdict.PRECONDITION_FAILED
-    assert judged("PUT", if_none_match="*") is Verdict.PRECONDITION_FAILED
-    assert judged("PUT", None, if_none_match="*") is Verdict.PROCEED
-    assert judged("GET", None, if_none_match="*") is Verdict.PROCEED
+    assert judged("PUT", if_match="*") is PreconditionResult.PROCEED
+    assert judged("PUT", None, if_match="*") is PreconditionResult.PRECONDITION_FAILED
+    assert judged("PUT", if_none_match="*") is PreconditionResult.PRECONDITION_FAILED
+    assert judged("PUT", None, if_none_match="*") is PreconditionResult.PROCEED
+    assert judged("GET", None, if_none_match="*") is PreconditionResult.PROCEED
 
 
 @pytest.mark.parametrize("method", ["PUT", "PATCH", "DELETE", "POST"])
 @pytest.mark.parametrize("field", ['"b00t-42.ttl"', '"b00t-42.json"', 'W/"b00t-42.ttl"', '"x", "b00t-42.ttl"'])
 def test_a_write_on_any_state_but_the_current_one_fails_on_the_current_one(method: str, field: str) -> None:
-    assert judged(method, if_none_match=field) is Verdict.PRECONDITION_FAILED
-    assert judged(method, if_none_match='"b00t-41.ttl"') is Verdict.PROCEED
-    assert judged(method, None, if_none_match=field) is Verdict.PROCEED
+    assert judged(method, if_none_match=field) is PreconditionResult.PRECONDITION_FAILED
+    assert judged(method, if_none_match='"b00t-41.ttl"') is PreconditionResult.PROCEED
+    assert judged(method, None, if_none_match=field) is PreconditionResult.PROCEED
 
 
 @pytest.mark.parametrize("field", ['"no tag of ours"', '"a b", "c"', '"\t"', '"{}"', '"é"', '"a\\"'])
 def test_a_guard_of_odd_characters_matches_nothing(field: str) -> None:
-    assert judged("PUT", if_match=field) is Verdict.PRECONDITION_FAILED
-    assert judged("PUT", if_none_match=field) is Verdict.PROCEED
+    assert judged("PUT", if_match=field) is PreconditionResult.PRECONDITION_FAILED
+    assert judged("PUT", if_none_match=field) is PreconditionResult.PROCEED
 
 
 def test_if_match_comes_before_if_none_match() -> None:
-    assert judged("GET", if_match='"x"', if_none_match='"b00t-42.ttl"') is Verdict.PRECONDITION_FAILED
-    assert judged("GET", if_match='"b00t-42.ttl"', if_none_match='"b00t-42.ttl"') is Verdict.NOT_MODIFIED
+    assert judged("GET", if_match='"x"', if_none_match='"b00t-42.ttl"') is PreconditionResult.PRECONDITION_FAILED
+    assert judged("GET", if_match='"b00t-42.ttl"', if_none_match='"b00t-42.ttl"') is PreconditionResult.NOT_MODIFIED
 
 
 def test_guard_raises_412_that_tells_the_present_tag() -> None:
     with pytest.raises(Problem) as raised:
-        guard("PUT", NOW, if_match='"old"', if_none_match=None)
+        check_preconditions("PUT", NOW, if_match='"old"', if_none_match=None)
     assert raised.value.status == 412
     assert raised.value.headers == {"ETag": '"b00t-42.ttl"'}
-    assert guard("GET", NOW, if_match=None, if_none_match='"b00t-42.ttl"')
-    assert not guard("GET", NOW, if_match=None, if_none_match=None)
+    assert check_preconditions("GET", NOW, if_match=None, if_none_match='"b00t-42.ttl"')
+    assert not check_preconditions("GET", NOW, if_match=None, if_none_match=None)
 
 
 @pytest.mark.parametrize("field", ["b00t-42.ttl", '"a" "b"', '"open', 'w/"a"', '*, "a"', '"a";q=1', "", ",", '"a\x01"'])
@@ -125,8 +133,8 @@ _parts = st.text(string.ascii_letters + string.digits + "-_", min_size=1, max_si
 @given(_parts, _parts, _parts, _parts)
 def test_a_tag_matches_exactly_its_state_for_writes_and_itself_for_reads(a: str, b: str, v: str, w: str) -> None:
     current, sent = ETag(a, v), ETag(b, w)
-    assert (judged("PUT", current, if_match=str(sent)) is Verdict.PROCEED) == (a == b)
-    assert (judged("GET", current, if_none_match=str(sent)) is Verdict.NOT_MODIFIED) == (current == sent)
+    assert (judged("PUT", current, if_match=str(sent)) is PreconditionResult.PROCEED) == (a == b)
+    assert (judged("GET", current, if_none_match=str(sent)) is PreconditionResult.NOT_MODIFIED) == (current == sent)
 
 
 @given(st.text(max_size=100))

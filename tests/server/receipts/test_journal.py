@@ -15,7 +15,7 @@ import pytest
 from rosld.ontology.describe_activities import Receipt
 from rosld.ontology.urls import Space
 from rosld.server.auth.agent import Agent
-from rosld.server.receipts.entry import AuditEntry, held
+from rosld.server.receipts.entry import AuditEntry, excerpt_of
 from rosld.server.receipts.journal import Forgotten, Journal
 from rosld.server.receipts.sqlite_log import DATABASE
 from rosld.server.sparql.receipt_graphs import ReceiptGraphs
@@ -34,7 +34,7 @@ def asked(
     words: str | None = None,
 ) -> AuditEntry:
     now = time.time_ns() if ended_ns is None else ended_ns
-    kept, digest = (None, None) if body is None else held(body)
+    kept, digest = (None, None) if body is None else excerpt_of(body)
     length = 0 if body is None else len(body)
     return AuditEntry(
         Agent("ann"), now - 1000, now, "PUT", url, query, "application/json", kept, length, digest, plan, (url,), 1,

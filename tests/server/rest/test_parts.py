@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.server.http import prefer
-from rosld.server.rest.prefer_container import ALL, Parts, wanted
+from rosld.server.rest.prefer_container import ALL, Parts, select_parts
 
 LDP = "http://www.w3.org/ns/ldp#"
 HINTS = ("PreferContainment", "PreferMembership", "PreferMinimalContainer", "PreferEmptyContainer")
@@ -18,7 +18,7 @@ def asked(include: str = "", omit: str = "") -> Parts:
     for name, hints in (("include", include), ("omit", omit)):
         if hints:
             text += f'; {name}="{" ".join(LDP + hint for hint in hints.split())}"'
-    return wanted(prefer.parse(text))
+    return select_parts(prefer.parse(text))
 
 
 def held(parts: Parts) -> set[str]:
@@ -27,7 +27,7 @@ def held(parts: Parts) -> set[str]:
 
 @pytest.mark.parametrize("text", [None, "return=minimal", "respond-async", f'include="{LDP}PreferMinimalContainer"'])
 def test_without_a_preference_everything_is_there_and_nothing_is_said_of_it(text: str | None) -> None:
-    parts = wanted(prefer.parse(text))
+    parts = select_parts(prefer.parse(text))
     assert parts == ALL
     assert parts.preference_applied is None
 
@@ -76,7 +76,7 @@ def test_unknown_hints_are_passed_over() -> None:
 
 
 def test_a_hint_may_be_quoted_or_not_and_stand_between_others() -> None:
-    assert held(wanted(prefer.parse(f'wait=5, return="representation"; omit="x {LDP}PreferContainment"'))) == {
+    assert held(select_parts(prefer.parse(f'wait=5, return="representation"; omit="x {LDP}PreferContainment"'))) == {
         "membership",
         "minimal",
     }

@@ -171,10 +171,10 @@ class Adapter(Protocol):
         ...
 
     def allows(self, ref: Ref) -> frozenset[Operation]:
-        """What ROS can do with this thing now: pure, from the graph. Unknown things allow nothing,
+        """What ROS can do with this thing now: pure, from the graph.
 
-        but a topic that is not there allows PUBLISH where `creates_topics`, and a parameter SET_PARAMETER. A node
-        allows CHANGE_STATE while a transition of its lifecycle is legal.
+        Unknown things allow nothing, but a topic that is not there allows PUBLISH where `creates_topics`, and a
+        parameter SET_PARAMETER. A node allows CHANGE_STATE while a transition of its lifecycle is legal.
         """
         ...
 
@@ -191,9 +191,9 @@ class Adapter(Protocol):
         ...
 
     def age_ns(self, sample: Sample) -> int:
-        """How many nanoseconds ago a sample was received, by the clock of its system: that of the wall, or of the
+        """How many nanoseconds ago a sample was received, by the clock of its system.
 
-        playing where it is a recording. Never negative; cheap, and called in any thread.
+        That of the wall, or of the playing where it is a recording. Never negative; cheap, and called in any thread.
         """
         ...
 

@@ -176,9 +176,9 @@ node_views: Kept[Graph, dict[str, NodeView]] = Kept(_views)
 
 
 def node_document(view: NodeView, space: Space, *, simulated_time: bool = False) -> Document:
-    """A node: its lifecycle, what it publishes and subscribes to and with which quality of service, what it provides
+    """A node with its lifecycle, its endpoints, services, actions and parameters.
 
-    and sends goals to, its parameters, and why it does not answer if so.
+    Of topics the quality of service is told, of a node that does not answer the reason.
     """
     node = view.node
     url = space.node(node.name)

@@ -49,9 +49,9 @@ def _type(service: Service, space: Space) -> list[Statement]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CallView:
-    """A call as it is described: `state` is a local name of the vocabulary (`Running`, `Succeeded`, ...); a message
+    """A call as it is described: `state` is a local name of the vocabulary (`Running`, `Succeeded`, ...).
 
-    comes with its schema. Times are wall-clock nanoseconds.
+    A message comes with its schema. Times are wall-clock nanoseconds.
     """
 
     id: str

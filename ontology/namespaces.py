@@ -12,9 +12,9 @@ _V = TypeVar("_V")
 
 @dataclass(frozen=True, slots=True)
 class Members:
-    """The direct members of a namespace, by their last segment, sorted: names, and namespaces below. A segment that
+    """The direct members of a namespace, by their last segment, sorted: names, and namespaces below.
 
-    is both is in both.
+    A segment that is both is in both.
     """
 
     leaves: tuple[str, ...] = ()
@@ -48,9 +48,9 @@ def _open(
 
 
 class Kept(Generic[_K, _V]):
-    """Remembers what was computed from the last few immutable values, by identity: a graph is looked at very often
+    """Remembers what was computed from the last few immutable values, by identity.
 
-    before it changes, and too large to be compared.
+    A graph is looked at very often before it changes, and too large to be compared.
     """
 
     def __init__(self, compute: Callable[[_K], _V], most: int = 8) -> None:

@@ -209,8 +209,8 @@ def duration(seconds: float) -> str:
 
 
 def with_context(members: Json, *contexts: str) -> dict[str, object]:
-    """A JSON-LD object with the contexts by which it is to be read: by default the definitions themselves, which any
+    """A JSON-LD object with the contexts by which it is to be read.
 
-    JSON-LD processor can use without fetching anything.
+    By default the definitions themselves, which any JSON-LD processor can use without fetching anything.
     """
     return {"@context": list(contexts) or DEFINITIONS, **members}

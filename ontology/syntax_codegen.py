@@ -25,9 +25,9 @@ def const(text: str) -> str:
 
 
 class Site(NamedTuple):
-    """Where a message is lifted to: `source` is the URL at which its bytes are, `start` where, in a node, the path of
+    """Where a message is lifted to.
 
-    the field begins.
+    `source` is the URL at which its bytes are, `start` where, in a node, the path of the field begins.
     """
 
     source: str

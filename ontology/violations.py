@@ -20,10 +20,11 @@ _LONGEST = 120
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """One thing that does not fit: `path` of the field (`linear.x`, "" for the message), what was expected, what was
+    """One thing that does not fit.
 
-    found (shortened, None where there was nothing). Where a SHACL shape found it, the rest says what its validation
-    result does (SHACL 1.0 section 3.6.2): `term` is the value itself, `predicate` the result's path.
+    `path` of the field (`linear.x`, "" for the message), what was expected, what was found (shortened, None where there
+    was nothing). Where a SHACL shape found it, the rest says what its validation result does (SHACL 1.0 section 3.6.2):
+    `term` is the value itself, `predicate` the result's path.
     """
 
     path: str

@@ -199,9 +199,9 @@ class Application:
         await self._parts[scope["type"]](scope, receive, send)
 
     def end_streams(self) -> None:
-        """End what would go on for ever, holds first: to be called when the server is told to end, before it waits for
+        """End what would go on for ever, holds first.
 
-        requests.
+        To be called when the server is told to end, before it waits for requests.
         """
         self.robot.holds.close("rosld ended")
         self.feeds.end()

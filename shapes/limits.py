@@ -270,9 +270,10 @@ class _Layout:
 
 
 class MessageView:
-    """The view of a message as it would be lifted. Scalars and nested messages are read from the message itself; it is
+    """The view of a message as it would be lifted.
 
-    lifted as soon as a shape asks for anything else.
+    Scalars and nested messages are read from the message itself; it is lifted as soon as a shape asks for anything
+    else.
     """
 
     def __init__(self, layout: _Layout, message: Message, document: str, node: str) -> None:

@@ -18,9 +18,10 @@ _OTHER = rdflib.URIRef("about:other")
 
 
 class Misfit(NamedTuple):
-    """One result of a validation: the node it is about (of a literal its text) and the predicate (None: the node
+    """One result of a validation.
 
-    itself), what the shape says of it, the value that is wrong (None where one is missing), and the constraint.
+    The node it is about (of a literal its text) and the predicate (None: the node itself), what the shape says of it,
+    the value that is wrong (None where one is missing), and the constraint.
     """
 
     focus: NamedNode | BlankNode | str

@@ -217,9 +217,9 @@ def _joined(steps: Sequence[_Step]) -> _Step:
 
 
 def _separated(body: Sequence[_Step]) -> bool:
-    """Whether each turn of a repetition begins, or ends, with a character that is nowhere else in it, and in between
+    """Whether each turn of a repetition begins, or ends, with a character that is nowhere else in it.
 
-    there is only one way to go.
+    There is only one way to go in between, too.
     """
     varying = [(place, step) for place, step in enumerate(body) if step.varies]
     for place, one in varying:
@@ -232,10 +232,10 @@ def _separated(body: Sequence[_Step]) -> bool:
 
 
 def _effort(steps: Sequence[_Step], *, free: bool) -> tuple[int, int]:
-    """With which power of the text's length the time may grow, and by which factor beside: how many repetitions, and
+    """With which power of the text's length the time may grow, and by which factor beside.
 
-    in how many ways the rest, can share one stretch of it. Where the match may begin anywhere (`free`), that is one
-    more repetition, of anything.
+    How many repetitions, and in how many ways the rest, can share one stretch of it. Where the match may begin anywhere
+    (`free`), that is one more repetition, of anything.
     """
     chain = [(-1, _Step(_ALL, _ALL, False), 1, 1)] if free else []
     for place, step in enumerate(steps):

@@ -66,9 +66,10 @@ class ScalarShape:
 
 @dataclass(frozen=True, slots=True)
 class MessageShape:
-    """A value that is a message; `fields` are the names of those that belong to the value (all of the type's, as a
+    """A value that is a message.
 
-    rule), `bounds` those of single scalars by their dotted path (`linear.x`).
+    `fields` are the names of those that belong to the value (all of the type's, as a rule), `bounds` those of single
+    scalars by their dotted path (`linear.x`).
     """
 
     schema: MessageSchema

@@ -45,9 +45,9 @@ _MOST = 4 * 1024 * 1024
 
 @dataclass(frozen=True, slots=True)
 class Issuer:
-    """An OpenID Connect issuer whose access tokens count, if they are for `audience`; `keys` is where its keys are,
+    """An OpenID Connect issuer whose access tokens count, if they are for `audience`.
 
-    None where its configuration says that.
+    `keys` is where its keys are, None where its configuration says that.
     """
 
     url: str

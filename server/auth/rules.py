@@ -61,9 +61,10 @@ def mode_of(method: str, path: Path) -> Mode:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """That agents may, or (`deny`) must not, do something at paths; `types` are globs, and where there are any the rule
+    """That agents may, or (`deny`) must not, do something at paths.
 
-    is about resources of such types alone. `agents` are names or WebIDs, `anybody` or `authenticated`.
+    `types` are globs, and where there are any the rule is about resources of such types alone. `agents` are names or
+    WebIDs, `anybody` or `authenticated`.
     """
 
     agents: frozenset[str]

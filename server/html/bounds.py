@@ -54,9 +54,9 @@ def number_range(kind: Primitive, bounds: Bounds) -> tuple[str, str]:
 
 
 def number_step(kind: Primitive, bounds: Bounds) -> str:
-    """The step of an input, which a browser counts from its least number, as bounds do; without any where it would
+    """The step of an input, which a browser counts from its least number, as bounds do.
 
-    refuse the greatest.
+    Without any where it would refuse the greatest.
     """
     plain = "1" if kind.name in RANGES else "any"
     step, least, greatest = (_bound(each) for each in (bounds.step, bounds.least, bounds.greatest))

@@ -130,9 +130,10 @@ Drawn: TypeAlias = DrawnComplex | DrawnProperty | DrawnAction
 
 
 def posted_forms(forms: Iterable[Form], allow: Iterable[str], csrf: Csrf, site: Site) -> tuple[FormTarget, ...]:
-    """The forms of a page with their tokens: those to the page's own URL as far as `allow` permits their methods, those
+    """The forms of a page with their tokens.
 
-    to others unless this server is read-only.
+    Those to the page's own URL as far as `allow` permits their methods, those to others unless this server is
+    read-only.
     """
     allowed = frozenset(allow)
     return tuple(_posted(forms, allowed, csrf, site))

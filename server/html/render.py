@@ -170,9 +170,9 @@ def _frame(site: Site, title: str, url: str, notices: tuple[Notice, ...], live: 
 
 
 def render_page(page: Page) -> bytes:
-    """The page of a resource: notices, what is on offer or messages, contents, forms as far as allowed, and all that is
+    """The page of a resource.
 
-    said of it.
+    Notices, what is on offer or messages, contents, forms as far as allowed, and all that is said of it.
     """
     posted = posted_forms(_fitting(page), page.allow, page.csrf, page.site)
     return _render(

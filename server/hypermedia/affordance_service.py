@@ -331,10 +331,10 @@ class AffordanceService(Generic[T]):
 
     @asynccontextmanager
     async def turn(self, layout: ResourceTree, *names: str, changed: Iterable[str] = ()) -> AsyncIterator[None]:
-        """Within it, what hangs together with these names by conditions is written by nobody else through rosld, and
+        """Hold what hangs together with these names by conditions: nobody else writes it through rosld meanwhile.
 
-        the properties `changed`, whose new values are made of their old ones, are changed by nobody else. Raises a 503
-        Problem where the others take too long.
+        The same holds for the properties `changed`, whose new values are made of their old ones. Raises a 503 Problem
+        where the others take too long.
         """
         keys = sorted({*layout.turns(names), *changed})
         locks = [self._turns.setdefault(key, asyncio.Lock()) for key in keys]

@@ -123,10 +123,10 @@ def dependents(arrangement: MappingSet, about: str) -> frozenset[str]:
 
 
 def component(arrangement: MappingSet, path: str) -> frozenset[str]:
-    """The paths that hang together with this one, itself among them: from a complex resource to what its conditions
+    """The paths that hang together with this one, itself among them.
 
-    are about, any number of steps in either direction. A condition about a single property leads to the complex
-    resources that show it, and to the one that it lies in.
+    From a complex resource to what its conditions are about, any number of steps in either direction. A condition about
+    a single property leads to the complex resources that show it, and to the one that it lies in.
     """
     return _index(arrangement).components.get(path) or frozenset({path})
 

@@ -252,19 +252,19 @@ class ResourceTree:
         return self._reads((), conditions)
 
     def turns(self, names: Iterable[str]) -> tuple[str, ...]:
-        """What a write to these names must have its turn at, in an order that all writes share; nothing where no
+        """What a write to these names must have its turn at, in an order that all writes share.
 
-        condition hangs together with them.
+        Nothing where no condition hangs together with them.
         """
         paths = {path for name in names for path in self._concerned(name)}
         components = (component(self.arrangement, path) for path in paths)
         return tuple(sorted({min(found) for found in components if len(found) > 1 or _has_conditions(self, found)}))
 
     def affected(self, kind: Kind, name: str) -> frozenset[str]:
-        """The properties whose values may be others after a write to a topic, service or parameter: those of its
+        """The properties whose values may be others after a write to a topic, service or parameter.
 
-        complex resources, of every resource that has a condition about one of them, and what their conditions are
-        about: for what is guarded by a state is likely to change it.
+        Those of its complex resources, of every resource that has a condition about one of them, and what their
+        conditions are about: for what is guarded by a state is likely to change it.
         """
         found = self._affected.get((kind, name))
         if found is None:

@@ -112,9 +112,9 @@ def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment
 
 @lru_cache(maxsize=4096)
 def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
-    """An action (5.3.1.4): what to send, unless that is nothing; its answer is the state of its complex resource,
+    """An action (5.3.1.4): what to send, unless that is nothing.
 
-    of one that sends goals the goal.
+    Its answer is the state of its complex resource, of one that sends goals the goal.
     """
     assert one.request is not None
     schema: DataSchema | None = message_schema(one.request, lifting) if one.request.type.fields else None

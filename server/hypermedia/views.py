@@ -68,9 +68,10 @@ class Member:
 
 @dataclass(frozen=True, slots=True)
 class PropertyView:
-    """A property by itself (`/resources/aircraft/power`). `reads_from` and `writes_to`: the URLs of the ROS topics,
+    """A property by itself (`/resources/aircraft/power`).
 
-    services and parameters behind it; `part_of`: the URL of its complex resource; `field`: the one scalar it shows.
+    `reads_from` and `writes_to`: the URLs of the ROS topics, services and parameters behind it; `part_of`: the URL of
+    its complex resource; `field`: the one scalar it shows.
     """
 
     affordance: PropertyAffordance

@@ -34,9 +34,9 @@ class Audit:
         return response
 
     def _note_refusal(self, exchange: Exchange, status: int) -> None:
-        """See to it that a write of a known agent leaves a receipt where it was refused for want of rights, or of
+        """Have a write of a known agent leave a receipt where it was refused for want of rights, or of anything there.
 
-        anything there; of nobody in particular, what is not there leaves none.
+        Of nobody in particular, what is not there leaves none.
         """
         if exchange.agent == ANYBODY:
             if status in ABSENT:

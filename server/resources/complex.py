@@ -1,6 +1,6 @@
-"""Complex resources: `/resources/NS/`, which join the values of their members and offer what may be done now
+"""Complex resources.
 
-(paper, section 4.3; Listing 3).
+`/resources/NS/`, which join the values of their members and offer what may be done now (paper, section 4.3; Listing 3).
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""Limits on what is written, wherever it is written: by the type of the message, by the URL it is sent to, and by the
+"""Limits on what is written, wherever it is written.
 
-property that the topic, service or parameter behind that URL belongs to. What a node declares of a parameter is one.
+By the type of the message, by the URL it is sent to, and by the property that the topic, service or parameter behind
+that URL belongs to. What a node declares of a parameter is one.
 """
 
 from __future__ import annotations

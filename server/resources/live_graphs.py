@@ -222,9 +222,9 @@ class Dataset:
         return self._robot.schemas.named(type) is not None
 
     def _named(self, documents: frozenset[str]) -> Iterator[Resource]:
-        """What is in the dataset only where it is named: recorded messages, resources whose getters are called, types
+        """What is in the dataset only where it is named.
 
-        that nobody has asked for yet.
+        Recorded messages, resources whose getters are called, types that nobody has asked for yet.
         """
         for url in documents:
             location = self._robot.space.location(url)
@@ -244,9 +244,9 @@ class Dataset:
     async def _look(
         self, topics: Iterable[TopicResource], others: Iterable[Resource], deadline: float
     ) -> Sequence[GraphEntry]:
-        """The graphs of `others`. What must be waited for is looked at together: what getters answer, and the first
+        """The graphs of `others`.
 
-        values of topics.
+        What must be waited for is looked at together: what getters answer, and the first values of topics.
         """
         is_settled = self._robot.topics.is_settled
         firsts = (self._first(topic) for topic in topics if not is_settled(topic.name))

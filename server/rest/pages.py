@@ -188,9 +188,9 @@ class Pages:
         return Response(body, 202, {**self.headers, "Cache-Control": "no-store"}, "text/html; charset=utf-8")
 
     def came_from(self, exchange: Exchange) -> str | None:
-        """The URL of the page that a form stood on (RFC 9110 10.1.3), under the name of this site; None where that is
+        """The URL of the page that a form stood on (RFC 9110 10.1.3), under the name of this site.
 
-        not told.
+        None where that is not told.
         """
         space = self._session.space
         try:

@@ -176,9 +176,9 @@ def left_on_last(count: int, most: int) -> int:
 
 
 def last_place(most: int, count: int, latest: Sequence[Key]) -> Place:
-    """Where the last page begins of `count` members; `latest` are the keys of the last ones, the last one first: one
+    """Where the last page begins of `count` members.
 
-    more than that page tells, if there are.
+    `latest` are the keys of the last ones, the last one first: one more than that page tells, if there are.
     """
     left = left_on_last(count, most)
     return Place(latest[left] if len(latest) > left else 0, most)

@@ -21,9 +21,10 @@ _SWEEP = 0.5
 
 @dataclass(frozen=True, slots=True)
 class LiveSettings:
-    """`first_value`: seconds to wait for the first message of a topic that somebody publishes; `idle`: seconds a
+    """`first_value`: seconds to wait for the first message of a topic that somebody publishes.
 
-    subscription is kept after the last look; `budget`: how many there may be; `eager`: globs of topics always kept.
+    `idle`: seconds a subscription is kept after the last look; `budget`: how many there may be; `eager`: globs of
+    topics always kept.
     """
 
     first_value: float = 1.0

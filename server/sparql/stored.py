@@ -260,10 +260,10 @@ def _told(value: str) -> str:
 
 
 def _string(value: str, base: str = "") -> str:
-    r"""A string literal that reads the same whether codepoint escapes are replaced before parsing (SPARQL 1.1, 19.2) or
+    r"""A string literal that reads the same whenever codepoint escapes are replaced (SPARQL 1.1, 19.2).
 
-    within strings: a backslash that would then begin one is followed by the escape of its `u`.
-    """
+    rA backslash that would begin one if they are replaced before parsing is followed by the escape of its `u`.
+    r"""
     return f'"{_SPECIAL.sub(lambda match: _ESCAPES[match[0]], value)}"'
 
 

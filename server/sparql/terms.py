@@ -13,9 +13,9 @@ from rosld.server.sparql.syntax.tree import Iri, Pattern, Term, Variable
 
 
 class Live(NamedTuple):
-    """Kinds of what is not always in the dataset: values of topics (`messages`) and of parameters, what lies below
+    """Kinds of what is not always in the dataset.
 
-    `/resources/`, and recorded messages.
+    Values of topics (`messages`) and of parameters, what lies below `/resources/`, and recorded messages.
     """
 
     messages: bool = False

@@ -122,9 +122,10 @@ class _Search:
         self._size = 0
 
     def parts(self) -> Iterator[Changes]:
-        """Until nothing has changed any more, so that no write is told in part; where writes never end, until some
+        """Until nothing has changed any more, so that no write is told in part.
 
-        time after what had changed at first. What changes meanwhile comes up once more, in this search or the next.
+        Where writes never end, until some time after what had changed at first. What changes meanwhile comes up once
+        more, in this search or the next.
         """
         last, now, more = self._after, self._records.version, _MORE
         while True:

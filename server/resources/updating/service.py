@@ -122,9 +122,10 @@ class Updates:
 
     @contextlib.asynccontextmanager
     async def _in_line(self, operations: Sequence[Operation]) -> AsyncIterator[None]:
-        """Within it updates that name the same graphs come one after the other: else each would find changed what it
+        """Within it updates that name the same graphs come one after the other.
 
-        was drawn over. Nothing else hangs on it, so whoever has waited for long goes ahead.
+        Else each would find changed what it was drawn over. Nothing else hangs on it, so whoever has waited for long
+        goes ahead.
         """
         async with contextlib.AsyncExitStack() as held:
             with contextlib.suppress(Problem):

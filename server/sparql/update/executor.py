@@ -21,9 +21,10 @@ _INLINE_BYTES = 128 * 1024
 
 
 class Delta(NamedTuple):
-    """What operations come to. It holds for as long as the graphs with live values in `seen` have these tokens, and
+    """What operations come to.
 
-    what clients keep of the graphs that change is not of a later version than `kept`. Those in `named` it names.
+    It holds for as long as the graphs with live values in `seen` have these tokens, and what clients keep of the graphs
+    that change is not of a later version than `kept`. Those in `named` it names.
     """
 
     changes: tuple[GraphChange, ...]

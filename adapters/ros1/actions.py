@@ -51,6 +51,8 @@ _GONE = 2.0
 """Seconds after which a server that is not connected, or no longer lists a goal, has lost it."""
 _RESULT = 5.0
 """Seconds that the result of a goal may come after its status."""
+_RESULT_SOON = 0.5
+"""Seconds that the end of a goal waits for its result: who is told that it ended looks for that at once."""
 _DECISION = 0.3
 """Seconds that a server which has just taken note of a goal is given to reject it."""
 _ASKED, _ASKED_AGAIN = 4, 0.5
@@ -84,6 +86,8 @@ class _Known:
     is_refused: bool = False
     sending: _Sending | None = None
     held: list[GoalEvent] = field(default_factory=list)
+    ending: GoalEvent | None = None
+    """That it ended, while its result is waited for: they come by two connections, in either order."""
 
     @property
     def is_undecided(self) -> bool:
@@ -313,7 +317,7 @@ class Actions:
     def _take_statuses(self, action: str, data: bytes) -> None:
         now = asyncio.get_running_loop().time()
         for status in read_statuses(data):
-            self._note(action, status, now)
+            self._note(action, status, now, waits_for_result=True)
         if (followed := self._followed.get(action)) is not None:
             followed.told_at = now
             followed.heard.set()
@@ -323,7 +327,9 @@ class Actions:
         known = self._note(action, status, asyncio.get_running_loop().time())
         if known is not None:
             known.has_result = True
-            self._tell(action, status.id, known, GoalEvent(time.time_ns(), result=result))
+            ending, known.ending = known.ending, None
+            event = GoalEvent(time.time_ns(), result=result) if ending is None else replace(ending, result=result)
+            self._tell(action, status.id, known, event)
 
     def _take_feedback(self, action: str, data: bytes) -> None:
         status, feedback = read_told(data)
@@ -344,7 +350,7 @@ class Actions:
             if known.told is not None:
                 self._tell(action, id, known, GoalEvent(time.time_ns(), goal=goal))
 
-    def _note(self, action: str, status: Status, now: float) -> _Known | None:
+    def _note(self, action: str, status: Status, now: float, *, waits_for_result: bool = False) -> _Known | None:
         """Take note of how a goal stands, and tell of what is new. None for what is no goal's."""
         if not status.id or status.status is None:
             return None
@@ -361,8 +367,18 @@ class Actions:
             known.ended_at = now
         self._decide(known, status)
         event = GoalEvent(time.time_ns(), status.status, status.words, goal=known.goal if is_first else None)
-        self._tell(action, status.id, known, event)
+        if waits_for_result and status.status.is_final and not known.has_result:
+            known.ending = event
+            asyncio.get_running_loop().call_later(_RESULT_SOON, self._end, action, status.id, known)
+        else:
+            self._tell(action, status.id, known, event)
         return known
+
+    def _end(self, action: str, id: str, known: _Known) -> None:
+        """Tell that a goal ended, unless it was told with its result."""
+        if known.ending is not None:
+            event, known.ending = known.ending, None
+            self._tell(action, id, known, event)
 
     def _decide(self, known: _Known, status: Status) -> None:
         """Answer who has sent the goal: at once, or after a moment where it may still be rejected."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 
 from starlette.responses import Response
 
@@ -20,12 +20,16 @@ class CrossOriginHeaders:
         self._next = next
         self._site = site
 
-    async def __call__(self, exchange: Exchange) -> Response:
+    def __call__(self, exchange: Exchange) -> Awaitable[Response]:
         """Answer as the next handler does, with the headers."""
         origin = exchange.header("origin")
+        if origin is None and not self._site.shared and not self._site.anybody:
+            return self._next(exchange)
+        return self._shared(exchange, origin)
+
+    async def _shared(self, exchange: Exchange, origin: str | None) -> Response:
         response = await self._next(exchange)
-        if origin is not None or self._site.shared or self._site.anybody:
-            _share(response, sharing(self._site, exchange.method, origin))
+        _share(response, sharing(self._site, exchange.method, origin))
         return response
 
 
@@ -36,12 +40,12 @@ class TrustedHosts:
         self._next = next
         self._site = site
 
-    async def __call__(self, exchange: Exchange) -> Response:
+    def __call__(self, exchange: Exchange) -> Awaitable[Response]:
         """Answer as the next handler does. Raises Problems."""
         if exchange.header("host") not in self._site.hosts:  # several are joined, and then none of these
             check_host(self._site, exchange.hosts)
         check_origin(self._site, exchange.method, exchange.header("origin"), exchange.header("sec-fetch-site"))
-        return await self._next(exchange)
+        return self._next(exchange)
 
 
 class Preflight:
@@ -55,10 +59,11 @@ class Preflight:
         self._site = site
         self._resolve = resolve
 
-    async def __call__(self, exchange: Exchange) -> Response:
+    def __call__(self, exchange: Exchange) -> Awaitable[Response]:
         """Answer a preflight request, and any other as the next handler does. Raises Problems as `resolve`."""
-        if not is_preflight(exchange):
-            return await self._next(exchange)
+        return self._answer(exchange) if is_preflight(exchange) else self._next(exchange)
+
+    async def _answer(self, exchange: Exchange) -> Response:
         resource = self._resolve(exchange)
         response = Response(status_code=204, headers={"vary": "Accept"} if resource is None else options(resource))
         _share(response, sharing(self._site, "OPTIONS", exchange.header("origin"), preflight=True))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 
 from starlette.responses import Response
 from starlette.types import Scope
@@ -25,10 +25,11 @@ class ServerOptions:
         self._next = next
         self._admission = admission
 
-    async def __call__(self, exchange: Exchange) -> Response:
+    def __call__(self, exchange: Exchange) -> Awaitable[Response]:
         """Answer for `*`, and as the next handler does for a path. Raises a 400 Problem for other methods of `*`."""
-        if exchange.request.scope["raw_path"] != b"*":
-            return await self._next(exchange)
+        return self._next(exchange) if exchange.request.scope["raw_path"] != b"*" else self._answer(exchange)
+
+    async def _answer(self, exchange: Exchange) -> Response:
         self._admission.admit(exchange)
         if exchange.method != "OPTIONS":
             raise Problem(400, "Only OPTIONS is for the whole server (*): name a resource.")
@@ -42,6 +43,6 @@ class Dispatch:
         self._resolve = resolve
         self._verbs = verbs
 
-    async def __call__(self, exchange: Exchange) -> Response:
+    def __call__(self, exchange: Exchange) -> Awaitable[Response]:
         """Answer. Raises what resources raise."""
-        return await self._verbs.answer(exchange, self._resolve(exchange.request.scope))
+        return self._verbs.answer(exchange, self._resolve(exchange.request.scope))

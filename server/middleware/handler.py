@@ -12,7 +12,9 @@ from rosld.server.rest.exchange import Exchange
 Handler: TypeAlias = Callable[[Exchange], Awaitable[Response]]
 """Answers a request. What it raises is made an answer by `errors.py`.
 
-Responses, not ASGI messages, pass from one to the next: a header is added to a list, without a wrapper of `send`.
+Responses, not ASGI messages, pass from one to the next: a header is added to a list, without a wrapper of `send`. A
+handler that only looks at the request is no coroutine function: it returns what the next one returns, to be awaited
+there. Eight coroutines more would take 5 us of a GET, which takes 60.
 """
 
 

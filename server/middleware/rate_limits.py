@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable
+
 from starlette.responses import Response
 
 from rosld.server.auth.agent import ANYBODY
@@ -53,7 +55,7 @@ class RateLimits:
         self._next = next
         self._admission = admission
 
-    async def __call__(self, exchange: Exchange) -> Response:
+    def __call__(self, exchange: Exchange) -> Awaitable[Response]:
         """Answer as the next handler does. Raises a 429 Problem."""
         self._admission.admit(exchange)
-        return await self._next(exchange)
+        return self._next(exchange)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable
+
 from starlette.responses import Response
 
 from rosld.server.middleware.handler import Handler
@@ -17,8 +19,12 @@ class Scheduling:
         self._stop = stop
         self._turns = RequestScheduler()
 
-    async def __call__(self, exchange: Exchange) -> Response:
+    def __call__(self, exchange: Exchange) -> Awaitable[Response]:
         """Answer as the next handler does, in turn."""
-        if exchange.request.scope["raw_path"] != self._stop:
-            await self._turns.wait()
+        if exchange.request.scope["raw_path"] == self._stop or self._turns.begin():
+            return self._next(exchange)
+        return self._later(exchange)
+
+    async def _later(self, exchange: Exchange) -> Response:
+        await self._turns.wait()
         return await self._next(exchange)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable
+
 from starlette.responses import Response
 
 from rosld.ontology.urls import Space
@@ -21,7 +23,7 @@ class NoTokensInUrls:
         self._next = next
         self._space = space
 
-    async def __call__(self, exchange: Exchange) -> Response:
+    def __call__(self, exchange: Exchange) -> Awaitable[Response]:
         """Answer as the next handler does. Raises a 400 Problem."""
         scope = exchange.request.scope
         asked: bytes = scope["raw_path"] + b"?" + scope["query_string"]
@@ -31,4 +33,4 @@ class NoTokensInUrls:
                 exchange.account.begin()
             sentence = "The URL has a token in it: send it as 'Authorization: Bearer TOKEN', and have it replaced."
             raise Problem(400, sentence)
-        return await self._next(exchange)
+        return self._next(exchange)

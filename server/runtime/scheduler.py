@@ -21,15 +21,21 @@ class RequestScheduler:
         self._waiting: deque[asyncio.Future[None]] = deque()
         self._loop: asyncio.AbstractEventLoop | None = None
 
-    async def wait(self) -> None:
-        """Until it is one's turn."""
+    def begin(self) -> bool:
+        """Begin in this turn, unless as many have begun in it as may: then `wait` for one's turn."""
         loop = self._loop = self._loop or asyncio.get_running_loop()  # the latter is a system call before Python 3.12
         if self._begun == 0:
             loop.call_soon(self._next)
         if self._begun < self._most and not self._waiting:
             self._begun += 1
+            return True
+        return False
+
+    async def wait(self) -> None:
+        """Wait until it is one's turn."""
+        if self.begin():
             return
-        turn = loop.create_future()
+        turn = asyncio.get_running_loop().create_future()
         self._waiting.append(turn)
         await turn
 

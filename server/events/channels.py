@@ -78,7 +78,7 @@ class Channel:
 
 
 class Channels:
-    """The channels of one server. `boot` tells this run of the server from others in the names of states."""
+    """The channels of one server. `instance_id` tells this run of the server from others in the names of states."""
 
     def __init__(self, instance_id: str, most: int = MOST_CHANNELS) -> None:
         self._instance_id = instance_id

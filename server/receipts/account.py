@@ -74,7 +74,7 @@ under_way: ContextVar[AuditContext | None] = ContextVar("under_way", default=Non
 
 
 def record_step(does: str, *touches: str) -> None:
-    """As `Account.plans`, told to the write that is under way."""
+    """Record a step of the write that is under way, as `AuditContext.plans` does."""
     account = under_way.get()
     if account is not None:
         account.plans(does, *touches)

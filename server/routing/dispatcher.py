@@ -43,7 +43,7 @@ _JSON_IS_JSONLD = {JSON: Syntax.JSON_LD.media_type}
 
 @dataclass(frozen=True, slots=True)
 class Dispatcher:
-    """Answers requests on resources. `boot` tells this run of the server from others in ETags."""
+    """Answers requests on resources. `instance_id` tells this run of the server from others in ETags."""
 
     instance_id: str
     pages: Pages

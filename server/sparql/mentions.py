@@ -64,7 +64,7 @@ class Mentions:
 
 
 class Noting:
-    """What clients keep, noting what it mentions as it is rendered: a `KeptSource`."""
+    """What clients keep, noting what it mentions as it is rendered: a `ChangeSource`."""
 
     def __init__(self, kept: ChangeSource, mentions: Mentions) -> None:
         self._kept = kept
@@ -72,15 +72,15 @@ class Noting:
 
     @property
     def version(self) -> int:
-        """As `KeptSource.version`."""
+        """As `ChangeSource.version`."""
         return self._kept.version
 
     def last_change(self, graph: str) -> int:
-        """As `KeptSource.last_change`."""
+        """As `ChangeSource.last_change`."""
         return self._kept.last_change(graph)
 
     def changes(self, after: int) -> Iterator[Changes]:
-        """As `KeptSource.changes`."""
+        """As `ChangeSource.changes`."""
         for part in self._kept.changes(after):
             for edit in part.edits:
                 self._mentions.add(edit.graph, edit.added)

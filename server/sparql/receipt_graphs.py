@@ -22,7 +22,7 @@ _SIZE = 2500
 
 
 class ReceiptGraphs:
-    """The graphs of a journal: a `KeptSource`. Of those that went only what was told before is told."""
+    """The graphs of a journal: a `ChangeSource`. Of those that went only what was told before is told."""
 
     def __init__(self, journal: Journal, space: Space) -> None:
         self._journal = journal

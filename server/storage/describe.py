@@ -137,7 +137,7 @@ _SIGN = re.compile("|".join(map(re.escape, _SIGNS)).encode())
 
 
 def may_be_managed(ntriples: bytes) -> bool:
-    """Whether `unmanaged` may leave anything out of N-Triples as `written`: told from their bytes, on the safe side."""
+    """Whether `unmanaged` may leave anything out of what `to_ntriples` wrote: told from the bytes, on the safe side."""
     return _SIGN.search(ntriples) is not None
 
 

@@ -125,7 +125,7 @@ _NAMED_MEANWHILE = frozenset({Cause.THERE, Cause.NAME, Cause.GONE})
 async def creation(
     robot: Robot, path: str, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
 ) -> Created:
-    """A new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3). Raises Conflict as `made` does."""
+    """A new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3). Raises Conflict as `create` does."""
     record = await create(resource_of(robot, path, model), model, exchange, blob, unused=unused)
     resource = resource_of(robot, path, model)  # as it is now that it is there
     if model is Model.NON_RDF_SOURCE:

@@ -44,7 +44,7 @@ def _nothing(record: Record) -> Sequence[Triple]:
 
 
 class RecordGraphs:
-    """The graphs of all records, each what a GET of its resource says: a `KeptSource`.
+    """The graphs of all records, each what a GET of its resource says: a `ChangeSource`.
 
     The graphs of the containers `elsewhere` come from somewhere else.
     """

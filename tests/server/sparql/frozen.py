@@ -80,7 +80,7 @@ async def freeze(robot: Robot) -> Frozen:
 
 
 class _Kept:
-    """Graphs that clients keep: a `KeptSource`."""
+    """Graphs that clients keep: a `ChangeSource`."""
 
     version = 1
 

@@ -31,7 +31,7 @@ class Variable(NamedTuple):
     @property
     def is_blank(self) -> bool:
         """Whether it was written as a blank node."""
-        return self.name[0] in "[_"
+        return self.name.startswith(("_:", "["))
 
 
 class Value(NamedTuple):

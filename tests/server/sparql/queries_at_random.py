@@ -15,6 +15,8 @@ Term = NamedNode | BlankNode | Literal | Triple
 
 _MOST_PATTERNS = 4
 """Of a query that nothing ends: the store knows no limit of time."""
+_BEGINNINGS = ("", "_", "0", "__")
+"""What the name of a variable may begin with (SPARQL 1.1 Query, 19.8, VARNAME)."""
 
 
 class Maker:
@@ -196,4 +198,4 @@ class Maker:
         return str(term)
 
     def _name(self, term: Term) -> str:
-        return self._names.setdefault(term, f"?v{len(self._names)}")
+        return self._names.setdefault(term, f"?{_BEGINNINGS[len(self._names) % 4]}v{len(self._names)}")

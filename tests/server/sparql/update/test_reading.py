@@ -300,6 +300,12 @@ def test_variables_may_stand_wherever_a_term_may_and_have_two_marks() -> None:
     assert QuadTemplate(Hole("s"), Hole("p"), Hole("o"), Hole("g")) in operation.inserts
 
 
+def test_the_name_of_a_variable_may_begin_with_an_underscore_or_a_digit() -> None:
+    operation = only("DELETE { ?_g0 <p> ?0 } INSERT { ?_ <p> ?__ } WHERE { ?_ <p> ?_g0, ?0, ?__ }")
+    assert operation.where is not None
+    assert set(operation.where.holes) == {"_g0", "0", "_", "__"}
+
+
 def test_what_looks_like_the_mark_of_a_variable_is_none() -> None:
     assert objects("<a> <b> '?v' , <urn:x-hole:v> , '$w'") == [Literal("?v"), NamedNode("urn:x-hole:v"), Literal("$w")]
 

@@ -13,10 +13,9 @@ from rosld.server.events.query_params import (
     MOST_RATE,
     MOST_TIMEOUT,
 )
+from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, TEXT, Schema
 from rosld.server.hypermedia.schema import Json
-from rosld.server.openapi.json_schema import ANYTHING, JSON_LD, TEXT, Schema
-from rosld.server.rest.formats import HTML, OFFERS
-from rosld.server.rest.resource import RDF_BODIES
+from rosld.server.rest.formats import HTML, OFFERS, RDF_BODIES
 
 PROBLEM = "application/problem+json"
 _PROBLEM_SCHEMA: Schema = {

@@ -10,6 +10,7 @@ from http import HTTPStatus
 import orjson
 
 from rosld.server.events.query_params import EVENT_STREAM
+from rosld.server.hypermedia.json_schema import ANYTHING, Schema
 from rosld.server.hypermedia.schema import Json
 from rosld.server.openapi.components import (
     READING,
@@ -23,7 +24,6 @@ from rosld.server.openapi.components import (
     representation,
     schema_of,
 )
-from rosld.server.openapi.json_schema import ANYTHING, Schema
 from rosld.server.openapi.place import Place, Query
 
 VERSION = "3.1.1"

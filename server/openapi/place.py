@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from rosld.server.openapi.json_schema import TEXT, Schema
+from rosld.server.hypermedia.json_schema import TEXT, Schema
 from rosld.server.rest.formats import OFFERS
 
 

@@ -26,13 +26,13 @@ from rosld.ontology.namespaces import Members
 from rosld.ontology.notifications import CHANNEL_TYPES
 from rosld.server.events.source import LINES
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia import json_schema
 from rosld.server.hypermedia.conditions import url_of
+from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, TEXT, or_null
 from rosld.server.hypermedia.resource_tree import ActionPlan, ResourceTree
 from rosld.server.hypermedia.schema import DataSchema, Json, message_schema, value_schema
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE as THING
-from rosld.server.openapi import json_schema
 from rosld.server.openapi.components import reference
-from rosld.server.openapi.json_schema import ANYTHING, OBJECT, TEXT, or_null
 from rosld.server.openapi.place import Place, Query
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.sources import N3_PATCH
@@ -40,8 +40,8 @@ from rosld.server.resources.namespaces import listed, namespaces
 from rosld.server.resources.nodes import TRANSITION
 from rosld.server.resources.sparql import FORMATS as RESULT_FORMATS
 from rosld.server.resources.sparql import formats_of
-from rosld.server.rest.formats import FORMATS, HTML, OFFERS
-from rosld.server.rest.resource import MERGE_PATCH, RDF_BODIES, READ, SPARQL_UPDATE, Resource
+from rosld.server.rest.formats import FORMATS, HTML, MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
+from rosld.server.rest.resource import READ, Resource
 from rosld.server.robot.session import used_types
 from rosld.server.sparql.protocol import DIRECT, UPDATE
 from rosld.server.sparql.results import GRAPHS, SOLUTIONS

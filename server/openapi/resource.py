@@ -17,8 +17,8 @@ from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import Schema
 from rosld.server.openapi.description import description
-from rosld.server.openapi.json_schema import Schema
 from rosld.server.openapi.place import Place
 from rosld.server.openapi.places import OPENAPI, Places, Resolve, learn
 from rosld.server.openapi.rights import places_for, with_security

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import orjson
 
-from rosld.server.openapi.json_schema import Schema
+from rosld.server.hypermedia.json_schema import Schema
 from rosld.server.openapi.place import Place
 
 _Json: TypeAlias = "dict[str, object]"

@@ -36,7 +36,8 @@ from rosld.server.resources.namespaces import is_absent, moved_to_namespace
 from rosld.server.resources.service_request import message_in
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.resource import JSON, RDF_BODIES, READ, Answer, Created, Resource
+from rosld.server.rest.formats import JSON, RDF_BODIES
+from rosld.server.rest.resource import READ, Answer, Created, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import Gone, KeyReused
 from rosld.server.robot.goals import Goal, Sending

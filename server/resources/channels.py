@@ -41,19 +41,9 @@ from rosld.server.http.problem import Problem
 from rosld.server.resources.context import Robot
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.formats import OFFERS
+from rosld.server.rest.formats import JSON, OFFERS
 from rosld.server.rest.prepared import RawResponse, bytes_response
-from rosld.server.rest.resource import (
-    BASIC_CONTAINER,
-    JSON,
-    RDF_SOURCE,
-    READ,
-    RESOURCE,
-    Answer,
-    Created,
-    Resource,
-    moved,
-)
+from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Created, Resource, moved
 from rosld.server.rest.resource_headers import standing_headers
 from rosld.server.rest.state import State
 

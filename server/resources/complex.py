@@ -36,20 +36,10 @@ from rosld.server.resources.context import Robot
 from rosld.server.resources.preconditions import seen_anew
 from rosld.server.resources.things import complex_thing, thing_response, wants_thing
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import MERGE_PATCH, SPARQL_UPDATE
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.redaction import veiled_state
-from rosld.server.rest.resource import (
-    ABSENT,
-    BASIC_CONTAINER,
-    MERGE_PATCH,
-    RDF_SOURCE,
-    READ,
-    RESOURCE,
-    SPARQL_UPDATE,
-    Answer,
-    Resource,
-    moved,
-)
+from rosld.server.rest.resource import ABSENT, BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Resource, moved
 from rosld.server.rest.state import State
 
 

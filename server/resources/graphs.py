@@ -31,7 +31,8 @@ from rosld.server.resources.kept.routes import AbsentResource
 from rosld.server.resources.kept.sources import N3_PATCH
 from rosld.server.resources.sparql import answer_query, formats_of, wished
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.resource import RDF_BODIES, READ, SPARQL_UPDATE, Answer, Resource
+from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
+from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.sparql import results
 from rosld.server.sparql.endpoint import QueryService

@@ -30,7 +30,8 @@ from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.publishing import Publishing
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.resource import JSON, MERGE_PATCH, RDF_BODIES, READ, Answer, Created, Resource
+from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES
+from rosld.server.rest.resource import READ, Answer, Created, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.holds import Command, Hold, HoldEnded, command, new
 

@@ -38,19 +38,9 @@ from rosld.server.resources.preconditions import require_offered, require_writab
 from rosld.server.resources.service_request import called, declined_by, failure, request_in
 from rosld.server.resources.writes import planned, write_response
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.plan import Plan, RobotWrite
-from rosld.server.rest.resource import (
-    ABSENT,
-    JSON,
-    MERGE_PATCH,
-    RDF_BODIES,
-    READ,
-    SPARQL_UPDATE,
-    Answer,
-    Resource,
-    Shown,
-    moved,
-)
+from rosld.server.rest.resource import ABSENT, READ, Answer, Resource, Shown, moved
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import Outcome
 

@@ -22,7 +22,8 @@ from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.resource import JSON, RDF_BODIES, READ, Answer, Resource
+from rosld.server.rest.formats import JSON, RDF_BODIES
+from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.write_policy import resources_only_reason
 

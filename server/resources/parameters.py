@@ -52,7 +52,7 @@ from rosld.server.resources.namespaces import (
     with_hidden,
 )
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.formats import OFFERS
+from rosld.server.rest.formats import JSON, MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.paging import (
     MOST,
     Page,
@@ -64,20 +64,7 @@ from rosld.server.rest.paging import (
 )
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.redaction import veiled_state
-from rosld.server.rest.resource import (
-    BASIC_CONTAINER,
-    JSON,
-    MERGE_PATCH,
-    RDF_BODIES,
-    RDF_SOURCE,
-    READ,
-    RESOURCE,
-    SPARQL_UPDATE,
-    Answer,
-    Created,
-    Resource,
-    moved,
-)
+from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Created, Resource, moved
 from rosld.server.rest.state import State
 from rosld.server.robot.write_policy import parameter_denied_reason, resources_only_reason
 from rosld.server.runtime.signals import every, together

@@ -20,7 +20,7 @@ from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.messages import decode
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.resource import JSON, MERGE_PATCH
+from rosld.server.rest.formats import JSON, MERGE_PATCH
 from rosld.server.robot.publication import Publication, no_subscriber_problem, publish
 
 

@@ -10,7 +10,7 @@ from rosld.server.hypermedia.value import declined
 from rosld.server.resources.context import Robot
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.resource import JSON
+from rosld.server.rest.formats import JSON
 from rosld.server.robot.calls import KeyReused, Outcome
 
 

@@ -18,7 +18,8 @@ from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
 from rosld.server.resources.service_request import called, failure, request_in
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.resource import JSON, RDF_BODIES, READ, Answer, Created, Resource
+from rosld.server.rest.formats import JSON, RDF_BODIES
+from rosld.server.rest.resource import READ, Answer, Created, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import Call, Gone
 from rosld.server.robot.write_policy import resources_only_reason

@@ -19,9 +19,10 @@ from rosld.server.http.problem import Problem
 from rosld.server.http.text import FORM
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.rest.pages import Pages
 from rosld.server.rest.prepared import RawResponse
-from rosld.server.rest.resource import RDF_BODIES, READ, Answer, Resource
+from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.sparql import disconnect
 from rosld.server.sparql.disconnect import HangUp

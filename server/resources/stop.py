@@ -19,8 +19,9 @@ from rosld.server.http.problem import Problem
 from rosld.server.http.tokens import without_tokens
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import JSON
 from rosld.server.rest.redaction import veiled_state
-from rosld.server.rest.resource import JSON, READ, Answer, Resource, Shown
+from rosld.server.rest.resource import READ, Answer, Resource, Shown
 from rosld.server.rest.state import State
 
 _LONGEST = 500

@@ -18,8 +18,9 @@ from rosld.server.hypermedia.thing_description_rights import thing_for
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.rest.prepared import bytes_response
-from rosld.server.rest.resource import RDF_BODIES, RESOURCE, Resource
+from rosld.server.rest.resource import RESOURCE, Resource
 
 FORMAT = "td"
 _OFFERS = (*RDF_BODIES, "application/json", "text/html", MEDIA_TYPE)

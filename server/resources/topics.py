@@ -25,8 +25,9 @@ from rosld.server.resources.messages import Decoded, decode, field_response, lif
 from rosld.server.resources.namespaces import moved_to_namespace
 from rosld.server.resources.publishing import Publishing
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.plan import Plan, RobotWrite
-from rosld.server.rest.resource import JSON, MERGE_PATCH, RDF_BODIES, READ, SPARQL_UPDATE, Answer, Resource
+from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.publication import publish
 from rosld.server.robot.topic_view import View

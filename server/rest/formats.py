@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rosld.ontology.serialize import Syntax
-from rosld.server.rest.resource import JSON, RDF_BODIES
 
 HTML = "text/html"
+JSON = "application/json"
+MERGE_PATCH = "application/merge-patch+json"
+SPARQL_UPDATE = "application/sparql-update"
+RDF_BODIES = tuple(syntax.media_type for syntax in Syntax)
+"""The media types that RDF is read from, and written as."""
 VARIANTS: Mapping[str, str] = {syntax.media_type: syntax.extension for syntax in Syntax} | {JSON: "json", HTML: "html"}
 FORMATS: Mapping[str, str] = {extension: media_type for media_type, extension in VARIANTS.items()} | {
     "turtle": Syntax.TURTLE.media_type,

@@ -16,7 +16,6 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
-from rosld.ontology.serialize import Syntax
 from rosld.server.auth.permissions import Permissions
 from rosld.server.html import Csrf, Form, Listing, Notice, Page, Site, Step
 from rosld.server.http.link import Link, uri
@@ -34,11 +33,6 @@ LDP = "http://www.w3.org/ns/ldp#"
 RESOURCE = Link(f"{LDP}Resource", "type")
 RDF_SOURCE = Link(f"{LDP}RDFSource", "type")
 BASIC_CONTAINER = Link(f"{LDP}BasicContainer", "type")
-
-JSON = "application/json"
-MERGE_PATCH = "application/merge-patch+json"
-SPARQL_UPDATE = "application/sparql-update"
-RDF_BODIES = tuple(syntax.media_type for syntax in Syntax)
 
 
 class Resource:

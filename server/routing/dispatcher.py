@@ -28,12 +28,12 @@ from rosld.server.http.text import FORM
 from rosld.server.rest.errors import problem_of, problem_of_body
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.files import file_stream
-from rosld.server.rest.formats import FORMATS, HTML, OFFERS, VARIANTS
+from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS, VARIANTS
 from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.large import LargeDocuments
 from rosld.server.rest.pages import FormRefused, Pages
 from rosld.server.rest.prepared import RawResponse
-from rosld.server.rest.resource import JSON, LDP, Answer, Created, Resource, Shown, allow
+from rosld.server.rest.resource import LDP, Answer, Created, Resource, Shown, allow
 from rosld.server.rest.resource_headers import ACCEPT_FIELDS, rendered, standing_headers
 from rosld.server.rest.state import Rendering, State
 from rosld.server.storage import StorageError

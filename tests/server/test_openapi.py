@@ -13,7 +13,7 @@ from openapi_spec_validator import OpenAPIV31SpecValidator
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
 from rosld.server.app import create_app
-from rosld.server.openapi import json_schema
+from rosld.server.hypermedia import json_schema
 from rosld.server.openapi.description import description
 from rosld.server.openapi.place import Place
 from rosld.server.rest.formats import OFFERS

@@ -15,7 +15,8 @@ from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.transaction import kept_together
 from rosld.server.resources.kept.validation import judge_of
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.resource import RDF_BODIES, READ, Answer, Resource, moved
+from rosld.server.rest.formats import RDF_BODIES
+from rosld.server.rest.resource import READ, Answer, Resource, moved
 from rosld.server.storage import Cause, Conflict, Record, Remove, Write
 
 ANYTHING = "*/*"

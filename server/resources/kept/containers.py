@@ -15,10 +15,11 @@ from rosld.server.resources.kept.files import KeptFile
 from rosld.server.resources.kept.representation import page_at, page_shown, state_of
 from rosld.server.resources.kept.sources import N3_PATCH, SourceResource
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.interaction import model_links
 from rosld.server.rest.paging import Place, page_query, read_place, send_to_first
 from rosld.server.rest.prefer_container import ALL, Parts, select_parts
-from rosld.server.rest.resource import RDF_BODIES, SPARQL_UPDATE, Answer, Created, Resource
+from rosld.server.rest.resource import Answer, Created, Resource
 from rosld.server.rest.slug import free_name
 from rosld.server.rest.state import State
 from rosld.server.storage import Blob, Cause, Conflict, Model

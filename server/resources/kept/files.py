@@ -24,8 +24,9 @@ from rosld.server.resources.kept.representation import state_of
 from rosld.server.resources.kept.stated import LIGHT_BYTES
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.files import file_response
+from rosld.server.rest.formats import JSON, MERGE_PATCH
 from rosld.server.rest.interaction import model_links
-from rosld.server.rest.resource import JSON, MERGE_PATCH, Answer
+from rosld.server.rest.resource import Answer
 from rosld.server.rest.resource_headers import standing_headers
 from rosld.server.rest.state import State
 from rosld.server.storage import Blob, Cause, Conflict, Model, Put, Record, Write

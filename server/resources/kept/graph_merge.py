@@ -14,7 +14,7 @@ from rosld.server.http.text import as_utf8
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.stated import Statements, apart, is_light, looked_through
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.resource import RDF_BODIES
+from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.storage.describe import to_ntriples
 from rosld.server.storage.packing import size_of, unpack
 

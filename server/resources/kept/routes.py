@@ -25,8 +25,9 @@ from rosld.server.resources.kept.sources import DescriptionResource
 from rosld.server.resources.kept.stated import N3_PATCH, is_light, patched
 from rosld.server.resources.kept.transaction import kept_together
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.plan import StorageWrite
-from rosld.server.rest.resource import ABSENT, RDF_BODIES, SPARQL_UPDATE, Answer, Created, Resource, moved
+from rosld.server.rest.resource import ABSENT, Answer, Created, Resource, moved
 from rosld.server.rest.resource_headers import standing_headers
 from rosld.server.rest.state import State
 from rosld.server.storage import Blob, Cause, Conflict, Model

@@ -36,9 +36,10 @@ from rosld.server.resources.kept.stated import (
     stand_in,
 )
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.plan import StorageWrite
 from rosld.server.rest.prepared import no_content
-from rosld.server.rest.resource import RDF_BODIES, SPARQL_UPDATE, Answer
+from rosld.server.rest.resource import Answer
 from rosld.server.rest.state import State, require_memory
 from rosld.server.storage import NO_MEMBER, Model, Put, Record, Remove, Write
 from rosld.server.storage.describe import META, said_times

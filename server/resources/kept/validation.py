@@ -15,7 +15,7 @@ from rosld.server.policies.mappings import ROOM as MAPPINGS
 from rosld.server.policies.mappings import mapping_kept
 from rosld.server.policies.queries import ROOM as QUERIES
 from rosld.server.resources.context import Robot
-from rosld.server.rest.resource import RDF_BODIES
+from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.sparql.protocol import DIRECT
 from rosld.server.storage import Model, Put, Remove, Write
 from rosld.server.storage.packing import size_of, unpack

@@ -147,7 +147,7 @@ _EMPTY = frozenset({303, 304})
 _CERTAIN = {(405, "Allow"), (308, "Location"), (303, "Location")}
 READING = (304, 308, 400, 404, 406, 412, 502, 503, 504)
 WRITING = (308, 400, 404, 405, 406, 409, 412, 413, 415, 422, 423, 428, 429, 502, 503, 504)
-"""Statuses of refusals and failures: of GET and HEAD, of what writes. Some resources have more (`Place.also`)."""
+"""Statuses of refusals and failures: of GET and HEAD, of what writes. Some resources have more (`PathItem.also`)."""
 ANY = (403, 408, 421, 429, 431, 500)
 """What any request may meet, before it comes to the resource or because the server fails: `default`."""
 _STANDING = ("ETag", "Link", "Allow", "Accept-Put", "Accept-Post", "Accept-Patch")

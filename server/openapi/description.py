@@ -1,4 +1,4 @@
-"""The description: an OpenAPI Object (OpenAPI 3.1.1, 4.8.1) of places. The same places give the same bytes."""
+"""The description: an OpenAPI Object (OpenAPI 3.1.1, 4.8.1) of paths. The same paths give the same bytes."""
 
 from __future__ import annotations
 
@@ -24,16 +24,17 @@ from rosld.server.openapi.components import (
     representation,
     schema_of,
 )
-from rosld.server.openapi.place import Place, Query
+from rosld.server.openapi.path import Path
+from rosld.server.rest.path_item import UrlParameter
 
 VERSION = "3.1.1"
 _ORDER = ("GET", "HEAD", "OPTIONS", "PUT", "POST", "PATCH", "DELETE")
 _DONE = {"PUT": (200, 201, 204), "POST": (200, 201, 204), "PATCH": (200, 201, 204), "DELETE": (204,)}
-"""Statuses of what was done, where a place says nothing else."""
+"""Statuses of what was done, where a path says nothing else."""
 _SHORT = frozenset({"HEAD", "OPTIONS"})
 _TEMPLATE = re.compile(r"\{([^{}]+)\}")
 _BY_SCHEMA = frozenset({"application/json", "application/merge-patch+json", "application/x-www-form-urlencoded"})
-"""Media types of bodies that have the schema of their place."""
+"""Media types of bodies that have the schema of their path."""
 _NOT_IN_A_NAME = re.compile(r"[^A-Za-z0-9]+")
 _VERBS = {
     "GET": "Read", "PUT": "Write", "POST": "Post to", "PATCH": "Change", "DELETE": "Delete",
@@ -45,13 +46,15 @@ def description(
     base: str,
     version: str,
     about: str,
-    places: Iterable[Place],
+    described: Iterable[Path],
     schemas: Mapping[str, Schema],
 ) -> bytes:
     """The description of a server at `base`, as JSON; `schemas` are those that places refer to by name."""
-    ordered = sorted({place.path: place for place in places}.values(), key=lambda place: place.path)
+    ordered = sorted({path.template: path for path in described}.values(), key=lambda path: path.template)
     names, shared = _Names(), _Shared()
-    paths = {place.path: _path_item(place, names) if place.alike is None else shared.item(place) for place in ordered}
+    paths = {
+        path.template: _path_item(path, names) if path.item.alike is None else shared.item(path) for path in ordered
+    }
     return orjson.dumps(
         {
             "openapi": VERSION,
@@ -62,7 +65,7 @@ def description(
                 "license": {"name": "Apache-2.0", "identifier": "Apache-2.0"},
             },
             "servers": [{"url": base.rstrip("/")}],
-            "tags": [{"name": tag} for tag in dict.fromkeys(place.tag for place in ordered)],
+            "tags": [{"name": tag} for tag in dict.fromkeys(path.tag for path in ordered)],
             "paths": paths,
             "components": {**components(schemas), "pathItems": shared.items},
         }
@@ -87,32 +90,32 @@ class _Names:
 
 
 class _Shared:
-    """Path Items of places that are alike: one for each way in which they answer, referred to by its name."""
+    """Path Items of paths that are alike: one for each way in which they answer, referred to by its name."""
 
     def __init__(self) -> None:
         self.items: dict[str, Json] = {}
         self._names: dict[bytes, str] = {}
 
-    def item(self, place: Place) -> dict[str, Json]:
-        """A reference to the Path Item of a place."""
-        item = _path_item(replace(place, summary=f"A {place.alike}"), None)
+    def item(self, path: Path) -> dict[str, Json]:
+        """A reference to the Path Item of a path."""
+        item = _path_item(replace(path, item=replace(path.item, summary=f"A {path.item.alike}")), None)
         key = orjson.dumps(item)
         name = self._names.get(key)
         if name is None:
-            name = self._names[key] = f"{place.alike}.{len(self._names) + 1}"
+            name = self._names[key] = f"{path.item.alike}.{len(self._names) + 1}"
             self.items[name] = item
         return reference("pathItems", name)
 
 
-def _path_item(place: Place, names: _Names | None) -> dict[str, Json]:
+def _path_item(path: Path, names: _Names | None) -> dict[str, Json]:
     """The Path Item Object (4.8.9): an operation for each method, without names where they would occur twice."""
-    segments: list[Json] = [_segment(name, place.segments[name]) for name in _TEMPLATE.findall(place.path)]
-    item: dict[str, Json] = {"summary": place.summary}
+    segments: list[Json] = [_segment(name, path.segments[name]) for name in _TEMPLATE.findall(path.template)]
+    item: dict[str, Json] = {"summary": path.item.summary}
     if segments:
         item["parameters"] = segments
     for method in _ORDER:
-        if method in place.methods:
-            item[method.lower()] = _operation(place, method, names)
+        if method in path.methods:
+            item[method.lower()] = _operation(path, method, names)
     return item
 
 
@@ -126,52 +129,52 @@ def _segment(name: str, about: str) -> Json:
     }
 
 
-def _operation(place: Place, method: str, names: _Names | None) -> dict[str, Json]:
+def _operation(path: Path, method: str, names: _Names | None) -> dict[str, Json]:
     """The Operation Object (4.8.10). Those that tell only of the others are told in short."""
-    operation: dict[str, Json] = {"tags": [place.tag]}
+    operation: dict[str, Json] = {"tags": [path.tag]}
     if names is not None:
-        operation["operationId"] = names.of(method, place.path)
-    about = place.notes.get(method)
+        operation["operationId"] = names.of(method, path.template)
+    about = path.write(method).note
     if about is not None:
         operation["description"] = about
     if method not in _SHORT:
-        operation["summary"] = f"{_VERBS[method]}: {place.summary}"
-        operation["parameters"] = [*_parameters(place, method)]
-    elif method == "HEAD" and (required := [_query(one) for one in place.query if one.of_reads and one.required]):
+        operation["summary"] = f"{_VERBS[method]}: {path.item.summary}"
+        operation["parameters"] = [*_parameters(path, method)]
+    elif method == "HEAD" and (required := [_query(one) for one in path.item.query if one.required]):
         operation["parameters"] = [*required]
-    body = _body(place, method)
+    body = _body(path, method)
     if body is not None:
         operation["requestBody"] = body
-    operation["responses"] = _answers(place, method)
+    operation["responses"] = _answers(path, method)
     return operation
 
 
-def _parameters(place: Place, method: str) -> Iterator[Json]:
+def _parameters(path: Path, method: str) -> Iterator[Json]:
     if method == "GET":
-        yield from (_query(one) for one in place.query if one.of_reads)
-        if place.pages:
+        yield from (_query(one) for one in path.item.query)
+        if path.item.is_paged:
             yield from (reference("parameters", name) for name in ("page", "Prefer.container"))
         yield reference("parameters", "If-None-Match")
-        if place.streams:
-            own = {one.name for one in place.query if one.of_reads}
+        if path.item.streams:
+            own = {one.name for one in path.item.query}
             yield from (reference("parameters", name) for name in ("after", "timeout", "rate") if name not in own)
     else:
         yield from (reference("parameters", name) for name in ("If-Match", "If-None-Match", "Prefer"))
-        yield from (_query(one) for one in place.query if method in one.of)
+        yield from map(_query, path.write(method).query)
 
 
-def _query(one: Query) -> Json:
+def _query(one: UrlParameter) -> Json:
     found: dict[str, Json] = {"name": one.name, "in": "query", "description": one.about, "schema": one.schema}
     return {**found, "required": True} if one.required else found
 
 
-def _body(place: Place, method: str) -> Json:
-    accepted = place.accepts.get(method, ())
+def _body(path: Path, method: str) -> Json:
+    accepted = path.accepts.get(method, ())
     if not accepted:
         return None
-    sent = place.sends.get(method)
+    sent = path.write(method).sends
     told: dict[str, Json] = {"content": {kind: {"schema": _sent(kind, sent)} for kind in accepted}}
-    return told if method in place.optional else {"required": True, **told}
+    return {"required": True, **told} if path.write(method).is_body_required else told
 
 
 def _sent(media_type: str, sent: Schema | None) -> Schema:
@@ -180,37 +183,38 @@ def _sent(media_type: str, sent: Schema | None) -> Schema:
     return schema_of(media_type)
 
 
-def _answers(place: Place, method: str) -> dict[str, Json]:
+def _answers(path: Path, method: str) -> dict[str, Json]:
     """The Responses Object (4.8.16)."""
     if method == "OPTIONS":
-        return {"204": reference("responses", "options"), **refusals((308, 400, 404, 503, *place.also))}
+        return {"204": reference("responses", "options"), **refusals((308, 400, 404, 503, *path.item.also))}
     if method == "HEAD":
-        return {"200": reference("responses", "head"), **refusals((*READING, *_ways(place)), body=False)}
+        return {"200": reference("responses", "head"), **refusals((*READING, *_ways(path)), body=False)}
     if method == "GET":
-        return {"200": _read(place), **refusals((*READING, *_ways(place)))}
-    done = {str(status): _done(place, method, status) for status in place.done.get(method, _DONE[method])}
-    return {**done, **refusals((*WRITING, *place.also))}
+        return {"200": _read(path), **refusals((*READING, *_ways(path)))}
+    done = {str(status): _done(path, method, status) for status in path.write(method).done or _DONE[method]}
+    return {**done, **refusals((*WRITING, *path.item.also))}
 
 
-def _ways(place: Place) -> tuple[int, ...]:
-    """What reading a place may come to besides."""
-    return (303, *place.also) if place.pages else place.also
+def _ways(path: Path) -> tuple[int, ...]:
+    """What reading a path may come to besides."""
+    return (303, *path.item.also) if path.item.is_paged else path.item.also
 
 
-def _read(place: Place) -> dict[str, Json]:
-    if place.is_document:
+def _read(path: Path) -> dict[str, Json]:
+    if path.item.is_document:
         return document()
-    return representation((*place.reads, EVENT_STREAM) if place.streams else place.reads, place.plain)
+    return representation((*path.item.reads, EVENT_STREAM) if path.item.streams else path.item.reads, path.item.plain)
 
 
-def _done(place: Place, method: str, status: int) -> dict[str, Json]:
+def _done(path: Path, method: str, status: int) -> dict[str, Json]:
     """The answer to a write that was done."""
     if status in (202, 204):
         return reference("responses", str(status))
+    shown = path.write(method).shows
     answer: dict[str, Json] = {"description": f"{HTTPStatus(status).phrase}."}
     if status == 201:
         answer["headers"] = headers("Location", "ETag", "Link", "Content-Location", certain=["Location"])
     else:
         answer["headers"] = headers("ETag", "Link", "Content-Location", "Preference-Applied")
-    answer["content"] = content(place.reads, place.shows.get(method, place.plain))
+    answer["content"] = content(path.item.reads, path.item.plain if shown is None else shown)
     return answer

@@ -10,6 +10,8 @@ from functools import lru_cache, partial
 from starlette.responses import Response
 
 from rosld import __version__
+from rosld.adapters.model import RosError, TypeRef
+from rosld.adapters.model import Schema as RosType
 from rosld.server.auth import enforcement
 from rosld.server.auth.authenticator import OPEN
 from rosld.server.auth.permissions import Permissions
@@ -17,16 +19,20 @@ from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import Schema
+from rosld.server.hypermedia.json_schema import OBJECT, Schema
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.openapi.description import description
-from rosld.server.openapi.place import Place
-from rosld.server.openapi.places import OPENAPI, Places, Resolve, learn
-from rosld.server.openapi.rights import places_for, with_security
+from rosld.server.openapi.path import Path
+from rosld.server.openapi.paths import Paths
+from rosld.server.openapi.rights import paths_for, with_security
 from rosld.server.resources.context import IdentityKey, Robot
+from rosld.server.resources.namespaces import listing_parameters
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.prepared import bytes_response
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
 from rosld.server.rest.resource_headers import standing_headers
+from rosld.server.robot.session import used_types
 
 _ABOUT = (
     "A robot as Linked Data. Every resource links to others, begin at `/`; every answer about a resource says in Allow "
@@ -36,10 +42,14 @@ _ABOUT = (
 )
 
 
+MEDIA_TYPES = ("application/json", "application/openapi+json", "application/vnd.oai.openapi+json")
+"""What the description itself is called: its registered names come after the one that every tool knows."""
+_PATIENCE = 3.0
+"""How long to wait for types that must be asked for; those that come later are in the next description."""
 _MANY = 500
-"""Places from which a description is written by a worker process: to write one holds the interpreter's lock."""
+"""Paths from which a description is written by a worker process: to write one holds the interpreter's lock."""
 _AT_ONCE = 25
-"""Places that are found before the loop has its turn: some milliseconds."""
+"""Paths that are found before the loop has its turn: some milliseconds."""
 _digest = lru_cache(maxsize=4)(digest)
 _MOST = 8
 """Sets of rights for which descriptions are kept."""
@@ -51,7 +61,7 @@ class _Described:
 
     version: Hashable
     data: bytes
-    places: tuple[Place, ...]
+    paths: tuple[Path, ...]
     schemas: Mapping[str, Schema]
 
 
@@ -61,7 +71,7 @@ class OpenApiResource(Resource):
     kind = "Description"
     links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
 
-    def __init__(self, robot: Robot, resolve: Resolve) -> None:
+    def __init__(self, robot: Robot, resolve: Callable[[str], Resource]) -> None:
         super().__init__(f"{robot.space.base}openapi.json")
         self.robot = robot
         self._resolve = resolve
@@ -69,10 +79,13 @@ class OpenApiResource(Resource):
         self._of_agents: dict[tuple[bool, str, str], tuple[_Described, bytes]] = {}
         self._making = asyncio.Lock()
 
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("This description", MEDIA_TYPES, OBJECT, listing_parameters(self.robot)[1:], streams=False)
+
     async def special(self, exchange: Exchange) -> Response | None:
-        media_type = negotiation.choose(exchange.accept, OPENAPI)
+        media_type = negotiation.choose(exchange.accept, MEDIA_TYPES)
         if media_type is None:
-            raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(OPENAPI)}.")
+            raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(MEDIA_TYPES)}.")
         hidden = exchange.flag("hidden") and self.robot.adapter.capabilities.hidden_names
         kept = await self._described(hidden)
         data = kept.data
@@ -97,7 +110,7 @@ class OpenApiResource(Resource):
         data = kept.data
         if not permissions.whole:
             data = self._written(
-                places_for(kept.places, partial(self._may, permissions), permissions.may_read), kept.schemas
+                paths_for(kept.paths, partial(self._may, permissions), permissions.may_read), kept.schemas
             )
         return with_security(data, partial(self._may, public), whole=permissions.whole)
 
@@ -134,30 +147,52 @@ class OpenApiResource(Resource):
     async def _made(self, hidden: bool) -> _Described:
         """A version and its description: found on the loop, written on a thread, for a large one takes its time."""
         robot = self.robot
-        await learn(robot)
+        await _learn_types(robot)
         layout = await robot.offers.layout()
         version = self._version()
-        found = Places(robot, layout, self._resolve, hidden=hidden)
-        places = await _in_turns(found.all())
-        if len(places) > _MANY:
-            data = await robot.workers.run(self._writing(places, found.schemas))
+        schemas = MessageSchemas(partial(_known_type, robot), robot.lifting)
+        paths = await _in_turns(Paths(robot, layout, self._resolve, schemas, hidden).all())
+        if len(paths) > _MANY:
+            data = await robot.workers.run(self._writing(paths, schemas.by_key))
         else:
-            data = await asyncio.to_thread(self._written, places, found.schemas)
-        return _Described(version, data, places, found.schemas)
+            data = await asyncio.to_thread(self._written, paths, schemas.by_key)
+        return _Described(version, data, paths, schemas.by_key)
 
-    def _writing(self, places: Iterable[Place], schemas: Mapping[str, Schema]) -> Callable[[], bytes]:
+    def _writing(self, paths: Iterable[Path], schemas: Mapping[str, Schema]) -> Callable[[], bytes]:
         title, base = f"rosld: {self.robot.name}", self.robot.space.base
-        return partial(description, title, base, __version__, _ABOUT, places, schemas)
+        return partial(description, title, base, __version__, _ABOUT, paths, schemas)
 
-    def _written(self, places: Iterable[Place], schemas: Mapping[str, Schema]) -> bytes:
-        return self._writing(places, schemas)()
+    def _written(self, paths: Iterable[Path], schemas: Mapping[str, Schema]) -> bytes:
+        return self._writing(paths, schemas)()
 
 
-async def _in_turns(places: Iterable[Place]) -> tuple[Place, ...]:
-    """All places; whatever else waits for the loop has its turn after every few."""
-    found: list[Place] = []
-    for place in places:
+async def _in_turns(paths: Iterable[Path]) -> tuple[Path, ...]:
+    """All paths; whatever else waits for the loop has its turn after every few."""
+    found: list[Path] = []
+    for place in paths:
         found.append(place)
         if len(found) % _AT_ONCE == 0:
             await asyncio.sleep(0)
     return tuple(found)
+
+
+async def _learn_types(robot: Robot) -> None:
+    """See to it that the types in use are at hand, as far as the robot tells them in time."""
+    unknown = [ref for ref in used_types(robot.graph) if _known_type(robot, ref) is None]
+    if not unknown:
+        return
+
+    async def find(ref: TypeRef) -> None:
+        try:
+            await robot.schemas.find(ref)
+        except (RosError, asyncio.TimeoutError):
+            pass
+
+    tasks = [asyncio.ensure_future(find(ref)) for ref in unknown]
+    _, late = await asyncio.wait(tasks, timeout=_PATIENCE)
+    for task in late:
+        task.cancel()
+
+
+def _known_type(robot: Robot, ref: TypeRef) -> RosType | None:
+    return robot.schemas.at_hand(ref) or robot.schemas.named(ref.name)

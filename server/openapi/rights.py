@@ -9,7 +9,7 @@ from typing import TypeAlias
 import orjson
 
 from rosld.server.hypermedia.json_schema import Schema
-from rosld.server.openapi.place import Place
+from rosld.server.openapi.path import Path
 
 _Json: TypeAlias = "dict[str, object]"
 May: TypeAlias = Callable[[str, str], bool]
@@ -23,22 +23,27 @@ _SCHEMES: _Json = {
 _DEMANDED: list[_Json] = [{"bearer": []}, {"basic": []}]
 
 
-def places_for(places: Iterable[Place], may: May, may_read: Callable[[str], bool]) -> Iterator[Place]:
-    """The places that an agent may use, with those methods and those members of their JSON that it may know of."""
-    for place in places:
-        methods = frozenset(method for method in place.methods if may(method, place.path))
+def paths_for(paths: Iterable[Path], may: May, may_read: Callable[[str], bool]) -> Iterator[Path]:
+    """The paths that an agent may use, with those methods and those members of their JSON that it may know of."""
+    for path in paths:
+        methods = frozenset(method for method in path.methods if may(method, path.template))
         if methods - {"OPTIONS"}:
-            found = replace(place, methods=methods)
-            yield _without_members(found, may_read) if place.members else found
+            found = replace(path, methods=methods)
+            yield _without_members(found, may_read) if path.item.members else found
 
 
-def _without_members(place: Place, may_read: Callable[[str], bool]) -> Place:
-    """The place without the members of its JSON that are values of what may not be read."""
-    hidden = {name for name, url in place.members.items() if not may_read(url)}
+def _without_members(path: Path, may_read: Callable[[str], bool]) -> Path:
+    """The path without the members of its JSON that are values of what may not be read."""
+    item = path.item
+    hidden = {name for name, url in item.members.items() if not may_read(url)}
     if not hidden:
-        return place
-    sends = {method: _left(schema, hidden) for method, schema in place.sends.items()}
-    return replace(place, plain=None if place.plain is None else _left(place.plain, hidden), sends=sends)
+        return path
+    writes = {
+        name: replace(each, sends=None if each.sends is None else _left(each.sends, hidden))
+        for name, each in item.writes.items()
+    }
+    plain = None if item.plain is None else _left(item.plain, hidden)
+    return replace(path, item=replace(item, plain=plain, writes=writes))
 
 
 def _left(schema: Schema, hidden: Set[str]) -> Schema:

@@ -30,6 +30,9 @@ from rosld.ontology.lift import lifter
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.http.link import uri
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import TEXT, or_null
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
@@ -37,6 +40,7 @@ from rosld.server.resources.service_request import message_in
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
+from rosld.server.rest.path_item import DEFAULTS, Method, PathItem
 from rosld.server.rest.resource import READ, Answer, Created, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import Gone, KeyReused
@@ -70,6 +74,18 @@ class ActionResource(Resource):
     @property
     def is_absent(self) -> bool:
         return is_absent(self.robot, "actions", self.name)
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        schema = schemas.action(self.action.type)
+        send = Method(
+            "Sends a goal; the goal is a resource, and `Idempotency-Key` makes it once only.",
+            schemas.sent(schema.goal if schema else None),
+            is_body_required=False,
+            done=(201,),
+            shows=_goal_schema(schemas, schema),
+            query=(DEFAULTS,),
+        )
+        return PathItem(f"The action {self.name}", writes={"POST": send})
 
     def methods(self) -> frozenset[str]:
         if self.robot.settings.read_only or self.robot.is_resources_only(self.name):
@@ -193,6 +209,16 @@ class GoalResource(Resource):
             return True
         return False
 
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        cancel = Method("Cancels a goal that is pursued (202), forgets one that has ended (204).", done=(202, 204))
+        return PathItem(
+            "A goal of an action",
+            plain=_goal_schema(schemas, None),
+            writes={"DELETE": cancel},
+            also=(409, 410),
+            methods=READ if self.robot.settings.read_only else READ | {"DELETE"},
+        )
+
     def methods(self) -> frozenset[str]:
         try:
             goal = self.goal
@@ -297,6 +323,15 @@ async def followed(robot: Robot, action: str) -> None:
         await robot.goals.look(action, deadline=robot.deadline(robot.settings.first_value_wait))
     except (RosError, asyncio.TimeoutError):
         pass  # its goals cannot be read now; what is known is told
+
+
+def _goal_schema(schemas: MessageSchemas, schema: ActionSchema | None) -> DataSchema:
+    """How a goal of this type stands, as plain JSON."""
+    parts = {} if schema is None else {"goal": schema.goal, "feedback": schema.feedback, "result": schema.result}
+    told = {name: or_null(schemas.read(part)) for name, part in parts.items()}
+    status: DataSchema = {"type": "string", "enum": [status.value for status in GoalStatus]}
+    words: DataSchema = {"id": TEXT, "action": TEXT, "status": status, "words": or_null(TEXT)}
+    return {"type": "object", "properties": {**words, **told}}
 
 
 def _failure(robot: Robot, action: str, sending: Sending) -> Problem | None:

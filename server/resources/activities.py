@@ -17,6 +17,8 @@ from rosld.server.html import Listing, Step
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import ANYTHING
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.receipts.journal import Entry, Forgotten
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
@@ -31,6 +33,7 @@ from rosld.server.rest.paging import (
     read_place,
     send_to_first,
 )
+from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
 from rosld.server.sparql.receipt_graphs import TITLE
@@ -52,6 +55,9 @@ class ActivityResource(Resource):
 
     async def methods_now(self) -> frozenset[str]:
         return await self.methods_if_there()
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("The receipt of a write", plain=ANYTHING)
 
     async def state(self) -> State:
         try:
@@ -93,6 +99,9 @@ class ActivityContainer(Resource):
             return ActivityContainer(self.robot, read_place(token))
         send_to_first(exchange, self.url, len(self.robot.receipts))
         return self
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("The receipts of writes, the newest first", plain=ANYTHING, is_paged=True)
 
     async def state(self) -> State:
         version = self.robot.receipts.version

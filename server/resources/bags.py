@@ -16,14 +16,19 @@ from rosld.ontology.urls import Location
 from rosld.server.html import Step
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import ANYTHING
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
 from rosld.server.resources.messages import decode, field_response, lifted
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, UrlParameter
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
 from rosld.server.rest.state import State
 
 PAGE = 100
 """Messages on one page of `/bags/B/messages/`."""
+
+_PAGE = UrlParameter("page", "A page of messages, from 0.", {"type": "integer", "minimum": 0})
 
 
 class BagContainer(Resource):
@@ -35,6 +40,9 @@ class BagContainer(Resource):
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot.space.container("bags"))
         self.robot = robot
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("The recordings")
 
     async def state(self) -> State:
         members = [self.robot.space.bag(name) for name in self.robot.adapter.recordings]
@@ -54,6 +62,9 @@ class BagResource(Resource):
         self.robot = robot
         self.recording = recording
 
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem(f"The recording {self.recording.name}")
+
     async def state(self) -> State:
         recording, space = self.recording, self.robot.space
         return self.robot.states.get(self.url, 0, lambda: State(lambda: bag_document(recording, space)))
@@ -71,6 +82,9 @@ class BagMessages(Resource):
         self.robot = robot
         self.recording = recording
         self.number = page
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem(f"The messages of {self.recording.name}", query=(FORMAT, _PAGE))
 
     async def state(self) -> State:
         recording, space, page = self.recording, self.robot.space, self.number
@@ -124,6 +138,9 @@ class BagMessage(Resource):
             return await asyncio.to_thread(self.recording.message, self.index)
         except NotFound as error:
             raise Problem(404, error.sentence) from error
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem(f"A message of {self.recording.name}", FIELD_READS, ANYTHING, (FORMAT, FIELD))
 
     async def state(self) -> State:
         known = self.robot.states.known(self.url, 0)

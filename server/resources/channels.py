@@ -29,7 +29,7 @@ from rosld.server.auth import enforcement
 from rosld.server.auth.permissions import Permissions
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channels import Channel, Channels
-from rosld.server.events.source import Source, headers_of
+from rosld.server.events.source import LINES, Source, headers_of
 from rosld.server.events.subscriptions import JSON_LD, MEDIA_TYPES, MOST_BYTES, check_profile, read_subscription
 from rosld.server.events.websocket import Receiver
 from rosld.server.http import negotiation
@@ -38,10 +38,14 @@ from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.link import Link
 from rosld.server.http.origin import Site, normal_authority
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import OBJECT, TEXT
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.resources.context import Robot
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, OFFERS
+from rosld.server.rest.path_item import Method, PathItem
 from rosld.server.rest.prepared import RawResponse, bytes_response
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Created, Resource, moved
 from rosld.server.rest.resource_headers import standing_headers
@@ -53,6 +57,17 @@ WELL_KNOWN, THING = ".well-known", "wot"
 STORAGE_DESCRIPTION = "http://www.w3.org/ns/solid/terms#storageDescription"
 Resolve: TypeAlias = Callable[[Scope], Resource]
 Room: TypeAlias = Callable[[Robot, Location], Resource]
+
+_SUBSCRIPTION: DataSchema = {
+    "type": "object",
+    "properties": {
+        "@context": {},
+        "type": TEXT,
+        "topic": {"type": "string", "format": "uri"},
+        **dict.fromkeys(("rate", "state", "startAt", "endAt", "accept"), TEXT),
+    },
+    "required": ["@context", "type", "topic"],
+}
 
 
 class Notifications:
@@ -207,6 +222,9 @@ class StorageDescription(Described):
     kind = "Storage description"
     title = "Notifications"
 
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("Where the subscription services are", plain=OBJECT)
+
     def document(self) -> Document:
         return description_document(self.url, self.notifications.robot.space.base, self.notifications.services)
 
@@ -221,6 +239,9 @@ class WellKnownContainer(Described):
     title = "Well-known resources"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("What is well known here")
+
     def document(self) -> Document:
         described = self.notifications.description
         return container_document(self.url, [described, f"{self.url}{THING}"], self.title)
@@ -232,6 +253,9 @@ class ServiceContainer(Described):
     kind = "Subscription services"
     title = "Subscription services"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("The subscription services")
 
     def document(self) -> Document:
         return container_document(self.url, [one.url for one in self.notifications.services], self.title)
@@ -248,6 +272,15 @@ class SubscriptionService(Described):
         super().__init__(notifications, service.url)
         self.title = service.type
         self._service = service
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        subscribe = Method(
+            "Subscribes to a topic; the answer says where notifications are received from.",
+            _SUBSCRIPTION,
+            done=(201,),
+            shows=OBJECT,
+        )
+        return PathItem(f"Makes channels: {self._service.type}", plain=OBJECT, writes={"POST": subscribe})
 
     def methods(self) -> frozenset[str]:
         return READ | {"POST"}
@@ -336,6 +369,19 @@ def channel_room(robot: Robot, location: Location, *, notifications: Notificatio
             case [token, name] if name == SOURCE:
                 return SourceResource(notifications, channel_of(notifications, kind, token))
     raise Problem(404, f"There is no subscription service there; {robot.space.container(ROOM)} lists them.")
+
+
+def channel_item() -> PathItem:
+    """What the URL of a channel answers."""
+    summary = "A channel; without it nothing is told any more"
+    return PathItem(summary, plain=OBJECT, methods=READ | {"DELETE"})
+
+
+def source_item() -> PathItem:
+    """What the URL answers that a channel receives from."""
+    summary = "Where notifications are received from: by WebSocket, or a response that goes on"
+    reads = (LINES, "text/turtle", "application/n-triples")
+    return PathItem(summary, reads, query=(), streams=False, also=(426,), methods=READ)
 
 
 def channel_of(notifications: Notifications, kind: str, token: str) -> Channel:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from pyoxigraph import Triple
 from starlette.responses import Response
@@ -20,8 +21,11 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.describe import complex_document, complex_json
+from rosld.server.hypermedia.json_schema import as_patch, as_read, or_null
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.redaction import veiled_view
 from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
+from rosld.server.hypermedia.schema import DataSchema, Json, value_schema
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE
 from rosld.server.hypermedia.views import ComplexView
 from rosld.server.ldp.patch import updated
@@ -36,11 +40,14 @@ from rosld.server.resources.context import Robot
 from rosld.server.resources.preconditions import seen_anew
 from rosld.server.resources.things import complex_thing, thing_response, wants_thing
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.formats import MERGE_PATCH, SPARQL_UPDATE
+from rosld.server.rest.formats import FORMATS, MERGE_PATCH, OFFERS, SPARQL_UPDATE
+from rosld.server.rest.path_item import FORMAT, Method, PathItem
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.redaction import veiled_state
 from rosld.server.rest.resource import ABSENT, BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Resource, moved
 from rosld.server.rest.state import State
+
+_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS, "td"]})
 
 
 class ComplexResource(Resource):
@@ -73,6 +80,28 @@ class ComplexResource(Resource):
 
     async def ready(self) -> None:
         await self._plan()
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        offers, layout = self.robot.offers, self.robot.offers.at_hand() or self.robot.offers.latest
+        plan = None if layout is None else layout.complex(self.path)
+        read: dict[str, Json] = {}
+        sent: dict[str, Json] = {}
+        members: dict[str, str] = {}
+        for one in () if plan is None else plan.members:
+            shown = offers.member_affordance(one, write=True)
+            value = value_schema(shown.shape, schemas.lifting)
+            members[one.name], read[one.name] = shown.url, or_null(as_read(value))
+            if offers.is_writable(one.of):
+                sent[one.name] = as_patch(value)
+        patch: DataSchema = {"type": "object", "properties": sent, "additionalProperties": False}
+        return PathItem(
+            f"The resource {self.path}",
+            (*OFFERS, MEDIA_TYPE),
+            {"type": "object", "properties": read},
+            (_FORMAT,),
+            {"PATCH": Method(sends=patch, done=(200, 204))},
+            members=members,
+        )
 
     def methods(self) -> frozenset[str]:
         layout, robot = self.robot.offers.at_hand(), self.robot

@@ -8,8 +8,10 @@ from rosld.ontology.describe_graph import ROOMS, entry_document
 from rosld.server.html import Count, Csrf, EntryPage, Form, Notice, Site, render_entry
 from rosld.server.html.page import Tone
 from rosld.server.http.link import Link
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
 from rosld.server.resources.namespaces import listed
+from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.write_policy import RESERVED
@@ -63,6 +65,9 @@ class EntryResource(Resource):
         topics = [topic for topic in topics if site.may("GET", self.robot.space.topic(topic.name))]
         topics.sort(key=lambda topic: (topic.name in RESERVED, len(topic.name), topic.name))
         return self.robot.space.topic(topics[0].name) if topics else None
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("The robot, with links to everything")
 
     async def state(self) -> State:
         graph = listed(self.robot)

@@ -24,14 +24,17 @@ from rosld.server.auth import enforcement
 from rosld.server.http.link import uri
 from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import ANYTHING
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import Kept
+from rosld.server.resources.kept.base import ALSO_OF_KEPT, Kept
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.routes import AbsentResource
 from rosld.server.resources.kept.sources import N3_PATCH
 from rosld.server.resources.sparql import answer_query, formats_of, wished
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
+from rosld.server.rest.formats import FORMATS, OFFERS, RDF_BODIES, SPARQL_UPDATE
+from rosld.server.rest.path_item import ANY_TYPE, FORMAT, Method, PathItem, UrlParameter
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.sparql import results
@@ -95,6 +98,16 @@ def _resolved(iri: str, base: str) -> str:
         raise Problem(400, f"graph={iri[:200]!r} is no IRI: {error}.") from error
 
 
+_GRAPH = UrlParameter(
+    "graph",
+    "The graph: the URL of what it is about, answered as that URL answers (SPARQL 1.1 Graph Store HTTP Protocol).",
+    {"type": "string", "format": "uri-reference"},
+)
+_DEFAULT = UrlParameter("default", "Instead of a graph: all of them together.")
+_ALL = UrlParameter("all", "Instead of a graph: all of them with their names, as N-Quads, TriG or JSON-LD.")
+_GRAPH_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*{**FORMATS, **formats_of("CONSTRUCT")}]})
+
+
 class GraphStore(Resource):
     """The graph store: it has no state but that of its graphs."""
 
@@ -119,6 +132,20 @@ class GraphStore(Resource):
         self._resolve = resolve
         self._default = DefaultGraph(f"{self.url}?default", service)
         self._all = WholeDataset(f"{self.url}?all", service, robot.space.base, updates)
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        of_a_graph = (_GRAPH, _GRAPH_FORMAT)
+        return PathItem(
+            "The graph store: a graph by its name",
+            (*OFFERS, ANY_TYPE),
+            ANYTHING,
+            (_GRAPH, _DEFAULT, _ALL, _GRAPH_FORMAT),
+            {
+                "PUT": Method(accepts=(*self.accepts["PUT"], ANY_TYPE), query=of_a_graph),
+                **dict.fromkeys(("POST", "PATCH", "DELETE"), Method(query=of_a_graph)),
+            },
+            also=ALSO_OF_KEPT,
+        )
 
     def methods(self) -> frozenset[str]:
         return READ if self._robot.settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}

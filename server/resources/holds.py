@@ -25,12 +25,16 @@ from rosld.server.auth.errors import nothing
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http import header_syntax
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, or_null
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.ldp.patch import merge_patch
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.publishing import Publishing
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES
+from rosld.server.rest.path_item import DEFAULTS, FORMAT, Method, PathItem, UrlParameter
 from rosld.server.rest.resource import READ, Answer, Created, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.holds import Command, Hold, HoldEnded, command, new
@@ -60,6 +64,29 @@ async def hold_topic(exchange: Exchange, robot: Robot, name: str, find: Find | N
     begun = await robot.holds.begin(new(name, exchange.agent, rate, lease, asked, then, then_asked))
     resource = HoldResource(robot, begun.id, find)
     return Created(resource.url, resource, resource.shown(begun))
+
+
+_POSITIVE: DataSchema = {"type": "number", "minimum": LEAST_OF_HOLDS}
+_HOLDING = (
+    UrlParameter("rate", "How many times a second the message is published.", {**_POSITIVE, "maximum": MOST_RATE}),
+    UrlParameter("lease", "The seconds that the hold goes on unrenewed.", {**_POSITIVE, "maximum": MOST_LEASE}),
+    UrlParameter("then", "What is published when the hold ends: zero, none, or the URL of a message."),
+)
+_KEEP = UrlParameter("keep", "Whether the event stream that is asked for keeps the hold.", {"type": "boolean"})
+
+
+def hold_parameters(required: str = "") -> tuple[UrlParameter, ...]:
+    """The parameters of what begins a hold, or changes it."""
+    return tuple(replace(each, required=each.name == required) for each in _HOLDING)
+
+
+def hold_schema(schemas: MessageSchemas, schema: MessageSchema | None) -> DataSchema:
+    """How a hold of a topic of this type stands, as plain JSON."""
+    number: DataSchema = {"type": "number"}
+    words: DataSchema = {"id": TEXT, "topic": TEXT, "holder": TEXT, "rate": number, "lease": number, "then": TEXT}
+    message = ANYTHING if schema is None else schemas.read(schema)
+    rest: DataSchema = {"kept": {"type": "boolean"}, "trouble": or_null(TEXT), "message": message}
+    return {"type": "object", "properties": {**words, **rest}}
 
 
 class HoldResource(Resource):
@@ -92,6 +119,23 @@ class HoldResource(Resource):
         except Problem:
             return True
         return False
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        renew = Method(
+            "Renews the lease, with a body also the message, which goes on without a gap.",
+            ANYTHING,
+            is_body_required=False,
+            done=(200, 204),
+            query=(DEFAULTS, *hold_parameters()),
+        )
+        end = Method("Ends the hold; what it was told to say last is published.", done=(204,))
+        return PathItem(
+            "A hold of a topic",
+            plain=hold_schema(schemas, None),
+            query=(FORMAT, _KEEP),
+            writes={"PATCH": renew, "DELETE": end},
+            also=(410,),
+        )
 
     def methods(self) -> frozenset[str]:
         return READ if self.robot.settings.read_only else READ | {"PATCH", "DELETE"}

@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterator
 
 from rosld.adapters.base import Watch
 from rosld.ontology.describe_containers import container_document
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
+from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
 from rosld.server.runtime.signals import Signal
@@ -17,12 +19,18 @@ class Listing(Resource):
 
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(self, robot: Robot, name: str, members: Callable[[], Iterator[str]], changes: Signal) -> None:
+    def __init__(
+        self, robot: Robot, name: str, summary: str, members: Callable[[], Iterator[str]], changes: Signal
+    ) -> None:
         super().__init__(robot.space.container(name))
         self.kind = name.capitalize()
         self._robot = robot
+        self._summary = summary
         self._members = members
         self._changes = changes
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem(self._summary)
 
     async def state(self) -> State:
         members = tuple(self._members())
@@ -37,16 +45,20 @@ class Listing(Resource):
 def calls(robot: Robot) -> Listing:
     """`/calls/`: the calls made through rosld and kept."""
     known, url = robot.calls, robot.space.call
-    return Listing(robot, "calls", lambda: (url(call.id) for call in known.all()), known.changes)
+    return Listing(
+        robot, "calls", "The calls that are kept", lambda: (url(call.id) for call in known.all()), known.changes
+    )
 
 
 def goals(robot: Robot) -> Listing:
     """`/goals/`: the goals known and kept, ours and others'."""
     known, url = robot.goals, robot.space.goal
-    return Listing(robot, "goals", lambda: (url(goal.id) for goal in known.all()), known.changes)
+    return Listing(
+        robot, "goals", "The goals that are kept", lambda: (url(goal.id) for goal in known.all()), known.changes
+    )
 
 
 def holds(robot: Robot) -> Listing:
     """`/holds/`: the holds that there are."""
     known, url = robot.holds, robot.space.hold
-    return Listing(robot, "holds", lambda: (url(hold.id) for hold in known.all()), known.changes)
+    return Listing(robot, "holds", "The holds of topics", lambda: (url(hold.id) for hold in known.all()), known.changes)

@@ -22,9 +22,12 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.describe import action_document, property_document, property_json
+from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, as_patch, as_read, as_sent, or_null
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.property_writer import PlannedWrite, Written, carry_out
 from rosld.server.hypermedia.property_writer import why_not as why_not_writable
 from rosld.server.hypermedia.resource_tree import ActionPlan, PropertyPlan, ResourceTree, parent_of
+from rosld.server.hypermedia.schema import value_schema
 from rosld.server.hypermedia.value import MessageValue
 from rosld.server.hypermedia.value_body import rdf_content
 from rosld.server.hypermedia.views import PropertyView
@@ -39,10 +42,14 @@ from rosld.server.resources.service_request import called, declined_by, failure,
 from rosld.server.resources.writes import planned, write_response
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
+from rosld.server.rest.path_item import DEFAULTS, FIELD, FIELD_READS, FORMAT, Method, PathItem
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import ABSENT, READ, Answer, Resource, Shown, moved
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import Outcome
+
+_INVOKES = "Invokes the action; what is shown then is the resource that it belongs to."
+_SENDS_A_GOAL = "Sends a goal, which is what is made; 409 where it is rejected."
 
 
 class MemberResource(Resource):
@@ -69,6 +76,35 @@ class MemberResource(Resource):
     @property
     def _layout(self) -> ResourceTree | None:
         return self.robot.offers.at_hand()
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        layout = self._layout
+        plan = None if layout is None else layout.property(self.name)
+        action = None if layout is None else layout.action(self.name)
+        value = None
+        if plan is not None:
+            shape = self.robot.offers.member_affordance(plan.member, write=True).shape
+            value = value_schema(shape, schemas.lifting)
+        sends_goals = action is not None and action.sends_goals
+        invoke = Method(
+            _SENDS_A_GOAL if sends_goals else _INVOKES,
+            schemas.sent(action.request if action else None),
+            is_body_required=False,
+            done=(201,) if sends_goals else (200, 204),
+            shows=OBJECT,
+            query=(DEFAULTS,),
+        )
+        return PathItem(
+            f"The {'action' if value is None else 'property'} {self.name}",
+            FIELD_READS,
+            None if value is None else or_null(as_read(value)),
+            (FORMAT, FIELD),
+            {
+                "PUT": Method(sends=ANYTHING if value is None else as_sent(value), done=(200, 202, 204)),
+                "PATCH": Method(sends=ANYTHING if value is None else as_patch(value), done=(200, 202, 204)),
+                "POST": invoke,
+            },
+        )
 
     def methods(self) -> frozenset[str]:
         """What can be done by the kind of resource it is, whatever conditions say now: these are told as 409."""

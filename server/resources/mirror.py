@@ -13,8 +13,10 @@ from rosld.ontology.urls import Location
 from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.dataset.replication import Mirror, Status
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
 from rosld.server.resources.mirroring import ROOM
+from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 
@@ -27,6 +29,9 @@ class MirrorResource(Resource):
     def __init__(self, robot: Robot, mirror: Mirror) -> None:
         super().__init__(robot.space.base + ROOM)
         self._mirror = mirror
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("The mirror of the dataset in another store")
 
     async def state(self) -> State:
         status = self._mirror.status

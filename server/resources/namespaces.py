@@ -18,9 +18,11 @@ from rosld.server.html.page import Cell
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.paging import Page, Place, page_among, page_query, read_named_place, send_to_first
+from rosld.server.rest.path_item import FORMAT, PathItem, UrlParameter
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
 from rosld.server.rest.state import State
 
@@ -31,6 +33,9 @@ MOST_ROWS = 1000
 
 HIDDEN = "hidden=true"
 """The query that asks a listing for hidden names too."""
+_HIDDEN = UrlParameter(
+    "hidden", "Whether names with a segment that begins with `_` are told, too.", {"type": "boolean"}
+)
 
 _V = TypeVar("_V")
 _namespaces: Kept[Mapping[str, object], Namespaces] = Kept(members_of, 24)
@@ -85,6 +90,11 @@ _listed: Kept[Graph, Graph] = Kept(_unhidden)
 def listed(robot: Robot) -> Graph:
     """The graph as listings tell it: without hidden names, where the robot's kind of system has them."""
     return _listed(robot.graph) if robot.adapter.capabilities.hidden_names else robot.graph
+
+
+def listing_parameters(robot: Robot) -> tuple[UrlParameter, ...]:
+    """What the query of a listing of names may have."""
+    return (FORMAT, _HIDDEN) if robot.adapter.capabilities.hidden_names else (FORMAT,)
 
 
 def with_hidden(url: str) -> str:
@@ -201,6 +211,10 @@ class NamespaceContainer(Resource):
 
     async def methods_now(self) -> frozenset[str]:
         return await self.methods_if_there()
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        query = listing_parameters(self.robot)
+        return PathItem(self.room.capitalize(), query=query, is_paged=True, alike=f"namespace-of-{self.room}")
 
     async def state(self) -> State:
         members = self._members()

@@ -17,12 +17,15 @@ from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import ros
 from rosld.server.html import ChoiceForm, Form
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import TEXT
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
+from rosld.server.rest.path_item import Method, PathItem
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.write_policy import resources_only_reason
@@ -71,6 +74,16 @@ class NodeResource(Resource):
     @property
     def is_absent(self) -> bool:
         return is_absent(self.robot, "nodes", self.name)
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        if "POST" not in self.methods():
+            return PathItem("A node", alike="node")
+        transition = Method(
+            "Has a managed node make a transition of its lifecycle; 409 tells its state and what is legal in it.",
+            sends={"type": "object", "properties": {TRANSITION: TEXT}, "required": [TRANSITION]},
+            done=(200, 204),
+        )
+        return PathItem("A node", writes={"POST": transition}, alike="managed-node")
 
     def methods(self) -> frozenset[str]:
         lifecycle = self.lifecycle

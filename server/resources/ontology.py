@@ -8,7 +8,9 @@ from importlib.resources import files
 from pyoxigraph import RdfFormat, Triple, parse
 
 from rosld.ontology.document import Document
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
+from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 
@@ -32,6 +34,9 @@ class OntologyResource(Resource):
     def __init__(self, robot: Robot) -> None:
         super().__init__(f"{robot.space.base}ontology")
         self.robot = robot
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("The vocabulary")
 
     async def state(self) -> State:
         return self.robot.states.get(self.url, 0, lambda: State(lambda: Document(self.url, vocabulary())))

@@ -39,6 +39,9 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
 from rosld.server.http.tokens import without_tokens
+from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.ldp.patch import merge_patch, updated
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_parameter
@@ -47,6 +50,7 @@ from rosld.server.resources.namespaces import (
     count,
     is_of_hidden,
     listed_members,
+    listing_parameters,
     namespaces,
     ordered,
     with_hidden,
@@ -62,6 +66,7 @@ from rosld.server.rest.paging import (
     read_named_place,
     send_to_first,
 )
+from rosld.server.rest.path_item import Method, PathItem
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.redaction import veiled_state
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Created, Resource, moved
@@ -76,6 +81,8 @@ _TRIPLES_BYTES = 40
 """Bytes of N-Triples, about, that a byte of plain JSON of a tree comes to."""
 _LOOK_AGAIN_SECONDS = 1.0
 """How often a parameter that is watched is read again: not every kind of robot tells of all changes."""
+
+_NEW_VALUE: DataSchema = {"type": ["string", "number", "boolean", "array", "object"]}
 
 
 class _Parameters(Resource):
@@ -198,6 +205,18 @@ class ParameterResource(_Parameters):
             return super().why_not(method)
         words = parameter_denied_reason(self.robot.graph, self.name, delete=method == "DELETE")
         return words or super().why_not(method)
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem(
+            "A parameter",
+            plain={"type": ["string", "number", "boolean", "array"]},
+            writes={
+                "PUT": Method(sends=_NEW_VALUE, done=(200, 201, 204)),
+                "PATCH": Method(sends=_NEW_VALUE, done=(200, 204)),
+                "DELETE": Method(done=(204,)),
+            },
+            alike="parameter",
+        )
 
     def methods(self) -> frozenset[str]:
         methods = READ
@@ -342,6 +361,22 @@ class ParameterTree(_Parameters):
     @property
     def reaches_below(self) -> bool:
         return True
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem(
+            "A tree of parameters",
+            plain=OBJECT,
+            query=listing_parameters(self.robot),
+            writes={
+                "POST": Method(
+                    "Makes a parameter, named by `Slug` where that is free.", ANYTHING, done=(200, 201, 204)
+                ),
+                "PATCH": Method(sends=OBJECT, done=(200, 204)),
+                "DELETE": Method(done=(204,)),
+            },
+            is_paged=True,
+            alike="tree-of-parameters",
+        )
 
     def methods(self) -> frozenset[str]:
         if not self.robot.adapter.capabilities.parameter_trees:

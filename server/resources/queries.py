@@ -5,7 +5,7 @@ Those that rosld ships are there to be read; what clients put beside them are fi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
@@ -26,8 +26,12 @@ from rosld.server.http import negotiation
 from rosld.server.http.body import declared_length
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.policies.queries import ROOM, query_triples
 from rosld.server.resources.context import IdentityKey, Robot
+from rosld.server.resources.kept.base import ALSO_OF_KEPT
 from rosld.server.resources.kept.bodies import require_small
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.files import KeptFile
@@ -38,6 +42,9 @@ from rosld.server.resources.sparql import (
     FORMATS,
     GRAPH_FORMS,
     OFFERS,
+    RESULT_FORMAT,
+    RESULTS,
+    TIMEOUT,
     answer_query,
     formats_of,
     prefers_page,
@@ -46,20 +53,47 @@ from rosld.server.resources.sparql import (
 )
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.pages import Pages
+from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, UrlParameter
 from rosld.server.rest.prepared import RawResponse
-from rosld.server.rest.resource import Resource
+from rosld.server.rest.resource import READ, Resource
 from rosld.server.rest.resource_headers import standing_headers
 from rosld.server.rest.state import State
 from rosld.server.sparql import disconnect
 from rosld.server.sparql.endpoint import QueryService
 from rosld.server.sparql.protocol import DIRECT, QueryRequest, timeout_asked
-from rosld.server.sparql.stored import OTHERS, StoredQuery, bind
+from rosld.server.sparql.stored import OTHERS, Parameter, StoredQuery, Type, bind
 from rosld.server.storage import Put, Record
 from rosld.server.storage.describe import record_document
 
 _DESCRIPTIONS = frozenset(syntax.media_type for syntax in Syntax)
 _ANYTHING = {"iri": "/", "string": "", "integer": "0", "double": "0"}
 _TITLE = "Queries"
+
+_LONGEST_SUMMARY = 300
+_IRI: DataSchema = {
+    "type": "string",
+    "pattern": r"""^(/|[A-Za-z][A-Za-z0-9+.-]*:)([^\x00-\x20\x7f<>"{}|\\^`%\[\]]|%[0-9A-Fa-f]{2})*$""",
+}
+"""An absolute IRI, or a path below the base."""
+_TYPES: Mapping[Type, DataSchema] = {
+    Type.IRI: _IRI,
+    Type.STRING: TEXT,
+    Type.INTEGER: {"type": "integer"},
+    Type.DOUBLE: {"type": "number"},
+}
+
+
+def _query_item(purpose: str, parameters: Iterable[Parameter]) -> PathItem:
+    """What the URL of a stored query answers."""
+    given = (UrlParameter(one.name, one.about, _TYPES[one.type], one.default is None) for one in parameters)
+    return PathItem(
+        purpose[:_LONGEST_SUMMARY],
+        (*RESULTS, DIRECT),
+        ANYTHING,
+        (RESULT_FORMAT, TIMEOUT, *given),
+        streams=False,
+        also=(409, *ALSO_OF_KEPT),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +191,9 @@ class ShippedQuery(Resource):
         self._query = query
         self._runner = runner
 
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return _query_item(self._query.purpose, self._query.parameters)
+
     def why_not(self, method: str) -> str:
         if self.robot.settings.read_only:
             return "This server is read-only."
@@ -195,6 +232,10 @@ class KeptQuery(KeptFile):
         await _require_size(self.robot, exchange)
         return self
 
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        query = self.robot.queries.outline(self.there())
+        return _query_item(query.purpose, query.parameters)
+
     async def state(self) -> State:
         return _described(self.robot, self.there())
 
@@ -224,6 +265,10 @@ class QueryDescription(DescriptionResource):
 class AbsentQuery(AbsentResource):
     """No query yet: PUT makes it."""
 
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        methods = READ if self.robot.settings.read_only else READ | {"PUT", "DELETE"}
+        return replace(_query_item("A stored query that may be made", ()), methods=methods)
+
     async def narrowed(self, exchange: Exchange) -> Resource:
         if exchange.method == "PUT":
             await _require_size(self.robot, exchange)
@@ -246,6 +291,9 @@ class QueryContainer(ContainerResource):
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         return self.robot.kept_changes.watch(wake, lambda path: path.startswith(ROOM))
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("The stored queries", query=(FORMAT, PAGE), also=ALSO_OF_KEPT)
 
     async def state(self) -> State:
         kept = await super().state()

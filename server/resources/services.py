@@ -13,12 +13,15 @@ from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import ANYTHING, or_null
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
 from rosld.server.resources.service_request import called, failure, request_in
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
+from rosld.server.rest.path_item import DEFAULTS, Method, PathItem
 from rosld.server.rest.resource import READ, Answer, Created, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import Call, Gone
@@ -49,6 +52,18 @@ class ServiceResource(Resource):
     @property
     def is_absent(self) -> bool:
         return is_absent(self.robot, "services", self.name)
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        schema = schemas.service(self.service.type)
+        call = Method(
+            "Calls the service; the call is a resource, and `Idempotency-Key` makes it once only.",
+            schemas.sent(schema.request if schema else None),
+            is_body_required=False,
+            done=(201,),
+            shows=ANYTHING if schema is None else or_null(schemas.read(schema.response)),
+            query=(DEFAULTS,),
+        )
+        return PathItem(f"The service {self.name}", writes={"POST": call})
 
     def methods(self) -> frozenset[str]:
         if self.robot.settings.read_only or self.robot.is_resources_only(self.name):
@@ -125,6 +140,9 @@ class CallResource(Resource):
         except Problem:
             return True
         return False
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("A call of a service", plain=ANYTHING, writes={"DELETE": Method(done=(204,))}, also=(410,))
 
     def methods(self) -> frozenset[str]:
         return READ if self.robot.settings.read_only else READ | {"DELETE"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response, StreamingResponse
@@ -17,10 +18,14 @@ from rosld.server.html.page import Tone
 from rosld.server.http import negotiation
 from rosld.server.http.problem import Problem
 from rosld.server.http.text import FORM
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.formats import RDF_BODIES
+from rosld.server.rest.formats import HTML, RDF_BODIES
 from rosld.server.rest.pages import Pages
+from rosld.server.rest.path_item import FORMAT, Method, PathItem, UrlParameter
 from rosld.server.rest.prepared import RawResponse
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
@@ -34,7 +39,6 @@ from rosld.server.sparql.results import GRAPHS, SOLUTIONS, offers_of, without_xm
 from rosld.server.sparql.update.base import Updates
 from rosld.server.sparql.xml_output import REASON
 
-HTML = "text/html"
 ROWS = 500
 """Rows of a result that a page shows."""
 
@@ -184,6 +188,24 @@ def _extensions(service: NamedNode) -> Iterable[Triple]:
         yield from about(NamedNode(iri), (rdf.type, sd.Function))
 
 
+RESULTS = tuple(dict.fromkeys((*SOLUTIONS, *GRAPHS, HTML)))
+"""The media types of results."""
+RESULT_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS]})
+TIMEOUT = UrlParameter("timeout", "The seconds that the query may take.", {"type": "number", "exclusiveMinimum": 0})
+_GRAPHS: DataSchema = {"type": "array", "items": {"type": "string", "format": "uri"}}
+_QUERY = UrlParameter("query", "A query (SPARQL 1.1 Protocol 2.1); without one the endpoint describes itself.")
+_OF_BOTH = (
+    UrlParameter("default-graph-uri", "The graphs that are the default graph together.", _GRAPHS),
+    UrlParameter("named-graph-uri", "The named graphs.", _GRAPHS),
+    RESULT_FORMAT,
+)
+_OF_UPDATES = (
+    UrlParameter("using-graph-uri", "The graphs that are the default graph of an update together.", _GRAPHS),
+    UrlParameter("using-named-graph-uri", "The named graphs of an update.", _GRAPHS),
+    UrlParameter("dry-run", "Whether an update is only to be planned, and the plan told.", {"type": "boolean"}),
+)
+
+
 class SparqlResource(Resource):
     """The endpoint."""
 
@@ -206,6 +228,25 @@ class SparqlResource(Resource):
         self._updates = None if robot.settings.read_only else updates
         taken = (DIRECT, FORM) if self._updates is None else (DIRECT, UPDATE, FORM)
         self.accepts: Mapping[str, Sequence[str]] = {"POST": taken}
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        form: DataSchema = {
+            "type": "object",
+            "properties": {"query": TEXT, "default-graph-uri": _GRAPHS, "named-graph-uri": _GRAPHS},
+            "required": ["query"],
+        }
+        update: DataSchema = {
+            "type": "object",
+            "properties": {"update": TEXT, "using-graph-uri": _GRAPHS, "using-named-graph-uri": _GRAPHS},
+            "required": ["update"],
+        }
+        updates = self._updates is not None
+        post = Method(
+            sends={"anyOf": [form, update]} if updates else form,
+            done=(200, 204) if updates else (200,),
+            query=(*_OF_BOTH, *(_OF_UPDATES if updates else ())),
+        )
+        return PathItem("The SPARQL endpoint", RESULTS, ANYTHING, (_QUERY, *_OF_BOTH, TIMEOUT), {"POST": post})
 
     def methods(self) -> frozenset[str]:
         return READ | {"POST"}

@@ -9,8 +9,11 @@ from starlette.responses import Response
 from rosld.server import html
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.link import Link
+from rosld.server.hypermedia.json_schema import OBJECT
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
 from rosld.server.rest.resource_headers import standing_headers
 
@@ -23,10 +26,14 @@ class FileResource(Resource):
     kind = "File"
     links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
 
-    def __init__(self, robot: Robot, name: str, data: bytes, media_type: str) -> None:
+    def __init__(self, robot: Robot, name: str, data: bytes, media_type: str, summary: str) -> None:
         super().__init__(robot.space.base + name)
         self._data = data
         self._media_type = media_type
+        self._summary = summary
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem(self._summary, (self._media_type.partition(";")[0],), OBJECT, (), streams=False)
 
     async def special(self, exchange: Exchange) -> Response | None:
         etag = ETag(digest(self._data), "bin")
@@ -44,27 +51,36 @@ class FileResource(Resource):
 
 def style(robot: Robot) -> FileResource:
     """`/style.css`."""
-    return FileResource(robot, "style.css", html.STYLESHEET, "text/css; charset=utf-8")
+    return FileResource(robot, "style.css", html.STYLESHEET, "text/css; charset=utf-8", "The style of pages")
 
 
 def script(robot: Robot) -> FileResource:
     """`/live.js`."""
-    return FileResource(robot, "live.js", html.SCRIPT, "text/javascript; charset=utf-8")
+    return FileResource(
+        robot, "live.js", html.SCRIPT, "text/javascript; charset=utf-8", "The script that keeps pages up to date"
+    )
 
 
 def filter_script(robot: Robot) -> FileResource:
     """`/filter.js`."""
-    return FileResource(robot, "filter.js", html.FILTER_SCRIPT, "text/javascript; charset=utf-8")
+    return FileResource(
+        robot,
+        "filter.js",
+        html.FILTER_SCRIPT,
+        "text/javascript; charset=utf-8",
+        "The script that finds things on long pages",
+    )
 
 
-def icon(robot: Robot, name: str = "icon.svg") -> FileResource:
+def icon(robot: Robot) -> FileResource:
     """`/icon.svg`."""
-    return FileResource(robot, name, html.ICON, "image/svg+xml")
+    return FileResource(robot, "icon.svg", html.ICON, "image/svg+xml", "The icon of pages")
 
 
 def favicon(robot: Robot) -> FileResource:
     """`/favicon.ico`: the icon where browsers look for it."""
-    return icon(robot, "favicon.ico")
+    summary = "The icon of pages, where browsers look for it"
+    return FileResource(robot, "favicon.ico", html.ICON, "image/svg+xml", summary)
 
 
 FILES: dict[str, Callable[[Robot], FileResource]] = {

@@ -12,7 +12,11 @@ from rosld.ontology.triples import RDF_SOURCE, about, double, moment, text
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import TEXT, or_null
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.resources.context import Robot
+from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 from rosld.server.runtime.watchdog import Pauses, Watchdog
@@ -29,6 +33,13 @@ class StatusResource(Resource):
         super().__init__(robot.space.base + ROOM)
         self._robot = robot
         self._watchdog = watchdog
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        seconds: DataSchema = {"type": "number", "minimum": 0}
+        told: DataSchema = dict.fromkeys(("longestPause", "longestWork", "recentPause"), seconds)
+        told = {**told, **dict.fromkeys(("longestPauseEnd", "longestPauseCode", "longestWorkCode"), or_null(TEXT))}
+        summary = "How promptly the server itself answers, what is wrong with its storage"
+        return PathItem(summary, plain={"type": "object", "properties": told})
 
     async def state(self) -> State:
         pauses, problems = self._watchdog.pauses, self._robot.storage_problems

@@ -17,9 +17,13 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http.problem import Problem
 from rosld.server.http.tokens import without_tokens
+from rosld.server.hypermedia.json_schema import TEXT, or_null
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
+from rosld.server.rest.path_item import Method, PathItem
 from rosld.server.rest.redaction import veiled_state
 from rosld.server.rest.resource import READ, Answer, Resource, Shown
 from rosld.server.rest.state import State
@@ -53,6 +57,22 @@ class StopResource(Resource):
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot.space.stop)
         self.robot = robot
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        step: DataSchema = {"type": "object", "properties": {"does": TEXT, "state": TEXT, "words": or_null(TEXT)}}
+        who: DataSchema = dict.fromkeys(("by", "since", "reason"), or_null(TEXT))
+        told: DataSchema = {"stopped": {"type": "boolean"}, **who, "steps": {"type": "array", "items": step}}
+        plain: DataSchema = {"type": "object", "properties": told}
+        reason: DataSchema = {"type": "string", "maxLength": 500}
+        stop = Method(
+            "Ends every hold, cancels goals, runs the stop actions of mappings, and refuses writes (423).",
+            {"type": "object", "properties": {"reason": reason}, "additionalProperties": False},
+            is_body_required=False,
+            done=(200, 204),
+            shows=plain,
+        )
+        release = Method("Lets writes reach the robot again.", done=(204,))
+        return PathItem("The stop of the whole robot", plain=plain, writes={"POST": stop, "DELETE": release})
 
     def methods(self) -> frozenset[str]:
         return READ | {"POST", "DELETE"} if may_stop(self.robot) is None else READ

@@ -12,6 +12,8 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.hypermedia.conditions import url_of
+from rosld.server.hypermedia.json_schema import OBJECT
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE, ThingLink, thing_description
 from rosld.server.hypermedia.thing_description_rights import thing_for
@@ -19,6 +21,7 @@ from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES
+from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.prepared import bytes_response
 from rosld.server.rest.resource import RESOURCE, Resource
 
@@ -116,6 +119,9 @@ class RobotThing(Resource):
     def __init__(self, robot: Robot) -> None:
         super().__init__(f"{robot.space.base}.well-known/wot")
         self.robot = robot
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("The Thing Description of the whole robot", (MEDIA_TYPE,), OBJECT, (), streams=False)
 
     async def special(self, exchange: Exchange) -> Response | None:
         layout = await self.robot.offers.layout()

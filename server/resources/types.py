@@ -18,13 +18,16 @@ from rosld.ontology.urls import Location
 from rosld.ontology.vocab import dcterms, rdf
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.policies import limits
 from rosld.server.resources.context import IdentityKey, Robot
+from rosld.server.resources.kept.base import ALSO_OF_KEPT
 from rosld.server.resources.kept.bodies import require_small
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.representation import all_members
 from rosld.server.resources.kept.routes import kept_room
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, UrlParameter
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
 from rosld.server.rest.state import State
 from rosld.server.robot.session import used_types
@@ -39,6 +42,14 @@ WHOLE = (DATA, LIMITS, MAPPING, QUERY)
 """What lies below `/shapes/` beside the shapes of types: what constrains kept data, the limits in force, and
 
 what constrains mapping documents and stored queries."""
+
+_HASH = UrlParameter("hash", "Which of several definitions of one name.")
+_SUMMARIES = {
+    "data": "The shapes of data",
+    "limits": "The limits in force",
+    "mapping": "The shape of mapping documents",
+    "query": "The shape of stored queries",
+}
 
 
 class TypeResource(Resource):
@@ -57,6 +68,9 @@ class TypeResource(Resource):
 
     async def methods_now(self) -> frozenset[str]:
         return await self.methods_if_there()
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("One of the types", query=(FORMAT, _HASH))
 
     async def state(self) -> State:
         schema = await schema_of(self.robot, self.ref)
@@ -81,6 +95,9 @@ class ShapeResource(Resource):
     async def methods_now(self) -> frozenset[str]:
         return await self.methods_if_there()
 
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("One of the shapes")
+
     async def state(self) -> State:
         schema = await schema_of(self.robot, TypeRef(self.name))
         return self.robot.states.get(
@@ -97,6 +114,9 @@ class WholeShapeResource(Resource):
         super().__init__(robot.space.shape(name))
         self.robot = robot
         self.title = name
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem(_SUMMARIES[self.title])
 
     def why_not(self, method: str) -> str:
         return _why_not(self.robot, self.url, method)
@@ -132,6 +152,10 @@ class TypeContainer(Resource):
         self.robot = robot
         self.room = room
         self.namespace = namespace
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        of = ("", " of a package", " of a kind")[len(self.namespace)]
+        return PathItem(f"{self.room.capitalize()}{of}")
 
     async def state(self) -> State:
         listed = sorted({ref.name for ref in known_types(self.robot)})
@@ -225,6 +249,9 @@ class LimitsContainer(ContainerResource):
 
     def is_taken(self, name: str) -> bool:
         return name in WHOLE or name in _packages(self.robot) or super().is_taken(name)
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("Shapes", query=(FORMAT, PAGE), also=ALSO_OF_KEPT)
 
     async def state(self) -> State:
         kept = await super().state()

@@ -20,8 +20,10 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.html import Csrf, Form, Listing, Notice, Page, Site, Step
 from rosld.server.http.link import Link, uri
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.plan import Plan
 from rosld.server.rest.redaction import veiled_state
 from rosld.server.rest.state import State
@@ -95,6 +97,10 @@ class Resource:
             if problem.status in (404, 410):
                 return self.methods() - {"GET", "HEAD"}
         return self.methods()
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        """What its URL answers, for the description of the server; `schemas` gives and collects those of messages."""
+        return PathItem(self.kind)
 
     def why_not(self, method: str) -> str:
         """Why a verb is not allowed, in a sentence for a 405."""

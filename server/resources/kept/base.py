@@ -21,6 +21,9 @@ from rosld.server.storage import Cause, Conflict, Record, Remove, Write
 
 ANYTHING = "*/*"
 
+ALSO_OF_KEPT = (303, 410, 507)
+"""Statuses of refusals that what clients keep has beside the usual ones."""
+
 
 class Kept(Resource):
     """What all of them have in common. `path` is the URL without the base."""

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from rosld.ontology.urls import encode_segment
 from rosld.server.html import Form, Step
 from rosld.server.http.link import Link
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import Kept, conflict_problem
+from rosld.server.resources.kept.base import ALSO_OF_KEPT, Kept, conflict_problem
 from rosld.server.resources.kept.bodies import asked_model, received
 from rosld.server.resources.kept.creation import create
 from rosld.server.resources.kept.files import KeptFile
@@ -18,12 +19,15 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.interaction import model_links
 from rosld.server.rest.paging import Place, page_query, read_place, send_to_first
+from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.prefer_container import ALL, Parts, select_parts
 from rosld.server.rest.resource import Answer, Created, Resource
 from rosld.server.rest.slug import free_name
 from rosld.server.rest.state import State
 from rosld.server.storage import Blob, Cause, Conflict, Model
 from rosld.server.storage.describe import META
+
+_SUMMARIES = {"data/": "Data that clients keep", "mappings/": "Mapping documents"}
 
 
 class ContainerResource(SourceResource):
@@ -45,6 +49,9 @@ class ContainerResource(SourceResource):
     @property
     def shows(self) -> tuple[Parts, Place | None]:
         return self._parts, self._place
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem(_SUMMARIES.get(self.path, "A container"), is_paged=True, also=ALSO_OF_KEPT)
 
     def methods(self) -> frozenset[str]:
         is_root = self.path.count("/") == 1

@@ -12,9 +12,11 @@ from rosld.ontology.document import Document
 from rosld.ontology.urls import Location
 from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import ANYTHING
+from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.ldp.patch import deletes
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import Kept, conflict_problem, missing
+from rosld.server.resources.kept.base import ALSO_OF_KEPT, Kept, conflict_problem, missing
 from rosld.server.resources.kept.bodies import asked_model, received, require_model
 from rosld.server.resources.kept.containers import creation, resource_of
 from rosld.server.resources.kept.creation import making, require_free
@@ -25,9 +27,10 @@ from rosld.server.resources.kept.sources import DescriptionResource
 from rosld.server.resources.kept.stated import N3_PATCH, is_light, patched
 from rosld.server.resources.kept.transaction import kept_together
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
+from rosld.server.rest.formats import MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
+from rosld.server.rest.path_item import ANY_TYPE, Method, PathItem
 from rosld.server.rest.plan import StorageWrite
-from rosld.server.rest.resource import ABSENT, Answer, Created, Resource, moved
+from rosld.server.rest.resource import ABSENT, READ, Answer, Created, Resource, moved
 from rosld.server.rest.resource_headers import standing_headers
 from rosld.server.rest.state import State
 from rosld.server.storage import Blob, Cause, Conflict, Model
@@ -53,6 +56,32 @@ class AbsentResource(Kept):
             self.accepts = {"PUT": puts, "PATCH": _PATCHES}
             if not path.endswith("/"):  # where a container is missing, what POST would make is one of its members
                 self.accepts |= {"POST": (*RDF_BODIES, MULTIPART)}
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        """What may come to be here: what one URL answers depends on what is there."""
+        methods = READ if self.robot.settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
+        is_limits = self.path.startswith("shapes/")
+        if is_limits:
+            return PathItem(
+                "Limits that a client keeps in force",
+                writes={"PUT": Method(accepts=RDF_BODIES), "PATCH": Method(accepts=_PATCHES)},
+                also=ALSO_OF_KEPT,
+                methods=methods,
+            )
+        taken = (*RDF_BODIES, ANY_TYPE)
+        return PathItem(
+            "What a client keeps there: RDF, a file, or a container if the path ends in a slash",
+            (*OFFERS, ANY_TYPE),
+            ANYTHING,
+            writes={
+                "PUT": Method(accepts=taken),
+                "POST": Method(accepts=taken),
+                "PATCH": Method(accepts=(*_PATCHES, MERGE_PATCH)),
+            },
+            is_paged=True,
+            also=ALSO_OF_KEPT,
+            methods=methods,
+        )
 
     def methods(self) -> frozenset[str]:
         return ABSENT if self.robot.settings.read_only else ABSENT | self.accepts.keys()

@@ -1,0 +1,69 @@
+"""The schemas of messages for a description that says each once and refers to it by name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+from rosld.adapters.model import ActionSchema, MessageSchema, Schema, ServiceSchema, TypeRef
+from rosld.ontology.lift import LiftSettings
+from rosld.server.hypermedia import json_schema
+from rosld.server.hypermedia.json_schema import OBJECT
+from rosld.server.hypermedia.schema import DataSchema, message_schema
+
+_NOT_IN_A_KEY = re.compile(r"[^A-Za-z0-9._-]")
+
+
+class MessageSchemas:
+    """Finds types and collects the schemas that were referred to. `find` tells of a type if it is at hand.
+
+    A type that is not at hand is None, and its messages are objects of which nothing more is said.
+    """
+
+    def __init__(self, find: Callable[[TypeRef], Schema | None], lifting: LiftSettings) -> None:
+        self.lifting = lifting
+        self.by_key: dict[str, DataSchema] = {}
+        """The schemas that `#/components/schemas/KEY` refers to."""
+        self._find = find
+        self._keys: dict[TypeRef, str] = {}
+
+    def message(self, ref: TypeRef | None) -> MessageSchema | None:
+        """A message type."""
+        found = None if ref is None else self._find(ref)
+        return found if isinstance(found, MessageSchema) else None
+
+    def service(self, ref: TypeRef | None) -> ServiceSchema | None:
+        """A service type."""
+        found = None if ref is None else self._find(ref)
+        return found if isinstance(found, ServiceSchema) else None
+
+    def action(self, ref: TypeRef | None) -> ActionSchema | None:
+        """An action type."""
+        found = None if ref is None else self._find(ref)
+        return found if isinstance(found, ActionSchema) else None
+
+    def read(self, schema: MessageSchema | None) -> DataSchema:
+        """What a message is when it is read: a reference to its schema."""
+        return OBJECT if schema is None else self._shared(schema, "", json_schema.as_read)
+
+    def sent(self, schema: MessageSchema | None) -> DataSchema:
+        """What a message must be when it is sent: a schema of its own only where that is another."""
+        return OBJECT if schema is None else self._shared(schema, ".sent", json_schema.as_sent)
+
+    def _shared(self, schema: MessageSchema, suffix: str, adapted: Callable[[DataSchema], DataSchema]) -> DataSchema:
+        made = adapted(message_schema(schema, self.lifting))
+        key = self._key(schema.ref)
+        if suffix and self.by_key.get(key, made) != made:
+            key += suffix
+        self.by_key.setdefault(key, made)
+        return {"$ref": f"#/components/schemas/{key}"}
+
+    def _key(self, ref: TypeRef) -> str:
+        """The name of the schema of a type; variants of one type have their hash in it."""
+        key = self._keys.get(ref)
+        if key is None:
+            key = _NOT_IN_A_KEY.sub(".", ref.name)
+            if key in self._keys.values():
+                key = f"{key}.{_NOT_IN_A_KEY.sub('.', ref.hash or '')}.{len(self._keys)}"
+            self._keys[ref] = key
+        return key

@@ -1,0 +1,218 @@
+"""The paths of a robot: every URL that it has now, and templates of those that come and go.
+
+What each of them answers is told by its resource (`Resource.path_item`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import chain, islice
+
+from rosld.adapters.model import Graph, names
+from rosld.ontology.notifications import CHANNEL_TYPES
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.conditions import url_of
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.resource_tree import ResourceTree
+from rosld.server.openapi.path import Path
+from rosld.server.resources.channels import channel_item, source_item
+from rosld.server.resources.context import Robot
+from rosld.server.resources.namespaces import listed, namespaces
+from rosld.server.rest.path_item import ANY_TYPE, FIELD_READS, FORMAT, PathItem
+from rosld.server.rest.resource import Resource
+
+MOST_SINGLE = 1000
+"""Parameters, and resources with their properties and actions, that are described one by one; a template has more."""
+_MOST_QUERIES = 1000
+_OR_ANOTHER = f", or one beyond the {MOST_SINGLE} that are described one by one"
+_TAGS = {
+    "": "entry",
+    "sparql": "queries",
+    "graphs": "queries",
+    "mirror": "queries",
+    ".well-known/solid": "channels",
+}
+"""The tags of URLs that are not called by the first segment."""
+_ENTRY = ("ontology", ".well-known/", ".well-known/wot", "openapi.json")
+_FILES = ("style.css", "live.js", "filter.js", "icon.svg", "favicon.ico")
+_NAME = "A name; those of several parts have slashes, as in the URL."
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Finds the paths. `resolve` gives the resource at a path; nothing is waited for.
+
+    `hidden`: whether hidden names have paths too.
+    """
+
+    robot: Robot
+    layout: ResourceTree
+    resolve: Callable[[str], Resource]
+    schemas: MessageSchemas
+    hidden: bool = False
+
+    def all(self) -> Iterator[Path]:
+        """Every path."""
+        yield self._path("/")
+        yield from self._graph()
+        yield from self._parameters()
+        yield from self._resources()
+        yield from self._types()
+        yield from self._bags()
+        yield from self._kept()
+        yield from self._queries()
+        yield from self._channels()
+        yield from self._activities()
+        for path in ("stop", "status", "sparql", "graphs", *_ENTRY, *_FILES):
+            yield self._path(f"/{path}")
+        with suppress(Problem):  # there is one only if it was asked for
+            yield self._path("/mirror")
+
+    def _path(self, path: str) -> Path:
+        """A path as its resource has it."""
+        resource = self.resolve(path)
+        return self._described(path, resource, resource.path_item(self.schemas))
+
+    def _template(self, template: str, example: str, *, item: PathItem | None = None, **segments: str) -> Path:
+        """A template as the resource at a path has it for which it stands."""
+        resource = self.resolve(example)
+        found = self._described(template, resource, item or resource.path_item(self.schemas))
+        return replace(found, segments=segments)
+
+    def _described(self, path: str, resource: Resource, item: PathItem) -> Path:
+        methods = resource.methods() if item.methods is None else item.methods
+        own = {method: each.accepts for method, each in item.writes.items() if each.accepts is not None}
+        accepts = {method: tuple(kinds) for method, kinds in {**resource.accepts, **own}.items() if method in methods}
+        return Path(path, self._tag(path[1:]), item, methods, accepts)
+
+    def _tag(self, path: str) -> str:
+        if path in _ENTRY or path in _FILES:
+            return "entry"
+        return _TAGS.get(path) or path.partition("/")[0]
+
+    def _of(self, url: str) -> str:
+        return url[len(self.robot.space.base) - 1 :]
+
+    @property
+    def _listed(self) -> Graph:
+        """What is listed of the computation graph."""
+        return self.robot.graph if self.hidden else listed(self.robot)
+
+    def _leaves_out(self, path: str) -> bool:
+        return not self.hidden and self.robot.adapter.capabilities.hidden_names and names.is_hidden(path)
+
+    # The computation graph
+
+    def _graph(self) -> Iterator[Path]:
+        graph, space = self._listed, self.robot.space
+        for room in ("nodes", "topics", "services", "actions"):
+            for namespace in namespaces(graph, room):
+                yield self._path(self._of(space.container(room, namespace)))
+        urls = chain(
+            map(space.node, graph.nodes),
+            map(space.topic, graph.topics),
+            map(space.service, graph.services),
+            map(space.action, graph.actions),
+        )
+        for url in urls:
+            yield self._path(self._of(url))
+        yield self._template("/topics/{name}", "/topics/new", name=_NAME)
+        for room, word in (("calls", "call"), ("goals", "goal"), ("holds", "hold")):
+            yield self._path(f"/{room}/")
+            yield self._template(f"/{room}/{{id}}", f"/{room}/any", id=f"As in the URL of the {word}.")
+
+    def _activities(self) -> Iterator[Path]:
+        yield self._path("/activity/")
+        yield self._template("/activity/{id}", "/activity/any", id="As in the URL of the receipt.")
+
+    def _parameters(self) -> Iterator[Path]:
+        graph, space = self._listed, self.robot.space
+        trees = dict.fromkeys([(), *namespaces(graph, "parameters")])
+        for namespace in islice((each for each in trees if "" not in each), MOST_SINGLE):
+            yield self._path(self._of(space.container("parameters", namespace)))
+        for name in islice((each for each in graph.parameters if "" not in names.segments(each)), MOST_SINGLE):
+            yield self._path(self._of(space.parameter(name)))
+        summary = "A parameter that may be made" + ("" if len(graph.parameters) <= MOST_SINGLE else _OR_ANOTHER)
+        item = self.resolve("/parameters/new").path_item(self.schemas)
+        item = replace(item, summary=summary, alike=None)
+        yield self._template("/parameters/{name}", "/parameters/new", item=item, name=_NAME)
+
+    # Levels two and three
+
+    def _resources(self) -> Iterator[Path]:
+        found = (path for path in self._resource_paths() if not self._leaves_out(path))
+        for path in islice(found, MOST_SINGLE):
+            yield self._path(path)
+        if (another := next(found, None)) is not None:
+            yield self._other_resources(self._path(another))
+
+    def _resource_paths(self) -> Iterator[str]:
+        """Complex resources, each followed by the properties and actions in it."""
+        space = self.robot.space
+        for path in self.layout.paths:
+            plan = self.layout.complex(path)
+            if plan is not None:
+                yield self._of(url_of(path, space))
+                properties = [one.at for one in plan.members if one.at is not None]
+                for name in dict.fromkeys((*properties, *(one.name for one in plan.actions))):
+                    yield self._of(url_of(name, space))
+
+    def _other_resources(self, one: Path) -> Path:
+        """What stands for all resources and properties that are not described one by one, as `one` of them is."""
+        summary = "One of the resources, properties and actions that are too many to be described one by one"
+        accepts = dict.fromkeys(one.accepts, (ANY_TYPE,))
+        segments = {"name": "A path, as in the URL: links lead to it."}
+        item = PathItem(summary, FIELD_READS, query=(FORMAT,))
+        return Path("/resources/{name}", "resources", item, one.methods, accepts, segments)
+
+    # Everything else
+
+    def _types(self) -> Iterator[Path]:
+        package, kind, name = "A package.", "`msg`, `srv` or `action`.", "The name of a type."
+        for room in ("types", "shapes"):
+            yield self._path(f"/{room}/")
+            yield self._template(f"/{room}/{{package}}/", f"/{room}/a/", package=package)
+            yield self._template(f"/{room}/{{package}}/{{kind}}/", f"/{room}/a/msg/", package=package, kind=kind)
+            one = f"/{room}/{{package}}/{{kind}}/{{name}}"
+            yield self._template(one, f"/{room}/a/msg/B", package=package, kind=kind, name=name)
+        for path in ("data", "limits", "mapping", "query"):
+            yield self._path(f"/shapes/{path}")
+        yield self._template("/shapes/{name}", "/shapes/any", name="One segment, as in the URL.")
+
+    def _bags(self) -> Iterator[Path]:
+        space = self.robot.space
+        yield self._path("/bags/")
+        for name, recording in self.robot.adapter.recordings.items():
+            yield self._path(self._of(space.bag(name)))
+            path = self._of(space.bag_messages(name))
+            yield self._path(path)
+            if recording.count:
+                yield self._template(f"{path}{{index}}", f"{path}0", index=f"From 0 to {recording.count - 1}.")
+
+    def _kept(self) -> Iterator[Path]:
+        """What clients keep. What one URL answers depends on what is there: the template tells of all of it."""
+        for room in ("mappings", "data"):
+            yield self._path(f"/{room}/")
+            path = "One segment or several, with slashes between them."
+            yield self._template(f"/{room}/{{path}}", f"/{room}/any", path=path)
+
+    def _queries(self) -> Iterator[Path]:
+        """The room of queries and what is below it now; the template tells of those that come and go."""
+        yield self._path("/queries/")
+        for url, _ in self.robot.queries.all(most=_MOST_QUERIES):
+            yield self._path(self._of(url))
+        yield self._template("/queries/{name}", "/queries/any", name="One segment, as in the URL.")
+
+    def _channels(self) -> Iterator[Path]:
+        """Notifications (Solid Notifications Protocol 2)."""
+        yield self._path("/.well-known/solid")
+        yield self._path("/channels/")
+        for kind in CHANNEL_TYPES:
+            path = f"/channels/{kind}"
+            yield self._path(path)
+            token = "As in the URL of the channel."
+            yield replace(self._template(f"{path}/{{token}}", path, item=channel_item(), token=token), accepts={})
+            source = self._template(f"{path}/{{token}}/messages", path, item=source_item(), token=token)
+            yield replace(source, accepts={})

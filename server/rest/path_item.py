@@ -1,0 +1,82 @@
+"""What a URL answers, as resources declare it and `/openapi.json` tells it (OpenAPI 3.1.1, 4.8.9)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from rosld.server.hypermedia.json_schema import TEXT, Schema
+from rosld.server.rest.formats import FORMATS, OFFERS
+
+ANY_TYPE = "*/*"
+BYTES = "application/octet-stream"
+
+
+@dataclass(frozen=True, slots=True)
+class UrlParameter:
+    """A parameter of the query (4.8.12)."""
+
+    name: str
+    about: str
+    schema: Schema = field(default_factory=lambda: TEXT)
+    required: bool = False
+
+
+FORMAT = UrlParameter("format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS]})
+FIELD = UrlParameter("field", "The path of one field, such as `pose.position.x`: its bytes are the answer.")
+DEFAULTS = UrlParameter("defaults", "Whether fields that JSON leaves out are ROS's defaults.", {"type": "boolean"})
+PAGE = UrlParameter("page", "A page of messages, from 0.", {"type": "integer", "minimum": 0})
+FIELD_READS = (*OFFERS, BYTES, "text/plain")
+"""What a value is read as, of which `FIELD` asks for a part."""
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """What a method that writes takes and answers.
+
+    `sends` is the schema of its JSON, `accepts` are its media types where they are not those that the resource has now.
+    `done` are the statuses of success where they are not the usual ones of the method, `shows` is what then comes as
+    `application/json`.
+    """
+
+    note: str | None = None
+    sends: Schema | None = None
+    is_body_required: bool = True
+    done: tuple[int, ...] | None = None
+    shows: Schema | None = None
+    query: tuple[UrlParameter, ...] = ()
+    accepts: tuple[str, ...] | None = None
+
+
+USUAL = Method()
+"""Of a method of which nothing in particular is told."""
+
+
+@dataclass(frozen=True, slots=True)
+class PathItem:
+    """What a URL, or each URL that fits a template, answers.
+
+    `reads` are the media types of GET, `plain` is the schema of `application/json` among them (JSON-LD where there is
+    none), `query` what GET takes. `streams`: its changes can be had as an event stream. `also` are statuses of refusals
+    that most URLs do not have. `methods` are those that it may have, where they are more than it has now. URLs `alike`
+    (a name such as "parameter") are described once: robots have thousands of them.
+    """
+
+    summary: str
+    reads: tuple[str, ...] = OFFERS
+    plain: Schema | None = None
+    query: tuple[UrlParameter, ...] = (FORMAT,)
+    writes: Mapping[str, Method] = field(default_factory=dict)
+    streams: bool = True
+    also: tuple[int, ...] = ()
+    is_paged: bool = False
+    """Whether it is a container that may come in pages: GET then takes `page` and the preferences of LDP."""
+    members: Mapping[str, str] = field(default_factory=dict)
+    """The URLs of what the members of its JSON are the values of, by their names: who may not read one is not told."""
+    methods: frozenset[str] | None = None
+    alike: str | None = None
+
+    @property
+    def is_document(self) -> bool:
+        """Whether it is RDF and nothing else."""
+        return self.plain is None and self.streams and self.reads == OFFERS

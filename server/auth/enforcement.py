@@ -1,4 +1,4 @@
-"""The gate: a request judged at its path, then on the resource that is there; answers say what may be done."""
+"""Enforcement: a request is judged at its path, then on the resource that is there; answers say what may be done."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ from starlette.types import Scope
 
 from rosld.ontology.urls import Location, Space, locate
 from rosld.server.auth.agent import ANYBODY
-from rosld.server.auth.errors import forbidden, gone, nothing, unknown, unsaid
+from rosld.server.auth.errors import forbidden, nothing, unknown
 from rosld.server.auth.globs import path_of
 from rosld.server.auth.permissions import Permissions
+from rosld.server.auth.redaction.links import redact_link_field
 from rosld.server.auth.rules import Mode, mode_of
-from rosld.server.http import link
 from rosld.server.http.link import Link
-from rosld.server.http.problem import Problem
 
 Headers = list[tuple[bytes, bytes]]
 _SHORT = 256
@@ -25,8 +24,6 @@ _located = lru_cache(maxsize=8192)(locate)
 _READING = frozenset({"GET", "HEAD"})
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _ACCEPTS = {b"accept-put": "PUT", b"accept-post": "POST", b"accept-patch": "PATCH"}
-_OFFERING = frozenset({"allow", *(name.decode() for name in _ACCEPTS)})
-"""The fields of a 404 or 410 that say what may be made there."""
 _WORDS = {"PUT": "write this", "POST": "post to this", "PATCH": "change this", "DELETE": "delete this"}
 
 
@@ -110,37 +107,6 @@ def require_below(permissions: Permissions, method: str, place: Location) -> Non
         raise forbidden(permissions.agent, f"{_WORDS[method]}: not everything below it is yours to change")
 
 
-def redact_problem(permissions: Permissions, problem: Problem, place: Location | None) -> Problem:
-    """A problem with what is at a place as an agent may be told of it.
-
-    That nothing is there any more (410) is told where the agent may know of whatever might be there. What leads where
-    it may not go, and reasons that speak of what it may not read, are left out.
-    """
-    if permissions.whole:
-        return problem
-    if problem.status in (404, 410):
-        return _absence(permissions, problem, place)
-    if problem.status == 405 and not permissions.reads_all:  # the reason may name who may not be known
-        words = "What is here does not answer that method, whoever asks; Allow says what you may do."
-        return Problem(405, words, headers=problem.headers)
-    if not all(map(permissions.may_read, problem.about)):
-        return unsaid(problem)
-    target = problem.headers.get("Location")
-    if target is not None and problem.status < 400 and not permissions.may_read(target):
-        return nothing()
-    return problem
-
-
-def _absence(permissions: Permissions, problem: Problem, place: Location | None) -> Problem:
-    if place is None or not permissions.knows_any(place):
-        return nothing()
-    if permissions.reads_all:
-        return problem
-    found = gone() if problem.status == 410 else nothing()
-    found.headers |= {name: value for name, value in problem.headers.items() if name.lower() in _OFFERING}
-    return found
-
-
 def with_auth_headers(
     headers: Sequence[tuple[bytes, bytes]],
     permissions: Permissions,
@@ -160,7 +126,7 @@ def with_auth_headers(
         if name == b"vary":
             varies = [value.decode("latin-1"), *varies]
         elif name == b"link":
-            links = [_readable(value.decode("latin-1"), permissions), *links]
+            links = [redact_link_field(value.decode("latin-1"), permissions), *links]
         elif permissions.whole:
             found.append((name, value))
         elif name == b"allow" and place is not None:
@@ -181,20 +147,6 @@ def _may_use(method: str, permissions: Permissions, place: Location | None, may:
     if may is not None:
         return method in may
     return place is not None and permissions.may_at(method, place)
-
-
-def _readable(field: str, permissions: Permissions) -> str:
-    """A Link field without links to what may not be read."""
-    if permissions.whole:
-        return field
-    return _left(field, permissions) if permissions.rights.is_typed else _kept_left(field, permissions)
-
-
-def _left(field: str, permissions: Permissions) -> str:
-    return link.render(each for each in link.parse(field) if permissions.may_read(each.target))
-
-
-_kept_left = lru_cache(maxsize=4096)(_left)
 
 
 def _wac_allow(permissions: Permissions, public: Permissions, place: Location) -> str:

@@ -44,10 +44,10 @@ def contents(document: Document, site: Site, listing: Listing | None) -> Content
     if not urls and listing is None:
         return None
     columns, cells = (listing.columns, listing.cells) if listing and listing.columns else _columns(document, urls)
-    if site.veiled:
+    if site.is_restricted:
         cells = {url: tuple(_seen(cell, site) for cell in row) for url, row in cells.items() if site.may("GET", url)}
     counted = len(cells.keys() | {url for url in urls if not url.endswith("/")} if listing and listing.cells else urls)
-    total = listing.total if listing and listing.total is not None and not site.veiled else counted
+    total = listing.total if listing and listing.total is not None and not site.is_restricted else counted
     urls += [url for url in cells if url not in set(urls) and listing is not None and url in listing.cells]
     anchors = {url: _anchor(site, url, document.url) for url in urls}
     containers = {url for url in urls if url.endswith("/") and url.removesuffix("/") not in anchors}

@@ -65,7 +65,7 @@ class Site:
     """Whether the reader may use a method at a URL."""
     may_below: Callable[[str, str], bool] = field(default=_anything, compare=False)
     """The same of a URL and everything below it."""
-    veiled: bool = False
+    is_restricted: bool = False
     """Whether there are things here that the reader may not know of."""
 
     def __post_init__(self) -> None:

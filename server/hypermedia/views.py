@@ -1,16 +1,19 @@
-"""Views: what the resources of `/resources/` look like at one moment, as values. `offers.py` makes them, `describe.py`
+"""Views: what the resources of `/resources/` look like at one moment, as values.
 
-writes them as RDF, `thing.py` as Thing Descriptions, the pages as HTML. URLs are absolute.
+`affordance_service.py` makes them, `describe.py` writes them as RDF, `thing_description.py` as Thing Descriptions, the
+pages as HTML. URLs are absolute. `redact` returns a view without what an agent may not read, and without offers that it
+may not use.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from pyoxigraph import NamedNode
 
 from rosld.adapters.model import MessageSchema
+from rosld.server.auth.permissions import Permissions
 from rosld.server.hypermedia.value import Reading
 from rosld.shapes.value import ValueShape
 
@@ -33,6 +36,12 @@ class PropertyAffordance:
     title: str | None = None
     description: str | None = None
 
+    def redact(self, permissions: Permissions) -> PropertyAffordance:
+        read = self.read and permissions.may_read(self.url)
+        return replace(
+            self, read=read, observe=self.observe and read, write=self.write and permissions.may("PUT", self.url)
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class ActionAffordance:
@@ -47,6 +56,9 @@ class ActionAffordance:
     relation: NamedNode | None = None
     title: str | None = None
     sends_goals: bool = False
+
+    def redact(self, permissions: Permissions) -> ActionAffordance:
+        return self if permissions.may("POST", self.url) else replace(self, request=None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +93,14 @@ class PropertyView:
     part_of: str
     field: str | None = None
 
+    def redact(self, permissions: Permissions) -> PropertyView:
+        return replace(
+            self,
+            affordance=self.affordance.redact(permissions),
+            reads_from=tuple(filter(permissions.may_read, self.reads_from)),
+            writes_to=tuple(filter(permissions.may_read, self.writes_to)),
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class ActionView:
@@ -89,6 +109,9 @@ class ActionView:
     affordance: ActionAffordance
     invokes: str
     part_of: str
+
+    def redact(self, permissions: Permissions) -> ActionView:
+        return replace(self, affordance=self.affordance.redact(permissions))
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +131,21 @@ class ComplexView:
     parent: str | None = None
     title: str | None = None
     mapping: str | None = None
+
+    def redact(self, permissions: Permissions) -> ComplexView:
+        return replace(
+            self,
+            members=tuple(
+                replace(member, affordance=member.affordance.redact(permissions))
+                for member in self.members
+                if permissions.may_read(member.affordance.url)
+            ),
+            actions=tuple(action for action in self.actions if permissions.may("POST", action.url)),
+            links=tuple(link for link in self.links if permissions.may_read(link.target)),
+            children=tuple(filter(permissions.may_read, self.children)),
+            parent=self.parent if self.parent is not None and permissions.may_read(self.parent) else None,
+            mapping=self.mapping if self.mapping is not None and permissions.may_read(self.mapping) else None,
+        )
 
 
 View: TypeAlias = PropertyView | ActionView | ComplexView

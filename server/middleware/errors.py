@@ -14,6 +14,7 @@ from rosld.ontology.lower import LoweringError
 from rosld.ontology.urls import Space
 from rosld.server.auth import enforcement
 from rosld.server.auth.rate_limit import REFUSAL_SECONDS, RateLimitExceeded
+from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.http.tokens import without_tokens
@@ -63,7 +64,7 @@ class ErrorResponses:
         if not isinstance(error, Problem):
             _log.exception("%s %s failed", exchange.method, scope["path"], exc_info=error)
             error = Problem(500, "The server failed on this request; its log says more.")
-        error = enforcement.redact_problem(exchange.permissions, error, enforcement.place_of(scope, self._space))
+        error = redact_problem(error, exchange.permissions, enforcement.place_of(scope, self._space))
         exchange.account.refused(error.detail)
         path = quote(scope["raw_path"].lstrip(b"/"), safe="/%:@!$&'()*+,;=~")
         url = without_tokens(self._space.base + path)

@@ -27,6 +27,7 @@ from rosld.ontology.notifications import (
 from rosld.ontology.urls import Location, locate
 from rosld.server.auth import enforcement
 from rosld.server.auth.permissions import Permissions
+from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.source import LINES, Source, headers_of
@@ -137,7 +138,7 @@ class Notifications:
             raise Problem(422, f"The topic {url} has no state that could change.") from error
         except (Problem, RosError) as error:
             problem = error if isinstance(error, Problem) else problem_of(error)
-            problem = enforcement.redact_problem(permissions, problem, place)
+            problem = redact_problem(problem, permissions, place)
             if problem.status >= 500:
                 raise problem from error
             raise Problem(422, f"There is nothing to tell of the topic {url}: {problem.detail}") from error

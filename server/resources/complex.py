@@ -23,7 +23,6 @@ from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.describe import complex_document, complex_json
 from rosld.server.hypermedia.json_schema import as_patch, as_read, or_null
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.hypermedia.redaction import veiled_view
 from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
 from rosld.server.hypermedia.schema import DataSchema, Json, value_schema
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE
@@ -43,7 +42,6 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, MERGE_PATCH, OFFERS, SPARQL_UPDATE
 from rosld.server.rest.path_item import FORMAT, Method, PathItem
 from rosld.server.rest.plan import Plan, RobotWrite
-from rosld.server.rest.redaction import veiled_state
 from rosld.server.rest.resource import ABSENT, BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Resource, moved
 from rosld.server.rest.state import State
 
@@ -140,12 +138,11 @@ class ComplexResource(Resource):
             view=view,
         )
 
-    def veiled(self, state: State, permissions: Permissions) -> State:
+    def redact(self, state: State, permissions: Permissions) -> State:
         robot, view = self.robot, state.view
         assert isinstance(view, ComplexView)
-        left = veiled_view(view, permissions)
-        return veiled_state(
-            state,
+        left = view.redact(permissions)
+        return state.redact(
             permissions,
             lambda: complex_document(left, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time),
             lambda: complex_json(left, robot.lifting),

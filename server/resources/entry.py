@@ -21,7 +21,7 @@ _FIRST = "What the robot is like now, and what it can do: values to read and to 
 
 def _seen(names: Collection[str], url: Callable[[str], str], site: Site) -> int:
     """How many of these the reader may read."""
-    return sum(site.may("GET", url(name)) for name in names) if site.veiled else len(names)
+    return sum(site.may("GET", url(name)) for name in names) if site.is_restricted else len(names)
 
 
 class EntryResource(Resource):

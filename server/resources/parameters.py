@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import secrets
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -31,6 +30,7 @@ from rosld.ontology.urls import encode_segment
 from rosld.ontology.vocab import ros
 from rosld.server.auth.enforcement import require_below
 from rosld.server.auth.permissions import Permissions
+from rosld.server.auth.redaction.trees import redact_tree
 from rosld.server.events.query_params import EVENT_STREAM
 from rosld.server.html import DeleteForm, Form, Listing, ParameterForm, Step, ValueForm
 from rosld.server.html.view import visible
@@ -68,7 +68,6 @@ from rosld.server.rest.paging import (
 )
 from rosld.server.rest.path_item import Method, PathItem
 from rosld.server.rest.plan import Plan, RobotWrite
-from rosld.server.rest.redaction import veiled_state
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Created, Resource, moved
 from rosld.server.rest.state import State
 from rosld.server.robot.write_policy import parameter_denied_reason, resources_only_reason
@@ -502,10 +501,10 @@ class ParameterTree(_Parameters):
         members = self._members()
         return None if self._place is None or members is None else Listing(total=count(members))
 
-    def veiled(self, state: State, permissions: Permissions) -> State:
+    def redact(self, state: State, permissions: Permissions) -> State:
         plain = state.plain
         assert plain is not None
-        return veiled_state(state, permissions, plain=lambda: _pruned(plain(), self.url, permissions))
+        return state.redact(permissions, plain=lambda: redact_tree(plain(), self.url, permissions))
 
     async def post(self, exchange: Exchange) -> Answer:
         """A new member, named by Slug where it is free (LDP 5.2.3.10)."""
@@ -585,18 +584,6 @@ def _require_below(exchange: Exchange, url: str, value: ParameterValue) -> None:
     place = exchange.permissions.place(url)
     if isinstance(value, dict) and place is not None:
         require_below(exchange.permissions, exchange.method, place)
-
-
-def _pruned(data: bytes, url: str, permissions: Permissions) -> bytes:
-    """The object of a tree's values at a URL, without those that may not be read."""
-
-    def pruned(value: object, at: str) -> object:
-        if not isinstance(value, dict):
-            return value
-        ends = {key: encode_segment(key) + ("/" if isinstance(inner, dict) else "") for key, inner in value.items()}
-        return {key: pruned(value[key], at + end) for key, end in ends.items() if permissions.may_read(at + end)}
-
-    return json.dumps(pruned(json.loads(data), url), ensure_ascii=False, separators=(",", ":")).encode()
 
 
 def _below(name: str, robot: Robot) -> list[str]:

@@ -24,7 +24,6 @@ from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
 from rosld.server.rest.path_item import Method, PathItem
-from rosld.server.rest.redaction import veiled_state
 from rosld.server.rest.resource import READ, Answer, Resource, Shown
 from rosld.server.rest.state import State
 
@@ -130,8 +129,8 @@ class StopResource(Resource):
             }
         )
 
-    def veiled(self, state: State, permissions: Permissions) -> State:
-        return veiled_state(state, permissions, plain=lambda: self._plain_for(permissions))
+    def redact(self, state: State, permissions: Permissions) -> State:
+        return state.redact(permissions, plain=lambda: self._plain_for(permissions))
 
     async def forms(self) -> Sequence[Form]:
         if may_stop(self.robot) is not None:

@@ -9,6 +9,7 @@ from starlette.responses import Response
 
 from rosld.server.auth.authenticator import OPEN
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.auth.redaction.thing_descriptions import redact_thing_description
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.hypermedia.conditions import url_of
@@ -16,7 +17,6 @@ from rosld.server.hypermedia.json_schema import OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE, ThingLink, thing_description
-from rosld.server.hypermedia.thing_description_rights import thing_for
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
@@ -40,7 +40,7 @@ def wants_thing(exchange: Exchange) -> bool:
 def thing_response(exchange: Exchange, robot: Robot, data: bytes) -> Response:
     """The answer with a Thing Description, as it is for who asks."""
     if exchange.visit is not OPEN:
-        data = thing_for(data, exchange.permissions)
+        data = redact_thing_description(data, exchange.permissions)
     return bytes_response(exchange, data, MEDIA_TYPE, ETag(f"{robot.instance_id}-{digest(data)}", FORMAT))
 
 

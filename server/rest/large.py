@@ -115,7 +115,7 @@ class LargeDocuments:
 
 def shortened(state: State, excerpt: Excerpt) -> State:
     """A state that says the excerpt only."""
-    return replace(state, describe=lambda: excerpt.document, weight=0, renderings={}, veils={}, token=state.tag)
+    return replace(state, describe=lambda: excerpt.document, weight=0, renderings={}, redactions={}, token=state.tag)
 
 
 # In a worker

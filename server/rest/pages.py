@@ -89,7 +89,7 @@ class Pages:
             may_below=lambda method, url: (
                 (place := permissions.place(url)) is None or permissions.may_below(method, place)
             ),
-            veiled=not permissions.whole,
+            is_restricted=not permissions.whole,
         )
 
     def _stop_token(self, permissions: Permissions) -> str:
@@ -173,7 +173,7 @@ class Pages:
         again = await resource.forms() if isinstance(form, ChoiceForm) else [form.refilled(refusal.typed, fields)]
         try:
             state = await resource.state()
-            state = state if permissions.whole else resource.veiled(state, permissions)
+            state = state if permissions.whole else resource.redact(state, permissions)
         except Problem:
             raise problem from None
         body = await self._page(resource, state, again, [notice], permissions)
@@ -183,7 +183,7 @@ class Pages:
     async def told(self, resource: Resource, sentence: str, permissions: Permissions = ALLOW_ALL) -> Response:
         """The page with a notice, after a form that was carried out with a reservation (202)."""
         state = await resource.state()
-        state = state if permissions.whole else resource.veiled(state, permissions)
+        state = state if permissions.whole else resource.redact(state, permissions)
         body = await self.page(resource, state, [Notice(sentence, Tone.WARNING)], permissions)
         return Response(body, 202, {**self.headers, "Cache-Control": "no-store"}, "text/html; charset=utf-8")
 

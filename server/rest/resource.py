@@ -25,7 +25,6 @@ from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.plan import Plan
-from rosld.server.rest.redaction import veiled_state
 from rosld.server.rest.state import State
 
 READ = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -110,9 +109,9 @@ class Resource:
         """What it is like now. Raises a 404 (or 410) Problem where there is nothing."""
         raise NotImplementedError
 
-    def veiled(self, state: State, permissions: Permissions) -> State:
+    def redact(self, state: State, permissions: Permissions) -> State:
         """Its state as an agent may see it who may not know of everything."""
-        return veiled_state(state, permissions)
+        return state.redact(permissions)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         """Call `wake` on the loop whenever its state may have changed, until the watch is closed.
@@ -163,7 +162,7 @@ class Resource:
 
     def _is_for(self, site: Site, method: str) -> bool:
         """Whether the reader of a page may use a method of this resource."""
-        if method in READ or not site.veiled:
+        if method in READ or not site.is_restricted:
             return site.may(method, self.url)
         may = all(site.may(method, url) for url in (self.url, *self.also_changes))
         return may and (not self.reaches_below or site.may_below(method, self.url))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
+from rosld.server.auth.permissions import Permissions
+from rosld.server.auth.redaction.documents import redact_document
 from rosld.server.http.conditional import digest
 from rosld.server.runtime.memory import MEMORY, PER_CHARACTER
 
@@ -53,8 +55,8 @@ class State:
     headers: Mapping[str, str] = field(default_factory=dict)
     weight: int = 0
     renderings: dict[str, Rendering] = field(default_factory=dict)
-    veils: dict[str, State] = field(default_factory=dict)
-    """What agents see of it who may not know of everything, by their rights."""
+    redactions: dict[str, State] = field(default_factory=dict)
+    """What `redact` returned, by the key of the rights that it was made for."""
 
     @property
     def is_large(self) -> bool:
@@ -70,6 +72,38 @@ class State:
     def tag(self) -> str:
         """The state part of the ETag."""
         return self.token if self.token is not None else digest(serialize(self.document, Syntax.N_TRIPLES))
+
+    def redact(
+        self,
+        permissions: Permissions,
+        document: Callable[[], Document] | None = None,
+        plain: Callable[[], bytes] | None = None,
+    ) -> State:
+        """Return the state without what the agent may not read. Its tag is the same, so that it guards writes as well.
+
+        `document` and `plain` replace its own where the resource makes these for the agent from the beginning.
+        """
+        if self.is_large and document is None:
+            # A worker process unpickles it.
+            describe: Callable[[], Document] = partial(_describe_redacted, self.describe, permissions)
+        else:
+
+            def describe() -> Document:
+                return redact_document(self.document if document is None else document(), permissions)
+
+        return replace(
+            self,
+            describe=describe,
+            plain=self.plain if plain is None else plain,
+            token=self.tag,
+            view=None if self.view is None else self.view.redact(permissions),
+            renderings={},
+            redactions={},
+        )
+
+
+def _describe_redacted(describe: Callable[[], Document], permissions: Permissions) -> Document:
+    return redact_document(describe(), permissions)
 
 
 def require_memory(state: State) -> None:

@@ -17,6 +17,7 @@ from rosld.ontology.urls import Location
 from rosld.server.auth import enforcement
 from rosld.server.auth.errors import unproven
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.long_poll import changed_since
@@ -220,8 +221,8 @@ class Dispatcher:
             return RawResponse(200, b"", [*HEADERS, *headers])
         mark = exchange.permissions.mark if media_type == HTML else ""
         variant = f"{VARIANTS[media_type]}-{exchange.permissions.key}{mark}"
-        told = partial(enforcement.redact_problem, exchange.permissions, place=self._place(exchange))
-        telling = StreamFormat(variant, render, self._name, exchange.visit.still, told)
+        redact = partial(redact_problem, permissions=exchange.permissions, place=self._place(exchange))
+        telling = StreamFormat(variant, render, self._name, exchange.visit.still, redact)
         if media_type == HTML:
             telling = replace(telling, edition=lambda: self.pages.edition)
         known, lasting = exchange.header("last-event-id"), resource.followed(exchange)
@@ -362,11 +363,11 @@ def redacted_state(resource: Resource, state: State, permissions: Permissions) -
     """A state as an agent may see it: made once for the same rights."""
     if permissions.whole:
         return state
-    found = state.veils.get(permissions.key)
+    found = state.redactions.get(permissions.key)
     if found is None:
-        if len(state.veils) >= _MOST_RENDERINGS:
-            state.veils.clear()
-        found = state.veils[permissions.key] = resource.veiled(state, permissions)
+        if len(state.redactions) >= _MOST_RENDERINGS:
+            state.redactions.clear()
+        found = state.redactions[permissions.key] = resource.redact(state, permissions)
     return found
 
 

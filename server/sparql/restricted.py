@@ -18,7 +18,7 @@ from pyoxigraph import RdfFormat, parse, serialize
 
 from rosld.ontology.document import Document
 from rosld.server.auth.permissions import Permissions
-from rosld.server.auth.redaction import redact_document
+from rosld.server.auth.redaction.documents import redact_document
 from rosld.server.dataset import Edit
 from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
@@ -98,11 +98,11 @@ class _Restricted:
 
     def _seen(self, texts: Mapping[str, str | None]) -> dict[str, str | None]:
         return {
-            graph: None if text is None else _veiled(graph, text, self._permissions) for graph, text in texts.items()
+            graph: None if text is None else _redacted(graph, text, self._permissions) for graph, text in texts.items()
         }
 
 
-def _veiled(graph: str, text: str, permissions: Permissions) -> str:
+def _redacted(graph: str, text: str, permissions: Permissions) -> str:
     """The N-Triples of a graph as they may be read."""
     triples = tuple(quad.triple for quad in parse(text.encode(), RdfFormat.N_TRIPLES))
     left = redact_document(Document(graph, triples), permissions).triples

@@ -1,4 +1,4 @@
-"""Streams, waits and channels: seen through the same veil, and cut when the right is withdrawn."""
+"""Streams, waits and channels: redacted alike, and cut when the right is withdrawn."""
 
 from __future__ import annotations
 

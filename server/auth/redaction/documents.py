@@ -1,7 +1,8 @@
-"""The veil: what a document says to one who may not read everything it speaks of. Pure.
+"""Redaction of an RDF document: remove the triples about resources that the agent may not read.
 
-Left out are triples that mention a URL of this server which the agent may not read, affordances of which they may not
-use any form, and whatever hung on what was left out and on nothing else. What is left is as true as it was.
+Removed are triples that mention a URL of this server which the agent may not read, affordances of which it may not use
+any form, and the blank nodes and fragments that only removed triples led to. Every triple that is left is one of the
+document's own, so that it is as true as it was; only lists are closed over the members they lost.
 """
 
 from __future__ import annotations
@@ -21,17 +22,17 @@ _Term: TypeAlias = "NamedNode | BlankNode | Literal | Triple"
 
 
 def redact_document(document: Document, permissions: Permissions) -> Document:
-    """The document as an agent with these rights may read it; it may read what the document is about."""
+    """Return the document without what the agent may not read; the agent may read what the document is about."""
     if permissions.whole:
         return document
-    seen = _Veil(document, permissions)
-    triples = seen.triples()
-    messages = tuple(each for message in document.messages if (each := seen.message(message)) is not None)
+    redaction = _Redaction(document, permissions)
+    triples = redaction.triples()
+    messages = tuple(each for message in document.messages if (each := redaction.message(message)) is not None)
     return replace(document, triples=tuple(triples), messages=messages)
 
 
-class _Veil:
-    """One document, looked at by one agent."""
+class _Redaction:
+    """The redaction of one document for one agent."""
 
     def __init__(self, document: Document, permissions: Permissions) -> None:
         self._document = document
@@ -40,7 +41,7 @@ class _Veil:
         self._names = frozenset(self._hidden_names())
 
     def triples(self) -> list[Triple]:
-        """The description as it may be read."""
+        """Return the triples that the agent may read."""
         before = self._document.triples
         parts = self._hidden_parts()
         after = [
@@ -48,22 +49,22 @@ class _Veil:
             for each in before
             if not (self._is_hidden(each.subject) or self._is_hidden(each.object) or each.subject in parts)
         ]
-        after = self._without_forms(after)
+        after = self._remove_unusable_forms(after)
         if len(after) == len(before):
             return after
-        return _without_hanging(_relinked(before, after), before, self._own)
+        return _remove_orphans(_close_lists(before, after), before, self._own)
 
     def message(self, message: LiftedMessage) -> LiftedMessage | None:
-        """A message as it may be read; None for one that is there by the name of who may not be known."""
+        """Return a message as the agent may read it; None where its own URL has a name that it may not know."""
         envelope = message.envelope
         if envelope is None or envelope.publisher is None or self._permissions.may_read(envelope.publisher):
             return message
-        if self._names_hidden(self._own + message.node):
+        if self._is_named_after_hidden(self._own + message.node):
             return None
         return replace(message, envelope=envelope._replace(publisher=None))
 
     def _hidden_names(self) -> Iterable[str]:
-        """The paths, below their rooms, of those hidden URLs by whose names fragments of this document are called."""
+        """Yield the paths of the hidden URLs that the document mentions: fragments may be named after them."""
         urls = {
             term.value
             for triple in self._document.triples
@@ -77,7 +78,7 @@ class _Veil:
                 yield "/" + "/".join(place.segments)
 
     def _hidden_parts(self) -> frozenset[_Term]:
-        """The parts of this document that are about something hidden, such as the steps of a stop."""
+        """Return the fragments and blank nodes that are about something hidden, such as the steps of a stop."""
         return frozenset(
             each.subject
             for each in self._document.triples
@@ -89,16 +90,16 @@ class _Veil:
             return False
         url = term.value
         if url.partition("#")[0].partition("?")[0] == self._own:
-            return ("?" in url and not self._permissions.may_read(url)) or self._names_hidden(url)
+            return ("?" in url and not self._permissions.may_read(url)) or self._is_named_after_hidden(url)
         return not self._permissions.may_read(url)
 
-    def _names_hidden(self, url: str) -> bool:
-        """Whether a fragment of this document is called by a name that may not be known (`#from/talker`)."""
+    def _is_named_after_hidden(self, url: str) -> bool:
+        """Whether a URL ends in a fragment named after something hidden (`#from/talker`)."""
         fragment = url.partition("#")[2].partition(";")[0]
         return bool(self._names) and "/" in fragment and unquote(fragment).endswith(tuple(self._names))
 
-    def _without_forms(self, triples: list[Triple]) -> list[Triple]:
-        """Without forms that may not be used, affordances that have none left, and the values of what these are about.
+    def _remove_unusable_forms(self, triples: list[Triple]) -> list[Triple]:
+        """Remove forms that may not be used, affordances that have none left, and the values that these are about.
 
         Forms are judged as the whole document has them: that a target is hidden is what makes a form unusable.
         """
@@ -121,7 +122,7 @@ class _Veil:
         ]
 
     def _usable_forms(self) -> dict[_Term, str]:
-        """The method of each form that the agent may use, by its node."""
+        """Return the method of each form that the agent may use, by the form's node."""
         said = self._document.triples
         methods = {each.subject: each.object.value for each in said if each.predicate == htv.methodName and
                    isinstance(each.object, Literal)}  # fmt: skip
@@ -134,19 +135,19 @@ class _Veil:
         }
 
     def _affordances(self) -> dict[_Term, tuple[set[_Term], _Term | None]]:
-        """The forms of each affordance, and by which predicate this document tells its value, if it does."""
-        told = {each.predicate for each in self._document.triples if each.subject == NamedNode(self._document.url)}
+        """Return the forms of each affordance, and the predicate by which this document states its value, if any."""
+        stated = {each.predicate for each in self._document.triples if each.subject == NamedNode(self._document.url)}
         found: dict[_Term, tuple[set[_Term], _Term | None]] = {}
         for each in self._document.triples:
             if each.predicate == td.hasForm:
                 found.setdefault(each.subject, (set(), None))[0].add(each.object)
-            elif each.predicate == mapping.predicate and each.object in told:
+            elif each.predicate == mapping.predicate and each.object in stated:
                 found[each.subject] = (found.get(each.subject, (set(), None))[0], each.object)
         return found
 
 
-def _relinked(before: Iterable[Triple], after: list[Triple]) -> list[Triple]:
-    """With lists closed over the members that were left out of them."""
+def _close_lists(before: Iterable[Triple], after: list[Triple]) -> list[Triple]:
+    """Close lists over the members that were removed from them."""
     firsts = {each.subject for each in after if each.predicate == rdf.first}
     broken = {each.subject for each in before if each.predicate == rdf.first} - firsts
     if not broken:
@@ -161,8 +162,8 @@ def _relinked(before: Iterable[Triple], after: list[Triple]) -> list[Triple]:
     return [Triple(each.subject, each.predicate, beyond(each.object)) for each in after if each.subject not in broken]
 
 
-def _without_hanging(after: list[Triple], before: Iterable[Triple], own: str) -> list[Triple]:
-    """Without what nothing leads to any more: blank nodes and fragments to which something led before."""
+def _remove_orphans(after: list[Triple], before: Iterable[Triple], own: str) -> list[Triple]:
+    """Remove the blank nodes and fragments to which triples led before and none does any more."""
     led = {each.object for each in before if _is_part(each.object, own)}
     while True:
         leads = {each.object for each in after if each.object in led and each.subject != each.object}
@@ -174,5 +175,5 @@ def _without_hanging(after: list[Triple], before: Iterable[Triple], own: str) ->
 
 
 def _is_part(term: _Term, own: str) -> bool:
-    """Whether it is there by way of something else only."""
+    """Whether a term is reached from other nodes of the document only: a blank node or a fragment."""
     return isinstance(term, BlankNode) or (isinstance(term, NamedNode) and term.value.startswith(f"{own}#"))

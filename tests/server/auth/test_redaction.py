@@ -14,7 +14,7 @@ from rosld.ontology.vocab import hctl, htv, td
 from rosld.server.auth.agent import ANYBODY
 from rosld.server.auth.globs import Glob
 from rosld.server.auth.permissions import Permissions
-from rosld.server.auth.redaction import redact_document
+from rosld.server.auth.redaction.documents import redact_document
 from rosld.server.auth.rules import Mode, Rights, Rule
 from tests.server.auth.conftest import TURTLE, Guarded
 

@@ -1,4 +1,4 @@
-"""A Thing Description as it is for one agent: what it may ever do, and how it says who it is. Pure."""
+"""Redaction of Thing Descriptions (WoT TD 1.1): remove what the agent may never use, and say how it says who it is."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _SECURITY: dict[str, dict[str, object]] = {
 """WoT TD 1.1, 5.3.3: either of them."""
 
 
-def thing_for(data: bytes, permissions: Permissions) -> bytes:
-    """The description with those forms that the agent may use, and what has such forms."""
+def redact_thing_description(data: bytes, permissions: Permissions) -> bytes:
+    """Return a description with the forms that the agent may use, what has such forms, and the security it takes."""
     thing = orjson.loads(data)
     base = thing["id"]
     thing["securityDefinitions"], thing["security"] = _SECURITY, ["token_sc"]

@@ -1,0 +1,42 @@
+"""Redaction of problem details: remove what a refusal tells of resources that the agent may not read."""
+
+from __future__ import annotations
+
+from rosld.ontology.urls import Location
+from rosld.server.auth.errors import gone, nothing, unsaid
+from rosld.server.auth.permissions import Permissions
+from rosld.server.http.problem import Problem
+
+_OFFERED_METHODS = frozenset({"allow", "accept-put", "accept-post", "accept-patch"})
+"""The fields of a 404 or 410 that say what may be made there."""
+
+
+def redact_problem(problem: Problem, permissions: Permissions, place: Location | None) -> Problem:
+    """Return a problem with what is at `place` as this agent may be told of it.
+
+    A 410 remains one only where the agent may know of whatever might be there. A Location that the agent may not read
+    makes it a 404, and a reason that speaks of what the agent may not read is left out.
+    """
+    if permissions.whole:
+        return problem
+    if problem.status in (404, 410):
+        return _redact_absence(problem, permissions, place)
+    if problem.status == 405 and not permissions.reads_all:  # the reason may name who may not be known
+        words = "What is here does not answer that method, whoever asks; Allow says what you may do."
+        return Problem(405, words, headers=problem.headers)
+    if not all(map(permissions.may_read, problem.about)):
+        return unsaid(problem)
+    target = problem.headers.get("Location")
+    if target is not None and problem.status < 400 and not permissions.may_read(target):
+        return nothing()
+    return problem
+
+
+def _redact_absence(problem: Problem, permissions: Permissions, place: Location | None) -> Problem:
+    if place is None or not permissions.knows_any(place):
+        return nothing()
+    if permissions.reads_all:
+        return problem
+    found = gone() if problem.status == 410 else nothing()
+    found.headers |= {name: value for name, value in problem.headers.items() if name.lower() in _OFFERED_METHODS}
+    return found

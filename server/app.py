@@ -224,4 +224,4 @@ class HttpApplication:
             response.raw_headers = [*response.raw_headers, self._link]
             await response(scope, receive, send)
         finally:
-            self._clients.leave(exchange.client)
+            self._clients.release(exchange.client)

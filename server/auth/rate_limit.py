@@ -1,8 +1,4 @@
-"""Clients: how much each of them may ask at a time, so that one at its limit leaves the others their speed.
-
-A client is who it says it is, where that is known, else its address: in IPv6 its network of 64 bits, which is one
-machine's as a rule.
-"""
+"""Rate limits of clients: what one may ask at a time, so that one at its limit leaves the others their speed."""
 
 from __future__ import annotations
 
@@ -14,21 +10,22 @@ from ipaddress import IPv6Address, ip_address
 
 from rosld.server.auth.agent import ANYBODY, Agent
 from rosld.server.http.problem import Problem
+from rosld.server.runtime.token_bucket import TokenBucket
 
 BURST_SECONDS = 2.0
-"""A client that was quiet may send what it may send in so many seconds at once."""
+"""A client that was quiet may send at once what it may send in so many seconds."""
 REFUSAL_SECONDS = 0.5
 """How long a refusal waits: who asks again at once would keep the server as busy with refusing as with answering."""
 _MOST_KNOWN = 10_000
 
 
 class RateLimitExceeded(Problem):
-    """The client is at its limit (429). It is told so after a moment (`REFUSAL_SECONDS`)."""
+    """Problem 429: the client is at its limit. The answer is sent after `REFUSAL_SECONDS`."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClientLimits:
-    """What one client may do: requests a second, requests under way, connections, WebSockets among them."""
+    """Limits of one client: requests a second, requests under way, connections, WebSockets among them."""
 
     rate: float
     requests: int
@@ -37,64 +34,68 @@ class ClientLimits:
 
 
 class Client:
-    """One client as it is known: how many requests are under way, and when all it has sent was due.
+    """One client: its requests under way, its open connections and WebSockets, and the bucket of its requests.
 
-    The second is the theoretical arrival time of the generic cell rate algorithm (ITU-T I.371).
+    A client is the agent, where who asks is known, else the address: in IPv6 its network of 64 bits, which as a rule is
+    one machine's.
     """
 
-    __slots__ = ("connections", "due", "requests", "websockets")
+    __slots__ = ("bucket", "connections", "requests", "websockets")
 
-    def __init__(self) -> None:
+    def __init__(self, rate: float) -> None:
         self.requests = 0
         self.connections = 0
         self.websockets = 0
-        self.due = 0.0
+        self.bucket = TokenBucket(rate, BURST_SECONDS * rate)
 
     def is_idle(self, now: float) -> bool:
         """Whether forgetting it makes no difference."""
-        return not (self.requests or self.connections or self.websockets) and self.due <= now
+        return not (self.requests or self.connections or self.websockets) and self.bucket.is_full(now)
 
 
 class ClientLimiter:
-    """All clients of one server. Those on this machine have no limits unless `loopback`. Belongs to one loop."""
+    """Limiter of all clients of one server; those on this machine have no limits unless `loopback`.
 
-    def __init__(self, allowance: ClientLimits, *, loopback: bool, clock: Callable[[], float] = time.monotonic) -> None:
-        self._allowance = allowance
+    Belongs to one loop.
+    """
+
+    def __init__(self, limits: ClientLimits, *, loopback: bool, clock: Callable[[], float] = time.monotonic) -> None:
+        self._limits = limits
         self._loopback = loopback
         self._clock = clock
         self._known: dict[str, Client] = {}
         self._names: dict[str, str | None] = {}
 
-    def admit(self, agent: Agent, address: str | None) -> Client | None:
-        """Let a request pass: what `leave` is to be told when it is answered. Raises a 429 Problem."""
+    def acquire(self, agent: Agent, address: str | None) -> Client | None:
+        """Count a request. Return what `release` takes when it is answered. Raises RateLimitExceeded."""
         name = self._address(address) if agent.name == ANYBODY.name else f"agent {agent.name}"
         if name is None:
             return None
-        client, now, allowance = self._client(name), self._clock(), self._allowance
-        if client.requests >= allowance.requests:
-            words = f"{allowance.requests} requests of yours are being answered already, as many as may be at a time"
-            raise _too_much(f"{words}: wait for one to end.", 1.0)
-        wait = max(client.due, now) - now - BURST_SECONDS + 1.0 / allowance.rate
-        if wait > 1e-9 and client.due > now:
-            raise _too_much(f"You send more than {allowance.rate:g} requests a second: send fewer.", wait)
-        client.due = max(client.due, now) + 1.0 / allowance.rate
+        client, now, limits = self._client(name), self._clock(), self._limits
+        if client.requests >= limits.requests:
+            words = f"{limits.requests} requests of yours are being answered already, as many as may be at a time"
+            raise _exceeded(f"{words}: wait for one to end.", 1.0)
+        wait = client.bucket.wait(now)
+        if wait > 0.0:
+            raise _exceeded(f"You send more than {limits.rate:g} requests a second: send fewer.", wait)
+        client.bucket.take(now)
         client.requests += 1
         return client
 
-    def leave(self, client: Client | None) -> None:
-        """A request was answered, or given up."""
+    def release(self, client: Client | None) -> None:
+        """Count a request as answered, or given up."""
         if client is not None:
             client.requests -= 1
 
     def connect(self, address: str | None) -> Callable[[], None]:
-        """Let a connection be made: what is to be called when it ends. Raises a 429 Problem."""
+        """Count a connection. Return what is to be called when it ends. Raises RateLimitExceeded."""
         name = self._address(address)
         if name is None:
             return _nothing
         client = self._client(name)
-        if client.connections >= self._allowance.connections:
+        if client.connections >= self._limits.connections:
             words = f"{client.connections} connections come from your address already, as many as may be at a time"
-            raise _too_much(f"{words}: use those, or end some.", 5.0)
+            raise _exceeded(f"{words}: use those, or end some.", 5.0)
         client.connections += 1
 
         def ended() -> None:
@@ -103,11 +104,11 @@ class ClientLimiter:
         return ended
 
     def open_websocket(self, address: str | None) -> Callable[[], None]:
-        """As `connect`, for WebSockets, which this machine's clients may not have without limit either."""
-        client = self._client(f"WebSockets of {name_of(address, loopback=True)}")
-        if client.websockets >= self._allowance.websockets:
+        """Count a WebSocket as `connect` does; the limit holds for this machine's clients, too."""
+        client = self._client(f"WebSockets of {client_name(address, loopback=True)}")
+        if client.websockets >= self._limits.websockets:
             words = f"{client.websockets} WebSockets are open at your address already, as many as may be at a time"
-            raise _too_much(f"{words} (client_websockets): use those, or end some.", 5.0)
+            raise _exceeded(f"{words} (client_websockets): use those, or end some.", 5.0)
         client.websockets += 1
 
         def ended() -> None:
@@ -121,20 +122,20 @@ class ClientLimiter:
             if len(self._known) >= _MOST_KNOWN:
                 now = self._clock()
                 self._known = {each: one for each, one in self._known.items() if not one.is_idle(now)}
-            client = self._known[name] = Client()
+            client = self._known[name] = Client(self._limits.rate)
         return client
 
     def _address(self, address: str | None) -> str | None:
-        """What a client is known by that says nothing of itself; None where it has no limits."""
+        """Return the name of a client that is no known agent; None where it has no limits."""
         if address not in self._names:
             if len(self._names) >= _MOST_KNOWN:
                 self._names.clear()
-            self._names[address or ""] = name_of(address, loopback=self._loopback)
+            self._names[address or ""] = client_name(address, loopback=self._loopback)
         return self._names[address or ""]
 
 
-def name_of(address: str | None, *, loopback: bool) -> str | None:
-    """What the client at an address is known by; None for this machine, unless `loopback`."""
+def client_name(address: str | None, *, loopback: bool) -> str | None:
+    """Return the name by which the client at an address is counted; None for this machine, unless `loopback`."""
     try:
         found = ip_address((address or "").partition("%")[0])
     except ValueError:
@@ -152,5 +153,5 @@ def _nothing() -> None:
     pass
 
 
-def _too_much(words: str, seconds: float) -> RateLimitExceeded:
+def _exceeded(words: str, seconds: float) -> RateLimitExceeded:
     return RateLimitExceeded(429, words, headers={"Retry-After": str(max(1, math.ceil(seconds)))})

@@ -14,7 +14,7 @@ from starlette.types import Receive, Scope
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
-from rosld.server.auth.rate_limit import name_of
+from rosld.server.auth.rate_limit import client_name
 from rosld.server.http.problem import Problem
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.resource import Resource
@@ -254,7 +254,7 @@ class Broadcasters:
 
 
 def _address_of(client: tuple[str, int] | Address | None) -> str | None:
-    return name_of(client[0], loopback=True) if client else None
+    return client_name(client[0], loopback=True) if client else None
 
 
 async def _gone(receive: Receive) -> None:

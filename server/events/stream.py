@@ -20,13 +20,19 @@ from rosld.server.events.broadcaster import (
     Observation,
     Waiter,
 )
-from rosld.server.events.pace import Pace
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
+from rosld.server.runtime.token_bucket import TokenBucket
 
 KEEP_ALIVE_SECONDS = 15.0
+BURST = 1.25
+"""Events of the bucket of a stream: one may come a quarter of an interval early.
+
+So the jitter of a topic as fast as its reader wishes neither delays nor loses a value. In any time t no more than
+rate * t + 1.25 events pass.
+"""
 GONE, PROBLEM = "gone", "problem"
 """The types of the events that tell why there is no state. EventSource's own event is called "error", so these are not.
 
@@ -109,7 +115,7 @@ class EventStream(Response):
         self._feeds = feeds
         self._resource = resource
         self._telling = telling
-        self._pace = Pace(rate)
+        self._bucket = TokenBucket(rate, BURST)
         self._known = known
         """The state that the reader has, as it says itself."""
         self._spoke = 0.0
@@ -143,7 +149,7 @@ class EventStream(Response):
                 if feed.version == version:
                     await self._keep_alive(send)
                     continue
-                if (seconds := self._pace.wait(time.monotonic())) > 0.0:
+                if (seconds := self._bucket.wait(time.monotonic())) > 0.0:
                     await asyncio.sleep(seconds)
                 version = feed.version
                 moment = feed.at_hand() or await feed.look()
@@ -159,7 +165,7 @@ class EventStream(Response):
 
     async def _event(self, send: Send, moment: Observation) -> None:
         chunk = await self._telling.chunk(moment)
-        self._pace.passed(time.monotonic())
+        self._bucket.take(time.monotonic())
         await self._send(send, chunk)
 
     async def _send(self, send: Send, chunk: bytes) -> None:

@@ -24,7 +24,7 @@ class Admission:
         scope = exchange.request.scope
         if scope["raw_path"] != self._stop or exchange.method != "POST":
             client = scope["client"]
-            exchange.client = self._clients.admit(exchange.agent, client[0] if client else None)
+            exchange.client = self._clients.acquire(exchange.agent, client[0] if client else None)
 
     def is_urgent(self, method: bytes, path: bytes) -> bool:
         """Whether a request is answered whatever limits there are: it stops the robot."""
@@ -42,7 +42,7 @@ class Admission:
     def may_open(self, address: str | None) -> bool:
         """Whether a client may open a WebSocket now; it counts as a request."""
         try:
-            self._clients.leave(self._clients.admit(ANYBODY, address))
+            self._clients.release(self._clients.acquire(ANYBODY, address))
         except RateLimitExceeded:
             return False
         return True

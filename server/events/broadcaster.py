@@ -131,7 +131,7 @@ class Broadcaster:
         try:
             if self._is_outdated:
                 await self._renew()
-            await self._resource.ready()
+            await self._resource.prepare()
             state = await self._resource.state()
             return Observation(state.tag, state)
         except RosError as error:

@@ -105,9 +105,9 @@ class EventStream(Response):
         rate: float,
         known: str | None,
         headers: Headers,
-        lasting: contextlib.AbstractContextManager[float | None],
+        lease: contextlib.AbstractContextManager[float | None],
     ) -> None:
-        """`lasting` is what lasts as long as the stream: it gives the seconds between signs of life."""
+        """`lease` is entered for as long as the stream lasts: it gives the seconds between signs of life."""
         self.status_code = 200
         self.body = b""
         self.background = None
@@ -119,12 +119,12 @@ class EventStream(Response):
         self._known = known
         """The state that the reader has, as it says itself."""
         self._spoke = 0.0
-        self._lasting = lasting
+        self._lease = lease
         self._quiet = KEEP_ALIVE_SECONDS
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send it."""
-        with self._feeds.reading(scope), self._lasting as seconds:
+        with self._feeds.reading(scope), self._lease as seconds:
             self._quiet = seconds or KEEP_ALIVE_SECONDS
             await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
             await self._feeds.hold(self._tell(send), receive)

@@ -82,7 +82,7 @@ def writer_of(session: Session, property: Property) -> Writer | None:
     return next((one for one in property.writers if _refusal(session, one) is None), None)
 
 
-def why_not(session: Session, property: Property) -> str:
+def not_writable_reason(session: Session, property: Property) -> str:
     """Why nothing writes the property now, in sentences."""
     if session.settings.read_only:
         return "This server is read-only."
@@ -151,7 +151,7 @@ def plan_write(session: Session, property: Property, content: object) -> Planned
         case ParameterSource():
             return PlannedWrite(property.name, writer, StoredValue(_parameter_value(property.kind, content)))
         case _:
-            raise Problem(405, why_not(session, property))
+            raise Problem(405, not_writable_reason(session, property))
 
 
 def _parameter_value(kind: ValueKind, content: object) -> ParameterValue:

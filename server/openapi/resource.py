@@ -82,7 +82,7 @@ class OpenApiResource(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("This description", MEDIA_TYPES, OBJECT, listing_parameters(self.robot)[1:], streams=False)
 
-    async def special(self, exchange: Exchange) -> Response | None:
+    async def custom_get(self, exchange: Exchange) -> Response | None:
         media_type = negotiation.choose(exchange.accept, MEDIA_TYPES)
         if media_type is None:
             raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(MEDIA_TYPES)}.")

@@ -34,7 +34,7 @@ class AclResource(Resource):
         super().__init__(f"{base}{ACL}")
         self._authenticator = authenticator
 
-    def why_not(self, method: str) -> str:
+    def deny_reason(self, method: str) -> str:
         return "The rules are written in the file of --auth; it is read again whenever it changes."
 
     async def state(self) -> State:

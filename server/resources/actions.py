@@ -93,7 +93,7 @@ class ActionResource(Resource):
         allowed = Operation.SEND_GOAL in self.robot.adapter.allows(Ref(Kind.ACTION, self.name))
         return READ | {"POST"} if allowed else READ
 
-    def why_not(self, method: str) -> str:
+    def deny_reason(self, method: str) -> str:
         if self.robot.settings.read_only:
             return _READ_ONLY
         if method == "POST" and self.robot.is_resources_only(self.name):
@@ -104,7 +104,7 @@ class ActionResource(Resource):
 
     async def state(self) -> State:
         _ = self.action
-        await followed(self.robot, self.name)
+        await follow_action(self.robot, self.name)
         return self.shown()
 
     def shown(self) -> State:
@@ -121,7 +121,7 @@ class ActionResource(Resource):
         )
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        await followed(self.robot, self.name)
+        await follow_action(self.robot, self.name)
         return self.robot.goals.watch(self.name, wake)
 
     @property
@@ -226,7 +226,7 @@ class GoalResource(Resource):
             return READ
         return READ | {"DELETE"} if self._is_open(goal) and goal.status is not GoalStatus.CANCELING else READ
 
-    def why_not(self, method: str) -> str:
+    def deny_reason(self, method: str) -> str:
         if self.robot.settings.read_only:
             return _READ_ONLY
         goal = self.goal
@@ -244,13 +244,13 @@ class GoalResource(Resource):
     async def state(self) -> State:
         goal = self.goal
         if not goal.own and not goal.status.is_final:
-            await followed(self.robot, goal.action)
+            await follow_action(self.robot, goal.action)
         return self.shown(self.goal)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         goal = self.goal
         if not goal.own and not goal.status.is_final:
-            await followed(self.robot, goal.action)
+            await follow_action(self.robot, goal.action)
         return self.robot.goals.watch(goal.action, wake, self.id)
 
     def shown(self, goal: Goal) -> State:
@@ -313,7 +313,7 @@ class GoalResource(Resource):
         return Response(status_code=202, headers={"Location": uri(self.url)})
 
 
-async def followed(robot: Robot, action: str) -> None:
+async def follow_action(robot: Robot, action: str) -> None:
     """See to it that the goals of others are heard of: the first look waits a moment for what is known."""
     found = robot.graph.actions.get(action)
     if found is None or found.type is None:

@@ -85,10 +85,10 @@ class ActivityContainer(Resource):
         self._place = place
 
     @property
-    def shows(self) -> Place | None:
+    def variant_key(self) -> Place | None:
         return self._place
 
-    async def narrowed(self, exchange: Exchange) -> Resource:
+    async def select_variant(self, exchange: Exchange) -> Resource:
         """The page that `?page=` asks for, the first of many pages (303); as a stream, the newest receipt."""
         if exchange.method not in ("GET", "HEAD"):
             return self
@@ -136,7 +136,7 @@ class ActivityContainer(Resource):
     def query(self) -> str:
         return "" if self._place is None else page_query(self._place.token)
 
-    def steps(self) -> tuple[Step, ...]:
+    def navigation_links(self) -> tuple[Step, ...]:
         return () if self._place is None else self._page(self._place)[0].steps()
 
     def listing(self) -> Listing:

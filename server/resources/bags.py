@@ -92,7 +92,7 @@ class BagMessages(Resource):
             self.url, 0, lambda: State(lambda: bag_messages_document(recording, space, page, PAGE))
         )
 
-    def steps(self) -> tuple[Step, ...]:
+    def navigation_links(self) -> tuple[Step, ...]:
         base = self.robot.space.bag_messages(self.recording.name)
         last = max(0, (self.recording.count - 1) // PAGE)
         if self.number is None:
@@ -101,7 +101,7 @@ class BagMessages(Resource):
             places = {"first": 0, "prev": self.number - 1, "next": self.number + 1, "last": last}
         return tuple(Step(rel, f"{base}?page={at}") for rel, at in places.items() if 0 <= at <= last)
 
-    async def narrowed(self, exchange: Exchange) -> Resource:
+    async def select_variant(self, exchange: Exchange) -> Resource:
         """The page that `?page=` asks for; a 404 Problem where there is none."""
         wanted = exchange.query.get("page")
         if wanted is None:
@@ -123,9 +123,9 @@ class BagMessage(Resource):
         self.recording = recording
         self.index = index
         self.title = f"{recording.name}, message {index}"
-        self.links = (*Resource.links, *(Link(step.url, step.rel) for step in self.steps()))
+        self.links = (*Resource.links, *(Link(step.url, step.rel) for step in self.navigation_links()))
 
-    def steps(self) -> tuple[Step, ...]:
+    def navigation_links(self) -> tuple[Step, ...]:
         """The messages before and after, first and last (RFC 8288)."""
         last = self.recording.count - 1
         places = {"first": 0, "prev": self.index - 1, "next": self.index + 1, "last": last}
@@ -162,7 +162,7 @@ class BagMessage(Resource):
 
         return robot.states.keep(self.url, 0, State(describe, plain))
 
-    async def special(self, exchange: Exchange) -> Response | None:
+    async def custom_get(self, exchange: Exchange) -> Response | None:
         if "field" not in exchange.query:
             return None
         return await field_response(self.robot, (await self.message()).sample, exchange.query["field"])

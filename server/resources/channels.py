@@ -130,7 +130,7 @@ class Notifications:
             if not permissions.whole:
                 enforcement.require_path(permissions, "GET", place)
             resource = await _narrowed(self._resolve(scope), exchange)
-            await resource.ready()
+            await resource.prepare()
             if not permissions.whole:
                 enforcement.authorize(permissions, "GET", place, resource)
             return resource, await resource.state()
@@ -168,7 +168,7 @@ class Notifications:
 async def _narrowed(resource: Resource, exchange: Exchange) -> Resource:
     """What query and preferences ask for; a container that is read in pages is followed as a whole."""
     try:
-        return await resource.narrowed(exchange)
+        return await resource.select_variant(exchange)
     except Problem as problem:
         if problem.status != 303:
             raise
@@ -200,7 +200,7 @@ class Described(Resource):
     async def state(self) -> State:
         return State(self.document)
 
-    async def special(self, exchange: Exchange) -> Response | None:
+    async def custom_get(self, exchange: Exchange) -> Response | None:
         members = self.members()
         if members is None or not prefers_json(exchange):
             return None
@@ -292,7 +292,7 @@ class SubscriptionService(Described):
     def members(self) -> Json:
         return self._service.members()
 
-    def streams(self, exchange: Exchange) -> bool:
+    def streams_body(self, exchange: Exchange) -> bool:
         return True
 
     async def post(self, exchange: Exchange) -> Answer:
@@ -310,7 +310,7 @@ class ChannelResource(Described):
 
     kind = "Notification channel"
     title = "Notification channel"
-    lasting = False
+    is_cacheable = False
 
     def __init__(self, notifications: Notifications, channel: Channel) -> None:
         super().__init__(notifications, channel.terms.url)
@@ -335,13 +335,13 @@ class SourceResource(Described):
 
     kind = "Notification source"
     links = (RESOURCE,)
-    lasting = False
+    is_cacheable = False
 
     def __init__(self, notifications: Notifications, channel: Channel) -> None:
         super().__init__(notifications, f"{channel.terms.url}/{SOURCE}")
         self._channel = channel
 
-    async def special(self, exchange: Exchange) -> Response:
+    async def custom_get(self, exchange: Exchange) -> Response:
         if self._channel.terms.type == WEBSOCKET:
             upgrade = {"Upgrade": "websocket", "Connection": "Upgrade"}
             raise Problem(426, f"Open a WebSocket at {self._channel.terms.receive_from}", headers=upgrade)

@@ -76,7 +76,7 @@ class ComplexResource(Resource):
     def constrained_by(self) -> str | None:
         return self.robot.space.shape("limits")
 
-    async def ready(self) -> None:
+    async def prepare(self) -> None:
         await self._plan()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -114,7 +114,7 @@ class ComplexResource(Resource):
         (exists,) = await self.robot.offers.hold(layout, plan.reads, plan.exists_when)
         return self.methods() if exists else ABSENT
 
-    def why_not(self, method: str) -> str:
+    def deny_reason(self, method: str) -> str:
         if self.robot.settings.read_only:
             return "This server is read-only."
         if method == "PATCH":
@@ -158,7 +158,7 @@ class ComplexResource(Resource):
             raise moved(url_of(name, self.robot.space))
         raise Problem(404, f"There is no resource {self.path}.")
 
-    async def special(self, exchange: Exchange) -> Response | None:
+    async def custom_get(self, exchange: Exchange) -> Response | None:
         if not wants_thing(exchange):
             return None
         _, plan = await self._plan()  # it tells what there ever is, also while the resource is not there
@@ -183,11 +183,11 @@ class ComplexResource(Resource):
             changes = self._changes(exchange.media_type, plan, sight, data)
             return await carried_out(self.robot, await planned_changes(self.robot, plan, sight, changes))
 
-    async def planned(self, triples: Sequence[Triple] | None) -> Plan:
+    async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """Within a turn that names `concerned`."""
         robot, (layout, plan) = self.robot, await self._plan()
         if "PATCH" not in self.methods() or triples is None:
-            raise Problem(403, self.why_not("PATCH" if triples is not None else "DELETE"))
+            raise Problem(403, self.deny_reason("PATCH" if triples is not None else "DELETE"))
         sight = await seen_anew(robot, layout, plan.reads)
         view = robot.offers.complex_view(plan, sight)
         body = body_of(triples)

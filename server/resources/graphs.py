@@ -173,7 +173,7 @@ class GraphStore(Resource):
             *about(NamedNode(self._all.url), (rdfs.label, text("All graphs with their names, as N-Quads or TriG"))),
         )
 
-    async def narrowed(self, exchange: Exchange) -> Resource:
+    async def select_variant(self, exchange: Exchange) -> Resource:
         """The graph that is named, as its own URL has it."""
         asked = named(exchange.request.scope["query_string"], self.url)
         if asked.default:
@@ -201,7 +201,7 @@ class GraphStore(Resource):
             raise Problem(400, f"<{graph[:200]}> is the graph store itself, and none of its graphs.")
         if exchange.method in ("PUT", "POST"):
             await _prepare(exchange, resource)
-        return await resource.narrowed(exchange)
+        return await resource.select_variant(exchange)
 
     def _scope(self, exchange: Exchange, graph: str, others: str) -> Scope:
         """The request as it would be at the graph's own URL. Raises Problems for graphs of other places."""
@@ -232,7 +232,7 @@ def _address(below: str, root: str, others: str) -> Scope:
 async def _prepare(exchange: Exchange, resource: Resource) -> None:
     """See to it that a write means what the protocol says: a graph is merged or made, and nothing else happens."""
     if exchange.method == "POST" and not isinstance(resource, Kept):
-        await resource.ready()
+        await resource.prepare()
         raise Problem(
             405,
             "POST merges triples into a graph, and this graph is the robot's own state: PUT or PATCH says what it is "
@@ -261,7 +261,7 @@ class _Whole(Resource):
         super().__init__(url)
         self._service = service
 
-    async def special(self, exchange: Exchange) -> Response:
+    async def custom_get(self, exchange: Exchange) -> Response:
         accept = wished(exchange, formats_of(self.form))
         if exchange.method == "HEAD":
             content_type = results.content_type(results.choose(self.form, accept))
@@ -277,7 +277,7 @@ class DefaultGraph(_Whole):
     form = "CONSTRUCT"
     asked = QueryRequest("CONSTRUCT { ?s ?p ?o } WHERE { ?s ?p ?o }")
 
-    def why_not(self, method: str) -> str:
+    def deny_reason(self, method: str) -> str:
         return "The default graph is all graphs together: write to the one that is to say it, by ?graph="
 
 

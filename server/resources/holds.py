@@ -189,7 +189,7 @@ class HoldResource(Resource):
         about = f"What it was told to say last is then published on {self.hold.topic}."
         return (DeleteForm("End the hold", "End", about),) if "DELETE" in self.methods() else ()
 
-    def followed(self, exchange: Exchange) -> contextlib.AbstractContextManager[float | None]:
+    def keep_alive(self, exchange: Exchange) -> contextlib.AbstractContextManager[float | None]:
         """`?keep=true`: the stream keeps the hold, and says twice a lease that it is alive."""
         if not exchange.flag("keep"):
             return contextlib.nullcontext()
@@ -328,7 +328,7 @@ async def _message_at(url: str, robot: Robot, schema: MessageSchema, find: Find 
         raise Problem(422, f"It is zero, none, or the URL of a message below {base}")
     try:
         resource = find("/" + document[len(base) :])
-        await resource.ready()
+        await resource.prepare()
         state = await resource.state()
     except ValueError as error:
         raise Problem(422, f"{error}.") from error

@@ -24,8 +24,7 @@ from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.describe import action_document, property_document, property_json
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, as_patch, as_read, as_sent, or_null
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.hypermedia.property_writer import PlannedWrite, Written, carry_out
-from rosld.server.hypermedia.property_writer import why_not as why_not_writable
+from rosld.server.hypermedia.property_writer import PlannedWrite, Written, carry_out, not_writable_reason
 from rosld.server.hypermedia.resource_tree import ActionPlan, PropertyPlan, ResourceTree, parent_of
 from rosld.server.hypermedia.schema import value_schema
 from rosld.server.hypermedia.value import MessageValue
@@ -68,7 +67,7 @@ class MemberResource(Resource):
         self.robot = robot
         self.name = name
 
-    async def ready(self) -> None:
+    async def prepare(self) -> None:
         layout = await self.robot.offers.layout()
         if layout.property(self.name) is None and layout.action(self.name) is None:
             raise self._missing(layout)
@@ -132,13 +131,13 @@ class MemberResource(Resource):
             return ABSENT
         return methods if offered else methods - {"GET", "HEAD"}
 
-    def why_not(self, method: str) -> str:
+    def deny_reason(self, method: str) -> str:
         layout = self._layout
         if self.robot.settings.read_only:
             return "This server is read-only."
         plan = layout.property(self.name) if layout is not None else None
         if plan is not None and method in ("PUT", "PATCH"):
-            return why_not_writable(self.robot, plan.of)
+            return not_writable_reason(self.robot, plan.of)
         return f"{self.name} does not answer {method}."
 
     @property
@@ -197,7 +196,7 @@ class MemberResource(Resource):
         plan = layout.property(self.name) or layout.action(self.name)
         return None if plan is None else await self.robot.offers.watch(plan.reads, wake)
 
-    async def special(self, exchange: Exchange) -> Response | None:
+    async def custom_get(self, exchange: Exchange) -> Response | None:
         """`?field=PATH`: the bytes of one field of the value."""
         if b"field=" not in exchange.request.scope["query_string"] or "field" not in exchange.query:
             return None
@@ -241,11 +240,11 @@ class MemberResource(Resource):
             content = self._whole(plan, sight, content)
         return await planned(self.robot, plan.of, content)
 
-    async def planned(self, triples: Sequence[Triple] | None) -> Plan:
+    async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """Within a turn that names `concerned`."""
         layout, plan = await self._property()
         if "PUT" not in self.methods():
-            raise Problem(403, self.why_not("PUT"))
+            raise Problem(403, self.deny_reason("PUT"))
         if triples is None:
             raise Problem(403, f"{self.name} is there for as long as the robot has it: it cannot be dropped.")
         body = body_of(triples)

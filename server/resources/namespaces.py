@@ -195,10 +195,10 @@ class NamespaceContainer(Resource):
         self._sequence = with_hidden(self.url) if hidden else self.url
 
     @property
-    def shows(self) -> tuple[Place | None, bool]:
+    def variant_key(self) -> tuple[Place | None, bool]:
         return self._place, self._hidden
 
-    async def narrowed(self, exchange: Exchange) -> Resource:
+    async def select_variant(self, exchange: Exchange) -> Resource:
         """The page that `?page=` asks for, the first of many pages (303)."""
         if exchange.method not in ("GET", "HEAD"):
             return self
@@ -258,7 +258,7 @@ class NamespaceContainer(Resource):
         parts = [HIDDEN] if self._hidden else []
         return "&".join(parts if self._place is None else [*parts, page_query(self._place.token)])
 
-    def steps(self) -> tuple[Step, ...]:
+    def navigation_links(self) -> tuple[Step, ...]:
         members = self._found()
         return () if self._place is None or members is None else self._page(self._place, members)[0].steps()
 

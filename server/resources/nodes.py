@@ -95,7 +95,7 @@ class NodeResource(Resource):
         """The name by which its lifecycle belongs to what is written under /resources/ only."""
         return next((name for name in (self.name, lifecycle.service) if self.robot.is_resources_only(name)), None)
 
-    def why_not(self, method: str) -> str:
+    def deny_reason(self, method: str) -> str:
         lifecycle = self.lifecycle
         if self.robot.settings.read_only:
             return "This server is read-only."

@@ -96,7 +96,7 @@ class _Parameters(Resource):
     async def methods_now(self) -> frozenset[str]:
         return await self.methods_if_there()
 
-    def why_not(self, method: str) -> str:
+    def deny_reason(self, method: str) -> str:
         if self.robot.settings.read_only:
             return "This server is read-only."
         if self.robot.is_resources_only(self.name):
@@ -199,11 +199,11 @@ class ParameterResource(_Parameters):
     def constrained_by(self) -> str | None:
         return constraint_url(self.url, self._descriptor(self.name)) or super().constrained_by
 
-    def why_not(self, method: str) -> str:
+    def deny_reason(self, method: str) -> str:
         if self.robot.settings.read_only or self.robot.is_resources_only(self.name):
-            return super().why_not(method)
+            return super().deny_reason(method)
         words = parameter_denied_reason(self.robot.graph, self.name, delete=method == "DELETE")
-        return words or super().why_not(method)
+        return words or super().deny_reason(method)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(
@@ -272,12 +272,12 @@ class ParameterResource(_Parameters):
             return Created(tree.url, tree, await tree.state())
         return Created(self.url, self, self.shown(value))
 
-    async def planned(self, triples: Sequence[Triple] | None) -> Plan:
+    async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         methods = self.methods()
         body = body_of(triples or ())
         if not body.objects(NamedNode(self.url), ros.value):
             if "DELETE" not in methods:
-                raise Problem(403, self.why_not("DELETE"))
+                raise Problem(403, self.deny_reason("DELETE"))
             self._require_open(self.name, {})
 
             async def deleted() -> bool:
@@ -286,7 +286,7 @@ class ParameterResource(_Parameters):
 
             return RobotWrite(f"delete the parameter {self.name}", deleted)
         if "PUT" not in methods:
-            raise Problem(403, self.why_not("PUT"))
+            raise Problem(403, self.deny_reason("PUT"))
         value = lower_parameter(body, self.url)
         self._check_place(value, await self._value())
         await self._require_settable({self.name: value})
@@ -354,7 +354,7 @@ class ParameterTree(_Parameters):
         self._sequence = with_hidden(self.url) if hidden else self.url
 
     @property
-    def shows(self) -> tuple[Place | None, bool]:
+    def variant_key(self) -> tuple[Place | None, bool]:
         return self._place, self._hidden
 
     @property
@@ -454,7 +454,7 @@ class ParameterTree(_Parameters):
     def _members(self) -> Members | None:
         return listed_members(self.robot, "parameters", self.namespace, hidden=self._hidden)
 
-    async def narrowed(self, exchange: Exchange) -> Resource:
+    async def select_variant(self, exchange: Exchange) -> Resource:
         """The page that `?page=` asks for, the first of many pages (303) where the container is asked for."""
         if exchange.method not in ("GET", "HEAD"):
             return self
@@ -491,7 +491,7 @@ class ParameterTree(_Parameters):
         parts = [HIDDEN] if self._hidden else []
         return "&".join(parts if self._place is None else [*parts, page_query(self._place.token)])
 
-    def steps(self) -> tuple[Step, ...]:
+    def navigation_links(self) -> tuple[Step, ...]:
         members = self._members()
         if self._place is None or members is None:
             return ()

@@ -182,7 +182,7 @@ class ShippedQuery(Resource):
     """A query that comes with rosld. Results come in every format; its RDF description and its text are there too."""
 
     kind = "Stored query"
-    lasting = False
+    is_cacheable = False
 
     def __init__(self, robot: Robot, query: StoredQuery, runner: Runner) -> None:
         super().__init__(robot.space.query(query.name))
@@ -194,7 +194,7 @@ class ShippedQuery(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return _query_item(self._query.purpose, self._query.parameters)
 
-    def why_not(self, method: str) -> str:
+    def deny_reason(self, method: str) -> str:
         if self.robot.settings.read_only:
             return "This server is read-only."
         room = self.robot.space.container("queries")
@@ -203,7 +203,7 @@ class ShippedQuery(Resource):
     async def state(self) -> State:
         return self.robot.states.get(self.url, 0, lambda: State(partial(shipped_document, self.url, self._query)))
 
-    async def special(self, exchange: Exchange) -> Response | None:
+    async def custom_get(self, exchange: Exchange) -> Response | None:
         if not exchange.query.get("format") and negotiation.choose(exchange.accept, (*OFFERS, DIRECT)) == DIRECT:
             return Response(self._query.text, media_type=f"{DIRECT}; charset=utf-8")
         return await self._runner.answer(exchange, self, self._query)
@@ -228,7 +228,7 @@ class KeptQuery(KeptFile):
         super().__init__(robot, path)
         self._runner = runner
 
-    async def narrowed(self, exchange: Exchange) -> Resource:
+    async def select_variant(self, exchange: Exchange) -> Resource:
         await _require_size(self.robot, exchange)
         return self
 
@@ -239,9 +239,9 @@ class KeptQuery(KeptFile):
     async def state(self) -> State:
         return _described(self.robot, self.there())
 
-    async def special(self, exchange: Exchange) -> Response | None:
+    async def custom_get(self, exchange: Exchange) -> Response | None:
         if not exchange.query.get("format") and negotiation.choose(exchange.accept, (*OFFERS, DIRECT)) == DIRECT:
-            return await super().special(exchange)
+            return await super().custom_get(exchange)
         record = self.there()
         query = await self.robot.queries.usable(record)
         state = f"{self.robot.records.identity}-{record.version}"
@@ -269,19 +269,19 @@ class AbsentQuery(AbsentResource):
         methods = READ if self.robot.settings.read_only else READ | {"PUT", "DELETE"}
         return replace(_query_item("A stored query that may be made", ()), methods=methods)
 
-    async def narrowed(self, exchange: Exchange) -> Resource:
+    async def select_variant(self, exchange: Exchange) -> Resource:
         if exchange.method == "PUT":
             await _require_size(self.robot, exchange)
-        return await super().narrowed(exchange)
+        return await super().select_variant(exchange)
 
 
 class QueryContainer(ContainerResource):
     """`/queries/`: what clients keep there, and beside it what comes with rosld."""
 
-    async def narrowed(self, exchange: Exchange) -> Resource:
+    async def select_variant(self, exchange: Exchange) -> Resource:
         if exchange.method == "POST":
             await _require_size(self.robot, exchange)
-        found = await super().narrowed(exchange)
+        found = await super().select_variant(exchange)
         if type(found) is ContainerResource:
             return QueryContainer(self.robot, self.path, found._parts, found._place)
         return found

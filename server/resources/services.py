@@ -71,7 +71,7 @@ class ServiceResource(Resource):
         allowed = Operation.CALL in self.robot.adapter.allows(Ref(Kind.SERVICE, self.name))
         return READ | {"POST"} if allowed else READ
 
-    def why_not(self, method: str) -> str:
+    def deny_reason(self, method: str) -> str:
         if self.robot.settings.read_only:
             return "This server is read-only."
         if method == "POST" and self.robot.is_resources_only(self.name):

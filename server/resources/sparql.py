@@ -287,7 +287,7 @@ class SparqlResource(Resource):
             (sd.defaultEntailmentRegime, NamedNode("http://www.w3.org/ns/entailment/Simple")),
         )
 
-    async def narrowed(self, exchange: Exchange) -> Resource:
+    async def select_variant(self, exchange: Exchange) -> Resource:
         if exchange.method == "POST" and exchange.essence == UPDATE and self._updates is None:
             raise self._no_updates()
         return self
@@ -298,7 +298,7 @@ class SparqlResource(Resource):
         taken = ", ".join(self.accepts["POST"])
         return Problem(415, "Updates are not taken here, only queries.", headers={"Accept-Post": taken})
 
-    async def special(self, exchange: Exchange) -> Response | None:
+    async def custom_get(self, exchange: Exchange) -> Response | None:
         accept = wished(exchange)
         if exchange.query.keys().isdisjoint(_PROTOCOL):
             if not exchange.query.keys().isdisjoint(_OF_GRAPHS):

@@ -35,7 +35,7 @@ class FileResource(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(self._summary, (self._media_type.partition(";")[0],), OBJECT, (), streams=False)
 
-    async def special(self, exchange: Exchange) -> Response | None:
+    async def custom_get(self, exchange: Exchange) -> Response | None:
         etag = ETag(digest(self._data), "bin")
         headers = {
             **standing_headers(self),

@@ -76,9 +76,9 @@ class StopResource(Resource):
     def methods(self) -> frozenset[str]:
         return READ | {"POST", "DELETE"} if may_stop(self.robot) is None else READ
 
-    def why_not(self, method: str) -> str:
+    def deny_reason(self, method: str) -> str:
         if method in ("POST", "DELETE"):
-            return may_stop(self.robot) or super().why_not(method)
+            return may_stop(self.robot) or super().deny_reason(method)
         return f"POST stops the robot, DELETE lets it be moved again; it does not answer {method}."
 
     async def state(self) -> State:

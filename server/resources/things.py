@@ -123,6 +123,6 @@ class RobotThing(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The Thing Description of the whole robot", (MEDIA_TYPE,), OBJECT, (), streams=False)
 
-    async def special(self, exchange: Exchange) -> Response | None:
+    async def custom_get(self, exchange: Exchange) -> Response | None:
         layout = await self.robot.offers.layout()
         return thing_response(exchange, self.robot, robot_thing(self.robot, layout, exchange.permissions))

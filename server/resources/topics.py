@@ -145,10 +145,10 @@ class TopicResource(Resource):
             return f"{self.name} belongs to ROS itself."
         return None if _LEGAL.fullmatch(self.name) else f"{self.name!r} is no legal name for a new topic."
 
-    def why_not(self, method: str) -> str:
+    def deny_reason(self, method: str) -> str:
         if method == "DELETE" and self.why_unwritable() is None:
             return f"rosld does not advertise {self.name}, so there is nothing to delete."
-        return self.why_unwritable() or super().why_not(method)
+        return self.why_unwritable() or super().deny_reason(method)
 
     async def state(self) -> State:
         robot = self.robot
@@ -235,7 +235,7 @@ class TopicResource(Resource):
             return None
         return cast(Json, parse_json(lifter(decoded.schema, self.robot.lifting).json(decoded.message, self.url)))
 
-    async def special(self, exchange: Exchange) -> Response | None:
+    async def custom_get(self, exchange: Exchange) -> Response | None:
         """`?field=PATH`: the bytes of one field of the latest message."""
         if b"field=" not in exchange.request.scope["query_string"] or "field" not in exchange.query:
             return None
@@ -246,7 +246,7 @@ class TopicResource(Resource):
             raise Problem(404, f"{self.name} has no message yet, so no field {exchange.query['field']!r}.")
         return await field_response(self.robot, view.newest, exchange.query["field"])
 
-    async def planned(self, triples: Sequence[Triple] | None) -> Plan:
+    async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         denied_reason = self.why_unwritable()
         if denied_reason is not None:
             raise Problem(403, denied_reason)

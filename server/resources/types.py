@@ -62,7 +62,7 @@ class TypeResource(Resource):
         self.robot = robot
         self.ref = TypeRef(name, hash)
 
-    async def narrowed(self, exchange: Exchange) -> Resource:
+    async def select_variant(self, exchange: Exchange) -> Resource:
         hash = exchange.query.get("hash")
         return self if hash is None else TypeResource(self.robot, self.ref.name, hash)
 
@@ -118,8 +118,8 @@ class WholeShapeResource(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(_SUMMARIES[self.title])
 
-    def why_not(self, method: str) -> str:
-        return _why_not(self.robot, self.url, method)
+    def deny_reason(self, method: str) -> str:
+        return _deny_reason(self.robot, self.url, method)
 
     async def methods_now(self) -> frozenset[str]:
         return await self.methods_if_there()
@@ -223,16 +223,16 @@ class PackageName(Resource):
     """`/shapes/PKG`: the shapes of a package are at the URL that ends in a slash, and nothing else has its name."""
 
     kind = "Shape"
-    lasting = False
+    is_cacheable = False
 
     def __init__(self, robot: Robot, name: str) -> None:
         super().__init__(robot.space.shape(name))
         self.robot = robot
 
-    def why_not(self, method: str) -> str:
-        return _why_not(self.robot, self.url, method)
+    def deny_reason(self, method: str) -> str:
+        return _deny_reason(self.robot, self.url, method)
 
-    async def narrowed(self, exchange: Exchange) -> Resource:
+    async def select_variant(self, exchange: Exchange) -> Resource:
         if exchange.method in ("GET", "HEAD"):
             raise moved(f"{self.url}/")
         return self
@@ -241,8 +241,8 @@ class PackageName(Resource):
 class LimitsContainer(ContainerResource):
     """`/shapes/`: the packages with the shapes of their types, and the limits that clients keep."""
 
-    async def narrowed(self, exchange: Exchange) -> Resource:
-        found = await super().narrowed(exchange)
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        found = await super().select_variant(exchange)
         if type(found) is ContainerResource:
             return LimitsContainer(self.robot, self.path, found._parts, found._place)
         return found
@@ -303,7 +303,7 @@ def _packages(robot: Robot) -> set[str]:
     return {ref.name.partition("/")[0] for ref in known_types(robot)}
 
 
-def _why_not(robot: Robot, url: str, method: str) -> str:
+def _deny_reason(robot: Robot, url: str, method: str) -> str:
     if robot.settings.read_only:
         return "This server is read-only."
     room = robot.space.container("shapes")

@@ -151,7 +151,7 @@ class Pages:
         forms = await resource.forms()
         form = next((form for form in forms if form.method == method and not form.action), None)
         if form is None:
-            raise Problem(405, resource.why_not(method or "POST"), headers={"Allow": ", ".join(resource.methods())})
+            raise Problem(405, resource.deny_reason(method or "POST"), headers={"Allow": ", ".join(resource.methods())})
         try:
             value = _value(form, typed)
         except LoweringError as error:

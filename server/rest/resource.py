@@ -45,7 +45,7 @@ class Resource:
     """The media types that PUT, POST and PATCH take, by method."""
     in_turn: frozenset[str] = frozenset()
     """The methods whose outcome depends on what is there: such writes of one URL are carried out in turn."""
-    lasting = True
+    is_cacheable = True
     """Whether the same path means the same kind of resource for ever."""
     takes_forms = True
     """Whether a posted form is one of our pages' (else the resource reads it itself)."""
@@ -56,7 +56,7 @@ class Resource:
         self.url = url
 
     @property
-    def shows(self) -> Hashable:
+    def variant_key(self) -> Hashable:
         """What of its URL's state it shows, where that is not the whole: a page, some parts."""
         return None
 
@@ -65,13 +65,13 @@ class Resource:
         return (
             isinstance(other, Resource)
             and type(other) is type(self)
-            and (other.url, other.shows) == (self.url, self.shows)
+            and (other.url, other.variant_key) == (self.url, self.variant_key)
         )
 
     def __hash__(self) -> int:
-        return hash((self.url, self.shows))
+        return hash((self.url, self.variant_key))
 
-    async def ready(self) -> None:
+    async def prepare(self) -> None:
         """Learn what must be known before anything else can be told. Called first on each request."""
 
     @property
@@ -101,7 +101,7 @@ class Resource:
         """What its URL answers, for the description of the server; `schemas` gives and collects those of messages."""
         return PathItem(self.kind)
 
-    def why_not(self, method: str) -> str:
+    def deny_reason(self, method: str) -> str:
         """Why a verb is not allowed, in a sentence for a 405."""
         return f"{self.kind} resources do not answer {method}."
 
@@ -155,7 +155,7 @@ class Resource:
             csrf,
             tuple(notices),
             self.listing(),
-            self.steps(),
+            self.navigation_links(),
             offer=state.view,
             query=self.query,
         )
@@ -176,36 +176,36 @@ class Resource:
         """What its page tells of its members beside their names."""
         return None
 
-    def steps(self) -> tuple[Step, ...]:
+    def navigation_links(self) -> tuple[Step, ...]:
         """The neighbours that its page links to."""
         return ()
 
-    async def narrowed(self, exchange: Exchange) -> Resource:
+    async def select_variant(self, exchange: Exchange) -> Resource:
         """The resource that query and preferences ask for: a page of this one, a variant, itself."""
         return self
 
-    def streams(self, exchange: Exchange) -> bool:
+    def streams_body(self, exchange: Exchange) -> bool:
         """Whether a write reads its body itself, as it comes, because it may be larger than memory."""
         return False
 
-    def followed(self, exchange: Exchange) -> AbstractContextManager[float | None]:
+    def keep_alive(self, exchange: Exchange) -> AbstractContextManager[float | None]:
         """What lasts as long as an event stream of its changes. Raises Problems; entering what it gives raises nothing.
 
         Entered, that gives the seconds after which the stream says that it is alive, None for the usual.
         """
         return nullcontext()
 
-    async def special(self, exchange: Exchange) -> Response | None:
+    async def custom_get(self, exchange: Exchange) -> Response | None:
         """An answer to a GET that is no representation of the whole, such as the bytes of one field."""
         return None
 
-    async def planned(self, triples: Sequence[Triple] | None) -> Plan:
+    async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """How its graph comes to say these triples and nothing else; None: how it comes to be no more.
 
         Everything that can be refused is, and nothing moves. Raises Problems (403 where it cannot be written at all),
         LoweringError for what does not fit, and RosError.
         """
-        raise Problem(403, self.why_not("PUT"))
+        raise Problem(403, self.deny_reason("PUT"))
 
     async def put(self, exchange: Exchange) -> Answer:
         raise _not_there(self, "PUT")
@@ -244,7 +244,7 @@ Answer: TypeAlias = Response | Created | Shown
 
 
 def _not_there(resource: Resource, method: str) -> Problem:
-    return Problem(405, resource.why_not(method), headers={"Allow": allow(resource)})
+    return Problem(405, resource.deny_reason(method), headers={"Allow": allow(resource)})
 
 
 def moved(url: str) -> Problem:

@@ -55,8 +55,8 @@ class Dispatcher:
     async def answer(self, exchange: Exchange, resource: Resource) -> Response:
         """The response to a request on a resource; raises Problems. Either says what it is (LDP 4.2.1.4)."""
         try:
-            resource = await resource.narrowed(exchange)
-            await resource.ready()
+            resource = await resource.select_variant(exchange)
+            await resource.prepare()
             if not exchange.permissions.whole:
                 self._permissions(exchange, resource)
                 exchange.answering = resource
@@ -84,11 +84,11 @@ class Dispatcher:
         if _is_form(exchange, resource):
             return await self._form(exchange, resource)
         if method not in resource.methods():
-            raise Problem(405, resource.why_not(method), headers={"Allow": allow(resource)})
+            raise Problem(405, resource.deny_reason(method), headers={"Allow": allow(resource)})
         try:
             _refuse_partial_put(exchange)
             _check_media_type(exchange, resource)
-            if method != "DELETE" and not resource.streams(exchange):
+            if method != "DELETE" and not resource.streams_body(exchange):
                 await exchange.octets()  # before the preconditions: nothing is to come between them and the write
             answer = await self._written(exchange, resource)
         except (BodyError, LoweringError, Problem) as error:
@@ -112,7 +112,7 @@ class Dispatcher:
 
     async def read(self, exchange: Exchange, resource: Resource) -> Response:
         """GET and HEAD."""
-        special = await resource.special(exchange)
+        special = await resource.custom_get(exchange)
         if special is not None:
             return special
         if query_params.stream_is_preferred(exchange.accept, OFFERS):
@@ -225,8 +225,8 @@ class Dispatcher:
         telling = StreamFormat(variant, render, self._name, exchange.visit.still, redact)
         if media_type == HTML:
             telling = replace(telling, edition=lambda: self.pages.edition)
-        known, lasting = exchange.header("last-event-id"), resource.followed(exchange)
-        return EventStream(self.feeds, resource, telling, rate, known, headers, lasting)
+        known, lease = exchange.header("last-event-id"), resource.keep_alive(exchange)
+        return EventStream(self.feeds, resource, telling, rate, known, headers, lease)
 
     async def _wait_for_another(self, exchange: Exchange, resource: Resource, state: State) -> None:
         """Until the state is another than `?after=`, at most `?timeout=`."""

@@ -206,7 +206,7 @@ class Router:
             if not is_spelt and scope["method"] in ("GET", "HEAD"):
                 query = scope["query_string"].decode("latin-1")
                 raise moved(f"{resource.url}?{query}" if query else resource.url)
-            if not resource.lasting or not is_spelt:
+            if not resource.is_cacheable or not is_spelt:
                 return resource
             if len(self._kept) >= _MOST:
                 self._kept.pop(next(iter(self._kept)))

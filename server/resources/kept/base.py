@@ -28,7 +28,7 @@ ALSO_OF_KEPT = (303, 410, 507)
 class Kept(Resource):
     """What all of them have in common. `path` is the URL without the base."""
 
-    lasting = False
+    is_cacheable = False
 
     def __init__(self, robot: Robot, path: str) -> None:
         super().__init__(robot.space.base + path)
@@ -47,7 +47,7 @@ class Kept(Resource):
     def methods(self) -> frozenset[str]:
         return READ if self.robot.settings.read_only else READ | self.writes
 
-    def why_not(self, method: str) -> str:
+    def deny_reason(self, method: str) -> str:
         if self.robot.settings.read_only:
             return "This server is read-only."
         return f"{self.kind} resources do not answer {method}."

@@ -47,7 +47,7 @@ class ContainerResource(SourceResource):
         self.links = model_links(record.model if record is not None else Model.BASIC_CONTAINER)
 
     @property
-    def shows(self) -> tuple[Parts, Place | None]:
+    def variant_key(self) -> tuple[Parts, Place | None]:
         return self._parts, self._place
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -57,7 +57,7 @@ class ContainerResource(SourceResource):
         is_root = self.path.count("/") == 1
         return super().methods() - ({"DELETE"} if is_root else frozenset())
 
-    async def narrowed(self, exchange: Exchange) -> Resource:
+    async def select_variant(self, exchange: Exchange) -> Resource:
         """The parts that Prefer asks for (LDP 7.2), the page that `?page=` does, the first of many pages (303)."""
         if exchange.method not in ("GET", "HEAD"):
             return self
@@ -79,14 +79,14 @@ class ContainerResource(SourceResource):
     def query(self) -> str:
         return "" if self._place is None else page_query(self._place.token)
 
-    def steps(self) -> tuple[Step, ...]:
+    def navigation_links(self) -> tuple[Step, ...]:
         record = self.robot.records.get(self.path)
         return () if self._place is None or record is None else page_at(self.robot, record, self._place)[0].steps()
 
     async def forms(self) -> Sequence[Form]:
         return ()  # a form that is posted here is a file like any other
 
-    def streams(self, exchange: Exchange) -> bool:
+    def streams_body(self, exchange: Exchange) -> bool:
         return exchange.method == "POST" and self._model(exchange) is Model.NON_RDF_SOURCE
 
     def _model(self, exchange: Exchange) -> Model:

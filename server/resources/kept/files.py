@@ -44,7 +44,7 @@ class KeptFile(Kept):
         super().__init__(robot, path)
         self.links = (*model_links(Model.NON_RDF_SOURCE), Link(self.url + META, "describedby"))
 
-    def streams(self, exchange: Exchange) -> bool:
+    def streams_body(self, exchange: Exchange) -> bool:
         return exchange.method == "PUT"
 
     async def state(self) -> State:
@@ -52,7 +52,7 @@ class KeptFile(Kept):
 
     in_turn = frozenset({"PATCH"})
 
-    async def special(self, exchange: Exchange) -> Response | None:
+    async def custom_get(self, exchange: Exchange) -> Response | None:
         while True:
             record = self.there()
             try:

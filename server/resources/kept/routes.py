@@ -86,7 +86,7 @@ class AbsentResource(Kept):
     def methods(self) -> frozenset[str]:
         return ABSENT if self.robot.settings.read_only else ABSENT | self.accepts.keys()
 
-    async def narrowed(self, exchange: Exchange) -> Resource:
+    async def select_variant(self, exchange: Exchange) -> Resource:
         method = exchange.method
         may_make = method in ("PUT", "OPTIONS") or exchange.essence in self.accepts.get(method, ())
         if not may_make:
@@ -118,15 +118,15 @@ class AbsentResource(Kept):
             raise missing(self.robot, self.path)
         return state_of(self.robot, found)  # it was made while this request waited for its turn
 
-    def streams(self, exchange: Exchange) -> bool:
+    def streams_body(self, exchange: Exchange) -> bool:
         return exchange.method == "PUT" and self._model(exchange) is Model.NON_RDF_SOURCE
 
     def _model(self, exchange: Exchange) -> Model:
         return asked_model(exchange, self.url, container=self.url.endswith("/"))
 
-    async def planned(self, triples: Sequence[Triple] | None) -> StorageWrite:
+    async def plan_graph_write(self, triples: Sequence[Triple] | None) -> StorageWrite:
         if "PUT" not in self.methods():
-            raise Problem(403, self.why_not("PUT"))
+            raise Problem(403, self.deny_reason("PUT"))
         if triples is None:
             raise missing(self.robot, self.path)
         return StorageWrite(

@@ -124,10 +124,10 @@ class SourceResource(Kept):
         require_same_members(before, after, self.url)
         return after
 
-    async def planned(self, triples: Sequence[Triple] | None) -> StorageWrite:
+    async def plan_graph_write(self, triples: Sequence[Triple] | None) -> StorageWrite:
         method = "DELETE" if triples is None else "PUT"
         if method not in self.methods():
-            raise Problem(403, self.why_not(method))
+            raise Problem(403, self.deny_reason(method))
         if triples is None:
             return StorageWrite(f"delete {self.title}", (Remove(self.path, self.there().version),))
         record = self.there()

@@ -227,10 +227,10 @@ class Updates:
         for change in changes:
             try:
                 resource = self._resource(change.graph)
-                await resource.ready()
+                await resource.prepare()
                 require_change(permissions, change.graph, resource)
                 if resource.methods() <= READ:
-                    raise Problem(403, resource.why_not("PATCH" if {*resource.accepts} == {"PATCH"} else "PUT"))
+                    raise Problem(403, resource.deny_reason("PATCH" if {*resource.accepts} == {"PATCH"} else "PUT"))
                 found.append(Target(change, resource))
             except (Problem, RosError) as error:
                 reasons.append((change.graph, reason(error)))
@@ -291,8 +291,8 @@ class Updates:
         return found
 
     async def _plan(self, change: GraphChange, resource: Resource) -> Plan:
-        await resource.ready()
-        return await resource.planned(change.after)
+        await resource.prepare()
+        return await resource.plan_graph_write(change.after)
 
     async def _done(self, plans: Sequence[Planned]) -> Response | None:
         """Carry plans out: what is kept in one transaction, then what moves the robot, one after the other."""

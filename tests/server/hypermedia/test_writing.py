@@ -53,8 +53,8 @@ from rosld.server.hypermedia.property_writer import (
     Written,
     carry_out,
     lowered,
+    not_writable_reason,
     plan_write,
-    why_not,
     writer_of,
 )
 from rosld.server.hypermedia.type_inference import kind_of
@@ -249,7 +249,7 @@ def test_the_setter_writes_what_a_sensor_s_topic_shows() -> None:
         only_topic = replace(flight.property(SPEED), writers=(flight.property(SPEED).writers[-1],))
         assert isinstance(only_topic.writers[0], TopicSource)
         assert writer_of(flight.robot, only_topic) is None
-        assert "is published by /aircraft" in why_not(flight.robot, only_topic)
+        assert "is published by /aircraft" in not_writable_reason(flight.robot, only_topic)
 
     flown(main)
 
@@ -258,7 +258,7 @@ def test_a_read_only_server_writes_nothing() -> None:
     async def main(flight: Flight) -> None:
         for own in flight.catalogue.properties.values():
             assert writer_of(flight.robot, own) is None
-            assert why_not(flight.robot, own) == "This server is read-only."
+            assert not_writable_reason(flight.robot, own) == "This server is read-only."
         with pytest.raises(Problem) as caught:
             flight.plan(POWER, "on")
         assert caught.value.status == 405
@@ -355,19 +355,19 @@ def test_the_first_writer_that_may_write_now_does() -> None:
 
 
 def test_why_nothing_writes_is_told_of_every_writer() -> None:
-    told = why_not(robot(Graph(1))[0], writable())
+    told = not_writable_reason(robot(Graph(1))[0], writable())
     assert told == (
         "There is no service /robot/set_x any more. There is no parameter /robot/x any more. "
         "There is no topic /robot/x any more."
     )
     uncallable = {"/robot/set_x": Service("/robot/set_x", SET.ref, (), "its definition is not known")}
     nothing = robot(replace(WHOLE_GRAPH, services=uncallable), ())[0]
-    assert why_not(nothing, writable()) == (
+    assert not_writable_reason(nothing, writable()) == (
         "The service /robot/set_x cannot be called: its definition is not known. "
         "The parameter /robot/x of this fake cannot be set. Nothing can be published on /robot/x of a fake."
     )
-    assert why_not(robot()[0], writable(TopicSource(X, None))) == "The type of /robot/x is not known."
-    assert why_not(robot()[0], Property(X, OpenKind())) == (
+    assert not_writable_reason(robot()[0], writable(TopicSource(X, None))) == "The type of /robot/x is not known."
+    assert not_writable_reason(robot()[0], Property(X, OpenKind())) == (
         "/robot/x has no setter, no parameter and no topic that could be written."
     )
 

@@ -283,9 +283,9 @@ def test_a_thousand_changed_topics_cost_a_query_over_ten_only_these_ten(
             best = float("inf")
             for _ in range(7):
                 source.tick()
-                begun = time.perf_counter()
+                begun = time.process_time()  # whatever else the machine does
                 assert len(await endpoint.rows(query)) == 10 * source.fields
-                best = min(best, time.perf_counter() - begun)
+                best = min(best, time.process_time() - begun)
             return best
 
         small, large = make_source(10), make_source(1000)

@@ -1,4 +1,4 @@
-"""Photographs the demo for the README: `python docs/screenshots.py` writes the pictures beside it.
+"""Photographs the demo for the README: `python docs/screenshots.py` writes the pictures to `docs/images`.
 
 It starts `rosld serve aircraft` on a free port, waits for the URL on its standard output, starts the aircraft, and ends
 it all again. Needs chromium and the fonts in tests/debian-browser.txt.
@@ -16,7 +16,7 @@ from pathlib import Path
 from urllib.parse import quote
 from urllib.request import Request, urlopen
 
-HERE = Path(__file__).parent
+IMAGES = Path(__file__).parent / "images"
 QUERY = """PREFIX ros: <https://w3id.org/rosld#>
 
 SELECT ?node ?topic ?type ?rate WHERE {
@@ -67,8 +67,8 @@ def main() -> None:
         urlopen(Request(f"{base}resources/aircraft/start", method="POST"), timeout=30).close()
         for name, (path, size) in PICTURES.items():
             urlopen(base + path, timeout=30).close()  # the first look subscribes, so the second has a value
-            photograph(base + path, HERE / name, size)
-            print(HERE / name)
+            photograph(base + path, IMAGES / name, size)
+            print(IMAGES / name)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 Settings          the values, checked when made
 setting(...)      declares one: `option` is its own option of `rosld serve`; the others are given with --setting
-describe()        the table of `docs/settings.md`
+describe()        the table of `docs/reference/settings.md`
 """
 
 from __future__ import annotations
@@ -430,12 +430,12 @@ def canonical_base(url: str) -> str:
 
 
 def describe() -> str:
-    """The settings as a Markdown table: what `docs/settings.md` holds."""
+    """The settings as a Markdown table: what `docs/reference/settings.md` holds."""
     rows = "".join(_row(one) for one in declarations())
     return (
         "# Settings\n\n"
         "Those with an option are given to `rosld serve` by it, the others with `--setting NAME VALUE`.\n"
-        "This page is written by `python -m rosld.server.settings > docs/settings.md`.\n\n"
+        "This page is written by `python -m rosld.server.settings > docs/reference/settings.md`.\n\n"
         "| setting | option | default | what it means |\n|---|---|---|---|\n" + rows
     )
 

@@ -1,4 +1,4 @@
-"""`docs/mapping.md` and these tests are one: each test that is named there is here, and each that is here is named."""
+"""`docs/reference/mapping.md` and these tests are one: each test that is named there is here, and each that is here is named."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NAMED = re.compile(r"tests/paper/(test_\w+\.py)::(test_\w+)")
 
 def named() -> set[tuple[str, str]]:
     """The tests that the document names."""
-    return set(NAMED.findall((HERE.parents[1] / "docs" / "mapping.md").read_text("utf-8")))
+    return set(NAMED.findall((HERE.parents[1] / "docs" / "reference" / "mapping.md").read_text("utf-8")))
 
 
 def written() -> set[tuple[str, str]]:

@@ -26,8 +26,8 @@ def test_every_setting_says_what_it_means_and_how_it_is_given(one: declared.Decl
 
 
 def test_the_page_of_settings_is_up_to_date() -> None:
-    written = (ROOT / "docs" / "settings.md").read_text("utf-8")
-    assert written == declared.describe(), "run: python -m rosld.server.settings > docs/settings.md"
+    written = (ROOT / "docs" / "reference" / "settings.md").read_text("utf-8")
+    assert written == declared.describe(), "run: python -m rosld.server.settings > docs/reference/settings.md"
 
 
 def test_the_defaults_are_sound_and_cannot_be_changed() -> None:

@@ -1,4 +1,4 @@
-"""`docs/sparql.md` is true: each query of it is asked here, each update done, and what comes is as it is printed."""
+"""`docs/reference/sparql.md` is true: each query of it is asked here, each update done, and what comes is as it is printed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import httpx
 import pytest
 
-TEXT = (Path(__file__).parents[2] / "docs" / "sparql.md").read_text("utf-8")
+TEXT = (Path(__file__).parents[2] / "docs" / "reference" / "sparql.md").read_text("utf-8")
 BLOCK = re.compile(r"(?:<!-- (?P<on>aircraft[^>]*) -->\n)?```(?P<kind>\w+)\n(?P<text>.*?)```\n", re.DOTALL)
 PRINTED = "http://127.0.0.1:8080/"
 

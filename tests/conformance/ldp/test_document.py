@@ -1,4 +1,4 @@
-"""`docs/conformance.md` and the tests agree: every clause has its row, every row its tests, every test its row."""
+"""`docs/reference/conformance.md` and the tests agree: every clause has its row, every row its tests, every test its row."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import pytest
 
 HERE = Path(__file__).parent
-PAGE = HERE.parents[2] / "docs" / "conformance.md"
+PAGE = HERE.parents[2] / "docs" / "reference" / "conformance.md"
 COUNTS = (
     {"4.2.1": 6, "4.2.2": 2, "4.2.4": 6, "4.2.6": 1, "4.2.7": 1, "4.2.8": 2, "4.3.1": 13, "4.3.2": 3, "4.4.1": 2}
     | {"5.2.1": 5, "5.2.3": 14, "5.2.4": 2, "5.2.5": 2, "5.2.7": 1, "5.2.8": 1, "5.3.1": 1}

@@ -1,4 +1,4 @@
-"""`docs/conformance.md` and the tests agree: every test case of W3C has its row, every row its test."""
+"""`docs/reference/conformance.md` and the tests agree: every test case of W3C has its row, every row its test."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
-PAGE = HERE.parents[2] / "docs" / "conformance.md"
+PAGE = HERE.parents[2] / "docs" / "reference" / "conformance.md"
 CASES = frozenset(
     [
         "query_post_form",

@@ -2,7 +2,7 @@
 
 The default graph of a test is moved as well, for here it is the union of all graphs: WITH, or GRAPH where WITH cannot
 stand, names the graph that is taken for it. What cannot be told so, or comes to something else here, is in
-`DIFFERENT`, and in `docs/conformance.md` with the reason.
+`DIFFERENT`, and in `docs/reference/conformance.md` with the reason.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from tests.conformance.sparql.conftest import Store
 
 SUITE = Path(__file__).parent / "w3c"
-PAGE = SUITE.parents[2].parent / "docs" / "conformance.md"
+PAGE = SUITE.parents[2].parent / "docs" / "reference" / "conformance.md"
 MF = Namespace("http://www.w3.org/2001/sw/DataAccess/tests/test-manifest#")
 UT = Namespace("http://www.w3.org/2009/sparql/tests/test-update#")
 EXAMPLE = "http://example.org/"

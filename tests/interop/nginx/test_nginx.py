@@ -1,4 +1,4 @@
-"""nginx with `docs/nginx.conf`, and curl before it: what is sent arrives, whatever upgrades are asked for."""
+"""nginx with `docs/how-to/nginx.conf`, and curl before it: what is sent arrives, whatever upgrades are asked for."""
 
 from __future__ import annotations
 

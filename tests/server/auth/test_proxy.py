@@ -1,4 +1,4 @@
-"""rosld behind nginx, with the configuration of `docs/nginx.conf` but for its ports and files."""
+"""rosld behind nginx, with the configuration of `docs/how-to/nginx.conf` but for its ports and files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.server.auth.test_files import certificate
 from tests.server.conftest import Served
 
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
-CONF = Path(__file__).parents[3] / "docs" / "nginx.conf"
+CONF = Path(__file__).parents[3] / "docs" / "how-to" / "nginx.conf"
 
 
 def free_port() -> int:

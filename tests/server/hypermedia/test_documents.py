@@ -38,7 +38,7 @@ URL = "http://127.0.0.1:8080/mappings/aircraft"
 TURTLE = "text/turtle"
 AIRCRAFT = Path(str(files("rosld.adapters.aircraft"))) / "mapping.ttl"
 TEXT = AIRCRAFT.read_text()
-GUIDE = Path(__file__).parents[3] / "docs" / "resources.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "reference" / "resources.md"
 PREFIXES = """
 @prefix map: <https://w3id.org/rosld/mapping#> .
 @prefix av: <https://w3id.org/rosld/aircraft#> .

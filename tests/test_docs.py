@@ -1,0 +1,53 @@
+"""The documentation: every link in it leads somewhere."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from pathlib import Path
+from urllib.parse import unquote
+
+ROOT = Path(__file__).parent.parent
+LINK = re.compile(r"\]\(([^()\s]+)\)")
+FENCE = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
+
+
+def pages() -> list[Path]:
+    return [ROOT / name for name in ("README.md", "CONTRIBUTING.md")] + sorted(ROOT.glob("docs/**/*.md"))
+
+
+@cache
+def anchors(page: Path) -> frozenset[str]:
+    """The anchors of a page's headings, as GitHub makes them."""
+    found: dict[str, int] = {}
+    for heading in re.findall(r"^#+ (.*)$", FENCE.sub("", page.read_text("utf-8")), re.MULTILINE):
+        text = re.sub(r"[^\w\- ]", "", re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower()).replace(" ", "-")
+        found[text] = found.get(text, -1) + 1
+    return frozenset(
+        text if number == 0 else f"{text}-{number}" for text, most in found.items() for number in range(most + 1)
+    )
+
+
+def test_every_relative_link_leads_to_a_file_and_a_heading() -> None:
+    broken = []
+    for page in pages():
+        for link in LINK.findall(FENCE.sub("", page.read_text("utf-8"))):
+            if re.match(r"[a-z]+:", link):
+                continue
+            path, _, anchor = link.partition("#")
+            target = page if not path else (page.parent / unquote(path)).resolve()
+            if not target.exists() or (anchor and target.suffix == ".md" and anchor not in anchors(target)):
+                broken.append(f"{page.relative_to(ROOT)}: {link}")
+    assert not broken
+
+
+def test_every_page_is_reached_from_the_readme() -> None:
+    waiting, seen = [ROOT / "README.md"], {ROOT / "README.md"}
+    while waiting:
+        page = waiting.pop()
+        for link in LINK.findall(page.read_text("utf-8")):
+            target = (page.parent / link.partition("#")[0]).resolve()
+            if target.suffix == ".md" and target.is_file() and target not in seen:
+                seen.add(target)
+                waiting.append(target)
+    assert not [str(page.relative_to(ROOT)) for page in pages() if page.resolve() not in seen]

@@ -1,11 +1,18 @@
-"""The documentation: every link in it leads somewhere."""
+"""The documentation: every link leads somewhere, and what the tutorial shows is what comes."""
 
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from urllib.parse import unquote
+
+import pytest
+
+from tests.server.conftest import start
 
 ROOT = Path(__file__).parent.parent
 LINK = re.compile(r"\]\(([^()\s]+)\)")
@@ -51,3 +58,39 @@ def test_every_page_is_reached_from_the_readme() -> None:
                 seen.add(target)
                 waiting.append(target)
     assert not [str(page.relative_to(ROOT)) for page in pages() if page.resolve() not in seen]
+
+
+PRINTED = "http://127.0.0.1:8080/"
+CONSOLE = re.compile(r"^```console\n(.*?)^```", re.DOTALL | re.MULTILINE)
+
+
+def commands(page: Path) -> Iterator[tuple[str, list[str]]]:
+    """The commands of a page in their order, each with the lines that it is shown to print; `...` stands for any."""
+    for block in CONSOLE.findall(page.read_text("utf-8")):
+        for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
+            command, _, output = part.partition("\n")
+            yield command, output.splitlines()
+
+
+def prints(expected: list[str], lines: list[str]) -> bool:
+    """Whether lines are as expected."""
+    if not expected:
+        return not lines
+    if expected[0] == "...":
+        return any(prints(expected[1:], lines[skipped:]) for skipped in range(len(lines) + 1))
+    return bool(lines) and lines[0].rstrip() == expected[0].rstrip() and prints(expected[1:], lines[1:])
+
+
+@pytest.fixture
+def url() -> Iterator[str]:
+    served = start("aircraft")
+    yield served.url
+    assert served.stop() == 0
+
+
+def test_the_tutorial_prints_what_it_shows(url: str) -> None:
+    for command, expected in commands(ROOT / "docs" / "tutorial" / "aircraft.md"):
+        command = command.replace(PRINTED, url).replace(".venv/bin/python", sys.executable)
+        done = subprocess.run(["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, timeout=60)
+        printed = done.stdout.replace(url, PRINTED).splitlines()
+        assert prints(expected, printed), f"{command}\n{done.stdout}\n{done.stderr}"

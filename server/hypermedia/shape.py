@@ -42,6 +42,8 @@ def field_shape(shape: ValueShape, path: str, bounds: Bounds, measure: Measure) 
 
     `bounds` are those of the field's own resource; its type's hold as well.
     """
+    if isinstance(shape, ScalarShape) and "." not in path:  # a message of one scalar is that scalar
+        return replace(shape, bounds=narrowed(bounds, shape.bounds), measure=measure)
     kind = _primitive(shape.schema, path) if isinstance(shape, MessageShape) else None
     if kind is None or not isinstance(shape, MessageShape):
         return OpenShape(bounds, measure)

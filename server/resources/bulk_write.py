@@ -16,11 +16,11 @@ from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import rdf
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
-from rosld.server.hypermedia.catalogue import Property
+from rosld.server.hypermedia.catalogue import Property, TopicSource
 from rosld.server.hypermedia.describe import fragment
 from rosld.server.hypermedia.property_writer import PlannedWrite, Written, carry_out
 from rosld.server.hypermedia.resource_tree import ComplexPlan, MemberPlan
-from rosld.server.hypermedia.value import WHOLE, MessageValue, Reading, literal, picked_json, plain_json
+from rosld.server.hypermedia.value import WHOLE, MessageValue, Reading, literal, picked_json, plain_json, scalar_field
 from rosld.server.hypermedia.value_body import rdf_content
 from rosld.server.hypermedia.views import ComplexView, Member
 from rosld.server.ldp.patch import merge_patch
@@ -152,30 +152,46 @@ def _by_property(changes: Iterable[Change], readings: Mapping[str, Reading]) -> 
         member, own = change.member, change.member.of
         names, _, content = whole.get(own.name, ([], own, None))
         if member.field is not None:
-            base = content if names else all_of(readings[own.name], member.name)
-            content = with_field(base, member.field, change.content)
+            content = with_field(own, readings[own.name], member.name, member.field, change.content, content)
         else:
             content = change.content
         whole[own.name] = ([*names, member.name], own, content)
     return [(", ".join(names), own, content) for names, own, content in whole.values()]
 
 
-def all_of(reading: Reading, name: str) -> object:
-    """The whole value that `name` is a field of, as plain JSON; a 409 Problem where there is none now."""
-    if reading.value is None:
-        why = reading.failure or "it has no value yet"
-        raise Problem(409, f"{name} is a field of {reading.name}, which must be known to be changed: {why}.")
-    return parse_json(plain_json(reading.value, WHOLE))
+def with_field(own: Property, reading: Reading, name: str, path: str, value: object, content: object = None) -> object:
+    """Return what the property is to be written, of which `name` shows the field at a dotted path.
+
+    `content` is what others of its fields have made of it already, None where none has. Raises a 409 Problem where the
+    field is one of several and the others are not known, and LoweringError where there is no such field.
+    """
+    if _is_whole_value(own, reading, path):
+        return value
+    if content is None:
+        if reading.value is None:
+            why = reading.failure or "it has no value yet"
+            raise Problem(409, f"{name} is a field of {reading.name}, which must be known to be changed: {why}.")
+        content = parse_json(plain_json(reading.value, WHOLE))
+    return _replace_field(content, path, value)
 
 
-def with_field(content: object, path: str, value: object) -> object:
-    """The content with another value at a dotted path."""
+def _is_whole_value(own: Property, reading: Reading, path: str) -> bool:
+    """Whether a field is all of a message: one of a single scalar is read and written as that (`std_msgs/String`)."""
+    if isinstance(reading.value, MessageValue):
+        fields = [reading.value.fields]
+    else:
+        topics = (one for one in (*own.readers, *own.writers) if isinstance(one, TopicSource))
+        fields = [topic.schema.type.fields for topic in topics if topic.schema is not None]
+    return any((field := scalar_field(each)) is not None and field.name == path for each in fields)
+
+
+def _replace_field(content: object, path: str, value: object) -> object:
     step, _, rest = path.partition(".")
     if isinstance(content, list) and step.isdecimal() and int(step) < len(content):
-        inner = with_field(content[int(step)], rest, value) if rest else _plain(value)
+        inner = _replace_field(content[int(step)], rest, value) if rest else _plain(value)
         return [*content[: int(step)], inner, *content[int(step) + 1 :]]
     if isinstance(content, dict) and step in content:
-        return {**content, step: with_field(content[step], rest, value) if rest else _plain(value)}
+        return {**content, step: _replace_field(content[step], rest, value) if rest else _plain(value)}
     raise LoweringError(Violation(path, "there is no such field"))
 
 

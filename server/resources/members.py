@@ -32,7 +32,7 @@ from rosld.server.hypermedia.value_body import rdf_content
 from rosld.server.hypermedia.views import PropertyView
 from rosld.server.ldp.patch import merge_patch, updated
 from rosld.server.resources.actions import ActionResource
-from rosld.server.resources.bulk_write import all_of, with_field
+from rosld.server.resources.bulk_write import with_field
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message
@@ -280,7 +280,9 @@ class MemberResource(Resource):
     def _whole(self, plan: PropertyPlan, sight: Snapshot, content: object) -> object:
         """The content of the whole property, where what is written is one field of it."""
         field = plan.member.field
-        return content if field is None else with_field(all_of(sight.readings[plan.of.name], self.name), field, content)
+        return (
+            content if field is None else with_field(plan.of, sight.readings[plan.of.name], self.name, field, content)
+        )
 
     def _content(self, exchange: Exchange, plan: PropertyPlan, data: bytes) -> object:
         if exchange.media_type == JSON:

@@ -1,4 +1,4 @@
-"""`docs/reference/mapping.md` and these tests are one: each test that is named there is here, and each that is here is named."""
+"""`docs/reference/mapping.md` and these tests are one: each test named there is here, each test here is named there."""
 
 from __future__ import annotations
 

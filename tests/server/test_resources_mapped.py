@@ -479,6 +479,28 @@ def test_fields_of_one_message_are_changed_together(arm: MadeUp, serving: Servin
     assert value(http, url) == {"force": 9, "x": 8.0, "y": 6.0}
 
 
+def test_a_message_of_one_scalar_is_written_as_its_field_also_before_there_was_one(
+    robot: MadeUp, serving: Serving
+) -> None:
+    robot.topic("/lamp/brightness", "std_msgs/msg/Float64", published=False, heard=True)
+    http = serving()
+    mapped(
+        http,
+        """<#lamp> a map:ComplexResource ; map:path "/lamp/" ; map:property
+             [ map:predicate ex:light ; map:member "brightness" ; map:field "data" ; map:name "light" ] ,
+             [ map:predicate ex:none ; map:member "brightness" ; map:field "level" ; map:name "none" ] .""",
+    )
+    assert http.put("/resources/lamp/light", json=0.5).status_code == 204
+    assert value(http, "/topics/lamp/brightness") == {"data": 0.5}
+    assert http.patch("/resources/lamp/", json={"light": 0.75}, headers=MERGE).status_code == 204
+    url = f"{http.base_url}resources/lamp/light"
+    assert objects(http.get(url), f"{RDF}value") == {"0.75"}
+    said = http.get(url, headers={"Accept": "text/turtle"}).text
+    assert "sh:datatype xsd:double" in said
+    assert http.put("/resources/lamp/light", json="bright").status_code == 422
+    assert http.put("/resources/lamp/none", json=1).status_code == 422
+
+
 def test_a_patch_that_changes_nothing_moves_nothing(arm: MadeUp, serving: Serving) -> None:
     http = serving()
     url = f"{http.base_url}resources/arm/"

@@ -1,4 +1,4 @@
-"""`docs/reference/sparql.md` is true: each query of it is asked here, each update done, and what comes is as it is printed."""
+"""`docs/reference/sparql.md` is true: each query in it is asked, each update done, and what comes is as printed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`docs/reference/conformance.md` and the tests agree: every clause has its row, every row its tests, every test its row."""
+"""`docs/reference/conformance.md` and the tests agree: each clause has a row, each row its tests, each test its row."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from rosld.server.http.tokens import without_tokens
 from rosld.server.serving.connection import Bounded, Bounds, Connection
 from rosld.server.serving.connections import Connections
 from rosld.server.serving.websocket_connection import WebSocketConnection
-from rosld.server.sparql.process.client import Aborted
+from rosld.server.sparql.process.evaluation import Aborted
 
 _log = logging.getLogger("rosld")
 

@@ -14,7 +14,7 @@ from pyoxigraph import RdfFormat, parse
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.endpoint import QueryAnswer, QuerySettings
-from rosld.server.sparql.process.client import HEAD, Aborted
+from rosld.server.sparql.process.evaluation import HEAD, Aborted
 from rosld.server.sparql.protocol import QueryRequest
 from rosld.server.sparql.results import GRAPHS, SOLUTIONS, Table
 

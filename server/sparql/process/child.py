@@ -1,0 +1,174 @@
+"""One query process from its start to its end: how it is started, what it is sent, what it tells."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections import deque
+from collections.abc import Callable
+from itertools import count
+from typing import cast
+
+from rosld.server.dataset.encoding import NAMESPACE, VARIABLE
+from rosld.server.runtime.memory import Memory, NotEnoughMemory, available
+from rosld.server.sparql.limits import restarting
+from rosld.server.sparql.process.frames import AtWork, Buffer, Reply, Tidy, packed
+
+_RECEIVED = 256 * 1024
+_AHEAD = 4 * 1024 * 1024
+"""Bytes that may be on their way to the process before others should be made."""
+_START = "import sys; sys.path[:] = sys.argv[1:-3]; from rosld.server.sparql.process.main import main; main()"
+"""What the process runs: with the same modules as the server, wherever that found them."""
+
+Spawned = tuple["subprocess.Popen[bytes]", socket.socket, AtWork]
+
+
+def spawn(concurrency: int, queue: int) -> Spawned:
+    """Start a process, with the socket to it and the memory in which it notes what it is at. Raises OSError."""
+    ours, theirs = socket.socketpair()
+    with theirs, tempfile.TemporaryFile() as file:
+        try:
+            file.truncate(AtWork.SIZE)
+            command = [sys.executable, "-c", _START, *sys.path, str(file.fileno()), str(concurrency), str(queue)]
+            popen = subprocess.Popen(
+                command,
+                stdin=theirs.fileno(),
+                stdout=subprocess.DEVNULL,
+                pass_fds=(file.fileno(),),
+                env={**os.environ, VARIABLE: NAMESPACE},
+                start_new_session=True,
+            )
+            at_work = AtWork(file.fileno())
+        except BaseException:
+            ours.close()
+            raise
+    ours.setblocking(False)
+    return popen, ours, at_work
+
+
+class Child:
+    """A process that has been spawned. Belongs to one loop.
+
+    `on_reply` is called with each reply and the descriptors that have come and belong to this or later ones, `on_lost`
+    once, when the process is gone.
+    """
+
+    def __init__(
+        self,
+        spawned: Spawned,
+        loop: asyncio.AbstractEventLoop,
+        on_reply: Callable[[Reply, deque[int]], None],
+        on_lost: Callable[[], None],
+    ) -> None:
+        self.popen, connection, self.at_work = spawned
+        self.started = time.monotonic()
+        self._socket: socket.socket | None = connection
+        self._loop = loop
+        self._on_reply = on_reply
+        self._on_lost = on_lost
+        self._output: deque[memoryview] = deque()
+        self._descriptors: deque[int] = deque()
+        self._buffer = Buffer()
+        self._taken: asyncio.Future[None] | None = None
+        self._memory = Memory(lambda: available(self.popen.pid))
+        self._changes = count(1)
+        self._ahead: deque[tuple[int, int]] = deque()
+        """The changes that may not have been made yet: the number of each since the start, and the bytes for it."""
+        loop.add_reader(connection, self._receive)
+
+    def close(self) -> None:
+        """Let go of the connection; the process ends by that. Idempotent."""
+        connection, self._socket = self._socket, None
+        if connection is None:
+            return
+        self._loop.remove_reader(connection)
+        self._loop.remove_writer(connection)
+        connection.close()
+        self._output.clear()
+        self._tell_taken()
+        while self._descriptors:
+            os.close(self._descriptors.popleft())
+
+    def send(self, data: bytes) -> None:
+        """Send frames, after all that was sent before. Raises Problem 503 where the process is gone."""
+        if self._socket is None:
+            raise restarting(1)
+        view = memoryview(data)
+        if not self._output:
+            view = view[self._write(view) :]
+            if view:
+                self._loop.add_writer(self._socket, self._flush)
+        if view:
+            self._output.append(view)
+
+    def send_change(self, data: bytes, needed: int) -> None:
+        """Send a change for which the process needs so many bytes. Raises as `send`."""
+        self.send(data)
+        self._ahead.append((next(self._changes), needed))
+
+    def require_memory(self, needed: int, what: str) -> None:
+        """Raise NotEnoughMemory where the process has none for this and the changes that it is still to make.
+
+        Raises Problem 503 where the process is gone.
+        """
+        if self._socket is None:
+            raise restarting(1)
+        made = self.at_work.changes
+        while self._ahead and self._ahead[0][0] <= made:
+            self._ahead.popleft()
+        try:
+            self._memory.require(needed + sum(each for _, each in self._ahead), what)
+        except NotEnoughMemory:
+            self.send(packed(Tidy()))
+            raise
+
+    async def drained(self) -> None:
+        """Return when the process has taken most of what it was sent, or is gone."""
+        while sum(map(len, self._output)) > _AHEAD:
+            self._taken = self._taken or self._loop.create_future()
+            await asyncio.shield(self._taken)
+
+    def _write(self, view: memoryview) -> int:
+        assert self._socket is not None
+        try:
+            return self._socket.send(view)
+        except (BlockingIOError, InterruptedError):
+            return 0
+        except OSError:  # it is dead, which is noticed by reading
+            return len(view)
+
+    def _flush(self) -> None:
+        if self._output:
+            view = self._output.popleft()
+            view = view[self._write(view) :]
+            if view:
+                self._output.appendleft(view)
+        if not self._output and self._socket is not None:
+            self._loop.remove_writer(self._socket)
+        self._tell_taken()
+
+    def _tell_taken(self) -> None:
+        taken, self._taken = self._taken, None
+        if taken is not None and not taken.done():
+            taken.set_result(None)
+
+    def _receive(self) -> None:
+        assert self._socket is not None
+        try:
+            data, descriptors, _, _ = socket.recv_fds(self._socket, _RECEIVED, 64, socket.MSG_CMSG_CLOEXEC)
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError:
+            data, descriptors = b"", []
+        self._descriptors.extend(descriptors)
+        if not data:
+            self.close()
+            self._on_lost()
+            return
+        for message in self._buffer.feed(data):
+            self._on_reply(cast("Reply", message), self._descriptors)

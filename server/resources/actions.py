@@ -44,7 +44,8 @@ from rosld.server.rest.path_item import DEFAULTS, Method, PathItem
 from rosld.server.rest.resource import READ, Answer, Created, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import Gone, KeyReused
-from rosld.server.robot.goals import Goal, Sending
+from rosld.server.robot.goal_store import Goal
+from rosld.server.robot.goals import Sending
 from rosld.server.robot.write_policy import resources_only_reason
 
 _READ_ONLY = "This server is read-only."

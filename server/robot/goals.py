@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import hashlib
 import logging
-import re
 import threading
 import time
 from collections import OrderedDict
@@ -25,57 +24,15 @@ from rosld.adapters.model import (
     Refused,
     RosError,
 )
-from rosld.server.robot.calls import Gone, KeyReused
+from rosld.server.robot.calls import KeyReused
+from rosld.server.robot.goal_following import GoalFollower
+from rosld.server.robot.goal_store import REMEMBERED, Goal, GoalStore, Told
 from rosld.server.runtime.identifiers import new_identifier
-from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.signals import Signal
 
 _log = logging.getLogger("rosld")
-_PLAIN = re.compile(r"[A-Za-z0-9_-]{1,64}")
-_NOT_PLAIN = re.compile(r"[^A-Za-z0-9_-]+")
-_LONGEST = 48
-_REMEMBERED = 10_000
-_SWEEP = 1.0
 _ORDER: Mapping[GoalStatus, int] = {GoalStatus.ACCEPTED: 0, GoalStatus.EXECUTING: 1, GoalStatus.CANCELING: 2}
 _ENDED = 3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Told:
-    """A message that a server of an action sent, and when it came."""
-
-    message: Message
-    received_ns: int
-    count: int = 1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Goal:
-    """One goal: immutable, replaced by its next state, compared by identity.
-
-    `key` is None for a goal that was rejected when it was sent. Times are wall-clock nanoseconds. What cannot be read
-    of what is told is left out, and `unreadable` says why.
-    """
-
-    id: str
-    action: str
-    key: GoalId | None
-    created_ns: int
-    heard_ns: int
-    status: GoalStatus
-    schema: ActionSchema | None = None
-    goal: Message | None = None
-    feedback: Told | None = None
-    result: Message | None = None
-    ended_ns: int | None = None
-    words: str | None = None
-    unreadable: str | None = None
-    own: bool = False
-
-    @property
-    def is_cancelable(self) -> bool:
-        """Whether asking for it to be canceled may still change anything."""
-        return self.status in (GoalStatus.ACCEPTED, GoalStatus.EXECUTING)
 
 
 _MESSAGES = frozenset({"goal", "feedback", "result"})
@@ -103,28 +60,29 @@ class Goals:
         """`schemas` gives the schema of an action by the action's name, as far as it is at hand."""
         self._adapter = adapter
         self._schemas = schemas
-        self._most = most
-        self._age_ns = int(age * 1e9)
-        self._idle = idle
-        self._goals: OrderedDict[str, Goal] = OrderedDict()
-        self._ids: dict[GoalId, str] = {}
-        self._gone: OrderedDict[str, GoalId | None] = OrderedDict()
-        self._dropped: set[GoalId] = set()
+        self._most_keys = most
+        self._store = GoalStore(most=most, age=age)
+        self._follower = GoalFollower(adapter, idle)
         self._keyed: OrderedDict[tuple[str, str], tuple[bytes, asyncio.Task[Sending]]] = OrderedDict()
         self._heard: OrderedDict[GoalId, tuple[GoalEvent, int]] = OrderedDict()
         self._lock = threading.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._followed: dict[str, _Following] = {}
-        self._sweeper: asyncio.Task[None] | None = None
-        self.revision = 0
-        self.changes = Signal()
+
+    @property
+    def revision(self) -> int:
+        """The number of changes until now."""
+        return self._store.revision
+
+    @property
+    def changes(self) -> Signal:
+        """Tells the action and the id of each goal that is another now."""
+        return self._store.changes
 
     # All goals
 
     def all(self) -> Sequence[Goal]:
         """The goals kept, oldest first."""
-        self._forget_old()
-        return list(self._goals.values())
+        return self._store.all()
 
     def of(self, action: str) -> Sequence[Goal]:
         """The goals kept of one action, oldest first."""
@@ -132,15 +90,11 @@ class Goals:
 
     def find(self, id: str) -> Goal:
         """A goal by its id; raises Gone for one that was deleted or is too old, KeyError for one that never was."""
-        self._forget_old()
-        if id in self._gone:
-            raise Gone(id)
-        return self._goals[id]
+        return self._store.find(id)
 
     def delete(self, id: str) -> None:
         """Forget a goal; raises as `find`."""
-        self.find(id)
-        self._drop(id)
+        self._store.delete(id)
 
     # Sending and canceling
 
@@ -158,14 +112,14 @@ class Goals:
                 new_identifier(), action, None, now, now, GoalStatus.REJECTED, schema, message, words=words,
                 ended_ns=time.time_ns(), own=True,
             )  # fmt: skip
-            self._keep(goal)
+            self._store.keep(goal)
             return Sending(goal, error)
         self._drain()
-        known = self._goals.get(self._ids.get(key, ""))
+        known = self._store.of_key(key)
         if known is None:
-            known = Goal(self._new_id(key), action, key, now, now, GoalStatus.ACCEPTED)
-        self._keep(replace(known, schema=schema, goal=message, created_ns=min(now, known.created_ns), own=True))
-        return Sending(self._goals[known.id], None)
+            known = Goal(self._store.new_id(key), action, key, now, now, GoalStatus.ACCEPTED)
+        self._store.keep(replace(known, schema=schema, goal=message, created_ns=min(now, known.created_ns), own=True))
+        return Sending(self._store.get(known.id), None)
 
     async def once(
         self, key: str, action: str, schema: ActionSchema, message: Message, body: bytes, *, deadline: float
@@ -178,10 +132,10 @@ class Goals:
         if known is None:
             sending = asyncio.get_running_loop().create_task(self.send(action, schema, message, deadline=deadline))
             known = self._keyed[(action, key)] = (digest, sending)
-            while len(self._keyed) > self._most:
+            while len(self._keyed) > self._most_keys:
                 self._keyed.popitem(last=False)
         sent = await asyncio.shield(known[1])
-        return sent if sent.goal is None else Sending(self._goals.get(sent.goal.id, sent.goal), sent.error)
+        return sent if sent.goal is None else Sending(self._store.get(sent.goal.id) or sent.goal, sent.error)
 
     async def cancel(self, goal: Goal, *, deadline: float) -> None:
         """Ask for a goal to be canceled; raises what the adapter raises."""
@@ -196,7 +150,7 @@ class Goals:
             before = self._heard.get(key)
             count = (1 if event.feedback is not None else 0) + (before[1] if before else 0)
             self._heard[key] = (event if before is None else _merged(before[0], event), count)
-            while len(self._heard) > _REMEMBERED:
+            while len(self._heard) > REMEMBERED:
                 self._heard.popitem(last=False)
             is_first = len(self._heard) == 1 and before is None
         if is_first and self._loop is not None and not self._loop.is_closed():
@@ -213,17 +167,17 @@ class Goals:
                 _log.exception("what became known of goal %.100r of %s was not taken", key.id, key.action)
 
     def _take(self, key: GoalId, event: GoalEvent, count: int) -> None:
-        if key in self._dropped:
+        if self._store.is_dropped(key):
             return
-        known = self._goals.get(self._ids.get(key, ""))
+        known = self._store.of_key(key)
         if known is None:
             known = Goal(
-                self._new_id(key), key.action, key, event.received_ns, event.received_ns, GoalStatus.ACCEPTED,
+                self._store.new_id(key), key.action, key, event.received_ns, event.received_ns, GoalStatus.ACCEPTED,
                 self._schemas(key.action),
             )  # fmt: skip
         goal = self._after(known, event, count)
-        if goal is not known or known.id not in self._goals:
-            self._keep(goal)
+        if goal is not known or self._store.get(known.id) is None:
+            self._store.keep(goal)
 
     def _after(self, goal: Goal, event: GoalEvent, count: int) -> Goal:
         """The goal after an event: no status comes after one that is final, but that of a goal thought lost."""
@@ -259,122 +213,23 @@ class Goals:
 
     async def look(self, action: str, *, deadline: float) -> None:
         """Hear of all goals of an action from now on, until nobody has looked for a while. The first look waits."""
-        following = self._followed.get(action)
-        if following is None:
-            opening = asyncio.ensure_future(self._adapter.follow_goals(action, deadline=deadline))
-            following = self._followed[action] = _Following(opening, 0.0)
-        following.looked_at = loop_time()
-        try:
-            await asyncio.shield(following.opening)
-        except RosError:
-            if self._followed.get(action) is following:
-                del self._followed[action]
-            return
-        self._drain()
+        if await self._follower.look(action, deadline=deadline):
+            self._drain()
 
     def watch(self, action: str, wake: Callable[[], None], id: str | None = None) -> Watch:
         """Call `wake` when something became known of a goal of an action, or of one goal; it is followed meanwhile."""
-        following = self._followed.get(action)
         wanted = {action} if id is None else {id}
-        return _GoalWatch(following, self.changes.watch(wake, lambda about: about in wanted))
+        return self._follower.keep_followed(action, self.changes.watch(wake, lambda about: about in wanted))
 
     def start(self) -> None:
         """Begin; needs a running loop."""
         self._loop = asyncio.get_running_loop()
-        self._sweeper = self._loop.create_task(self._sweep_for_ever())
+        self._follower.start()
         self._loop.call_soon(self._drain)
 
     async def stop(self) -> None:
         """Follow nothing more; goals that are pursued are left to the robot."""
-        if self._sweeper is not None:
-            self._sweeper.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._sweeper
-        for action in list(self._followed):
-            self._unfollow(action)
-
-    async def _sweep_for_ever(self) -> None:
-        while True:
-            await asyncio.sleep(_SWEEP)
-            horizon = loop_time() - self._idle
-            for action, following in list(self._followed.items()):
-                if not following.watches and following.looked_at < horizon:
-                    self._unfollow(action)
-
-    def _unfollow(self, action: str) -> None:
-        opening = self._followed.pop(action).opening
-        if not opening.done():
-            opening.cancel()
-        elif not opening.cancelled() and opening.exception() is None:
-            opening.result().close()
-
-    # Keeping them
-
-    def _keep(self, goal: Goal) -> None:
-        self._goals[goal.id] = goal
-        if goal.key is not None:
-            self._ids[goal.key] = goal.id
-        self._revise(goal)
-        while len(self._goals) > self._most:
-            ended = (each.id for each in self._goals.values() if each.status.is_final and each.id != goal.id)
-            self._drop(next(ended, None) or next(iter(self._goals)))
-
-    def _drop(self, id: str) -> None:
-        goal = self._goals.pop(id)
-        if goal.key is not None:
-            self._ids.pop(goal.key, None)
-            self._dropped.add(goal.key)
-        self._gone[id] = goal.key
-        while len(self._gone) > _REMEMBERED:
-            _, key = self._gone.popitem(last=False)
-            if key is not None:
-                self._dropped.discard(key)
-        self._revise(goal)
-
-    def _forget_old(self) -> None:
-        horizon = time.time_ns() - self._age_ns
-        for goal in [each for each in self._goals.values() if each.heard_ns < horizon]:
-            self._drop(goal.id)
-
-    def _revise(self, goal: Goal) -> None:
-        self.revision += 1
-        self.changes.emit(goal.action)
-        self.changes.emit(goal.id)
-
-    def _new_id(self, key: GoalId) -> str:
-        """What a goal is called in URLs: its own id where that is safe and nobody else's, else made of it."""
-        if _PLAIN.fullmatch(key.id) and key.id not in self._goals and key.id not in self._gone:
-            return key.id
-        whole = f"{key.action}\0{key.id}".encode("utf-8", "surrogatepass")
-        begin = _NOT_PLAIN.sub("-", key.id)[:_LONGEST].strip("-")
-        return f"{begin}-{hashlib.blake2b(whole, digest_size=8).hexdigest()}".lstrip("-")
-
-
-@dataclass(slots=True)
-class _Following:
-    """An action whose goals are told: since whom, when somebody looked last, and how many watch it."""
-
-    opening: asyncio.Future[Watch]
-    looked_at: float
-    watches: int = 0
-
-
-class _GoalWatch:
-    """A watch that keeps its action followed."""
-
-    def __init__(self, following: _Following | None, watch: Watch) -> None:
-        self._following = following
-        self._watch = watch
-        if following is not None:
-            following.watches += 1
-
-    def close(self) -> None:
-        """Stop waking. Idempotent."""
-        following, self._following = self._following, None
-        if following is not None:
-            following.watches -= 1
-            following.looked_at = loop_time()
-        self._watch.close()
+        await self._follower.stop()
 
 
 def _is_same(before: Goal, after: Goal) -> bool:

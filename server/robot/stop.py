@@ -12,7 +12,7 @@ from enum import Enum
 from rosld.adapters.model import Message, MessageSchema, RosError
 from rosld.ontology.lower import LoweringError, lowerer, parse_json
 from rosld.server.auth.agent import Agent
-from rosld.server.robot.goals import Goal
+from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.holds import Hold, Holds
 from rosld.server.robot.interlock import StopState
 from rosld.server.robot.session import Session

@@ -21,7 +21,8 @@ from rosld.adapters.model import ActionSchema, Encoding, GoalEvent, GoalId, Goal
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.urls import locate
 from rosld.server.robot.calls import Gone
-from rosld.server.robot.goals import Goal, Goals, Told
+from rosld.server.robot.goal_store import Goal, Told
+from rosld.server.robot.goals import Goals
 
 FLY = TypeLibrary(ros_version=1).find(TypeRef("rosld_aircraft/action/Fly"))
 COUNT = TypeLibrary(ros_version=1).learn_action("made_up/action/Count", "int32 to\n---\n---\nint32[] sequence")

@@ -1,0 +1,145 @@
+"""The goals that are kept, within a number and an age, and the names that URLs have for them."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import time
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rosld.adapters.model import ActionSchema, GoalId, GoalStatus, Message
+from rosld.server.robot.calls import Gone
+from rosld.server.runtime.signals import Signal
+
+REMEMBERED = 10_000
+"""Goals of which it is remembered that they are gone."""
+_PLAIN = re.compile(r"[A-Za-z0-9_-]{1,64}")
+_NOT_PLAIN = re.compile(r"[^A-Za-z0-9_-]+")
+_LONGEST = 48
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Told:
+    """A message that a server of an action sent, and when it came."""
+
+    message: Message
+    received_ns: int
+    count: int = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Goal:
+    """One goal: immutable, replaced by its next state, compared by identity.
+
+    `key` is None for a goal that was rejected when it was sent. Times are wall-clock nanoseconds. What cannot be read
+    of what is told is left out, and `unreadable` says why.
+    """
+
+    id: str
+    action: str
+    key: GoalId | None
+    created_ns: int
+    heard_ns: int
+    status: GoalStatus
+    schema: ActionSchema | None = None
+    goal: Message | None = None
+    feedback: Told | None = None
+    result: Message | None = None
+    ended_ns: int | None = None
+    words: str | None = None
+    unreadable: str | None = None
+    own: bool = False
+
+    @property
+    def is_cancelable(self) -> bool:
+        """Whether asking for it to be canceled may still change anything."""
+        return self.status in (GoalStatus.ACCEPTED, GoalStatus.EXECUTING)
+
+
+class GoalStore:
+    """Goals by their ids. Those that have ended go first where there are too many.
+
+    What was deleted, or has become too old, is not learnt again from who still tells of it. `changes` tells the action
+    and the id of each goal that is another now, `revision` counts them.
+    """
+
+    def __init__(self, *, most: int, age: float) -> None:
+        self._most = most
+        self._age_ns = int(age * 1e9)
+        self._goals: OrderedDict[str, Goal] = OrderedDict()
+        self._ids: dict[GoalId, str] = {}
+        self._gone: OrderedDict[str, GoalId | None] = OrderedDict()
+        self._dropped: set[GoalId] = set()
+        self.revision = 0
+        self.changes = Signal()
+
+    def all(self) -> Sequence[Goal]:
+        """The goals kept, oldest first."""
+        self._forget_old()
+        return list(self._goals.values())
+
+    def find(self, id: str) -> Goal:
+        """A goal by its id; raises Gone for one that was deleted or is too old, KeyError for one that never was."""
+        self._forget_old()
+        if id in self._gone:
+            raise Gone(id)
+        return self._goals[id]
+
+    def get(self, id: str) -> Goal | None:
+        """A goal that is kept, whatever its age."""
+        return self._goals.get(id)
+
+    def of_key(self, key: GoalId) -> Goal | None:
+        """The goal that the robot calls so."""
+        return self._goals.get(self._ids.get(key, ""))
+
+    def is_dropped(self, key: GoalId) -> bool:
+        """Whether nothing more is to be learnt of a goal."""
+        return key in self._dropped
+
+    def delete(self, id: str) -> None:
+        """Forget a goal; raises as `find`."""
+        self.find(id)
+        self._drop(id)
+
+    def keep(self, goal: Goal) -> None:
+        """Keep a goal, or its next state."""
+        self._goals[goal.id] = goal
+        if goal.key is not None:
+            self._ids[goal.key] = goal.id
+        self._revise(goal)
+        while len(self._goals) > self._most:
+            ended = (each.id for each in self._goals.values() if each.status.is_final and each.id != goal.id)
+            self._drop(next(ended, None) or next(iter(self._goals)))
+
+    def _drop(self, id: str) -> None:
+        goal = self._goals.pop(id)
+        if goal.key is not None:
+            self._ids.pop(goal.key, None)
+            self._dropped.add(goal.key)
+        self._gone[id] = goal.key
+        while len(self._gone) > REMEMBERED:
+            _, key = self._gone.popitem(last=False)
+            if key is not None:
+                self._dropped.discard(key)
+        self._revise(goal)
+
+    def _forget_old(self) -> None:
+        horizon = time.time_ns() - self._age_ns
+        for goal in [each for each in self._goals.values() if each.heard_ns < horizon]:
+            self._drop(goal.id)
+
+    def _revise(self, goal: Goal) -> None:
+        self.revision += 1
+        self.changes.emit(goal.action)
+        self.changes.emit(goal.id)
+
+    def new_id(self, key: GoalId) -> str:
+        """What a goal is called in URLs: its own id where that is safe and nobody else's, else made of it."""
+        if _PLAIN.fullmatch(key.id) and key.id not in self._goals and key.id not in self._gone:
+            return key.id
+        whole = f"{key.action}\0{key.id}".encode("utf-8", "surrogatepass")
+        begin = _NOT_PLAIN.sub("-", key.id)[:_LONGEST].strip("-")
+        return f"{begin}-{hashlib.blake2b(whole, digest_size=8).hexdigest()}".lstrip("-")

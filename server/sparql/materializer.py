@@ -15,6 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass, field
 from itertools import count, islice
 from typing import NamedTuple, Protocol, TypeAlias
 
@@ -205,6 +206,25 @@ class _Filling:
         return f"What clients keep is being read into the dataset: {share} % of it is there."
 
 
+@dataclass(slots=True)
+class _TargetState:
+    """What the target holds, by what it was told since its start.
+
+    `versions` are those of what is kept, `ahead` graphs of it that are newer than these. `live` of the graphs `held`
+    have values that change by themselves, `extras` are there for one query only. `applied` is the revision of the
+    descriptions, `everything` the last look at all of the source.
+    """
+
+    generation: int
+    versions: list[int]
+    ahead: dict[str, int] = field(default_factory=dict)
+    held: dict[str, _Held] = field(default_factory=dict)
+    live: set[str] = field(default_factory=set)
+    extras: set[str] = field(default_factory=set)
+    applied: Hashable = field(default_factory=object)
+    everything: _Look | None = None
+
+
 class Synchroniser:
     """Keeps a dataset in step with a source, as far as queries look. Belongs to one loop."""
 
@@ -231,32 +251,25 @@ class Synchroniser:
 
     def _forget(self) -> None:
         """The target holds nothing."""
-        self._generation = self._target.generation
-        self._versions = [0] * len(self._kept)
-        self._ahead: dict[str, int] = {}  # graphs of what is kept that are newer than the versions say
-        self._held: dict[str, _Held] = {}
-        self._live: set[str] = set()
-        self._extras: set[str] = set()
-        self._applied: Hashable = object()
-        self._everything: _Look | None = None
+        self._state = _TargetState(self._target.generation, [0] * len(self._kept))
 
     def _require(self, generation: int) -> None:
         """Raise Problem 503 where the target holds nothing any more that it was told in this generation."""
-        if not generation == self._generation == self._target.generation:
+        if not generation == self._state.generation == self._target.generation:
             raise restarting(1)
 
     @property
     def held(self) -> Sequence[str]:
         """The graphs in the dataset that come from the source: all but those that clients keep."""
-        return list(self._held)
+        return list(self._state.held)
 
     @property
     def progress(self) -> str | None:
         """How far what clients keep is on its way to the dataset, None where little is missing; from any thread."""
         if self._filling is not None:
             return str(self._filling)
-        is_new = self._generation != self._target.generation
-        missing = self._kept[0].version - (0 if is_new else self._versions[0])
+        is_new = self._state.generation != self._target.generation
+        missing = self._kept[0].version - (0 if is_new else self._state.versions[0])
         return str(_Filling(missing)) if missing >= _MUCH else None
 
     async def resolved(self, needs: Needs) -> Needs:
@@ -267,7 +280,7 @@ class Synchroniser:
         if needs.terms:
             needs = needs.resolved(await self._source.documents_of(needs.terms))
         if needs.rests_on and self._mentioned is not None:
-            if self._generation != self._target.generation:
+            if self._state.generation != self._target.generation:
                 self._forget()
             wanted = self._wanted
             if not self._is_current(None, wanted):
@@ -288,7 +301,7 @@ class Synchroniser:
 
     async def enter(self, needs: Needs, scope: frozenset[str] | None, deadline: float) -> Sequence[str]:
         """Bring the dataset to what the needs ask for. What is returned is kept until it is given to `leave`."""
-        if self._generation != self._target.generation:
+        if self._state.generation != self._target.generation:
             self._forget()
         look = await self._look(needs, deadline)
         extras = look.extras
@@ -299,9 +312,9 @@ class Synchroniser:
                 await self._caught_up(scope, wanted, deadline)
             if not self._at_once(look):  # it goes on even where the query is given up
                 await asyncio.shield(asyncio.ensure_future(self._apply(look)))
-            self._require(self._generation)
+            self._require(self._state.generation)
             if needs.everything and look.asked:
-                self._everything = look
+                self._state.everything = look
         except BaseException:
             self.leave(extras)
             raise
@@ -309,10 +322,10 @@ class Synchroniser:
 
     def seen(self, graphs: frozenset[str] | None) -> Seen:
         """What the dataset holds now of values that change by themselves (None: of all), and of what clients keep."""
-        live = self._live if graphs is None else self._live & graphs
+        live = self._state.live if graphs is None else self._state.live & graphs
         wanted = self._wanted
-        kept = wanted[0] if self._is_current(graphs, wanted) else self._versions[0]
-        return Seen({iri: self._held[iri].token for iri in live}, kept)
+        kept = wanted[0] if self._is_current(graphs, wanted) else self._state.versions[0]
+        return Seen({iri: self._state.held[iri].token for iri in live}, kept)
 
     def leave(self, extras: Sequence[str]) -> None:
         """The query has begun: graphs that were there for it alone may go."""
@@ -341,7 +354,7 @@ class Synchroniser:
             return True
         if not needs.demands:
             return False
-        last = self._everything
+        last = self._state.everything
         if last is None or not needs.everything or not last.needs.covers(needs):
             return True
         return last.writes != self._source.writes or time.monotonic() - last.ended >= self._interval
@@ -351,12 +364,12 @@ class Synchroniser:
     def _changes(self, look: _Look) -> dict[str, _Change]:
         """What the store must be told, by graph. Nothing newer than the look is touched."""
         changes: dict[str, _Change] = {}
-        if look.revision != self._applied:
+        if look.revision != self._state.applied:
             changes.update(self._changed_descriptions(look))
         changes.update(self._vanished(look))
         for entry in look.entries:
             description = look.described[entry.iri].token if entry.iri in look.described else None
-            held = self._held.get(entry.iri)
+            held = self._state.held.get(entry.iri)
             if held is None or (held.token, held.description, held.live) != (entry.token, description, True):
                 if held is None or held.look < look.number:
                     changes[entry.iri] = _Change(entry, description, True, _size(held))
@@ -366,27 +379,27 @@ class Synchroniser:
 
     def _changed_descriptions(self, look: _Look) -> Iterator[tuple[str, _Change]]:
         for iri, entry in look.described.items():
-            held = self._held.get(iri)
+            held = self._state.held.get(iri)
             if held is None or (held.description != entry.token and held.look < look.number):
                 yield iri, _Change(entry, entry.token, False, _size(held))
-        for iri, held in self._held.items():
-            if iri not in look.described and iri not in self._extras and held.look < look.number:
+        for iri, held in self._state.held.items():
+            if iri not in look.described and iri not in self._state.extras and held.look < look.number:
                 yield iri, _Change(None, None, False, 0)
 
     def _vanished(self, look: _Look) -> Iterator[tuple[str, _Change]]:
         """What was there for an earlier query only, and values that a look at everything no longer finds."""
-        if not self._extras and not look.needs.everything:
+        if not self._state.extras and not look.needs.everything:
             return
         found = {entry.iri for entry in look.entries}
-        for iri in self._extras - found:
-            if iri not in self._pinned and self._held[iri].look < look.number:
+        for iri in self._state.extras - found:
+            if iri not in self._pinned and self._state.held[iri].look < look.number:
                 entry = look.described.get(iri)
                 yield iri, _Change(entry, entry and entry.token, False, 0)
         if look.needs.everything and look.asked:
-            for iri in self._live - found - self._extras:
+            for iri in self._state.live - found - self._state.extras:
                 entry = look.described.get(iri)
-                if entry is not None and self._held[iri].look < look.number:
-                    yield iri, _Change(entry, entry.token, False, self._held[iri].size)
+                if entry is not None and self._state.held[iri].look < look.number:
+                    yield iri, _Change(entry, entry.token, False, self._state.held[iri].size)
 
     # --- what the source says
 
@@ -404,13 +417,13 @@ class Synchroniser:
         """One change at a time; what another query has brought meanwhile is not brought again."""
         async with self._applying:
             changes = self._changes(look)
-            generation = self._generation
+            generation = self._state.generation
             texts = await asyncio.to_thread(_rendered, _renderings(changes), _SLICE)
             self._require(generation)
             self._tell(look, changes, texts)
 
     def _tell(self, look: _Look, changes: Mapping[str, _Change], texts: Mapping[str, str | None]) -> None:
-        self._require(self._generation)
+        self._require(self._state.generation)
         self._target.change(texts)
         self._carried_out(look, changes, {iri: len(text or "") for iri, text in texts.items()})
 
@@ -418,7 +431,7 @@ class Synchroniser:
 
     async def catch_up(self) -> None:
         """Bring to the dataset what clients keep, before a query asks for it."""
-        if self._generation != self._target.generation:
+        if self._state.generation != self._target.generation:
             self._forget()
         filling = self._filling or self._fill(self._kept[:1])
         assert filling.task is not None
@@ -427,8 +440,8 @@ class Synchroniser:
     async def keep_up(self) -> None:
         """Catch up whenever much has changed since a query asked, at once and then for ever: to be cancelled."""
         while True:
-            is_new = self._generation != self._target.generation
-            if self._kept[0].version - (0 if is_new else self._versions[0]) >= _MUCH:
+            is_new = self._state.generation != self._target.generation
+            if self._kept[0].version - (0 if is_new else self._state.versions[0]) >= _MUCH:
                 try:
                     await self.catch_up()
                 except MemoryError as error:
@@ -447,10 +460,10 @@ class Synchroniser:
 
     def _is_current(self, scope: frozenset[str] | None, wanted: Sequence[int]) -> bool:
         """Whether the dataset holds what these graphs (None: all) said of what clients keep in the versions wanted."""
-        for kept, version, least in zip(self._kept, self._versions, wanted, strict=True):
+        for kept, version, least in zip(self._kept, self._state.versions, wanted, strict=True):
             if version >= least:
                 continue
-            if scope is None or any(kept.last_change(iri) > self._ahead.get(iri, version) for iri in scope):
+            if scope is None or any(kept.last_change(iri) > self._state.ahead.get(iri, version) for iri in scope):
                 return False
         return True
 
@@ -479,23 +492,23 @@ class Synchroniser:
         """Bring here and now what changed, if that is little. False, with nothing changed, where it is not."""
         parts: list[Changes] = []
         versions = [kept.version for kept in self._kept]
-        for kept, before, version in zip(self._kept, self._versions, versions, strict=True):
+        for kept, before, version in zip(self._kept, self._state.versions, versions, strict=True):
             found = kept.changes(before) if version != before else iter(())
             parts += islice(found, 1)
             if next(found, None) is not None:
                 return False
         if sum(part.size for part in parts) > _INLINE:
             return False
-        self._require(self._generation)
+        self._require(self._state.generation)
         for part in parts:
             self._target.change(_rendered(part.graphs), part.edits)
-        self._versions = versions
-        self._ahead.clear()
+        self._state.versions = versions
+        self._state.ahead.clear()
         return True
 
     def _fill(self, sources: Sequence[ChangeSource]) -> _Filling:
         """Begin to bring what changed in these sources."""
-        total = sum(kept.version - before for kept, before in zip(sources, self._versions, strict=False))
+        total = sum(kept.version - before for kept, before in zip(sources, self._state.versions, strict=False))
         filling = self._filling = _Filling(total)
         task = asyncio.ensure_future(self._bring(sources, filling))
         task.add_done_callback(self._filled)
@@ -509,9 +522,9 @@ class Synchroniser:
 
     async def _bring(self, sources: Sequence[ChangeSource], filling: _Filling) -> None:
         """Bring what changed in these sources by now, part by part."""
-        generation, done = self._generation, 0
+        generation, done = self._state.generation, 0
         for place, kept in enumerate(sources):
-            before, version = self._versions[place], kept.version
+            before, version = self._state.versions[place], kept.version
             if version != before:
                 now = version
                 for part in kept.changes(before):
@@ -522,9 +535,9 @@ class Synchroniser:
                     await asyncio.sleep(0)
             self._require(generation)
             done += version - before
-            self._versions[place] = version
+            self._state.versions[place] = version
         if len(sources) == len(self._kept):
-            self._ahead.clear()
+            self._state.ahead.clear()
 
     async def _bring_part(self, part: Changes, version: int, generation: int) -> None:
         MEMORY.require(part.size * SENT_PER_CHARACTER, f"a part of {part.size} characters for the dataset")
@@ -537,26 +550,26 @@ class Synchroniser:
         self._target.change(texts, part.edits)
         for iri in part.graphs:
             if iri != part.unfinished:
-                self._ahead[iri] = version
+                self._state.ahead[iri] = version
 
     # --- what is held
 
     def _carried_out(self, look: _Look, changes: Mapping[str, _Change], sizes: Mapping[str, int]) -> None:
         for iri, change in changes.items():
             self._note(iri, change, look, sizes[iri])
-        self._applied = look.revision
+        self._state.applied = look.revision
 
     def _note(self, iri: str, change: _Change, look: _Look, size: int) -> None:
-        self._live.discard(iri)
-        self._extras.discard(iri)
+        self._state.live.discard(iri)
+        self._state.extras.discard(iri)
         if change.entry is None:
-            self._held.pop(iri, None)
+            self._state.held.pop(iri, None)
             return
-        self._held[iri] = _Held(change.entry.token, change.description, change.live, look.number, size)
+        self._state.held[iri] = _Held(change.entry.token, change.description, change.live, look.number, size)
         if change.live:
-            self._live.add(iri)
+            self._state.live.add(iri)
             if change.entry.passing or iri not in look.described:
-                self._extras.add(iri)
+                self._state.extras.add(iri)
 
 
 def _is_small(changes: Mapping[str, _Change]) -> bool:

@@ -238,7 +238,7 @@ async def test_what_is_written_while_a_backlog_is_told_is_not_lost(index: Index)
             if turn % 7 == 3:
                 writes.append(Put("data/c/", Model.DIRECT_CONTAINER, b"", membership=Membership(f"{P}{turn}", P)))
             await index.records.write(*writes)
-    index.synchroniser._versions = [version]  # what was not told would be lost now
+    index.synchroniser._state.versions = [version]  # what was not told would be lost now
     assert await index.differences() == []
 
 
@@ -248,7 +248,7 @@ async def test_a_search_that_came_to_nothing_is_made_up_for(index: Index) -> Non
     await index.query("SELECT * {}")
     for number in range(3):
         await index.records.write(source(f"data/b{number}", 0))
-        list(index.synchroniser._kept[0].changes(index.synchroniser._versions[0]))
+        list(index.synchroniser._kept[0].changes(index.synchroniser._state.versions[0]))
     await index.records.write(Remove("data/b1"))
     assert await index.differences() == []
 

@@ -20,7 +20,7 @@ _NUMPY = orjson.OPT_SERIALIZE_NUMPY
 
 def json_numbers(values: npt.NDArray[Any], quote: str = '"') -> str:
     """An array of numbers or bools as JSON; `quote` is how a quotation mark is written (`\\"` within a literal)."""
-    text = _dumped(values)
+    text = _dump(values)
     if values.dtype.kind == "f":
         if "n" in text:  # only `null` has one, and one character is found much faster than four
             text = _with_specials(text, values, quote)
@@ -39,7 +39,7 @@ def json_strings(values: Sequence[str]) -> str:
         return f"[{','.join(map(json_string, values))}]"
 
 
-def _dumped(values: npt.NDArray[Any]) -> str:
+def _dump(values: npt.NDArray[Any]) -> str:
     try:
         return orjson.dumps(values, option=_NUMPY).decode()
     except TypeError:  # not contiguous, or of foreign byte order

@@ -22,7 +22,7 @@ def field_bytes(schema: MessageSchema, message: Message, path: str) -> tuple[byt
     Octets and strings are as they are on the wire, anything else is JSON, whole however large. Raises ValueError
     naming the path where there is no such field.
     """
-    return _written(schema, *field_at(schema, message, path))
+    return _write(schema, *field_at(schema, message, path))
 
 
 def field_at(schema: MessageSchema, message: Message, path: str) -> tuple[FieldType, object]:
@@ -55,7 +55,7 @@ def _field(schema: MessageSchema, name: str, step: str) -> Field:
     raise LookupError(step)
 
 
-def _written(schema: MessageSchema, kind: FieldType, value: object) -> tuple[bytes, str]:
+def _write(schema: MessageSchema, kind: FieldType, value: object) -> tuple[bytes, str]:
     if isinstance(kind, Nested):
         return _message_json(schema, kind, cast(Message, value)), "application/json"
     if isinstance(kind, Primitive):

@@ -165,21 +165,21 @@ class CompiledLifter:
 
     @cached_property
     def _ntriples(self) -> Lift:
-        return self._compiled("ntriples")
+        return self._compile("ntriples")
 
     @cached_property
     def _turtle(self) -> Lift:
-        return self._compiled("turtle")
+        return self._compile("turtle")
 
     @cached_property
     def _jsonld(self) -> Lift:
-        return self._compiled("jsonld")
+        return self._compile("jsonld")
 
     @cached_property
     def _json(self) -> Lift:
-        return self._compiled("json")
+        return self._compile("json")
 
-    def _compiled(self, notation: str) -> Lift:
+    def _compile(self, notation: str) -> Lift:
         return compile_lift(self.schema, NOTATIONS[notation], self._settings.types, self._settings.inline_limit)
 
 

@@ -141,7 +141,7 @@ def _array(kind: Array, element: Primitive) -> Reader:
 
     def read(term: Term, path: Path, reading: GraphReading) -> object:
         if not isinstance(term, Literal):
-            return _listed(kind, element, one, _elements(kind, term, reading))
+            return _list(kind, element, one, _elements(kind, term, reading))
         datatype = term.datatype
         if datatype == rdf.JSON:
             return from_json(term.value)
@@ -152,7 +152,7 @@ def _array(kind: Array, element: Primitive) -> Reader:
     return read
 
 
-def _listed(kind: Array, element: Primitive, one: TermLeaf, terms: list[Term]) -> object:
+def _list(kind: Array, element: Primitive, one: TermLeaf, terms: list[Term]) -> object:
     values = []
     for index, term in enumerate(sized(kind, terms)):
         try:

@@ -66,7 +66,7 @@ class JsonReaders:
                     reading.findings.add((path, key), f"missing: expected {described(entry.field.type)}")
             if not value.keys() <= fields.keys():
                 for key in value.keys() - fields.keys():
-                    reading.findings.add((path, key), f"{name} has no such field; it has {_listed(fields)}")
+                    reading.findings.add((path, key), f"{name} has no such field; it has {_list(fields)}")
             return None if reading.findings.violations else build(name, values)
 
         return read
@@ -129,5 +129,5 @@ def _default_primitive(kind: Primitive) -> object:
     return 0.0 if kind.name.startswith("float") else 0
 
 
-def _listed(fields: Mapping[str, _Field]) -> str:
+def _list(fields: Mapping[str, _Field]) -> str:
     return ", ".join(fields) or "none"

@@ -172,7 +172,7 @@ def lower_parameter(body: RdfBody, url: str) -> ParameterValue:
     Also found: the only subject of type ros:Parameter, or the only one with an ros:value, that nothing links to.
     Raises LoweringError with the path of what does not fit.
     """
-    return _lowered(body, _subject(body, url), "", 0)
+    return _lower(body, _subject(body, url), "", 0)
 
 
 def _subject(body: RdfBody, url: str) -> NamedNode:
@@ -191,7 +191,7 @@ def _subject(body: RdfBody, url: str) -> NamedNode:
     return roots[0]
 
 
-def _lowered(body: RdfBody, subject: NamedNode, path: str, depth: int) -> ParameterValue:
+def _lower(body: RdfBody, subject: NamedNode, path: str, depth: int) -> ParameterValue:
     values = body.objects(subject, ros.value)
     kinds = body.objects(subject, rdf.type)
     members = body.objects(subject, ldp.contains)
@@ -224,7 +224,7 @@ def _key(member: Term, container: NamedNode, path: str) -> str:
 def _member(body: RdfBody, member: Term, container: NamedNode, path: str, depth: int) -> ParameterValue:
     assert isinstance(member, NamedNode)
     key = _key(member, container, path)
-    return _lowered(body, member, f"{path}/{key}" if path else key, depth + 1)
+    return _lower(body, member, f"{path}/{key}" if path else key, depth + 1)
 
 
 def lower_term(term: Term, path: str = "") -> ParameterValue:

@@ -39,8 +39,8 @@ def rdfxml(triples: Iterable[Triple], base: str) -> str:
     """The triples in RDF/XML. Raises CannotCarry for what XML cannot hold."""
     writer = _Writer()
     body = [writer.description(subject, statements) for subject, statements in outline(triples).subjects.items()]
-    names = "".join(f"\n    xmlns:{prefix}={_quoted(iri)}" for iri, prefix in writer.namespaces.items())
-    head = f'<?xml version="1.0" encoding="UTF-8"?>\n<rdf:RDF xml:base={_quoted(base)}{names}>\n'
+    names = "".join(f"\n    xmlns:{prefix}={_quote(iri)}" for iri, prefix in writer.namespaces.items())
+    head = f'<?xml version="1.0" encoding="UTF-8"?>\n<rdf:RDF xml:base={_quote(base)}{names}>\n'
     return f"{head}{''.join(body)}</rdf:RDF>\n"
 
 
@@ -71,7 +71,7 @@ class _Writer:
     def _node(self, node: Subject, attribute: str) -> str:
         """The attribute that names a node."""
         if isinstance(node, NamedNode):
-            return f"{attribute}={_quoted(node.value)}"
+            return f"{attribute}={_quote(node.value)}"
         return f'rdf:nodeID="{self.labels.setdefault(node, f"b{len(self.labels)}")}"'
 
     def _name(self, iri: str) -> str:
@@ -92,7 +92,7 @@ def _attributes(literal: Literal) -> str:
     if literal.language is not None:
         return f' xml:lang="{literal.language}"'
     datatype = literal.datatype.value
-    return "" if datatype == xsd.string.value else f" rdf:datatype={_quoted(datatype)}"
+    return "" if datatype == xsd.string.value else f" rdf:datatype={_quote(datatype)}"
 
 
 def _text(value: str) -> str:
@@ -102,6 +102,6 @@ def _text(value: str) -> str:
     return value.translate(_IN_TEXT)
 
 
-def _quoted(value: str) -> str:
+def _quote(value: str) -> str:
     """The value of an attribute, in quotes."""
     return f'"{value.translate(_IN_QUOTES)}"'

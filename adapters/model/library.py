@@ -148,7 +148,7 @@ class TypeLibrary:
         """Texts of a message that was nested in what was learnt, those learnt last first, with what it nests itself."""
         for text, texts in reversed(self._nested.get(name, {}).items()):
             closed = self._closure(name, texts)
-            yield "\n".join([text, *_appended({each: closed[each] for each in closed if each != name})]) + "\n"
+            yield "\n".join([text, *_append({each: closed[each] for each in closed if each != name})]) + "\n"
 
     def _nested_hash(self, name: str) -> str | None:
         """The hash of a message as it was nested in what was learnt last; None where it was in nothing."""
@@ -176,7 +176,7 @@ class TypeLibrary:
         texts = [sections(schema.ref.name, schema.definition) for schema in found]
         own = [texts_of.pop(schema.ref.name) for schema, texts_of in zip(found, texts, strict=True)]
         nested = {name: text for texts_of in texts for name, text in texts_of.items()}
-        return "\n".join(["\n---\n".join(own), *_appended(nested)])
+        return "\n".join(["\n---\n".join(own), *_append(nested)])
 
     def _speaks(self, package: str) -> bool:
         """Whether the shipped definitions of a package are those of this ROS: some differ between ROS 1 and ROS 2."""
@@ -212,7 +212,7 @@ class TypeLibrary:
             found = md5(name, closed) if self._ros_version == 1 else None
             store = typestore_of(closed)
             types = message_types(store, {each: store_name(each) for each in closed})
-            ref = TypeRef(name, _proved(name, found or message_hash(name, types), hash))
+            ref = TypeRef(name, _prove(name, found or message_hash(name, types), hash))
         except (KeyError, IndexError, RecursionError) as error:
             raise ValueError(f"the definition of {name} cannot be read: {error}") from error
         for each in closed:
@@ -227,10 +227,10 @@ class TypeLibrary:
         closed = {each: self._closure(each, {**shared, **texts}) for each in texts}
         if self._ros_version == 1:
             found = service_md5(name, {**closed[f"{name}_Request"], **closed[f"{name}_Response"]})
-            hash = _proved(name, found, hash)
+            hash = _prove(name, found, hash)
         request, response = (self._message(each, closed[each], texts[each], None) for each in texts)
         if self._ros_version == 2:
-            hash = _proved(name, service_hash(name, {**request.types, **response.types}), hash)
+            hash = _prove(name, service_hash(name, {**request.types, **response.types}), hash)
         return ServiceSchema(TypeRef(name, hash), request, response, definition)
 
     def _action(self, name: str, definition: str, hash: str | None) -> ActionSchema:
@@ -241,10 +241,10 @@ class TypeLibrary:
         if self._ros_version == 1:
             actionlib = {part: text for each in _ACTIONLIB for part, text in self._closure(each, {}).items()}
             found = action_md5(name, {**actionlib, **{key: text for of in closed.values() for key, text in of.items()}})
-            hash = _proved(name, found, hash)
+            hash = _prove(name, found, hash)
         goal, result, feedback = (self._message(each, closed[each], texts[each], None) for each in texts)
         if self._ros_version == 2:
-            hash = _proved(name, action_hash(name, {**goal.types, **result.types, **feedback.types}), hash)
+            hash = _prove(name, action_hash(name, {**goal.types, **result.types, **feedback.types}), hash)
         return ActionSchema(TypeRef(name, hash), goal, result, feedback, definition)
 
 
@@ -256,7 +256,7 @@ def _plain(*parts: str) -> bool:
     return all(part.isidentifier() for part in parts)
 
 
-def _proved(name: str, found: str, wanted: str | None) -> str:
+def _prove(name: str, found: str, wanted: str | None) -> str:
     """The hash of what was found. Raises ValueError where it is not the one that is wanted."""
     if wanted is not None and found != wanted:
         raise ValueError(f"the definition found for {name} has the hash {found}, the robot uses {wanted}")
@@ -267,10 +267,10 @@ def _full_text(name: str, closed: Mapping[str, str], definition: str) -> str:
     """The concatenated definition: as given where it is whole, else with the dependencies appended as ROS 1 does."""
     given = sections(name, definition)
     lacking = [each for each in closed if each not in given and each not in _BUILTIN]
-    return "\n".join([definition.rstrip("\n"), *_appended({each: closed[each] for each in lacking})]) + "\n"
+    return "\n".join([definition.rstrip("\n"), *_append({each: closed[each] for each in lacking})]) + "\n"
 
 
-def _appended(texts: Mapping[str, str]) -> list[str]:
+def _append(texts: Mapping[str, str]) -> list[str]:
     """The texts of types, each as ROS 1 appends it to those that need it."""
     return [f"{SEPARATOR}\nMSG: {each.replace('/msg/', '/')}\n{text}" for each, text in texts.items()]
 

@@ -66,8 +66,8 @@ def message_hash(name: str, types: Mapping[str, MessageType]) -> str:
     """
     nested = {found: types[found] for found in _nested(name, types)}
     described = {
-        "type_description": _described(types[name]),
-        "referenced_type_descriptions": [_described(nested[each]) for each in sorted(nested) if each != name],
+        "type_description": _describe(types[name]),
+        "referenced_type_descriptions": [_describe(nested[each]) for each in sorted(nested) if each != name],
     }
     return f"RIHS01_{hashlib.sha256(json.dumps(described).encode()).hexdigest()}"
 
@@ -120,7 +120,7 @@ def _nested(name: str, types: Mapping[str, MessageType], above: tuple[str, ...] 
             yield from _nested(kind.name, types, (*above, name))
 
 
-def _described(kind: MessageType) -> dict[str, object]:
+def _describe(kind: MessageType) -> dict[str, object]:
     return {"type_name": kind.name, "fields": [_field(field) for field in kind.fields or (_DUMMY,)]}
 
 

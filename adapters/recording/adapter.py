@@ -92,7 +92,7 @@ class RecordingAdapter:
             return
         remaining = deadline - asyncio.get_running_loop().time()
         try:
-            bag = await asyncio.wait_for(_on_a_thread(self._opened, lambda bag: bag.close()), remaining)
+            bag = await asyncio.wait_for(_on_a_thread(self._open, lambda bag: bag.close()), remaining)
         except asyncio.TimeoutError:
             raise Unreachable(f"{str(self._path)!r} was not read in {max(remaining, 0):.0f} s") from None
         for note in bag.notes:
@@ -176,7 +176,7 @@ class RecordingAdapter:
         """Recordings have no parameters."""
         raise NotFound(f"there is no parameter {', '.join(names)}: a recording has none")
 
-    def _opened(self) -> Bag:
+    def _open(self) -> Bag:
         storage = open_storage(self._path)
         self._library = TypeLibrary(ros_version=storage.ros_version, folders=self._options.types)
         self._encoding = Encoding.ROS1 if storage.ros_version == 1 else Encoding.CDR

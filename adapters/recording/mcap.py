@@ -162,7 +162,7 @@ class Mcap:
         self._file.close()
 
     def _load(self, chunk: int) -> bytes:
-        return _inflated(self._file, self._chunks[chunk])
+        return _inflate(self._file, self._chunks[chunk])
 
 
 def _read(file: RandomFile) -> tuple[Contents, list[_Chunk]]:
@@ -225,7 +225,7 @@ def _chunk_by_index(file: RandomFile, index: _Fields, scan: _Scan) -> None:
             raise Damaged("a message index is not where its chunk says")
         scan.tables.append(_index_table(file, record, place, scan))
     if len(scan.tables) == before:
-        _walk(Octets(_inflated(file, scan.chunks[place - 1])), 0, place, scan)
+        _walk(Octets(_inflate(file, scan.chunks[place - 1])), 0, place, scan)
 
 
 def _index_table(file: RandomFile, record: _Record, place: int, scan: _Scan) -> MessageTable:
@@ -270,7 +270,7 @@ def _walk(source: Source, at: int, place: int, scan: _Scan) -> None:
 def _walk_chunk(source: Source, record: _Record, scan: _Scan) -> None:
     place = _place(source, record, scan)
     try:
-        data = _inflated(source, scan.chunks[place - 1])
+        data = _inflate(source, scan.chunks[place - 1])
     except Damaged as damage:
         scan.notes.append(f"a chunk of it is damaged: {damage}")
     else:
@@ -288,7 +288,7 @@ def _place(source: Source, record: _Record, scan: _Scan) -> int:
     return len(scan.chunks)
 
 
-def _inflated(source: Source, chunk: _Chunk) -> bytes:
+def _inflate(source: Source, chunk: _Chunk) -> bytes:
     data = inflate(chunk.compression, exactly(source, chunk.at, chunk.size), chunk.inflated)
     if chunk.crc and zlib.crc32(data) != chunk.crc:
         raise Damaged(f"the checksum of the chunk at {chunk.at} is wrong")

@@ -55,9 +55,9 @@ class TopicPlayer:
         now = self._elapsed()
         if now >= self._until:
             self._until = self._next_change(now)
-            self._views = {each: self._renewed(each, view, now) for each, view in self._views.items()}
+            self._views = {each: self._renew(each, view, now) for each, view in self._views.items()}
         if depth not in self._views:
-            self._views[depth] = self._renewed(depth, _View((), ()), now)
+            self._views[depth] = self._renew(depth, _View((), ()), now)
         return self._views[depth].samples
 
     def watch(self, wake: Callable[[], None]) -> LoopWatch:
@@ -67,7 +67,7 @@ class TopicPlayer:
             self._set_timer(self._next_change(self._elapsed()))
         return watch
 
-    def _renewed(self, depth: int, view: _View, now: int) -> _View:
+    def _renew(self, depth: int, view: _View, now: int) -> _View:
         """The view at `now`: the very same one where nothing has changed."""
         due = self._due(self._playback.position(now), depth)
         if due == view.due:

@@ -116,7 +116,7 @@ class Rosbag1:
         self._file.close()
 
     def _load(self, chunk: int) -> bytes:
-        return _inflated(self._file, self._chunks[chunk])
+        return _inflate(self._file, self._chunks[chunk])
 
 
 def _read(file: RandomFile) -> tuple[Contents, list[_Chunk]]:
@@ -214,7 +214,7 @@ def _walk_chunk(file: RandomFile, record: _Record, place: int, base: int, scan: 
     """Find the messages and connections of one chunk by walking through it; a damaged one is left, with a note."""
     rows: list[tuple[int, int, int, int]] = []
     try:
-        data = _inflated(file, scan.chunks[place - 1]) if place else exactly(file, record.data_at, record.size)
+        data = _inflate(file, scan.chunks[place - 1]) if place else exactly(file, record.data_at, record.size)
         source = Octets(data)
         at = 0
         while at < source.size:
@@ -230,7 +230,7 @@ def _walk_chunk(file: RandomFile, record: _Record, place: int, base: int, scan: 
         scan.tables.append(table(*zip(*rows, strict=True)))
 
 
-def _inflated(file: RandomFile, chunk: _Chunk) -> bytes:
+def _inflate(file: RandomFile, chunk: _Chunk) -> bytes:
     return inflate(chunk.compression, exactly(file, chunk.at, chunk.size), chunk.inflated)
 
 

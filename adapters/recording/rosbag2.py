@@ -49,11 +49,11 @@ class Rosbag2:
             self.close()
             raise Damaged("; ".join(notes))
         self.format = f"ROS 2 bag ({' + '.join(sorted({each.format for each in self._files}))})"
-        self.connections = [_hashed(each, metadata) for file in self._files for each in file.connections]
+        self.connections = [_hash(each, metadata) for file in self._files for each in file.connections]
         self.notes = (*notes, *(note for file in self._files for note in file.notes))
         self._starts = np.cumsum([0, *(file.places for file in self._files)]).tolist()
         self.places = self._starts[-1]
-        self.messages = self._joined()
+        self.messages = self._join()
 
     def read(self, place: int, offset: int) -> bytes:
         """The bytes of the message there, decompressed where each message was compressed. Raises Damaged."""
@@ -69,7 +69,7 @@ class Rosbag2:
             self._inflated.cleanup()
             self._inflated = None
 
-    def _joined(self) -> MessageTable:
+    def _join(self) -> MessageTable:
         tables: list[MessageTable] = []
         first = 0
         for start, file in zip(self._starts, self._files, strict=False):
@@ -119,5 +119,5 @@ def _files(folder: Path, metadata: Metadata) -> Sequence[Path]:
     return sorted(path for path in folder.iterdir() if path.name.endswith(_SUFFIXES) and path.is_file())
 
 
-def _hashed(connection: RecordedConnection, metadata: Metadata) -> RecordedConnection:
+def _hash(connection: RecordedConnection, metadata: Metadata) -> RecordedConnection:
     return connection if connection.hash else connection._replace(hash=metadata.hashes.get(connection.topic) or None)

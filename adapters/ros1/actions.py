@@ -296,7 +296,7 @@ class Actions:
                 known.listed_at = followed.connected_at
             takes = (self._take_statuses, self._take_result, self._take_feedback, self._take_goal)
             for part, take in zip(_PARTS, takes, strict=True):
-                feed = _GoalFeed(f"{action}/{part}", _checked(action, take))
+                feed = _GoalFeed(f"{action}/{part}", _check(action, take))
                 followed.readers[part] = TopicReader(feed, self._nodes, self._types, 0)
             self.follow(self._system())
         if self._ticking is None:
@@ -476,7 +476,7 @@ def goal_definition(schema: ActionSchema) -> tuple[str, str]:
     return f"{package}/msg/{short}ActionGoal", SEPARATOR.join(parts)
 
 
-def _checked(action: str, take: Callable[[str, bytes], None]) -> Callable[[bytes], None]:
+def _check(action: str, take: Callable[[str, bytes], None]) -> Callable[[bytes], None]:
     """What takes a message, leaving out those that cannot be read."""
 
     def taken(data: bytes) -> None:

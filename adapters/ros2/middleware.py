@@ -359,12 +359,12 @@ def class_problem(type: str) -> str | None:
 
 def request_of(type: str, data: bytes) -> object:
     """The request of a service type from its bytes. Raises UnknownType, ValueError."""
-    return _deserialized(_class(type).Request, data)
+    return _deserialize(_class(type).Request, data)
 
 
 def deserialized(type: str, data: bytes) -> object:
     """A message from its bytes. Raises UnknownType, ValueError."""
-    return _deserialized(_class(type), data)
+    return _deserialize(_class(type), data)
 
 
 def serialized(message: object) -> bytes:
@@ -378,7 +378,7 @@ def make_message(type: str, values: Mapping[str, object], half: str | None = Non
     return (getattr(kind, half) if half else kind)(**values)
 
 
-def _deserialized(kind: Any, data: bytes) -> object:
+def _deserialize(kind: Any, data: bytes) -> object:
     try:
         return cast(object, importlib.import_module("rclpy.serialization").deserialize_message(data, kind))
     except Exception as error:

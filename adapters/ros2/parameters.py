@@ -278,7 +278,7 @@ class Parameters:
                 names = await self._names(node, loop.time() + _PATIENCE)
                 simulated, descriptors = await _all(
                     self._simulated(node, names, loop.time() + _PATIENCE),
-                    self._described(node, owner, names),
+                    self._describe(node, owner, names),
                 )
         except (RosError, ValueError) as error:
             self._ask_again(owner)
@@ -312,7 +312,7 @@ class Parameters:
         owner.ask_at = asyncio.get_running_loop().time() + owner.wait
         owner.wait = min(2 * owner.wait, _LONGEST_RETRY)
 
-    async def _described(self, node: str, owner: _Owner, names: Iterable[str]) -> dict[str, Descriptor] | None:
+    async def _describe(self, node: str, owner: _Owner, names: Iterable[str]) -> dict[str, Descriptor] | None:
         """What a node declares of parameters; None where it does not answer in time."""
         found: dict[str, Descriptor] = {}
         waiting = [sorted(names)] if owner.describes else []
@@ -335,7 +335,7 @@ class Parameters:
         while owner.new and self.owners.get(node) is owner:
             names = owner.new
             async with self._few:
-                descriptors = await self._described(node, owner, names)
+                descriptors = await self._describe(node, owner, names)
             if descriptors is None:
                 owner.new = frozenset()
                 self._ask_again(owner)

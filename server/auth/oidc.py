@@ -104,7 +104,7 @@ class Verifier:
             age = float("inf") if known is None else now - known.fetched
             if known is None or age > _KEPT_SECONDS or (_found(known, key_id) is None and age > _AGAIN_SECONDS):
                 try:
-                    known = _Keys(await asyncio.to_thread(_fetched, issuer), now)
+                    known = _Keys(await asyncio.to_thread(_fetch, issuer), now)
                 except (OSError, ValueError) as error:
                     if known is None:
                         raise Unverified("The issuer's keys cannot be had now") from error
@@ -121,7 +121,7 @@ def _found(keys: _Keys, key_id: object) -> object | None:
     return keys.by_id.get(key_id) if isinstance(key_id, str) else None
 
 
-def _fetched(issuer: Issuer) -> Mapping[str, object]:
+def _fetch(issuer: Issuer) -> Mapping[str, object]:
     """The keys of an issuer by their ids. Raises OSError and ValueError. Runs in a thread."""
     import jwt
 

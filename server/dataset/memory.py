@@ -157,7 +157,7 @@ class MemoryStore:
         lines = self._lines.get(graph)
         if lines is None:
             return [decode_triple(quad.triple) for quad in self._quads(graph)] or None
-        text = self._labelled(graph, "\n".join(lines))
+        text = self._label(graph, "\n".join(lines))
         return [quad.triple for quad in parse(text.encode(), RdfFormat.N_TRIPLES)]
 
     def _quads(self, graph: str) -> Iterator[Quad]:
@@ -241,14 +241,14 @@ class MemoryStore:
         """The quads of N-Triples within a graph. Raises ValueError."""
         if not text:
             return
-        text = self._labelled(graph.value, text)
+        text = self._label(graph.value, text)
         try:
             for subject, predicate, object, _ in parse(encode_ntriples(text).encode(), RdfFormat.N_TRIPLES):
                 yield Quad(subject, predicate, object, graph)
         except (SyntaxError, UnicodeEncodeError) as error:
             raise ValueError(f"no N-Triples for {graph.value!r}: {error}") from error
 
-    def _labelled(self, graph: str, text: str) -> str:
+    def _label(self, graph: str, text: str) -> str:
         """N-Triples with the labels that blank nodes have in the store."""
         if "_:" not in text:
             return text

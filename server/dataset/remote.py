@@ -107,11 +107,11 @@ class RemoteStore:
     def _results(self, answer: Response) -> Results:
         try:
             if answer.media_type == _JSON:
-                found = _parsed(answer.body)
+                found = _parse(answer.body)
                 if isinstance(found, pyoxigraph.QuerySolutions):
                     for _ in found:  # so that what is malformed is told here and not to who reads it
                         pass
-                    return _parsed(answer.body)
+                    return _parse(answer.body)
                 return found
             if answer.media_type == _GRAPH:
                 graph = pyoxigraph.Store()
@@ -122,7 +122,7 @@ class RemoteStore:
         raise Unreachable(f"{self.url} answers with {answer.media_type or 'no media type'} instead of results.")
 
 
-def _parsed(body: bytes) -> Results:
+def _parse(body: bytes) -> Results:
     return pyoxigraph.parse_query_results(body, format=pyoxigraph.QueryResultsFormat.JSON)
 
 

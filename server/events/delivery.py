@@ -101,11 +101,11 @@ def message(moment: Observation, news: Activity, media_type: str) -> bytes:
     key = f"{media_type} {news}"
     found = moment.chunks.get(key)
     if found is None:
-        found = moment.chunks[key] = _written(news, media_type)
+        found = moment.chunks[key] = _write(news, media_type)
     return found
 
 
-def _written(news: Activity, media_type: str) -> bytes:
+def _write(news: Activity, media_type: str) -> bytes:
     id, published = uuid.uuid4().urn, time.time_ns() // 1_000_000 * 1_000_000
     syntax = _RDF.get(media_type)
     if syntax is not None:

@@ -79,9 +79,9 @@ def _row(
         site.anchor(other) or Anchor("", visible(other), other),
         (
             role,
-            _spaced(reliability),
-            _spaced(durability),
-            " ".join(filter(None, (_spaced(history), depth))),
+            _space_out(reliability),
+            _space_out(durability),
+            " ".join(filter(None, (_space_out(history), depth))),
             ", ".join(_more(said, qos)),
         ),
         visible("; ".join(filter(None, wrong))),
@@ -97,7 +97,7 @@ def _more(said: Statements, qos: Statements) -> Iterable[str]:
             yield f"{label(predicate.value)} {seconds} s"
     liveliness = _first(qos, ros.liveliness)
     if liveliness and liveliness != _PLAIN:
-        yield f"liveliness {_spaced(liveliness)}"
+        yield f"liveliness {_space_out(liveliness)}"
 
 
 def _first(statements: Statements, predicate: NamedNode) -> str:
@@ -105,5 +105,5 @@ def _first(statements: Statements, predicate: NamedNode) -> str:
     return visible(next((each.value for each in statements.get(predicate, ()) if isinstance(each, Literal)), ""))
 
 
-def _spaced(word: str) -> str:
+def _space_out(word: str) -> str:
     return word.replace("_", " ")

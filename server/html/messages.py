@@ -146,14 +146,14 @@ def _float(text: str) -> str:
 
 def series(kind: Primitive, values: Sequence[object]) -> Series:
     """An array of scalars: the first few, and up to 2,000 of the rest on request."""
-    head = _joined(kind, values[:_HEAD])
+    head = _join(kind, values[:_HEAD])
     if len(values) <= _HEAD:
         return Series(len(values), head)
-    full = _joined(kind, values[:_SHOWN])
+    full = _join(kind, values[:_SHOWN])
     return Series(len(values), head, full + (" …" if len(values) > _SHOWN else ""))
 
 
-def _joined(kind: Primitive, values: Sequence[object]) -> str:
+def _join(kind: Primitive, values: Sequence[object]) -> str:
     if kind.name in STRINGS:
         return ", ".join(f"“{text_of(value)}”" for value in values)
     return ", ".join(_number(kind, value) for value in values)

@@ -86,7 +86,7 @@ def applied(*names: str) -> str:
 
 def render(preferences: Preferences) -> str:
     """The Prefer field that states these preferences. Raises ValueError for what no header can hold."""
-    return ", ".join(_written(name, preference) for name, preference in preferences.named.items())
+    return ", ".join(_write(name, preference) for name, preference in preferences.named.items())
 
 
 def _preference(member: str) -> tuple[str, Preference]:
@@ -95,7 +95,7 @@ def _preference(member: str) -> tuple[str, Preference]:
     return name, Preference(value, tuple(fields.parameter(part) for part in rest))
 
 
-def _written(name: str, preference: Preference) -> str:
+def _write(name: str, preference: Preference) -> str:
     pairs = [(name, preference.value), *preference.parameters]
     return "; ".join(_pair(key, value) for key, value in pairs)
 

@@ -51,7 +51,7 @@ def read_ranges(text: str | None, size: int) -> tuple[Span, ...] | None:
             f"There are {size} bytes, from 0 to {size - 1}: none of what Range asks for is among them.",
             headers={"Content-Range": f"bytes */{size}"},
         )
-    return _coalesced(spans)
+    return _coalesce(spans)
 
 
 def is_unchanged(if_range: str | None, etag: str) -> bool:
@@ -130,7 +130,7 @@ def _span(first: int | None, last: int | None, size: int) -> Span | None:
     return Span(first, size if last is None else min(last + 1, size)) if first < size else None
 
 
-def _coalesced(spans: Sequence[Span]) -> tuple[Span, ...]:
+def _coalesce(spans: Sequence[Span]) -> tuple[Span, ...]:
     """The spans with those that overlap or nearly touch joined, at the place of the first of them."""
     places = sorted(range(len(spans)), key=lambda place: (spans[place].start, spans[place].stop))
     joined: list[tuple[int, Span]] = []

@@ -153,11 +153,11 @@ def _proposed(templates: tuple[str, ...], service: str) -> tuple[str, int] | Non
         if not capital:
             return namespace + name, rank
         if name[0].isupper():
-            return namespace + _decapitalized(name), rank
+            return namespace + _decapitalize(name), rank
     return None
 
 
-def _decapitalized(name: str) -> str:
+def _decapitalize(name: str) -> str:
     """JavaBeans 8.8: the first letter small, unless the second is a capital too."""
     return name if name[1:2].isupper() else name[0].lower() + name[1:]
 

@@ -19,12 +19,12 @@ _OF_THINGS = {"unit": "x-unit"}
 
 def as_read(schema: DataSchema) -> Schema:
     """The schema of a value that the server writes."""
-    return cast(Schema, _renamed(schema))
+    return cast(Schema, _rename(schema))
 
 
 def as_sent(schema: DataSchema) -> Schema:
     """The schema of a value that a client writes: without what only the server says (`readOnly`)."""
-    return cast(Schema, _renamed(_without_read_only(schema)))
+    return cast(Schema, _rename(_without_read_only(schema)))
 
 
 def as_patch(schema: DataSchema) -> Schema:
@@ -44,16 +44,16 @@ def or_null(schema: Schema) -> Schema:
     return {"anyOf": [schema, NOTHING]} if schema else schema
 
 
-def _renamed(value: Json) -> Json:
+def _rename(value: Json) -> Json:
     if isinstance(value, list):
-        return [_renamed(each) for each in value]
+        return [_rename(each) for each in value]
     if not isinstance(value, dict):
         return value
     # The names of properties are the robot's: no keyword is among them.
     return {
-        _OF_THINGS.get(key, key): {name: _renamed(one) for name, one in each.items()}
+        _OF_THINGS.get(key, key): {name: _rename(one) for name, one in each.items()}
         if key == "properties" and isinstance(each, dict)
-        else _renamed(each)
+        else _rename(each)
         for key, each in value.items()
     }
 

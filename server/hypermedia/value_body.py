@@ -48,7 +48,7 @@ def rdf_content(
         return term
     if not isinstance(term, NamedNode | BlankNode):
         raise LoweringError(Violation("", "expected a literal or a node", shortened(term)))
-    return _described(body, term, property, lifting, subject.value)
+    return _describe(body, term, property, lifting, subject.value)
 
 
 def _stated(body: RdfBody, subject: NamedNode, predicate: NamedNode, node: str) -> Term:
@@ -62,7 +62,7 @@ def _stated(body: RdfBody, subject: NamedNode, predicate: NamedNode, node: str) 
     raise LoweringError(Violation("", f"missing: expected the value, as {subject} {predicate}"))
 
 
-def _described(
+def _describe(
     body: RdfBody, node: NamedNode | BlankNode, property: Property, lifting: LiftSettings, document: str
 ) -> object:
     """The plain JSON of the message that a node is."""

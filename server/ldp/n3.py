@@ -126,7 +126,7 @@ class _Parser(SinkParser):
         if found is None:
             self.BadSyntax(argstr, start, "no IRI reference")
         assert self._baseURI is not None
-        res.append(_resolved(found[0], self._baseURI))
+        res.append(_resolve(found[0], self._baseURI))
         return found.end()
 
     def variable(self, argstr: str, i: int, res: MutableSequence[object]) -> int:
@@ -140,7 +140,7 @@ class _Parser(SinkParser):
         return found.end()
 
 
-def _resolved(reference: str, base: str) -> str:
+def _resolve(reference: str, base: str) -> str:
     """The IRI that `<reference>` is: as in Turtle, by the same parser, escapes and all (RFC 3986 5.2)."""
     if _PLAIN.fullmatch(reference):
         return reference[1:-1]

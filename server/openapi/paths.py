@@ -73,15 +73,15 @@ class Paths:
     def _path(self, path: str) -> Path:
         """A path as its resource has it."""
         resource = self.resolve(path)
-        return self._described(path, resource, resource.path_item(self.schemas))
+        return self._describe(path, resource, resource.path_item(self.schemas))
 
     def _template(self, template: str, example: str, *, item: PathItem | None = None, **segments: str) -> Path:
         """A template as the resource at a path has it for which it stands."""
         resource = self.resolve(example)
-        found = self._described(template, resource, item or resource.path_item(self.schemas))
+        found = self._describe(template, resource, item or resource.path_item(self.schemas))
         return replace(found, segments=segments)
 
-    def _described(self, path: str, resource: Resource, item: PathItem) -> Path:
+    def _describe(self, path: str, resource: Resource, item: PathItem) -> Path:
         methods = resource.methods() if item.methods is None else item.methods
         own = {method: each.accepts for method, each in item.writes.items() if each.accepts is not None}
         accepts = {method: tuple(kinds) for method, kinds in {**resource.accepts, **own}.items() if method in methods}

@@ -87,7 +87,7 @@ class OpenApiResource(Resource):
         if media_type is None:
             raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(MEDIA_TYPES)}.")
         hidden = exchange.flag("hidden") and self.robot.adapter.capabilities.hidden_names
-        kept = await self._described(hidden)
+        kept = await self._describe(hidden)
         data = kept.data
         if exchange.visit is not OPEN:
             data = await self._for_agent(kept, hidden, exchange.permissions, exchange.visit.public)
@@ -109,7 +109,7 @@ class OpenApiResource(Resource):
         """What is described to an agent is described anew, so that not even a number tells of anything else."""
         data = kept.data
         if not permissions.whole:
-            data = self._written(
+            data = self._write(
                 paths_for(kept.paths, partial(self._may, permissions), permissions.may_read), kept.schemas
             )
         return with_security(data, partial(self._may, public), whole=permissions.whole)
@@ -125,7 +125,7 @@ class OpenApiResource(Resource):
         except Problem:
             return False
 
-    async def _described(self, hidden: bool) -> _Described:
+    async def _describe(self, hidden: bool) -> _Described:
         kept = self._kept.get(hidden)
         if kept is not None and kept.version == self._version():
             return kept
@@ -155,14 +155,14 @@ class OpenApiResource(Resource):
         if len(paths) > _MANY:
             data = await robot.workers.run(self._writing(paths, schemas.by_key))
         else:
-            data = await asyncio.to_thread(self._written, paths, schemas.by_key)
+            data = await asyncio.to_thread(self._write, paths, schemas.by_key)
         return _Described(version, data, paths, schemas.by_key)
 
     def _writing(self, paths: Iterable[Path], schemas: Mapping[str, Schema]) -> Callable[[], bytes]:
         title, base = f"rosld: {self.robot.name}", self.robot.space.base
         return partial(description, title, base, __version__, _ABOUT, paths, schemas)
 
-    def _written(self, paths: Iterable[Path], schemas: Mapping[str, Schema]) -> bytes:
+    def _write(self, paths: Iterable[Path], schemas: Mapping[str, Schema]) -> bytes:
         return self._writing(paths, schemas)()
 
 

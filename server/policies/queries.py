@@ -74,7 +74,7 @@ class Queries:
     def outline(self, record: Record) -> StoredQuery:
         """What a kept query says of itself; of one that is none (any more) the purpose says why. In any thread."""
         assert record.blob is not None
-        return self._outlines.get(record.blob, lambda: self._outlined(record))
+        return self._outlines.get(record.blob, lambda: self._outline(record))
 
     def said(self, record: Record) -> list[Triple]:
         """What the text of a kept query says, as RDF; nothing of other records. In any thread."""
@@ -87,7 +87,7 @@ class Queries:
         assert record.blob is not None
         found = self._checked.known(record.blob)
         if found is None:
-            found = await asyncio.to_thread(self._checked.get, record.blob, lambda: self._judged(record))
+            found = await asyncio.to_thread(self._checked.get, record.blob, lambda: self._judge(record))
         if isinstance(found, str):
             url = self._space.base + record.path
             raise Problem(409, f"What is kept at {url} is no stored query (any more): {found}. PUT one that is.")
@@ -98,7 +98,7 @@ class Queries:
         name = name_of(path)
         read(name, self._text(name, blob), self.bounds)
 
-    def _outlined(self, record: Record) -> StoredQuery:
+    def _outline(self, record: Record) -> StoredQuery:
         name = name_of(record.path)
         assert record.blob is not None
         try:
@@ -110,7 +110,7 @@ class Queries:
         except ValueError as error:
             return StoredQuery(name, f"It is no stored query (any more): {error}", (), content)
 
-    def _judged(self, record: Record) -> StoredQuery | str:
+    def _judge(self, record: Record) -> StoredQuery | str:
         name = name_of(record.path)
         assert record.blob is not None
         try:

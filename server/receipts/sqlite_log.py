@@ -37,7 +37,7 @@ class SqliteLog:
         folder.mkdir(parents=True, exist_ok=True)
         self._connection: sqlite3.Connection | None = None
         try:
-            self._connection = self._opened()
+            self._connection = self._open()
         except sqlite3.OperationalError as error:  # a full disk, as a rule: no reason not to serve
             self.failed(error)
         except sqlite3.Error as error:
@@ -57,17 +57,17 @@ class SqliteLog:
             _log.error("%s", problem)
         self.problem = problem
 
-    def _opened(self) -> sqlite3.Connection:
+    def _open(self) -> sqlite3.Connection:
         try:  # what people did is no one else's
             os.close(os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
         except OSError as error:
             raise sqlite3.OperationalError(str(error)) from error
         try:
-            return self._connected("NORMAL")
+            return self._connect("NORMAL")
         except sqlite3.OperationalError:
-            return self._connected("EXCLUSIVE")  # its index needs no file then, for which a full disk has no place
+            return self._connect("EXCLUSIVE")  # its index needs no file then, for which a full disk has no place
 
-    def _connected(self, locking: str) -> sqlite3.Connection:
+    def _connect(self, locking: str) -> sqlite3.Connection:
         connection = sqlite3.connect(self._path, timeout=_OPEN_SECONDS, isolation_level=None, check_same_thread=False)
         try:
             locked = f"locking_mode = {locking}"
@@ -108,7 +108,7 @@ class SqliteLog:
         rows = [(receipt.number, orjson.dumps(receipt._asdict())) for receipt in added]
         if self._connection is None:
             try:
-                self._connection = self._opened()
+                self._connection = self._open()
             except ValueError as error:
                 raise sqlite3.OperationalError(str(error)) from error
         connection = self._connection

@@ -129,7 +129,7 @@ class Notifications:
         try:
             if not permissions.whole:
                 enforcement.require_path(permissions, "GET", place)
-            resource = await _narrowed(self._resolve(scope), exchange)
+            resource = await _narrow(self._resolve(scope), exchange)
             await resource.prepare()
             if not permissions.whole:
                 enforcement.authorize(permissions, "GET", place, resource)
@@ -165,7 +165,7 @@ class Notifications:
         }
 
 
-async def _narrowed(resource: Resource, exchange: Exchange) -> Resource:
+async def _narrow(resource: Resource, exchange: Exchange) -> Resource:
     """What query and preferences ask for; a container that is read in pages is followed as a whole."""
     try:
         return await resource.select_variant(exchange)

@@ -266,7 +266,7 @@ class MemberResource(Resource):
         async with self.robot.offers.turn(layout, self.name, changed=(plan.of.name,)):
             sight = await seen_anew(self.robot, layout, plan.reads)
             require_writable(self.robot, plan, sight)
-            content = self._whole(plan, sight, self._patched(exchange, plan, sight, data))
+            content = self._whole(plan, sight, self._patch(exchange, plan, sight, data))
             written = await planned(self.robot, plan.of, content)
             return write_response(written, await carry_out(self.robot, written), exchange.accept)
 
@@ -297,7 +297,7 @@ class MemberResource(Resource):
             subject, predicate = home, plan.mapped.predicate
         return rdf_content(body, subject, predicate, plan.of, self.robot.lifting)
 
-    def _patched(self, exchange: Exchange, plan: PropertyPlan, sight: Snapshot, data: bytes) -> object:
+    def _patch(self, exchange: Exchange, plan: PropertyPlan, sight: Snapshot, data: bytes) -> object:
         view = self.robot.offers.property_view(plan, sight)
         if view.reading.value is None:
             why = view.reading.failure or "it has no value yet"

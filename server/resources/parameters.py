@@ -156,7 +156,7 @@ class _Parameters(Resource):
         try:
             await self.robot.adapter.set_parameters(values, deadline=deadline)
         finally:
-            self._written(values)
+            self._write(values)
 
     async def _delete(self, gone: Sequence[str]) -> None:
         for name in gone:
@@ -166,9 +166,9 @@ class _Parameters(Resource):
         try:
             await self.robot.adapter.delete_parameters(gone, deadline=deadline)
         finally:
-            self._written(gone)
+            self._write(gone)
 
-    def _written(self, changed: Iterable[str]) -> None:
+    def _write(self, changed: Iterable[str]) -> None:
         for name in changed:
             for each in (name, *_below(name, self.robot)):
                 self.robot.announce_write(Kind.PARAMETER, each)
@@ -260,7 +260,7 @@ class ParameterResource(_Parameters):
         return forms
 
     async def put(self, exchange: Exchange) -> Answer:
-        value = await self._parsed(exchange)
+        value = await self._parse(exchange)
         _require_below(exchange, self.url, value)
         before = await self._value()
         self._check_place(value, before)
@@ -297,7 +297,7 @@ class ParameterResource(_Parameters):
 
         return RobotWrite(f"set the parameter {self.name} to {parameter_json(value).decode()}", set_to)
 
-    async def _parsed(self, exchange: Exchange) -> ParameterValue:
+    async def _parse(self, exchange: Exchange) -> ParameterValue:
         data = await exchange.body()
         if exchange.media_type == JSON:
             return lower_json(parse_json(data))
@@ -408,7 +408,7 @@ class ParameterTree(_Parameters):
             value = {}
         if not isinstance(value, dict):
             raise Problem(404, f"There is no tree of parameters {self.name}.")
-        tree = self._listed(value)
+        tree = self._list(value)
         whole = with_hidden(self.url) if tree is not value else None
         plain = self._plain(tree)
         if self._place is not None:
@@ -443,7 +443,7 @@ class ParameterTree(_Parameters):
         below = {inner: self._outline((*namespace, inner)) for inner in members.namespaces}
         return {**dict.fromkeys(members.leaves), **below}
 
-    def _listed(self, value: dict[str, ParameterValue]) -> dict[str, ParameterValue]:
+    def _list(self, value: dict[str, ParameterValue]) -> dict[str, ParameterValue]:
         """The tree as it is listed; the same object where nothing is left out."""
         capabilities = self.robot.adapter.capabilities
         if self._hidden or not capabilities.hidden_names or names.is_hidden(self.name):

@@ -124,9 +124,9 @@ class Runner:
         request = QueryRequest(bind(query, given, self.base), timeout=timeout)
         hung_up = disconnect.of(exchange.request.receive)
         answer = await answer_query(self.service, request, accept, hung_up, exchange.permissions)
-        return self._identified(exchange, resource, answer, state)
+        return self._identify(exchange, resource, answer, state)
 
-    def _identified(self, exchange: Exchange, resource: Resource, answer: Response, state: str | None) -> Response:
+    def _identify(self, exchange: Exchange, resource: Resource, answer: Response, state: str | None) -> Response:
         """Results with what every answer about the query says, and an entity tag where they are there at once."""
         for name, value in standing_headers(resource).items():
             answer.headers[name] = value
@@ -237,7 +237,7 @@ class KeptQuery(KeptFile):
         return _query_item(query.purpose, query.parameters)
 
     async def state(self) -> State:
-        return _described(self.robot, self.there())
+        return _describe(self.robot, self.there())
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         if not exchange.query.get("format") and negotiation.choose(exchange.accept, (*OFFERS, DIRECT)) == DIRECT:
@@ -252,7 +252,7 @@ class QueryDescription(DescriptionResource):
     """The description of a query that a client keeps: what the text says of itself is not to be written there."""
 
     async def state(self) -> State:
-        return _described(self.robot, self.there())
+        return _describe(self.robot, self.there())
 
     async def with_triples(
         self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
@@ -323,7 +323,7 @@ class QueryContainer(ContainerResource):
         shown_here = {one.object.value for one in document.triples if one.predicate == ldp.contains}  # type: ignore[union-attr]
         kept = {url: query.purpose for url, query in self._kept() if url in shown_here}
         shipped = self._shipped() if self._parts.containment else {}
-        return _listed(document, shipped, kept, titled=self._parts.minimal)
+        return _list(document, shipped, kept, titled=self._parts.minimal)
 
     def _shipped(self) -> dict[str, str]:
         """The purposes of the queries that come with rosld, on the page that tells of them: the first."""
@@ -346,7 +346,7 @@ def _shipped(robot: Robot) -> dict[str, str]:
     return {url: purpose for url, purpose in urls.items() if not there[url]}
 
 
-def _listed(document: Document, shipped: Mapping[str, str], kept: Mapping[str, str], *, titled: bool) -> Document:
+def _list(document: Document, shipped: Mapping[str, str], kept: Mapping[str, str], *, titled: bool) -> Document:
     """The container with its queries' purposes. That they are queries they say themselves, and nobody else."""
     container = NamedNode(document.url)
     more = about(
@@ -368,12 +368,12 @@ def whole_container(robot: Robot) -> Callable[[], Document]:
 
     def describe() -> Document:
         purposes = {robot.space.base + one.path: robot.queries.outline(one).purpose for one in kept}
-        return _listed(record_document(record, url, members, ()), shipped, purposes, titled=True)
+        return _list(record_document(record, url, members, ()), shipped, purposes, titled=True)
 
     return describe
 
 
-def _described(robot: Robot, record: Record) -> State:
+def _describe(robot: Robot, record: Record) -> State:
     """The description of a kept query: that of the file, and what its text says."""
     state = state_of(robot, record)
 

@@ -255,7 +255,7 @@ class LimitsContainer(ContainerResource):
 
     async def state(self) -> State:
         kept = await super().state()
-        listed = _generated(self.robot)
+        listed = _generate(self.robot)
         is_here = self._parts.containment and (self._place is None or self._place.after == 0)
         more = tuple(one for one in listed.triples if _is_of(one, containment=is_here, minimal=self._parts.minimal))
 
@@ -272,7 +272,7 @@ class LimitsContainer(ContainerResource):
         self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
     ) -> Put:
         require_small(triples)
-        own = set(_generated(self.robot).triples)
+        own = set(_generate(self.robot).triples)
         return await super().with_triples(record, [one for one in triples if one not in own], expected, said)
 
 
@@ -281,9 +281,9 @@ def _is_of(triple: Triple, *, containment: bool, minimal: bool) -> bool:
     return minimal if triple.predicate in (dcterms.title, rdf.type) else containment
 
 
-def _generated(robot: Robot) -> Document:
+def _generate(robot: Robot) -> Document:
     """What `/shapes/` says of what nobody keeps there."""
-    return type_container_document("shapes", (), names_below(_listed(robot), "shapes", ()), robot.space)
+    return type_container_document("shapes", (), names_below(_list(robot), "shapes", ()), robot.space)
 
 
 def whole_container(robot: Robot) -> Document:
@@ -292,10 +292,10 @@ def whole_container(robot: Robot) -> Document:
     assert record is not None
     members = [robot.space.base + member.path for member in all_members(robot, record)]
     kept = record_document(record, robot.space.container("shapes"), members, ())
-    return Document(kept.url, tuple(dict.fromkeys((*kept.triples, *_generated(robot).triples))))
+    return Document(kept.url, tuple(dict.fromkeys((*kept.triples, *_generate(robot).triples))))
 
 
-def _listed(robot: Robot) -> list[str]:
+def _list(robot: Robot) -> list[str]:
     return sorted({ref.name for ref in known_types(robot)})
 
 

@@ -86,7 +86,7 @@ async def file_response(
         added["content-type"] = frame.content_type
     length = sum(map(len, pieces))
     added |= {"content-length": str(length), "etag": etag, **_standing(media_type, name)}
-    status, encoded = 200 if spans is None else 206, _encoded({"cache-control": "no-cache", **headers, **added})
+    status, encoded = 200 if spans is None else 206, _encode({"cache-control": "no-cache", **headers, **added})
     if head:
         return RawResponse(status, b"", encoded)
     if length <= CHUNK:
@@ -206,5 +206,5 @@ def _disposition(media_type: str, name: str | None) -> str:
     return f"{kind}; filename={header_syntax.quote(plain)}{extended}"
 
 
-def _encoded(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
+def _encode(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
     return [(name.encode("ascii"), header_syntax.safe(value).encode("ascii")) for name, value in headers.items()]

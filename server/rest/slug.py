@@ -41,14 +41,14 @@ def free_name(slug: str | None, taken: Callable[[str], bool], *, suffix: str = "
 
 
 def _candidates(stem: str, extension: str) -> Iterator[str]:
-    yield _joined(stem, "", extension)
+    yield _join(stem, "", extension)
     for number in _COUNTED:
-        yield _joined(stem, f"-{number}", extension)
+        yield _join(stem, f"-{number}", extension)
     while True:
-        yield _joined(stem, f"-{secrets.token_hex(4)}", extension)
+        yield _join(stem, f"-{secrets.token_hex(4)}", extension)
 
 
-def _joined(stem: str, added: str, extension: str) -> str:
+def _join(stem: str, added: str, extension: str) -> str:
     """A name of all three, the stem cut short where it is too long; what was cut may have ended well before."""
     kept = stem[: LONGEST - len(added) - len(extension)].rstrip("-.")
     return unicodedata.normalize("NFC", kept + added + extension)
@@ -56,7 +56,7 @@ def _joined(stem: str, added: str, extension: str) -> str:
 
 def _readable(slug: str) -> str:
     """What remains of a Slug: empty where nothing does."""
-    text = unicodedata.normalize("NFC", _decoded(slug))
+    text = unicodedata.normalize("NFC", _decode(slug))
     kept = "".join(char if _is_kept(char) else "-" for char in text if char not in _INVISIBLE)
     name = re.sub(r"-{2,}", "-", kept)
     name = re.sub(r"\.{2,}", ".", name)
@@ -66,7 +66,7 @@ def _readable(slug: str) -> str:
     return _RESERVED.sub("-meta", name)
 
 
-def _decoded(slug: str) -> str:
+def _decode(slug: str) -> str:
     """The text of a Slug (RFC 5023 9.7.1): its octets percent-decoded, then read as UTF-8."""
     raw = slug[:_READ].encode("latin-1", "ignore") if _is_latin(slug) else slug[:_READ].encode("utf-8", "ignore")
     return unquote_to_bytes(raw).decode("utf-8", "replace")

@@ -147,11 +147,11 @@ class Calls:
     async def _settle(self, call: Call, data: bytes, deadline: float) -> RosError | None:
         """Take the answer, whenever it comes; the error where there is none."""
         try:
-            return await self._answered(call, data, deadline)
+            return await self._answer(call, data, deadline)
         finally:
             self._settled(call.service)
 
-    async def _answered(self, call: Call, data: bytes, deadline: float) -> RosError | None:
+    async def _answer(self, call: Call, data: bytes, deadline: float) -> RosError | None:
         try:
             answer = await self._adapter.call(call.service, call.schema.ref, data, deadline=deadline)
             response = call.schema.response.codec.decode(answer, self._adapter.capabilities.encoding)

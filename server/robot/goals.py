@@ -149,7 +149,7 @@ class Goals:
         with self._lock:
             before = self._heard.get(key)
             count = (1 if event.feedback is not None else 0) + (before[1] if before else 0)
-            self._heard[key] = (event if before is None else _merged(before[0], event), count)
+            self._heard[key] = (event if before is None else _merge(before[0], event), count)
             while len(self._heard) > REMEMBERED:
                 self._heard.popitem(last=False)
             is_first = len(self._heard) == 1 and before is None
@@ -198,13 +198,13 @@ class Goals:
         encoding = self._adapter.capabilities.encoding
         try:
             if event.goal is not None and goal.goal is None:
-                goal = replace(goal, goal=_decoded(schema.goal, event.goal, encoding))
+                goal = replace(goal, goal=_decode(schema.goal, event.goal, encoding))
             if event.feedback is not None:
                 before = goal.feedback.count if goal.feedback else 0
-                message = _decoded(schema.feedback, event.feedback, encoding)
+                message = _decode(schema.feedback, event.feedback, encoding)
                 goal = replace(goal, feedback=Told(message, event.received_ns, before + max(1, count)))
             if event.result is not None and goal.result is None:
-                goal = replace(goal, result=_decoded(schema.result, event.result, encoding))
+                goal = replace(goal, result=_decode(schema.result, event.result, encoding))
         except ValueError as error:
             return replace(goal, unreadable=str(error))
         return goal
@@ -248,7 +248,7 @@ def _is_settled(status: GoalStatus) -> bool:
     return status.is_final and status is not GoalStatus.LOST
 
 
-def _merged(first: GoalEvent, second: GoalEvent) -> GoalEvent:
+def _merge(first: GoalEvent, second: GoalEvent) -> GoalEvent:
     """Two events as one: of each thing what was told last, of the status what is further on."""
     status, words = second.status, second.words
     if first.status is not None and (status is None or _is_settled(first.status)):
@@ -264,5 +264,5 @@ def _merged(first: GoalEvent, second: GoalEvent) -> GoalEvent:
     )
 
 
-def _decoded(schema: MessageSchema, data: bytes, encoding: Encoding) -> Message:
+def _decode(schema: MessageSchema, data: bytes, encoding: Encoding) -> Message:
     return schema.codec.decode(data, encoding)

@@ -60,7 +60,7 @@ class Dispatcher:
             if not exchange.permissions.whole:
                 self._permissions(exchange, resource)
                 exchange.answering = resource
-            response = await self._answered(exchange, resource)
+            response = await self._answer(exchange, resource)
         except (BodyError, LoweringError, RosError, Problem) as error:
             raise _linked(resource, _problem(error)) from error
         if response.status_code == 204 and resource.links and b"link" not in dict(response.raw_headers):
@@ -75,7 +75,7 @@ class Dispatcher:
     def _place(self, exchange: Exchange) -> Location | None:
         return enforcement.place_of(exchange.request.scope, self.pages.space)
 
-    async def _answered(self, exchange: Exchange, resource: Resource) -> Response:
+    async def _answer(self, exchange: Exchange, resource: Resource) -> Response:
         method = exchange.method
         if method in ("GET", "HEAD"):
             return await self.read(exchange, resource)
@@ -90,16 +90,16 @@ class Dispatcher:
             _check_media_type(exchange, resource)
             if method != "DELETE" and not resource.streams_body(exchange):
                 await exchange.octets()  # before the preconditions: nothing is to come between them and the write
-            answer = await self._written(exchange, resource)
+            answer = await self._write(exchange, resource)
         except (BodyError, LoweringError, Problem) as error:
             raise _constrained(resource, error) from error
         if isinstance(answer, Created):
-            return await self._created(exchange, resource, answer)
+            return await self._create(exchange, resource, answer)
         if isinstance(answer, Shown):
             return await self._shown(exchange, answer)
         return await self._as_preferred(exchange, resource, answer)
 
-    async def _written(self, exchange: Exchange, resource: Resource) -> Answer:
+    async def _write(self, exchange: Exchange, resource: Resource) -> Answer:
         """What a write comes to; what is conditional, or depends on what is there, is carried out alone."""
         write = _VERBS[exchange.method]
         exchange.account.begin()
@@ -150,16 +150,16 @@ class Dispatcher:
         etag = str(ETag(self._name(state), variant + state.part))
         headers = _headers(resource, state, media_type, etag)
         if unchanged or _not_modified(exchange, Rendering(b"", [], etag)):
-            return RawResponse(304, b"", _encoded({name: headers[name] for name in headers if name != "content-type"}))
+            return RawResponse(304, b"", _encode({name: headers[name] for name in headers if name != "content-type"}))
         if exchange.method == "HEAD":
-            return RawResponse(200, b"", _encoded(headers))
+            return RawResponse(200, b"", _encode(headers))
         try:
             file, size = await self.large.file(
                 (resource.url, etag, syntax), redacted_state(resource, state, permissions), syntax
             )
         except CannotCarry as error:
             raise _cannot_carry(media_type, error) from error
-        return file_stream(_encoded({**headers, "content-length": str(size)}), file, size)
+        return file_stream(_encode({**headers, "content-length": str(size)}), file, size)
 
     async def rendering(self, exchange: Exchange, resource: Resource, state: State) -> Rendering:
         """The representation that the request prefers, kept with the state or made now. Raises a 406 Problem."""
@@ -194,13 +194,13 @@ class Dispatcher:
         elif state.is_large:
             raise Problem(406, "This is too large to be sent here: GET it, or follow it by its notifications.")
         else:
-            body = _serialized(state, _JSON_IS_JSONLD.get(media_type, media_type))
+            body = _serialize(state, _JSON_IS_JSONLD.get(media_type, media_type))
         name = f"{self.instance_id}-{digest(body)}" if media_type == HTML else self._name(state)  # a page shows more
         etag = str(ETag(name, variant + state.part))
         headers = {**_headers(resource, state, media_type, etag), "content-length": str(len(body))}
         if media_type == HTML:
             headers |= self.pages.headers
-        return Rendering(body, _encoded(headers), etag)
+        return Rendering(body, _encode(headers), etag)
 
     def _name(self, state: State) -> str:
         """The state part of the ETags of a state's representations."""
@@ -216,7 +216,7 @@ class Dispatcher:
 
         await render(await resource.state())
         self.feeds.require_room(exchange.request.client)
-        headers = _encoded(standing_headers(resource))
+        headers = _encode(standing_headers(resource))
         if exchange.method == "HEAD":
             return RawResponse(200, b"", [*HEADERS, *headers])
         mark = exchange.permissions.mark if media_type == HTML else ""
@@ -272,7 +272,7 @@ class Dispatcher:
             back = resource.url.rstrip("/").rpartition("/")[0] + "/"
         return Response(status_code=303, headers={"Location": link.uri(back)})
 
-    async def _created(self, exchange: Exchange, resource: Resource, created: Created) -> Response:
+    async def _create(self, exchange: Exchange, resource: Resource, created: Created) -> Response:
         """201 with the new resource as body (RFC 9110 15.3.2), or without where less is preferred.
 
         It says also what that is which the request was sent to (LDP 5.2.1.4).
@@ -439,7 +439,7 @@ def _told_as(exchange: Exchange) -> str:
     return FORMATS[wanted]
 
 
-def _encoded(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
+def _encode(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
     return [(name.encode("latin-1"), value.encode("latin-1")) for name, value in headers.items()]
 
 
@@ -452,7 +452,7 @@ def _not_modified(exchange: Exchange, rendering: Rendering) -> bool:
     return check_preconditions(exchange.method, ETag(state, variant), if_match=if_match, if_none_match=if_none_match)
 
 
-def _serialized(state: State, media_type: str) -> bytes:
+def _serialize(state: State, media_type: str) -> bytes:
     syntax = next(syntax for syntax in Syntax if syntax.media_type == media_type)
     try:
         return serialize(state.document, syntax)

@@ -100,7 +100,7 @@ class Analyser:
             self._used_prefixes(checked),
             query.default,
             query.named,
-            _enclosed(query),
+            _enclose(query),
             plan(query.where, words, len(checked.tokens)),
             AGE in query.functions,
             query.functions,
@@ -112,7 +112,7 @@ class Analyser:
         return {name: self.prefixes[name] for name in names & self.prefixes.keys()}
 
 
-def _enclosed(query: Query) -> frozenset[str] | None:
+def _enclose(query: Query) -> frozenset[str] | None:
     """The graphs that it can look at, where all that it looks at stands in GRAPH; None where it may be any."""
     if query.form == "DESCRIBE" or _names_any(query.where):
         return None

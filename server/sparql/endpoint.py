@@ -121,12 +121,12 @@ class QueryService:
         yet, 500 where it ended the process that answered it.
         """
         limits, until = self._begun(request)
-        analysis = await self._analysed(request.text, limits, until)
+        analysis = await self._analyse(request.text, limits, until)
         media_type = results.choose(results.QUADS if request.quads else analysis.form, accept)
         await self._process.ready(until)
         needs = await self._needed(analysis, request, permissions)
         unread = await self._unread(needs, permissions)
-        async with self._synced(needs, limits, _scope(analysis, request)):
+        async with self._sync(needs, limits, _scope(analysis, request)):
             work = Answer(self._query(analysis, request, permissions), media_type, limits.rows)
             body = await self._done(work, analysis.text, limits, until, hung_up, permissions)
         return QueryAnswer(media_type, body, unread)
@@ -136,10 +136,10 @@ class QueryService:
     ) -> Table:
         """At most `limit` rows of the results, as terms, for a page. Raises as `answer` does."""
         limits, until = self._begun(request)
-        analysis = await self._analysed(request.text, limits, until)
+        analysis = await self._analyse(request.text, limits, until)
         await self._process.ready(until)
         needs = await self._needed(analysis, request, permissions)
-        async with self._synced(needs, limits, _scope(analysis, request)):
+        async with self._sync(needs, limits, _scope(analysis, request)):
             work = FirstRows(self._query(analysis, request, permissions), limit)
             body = await self._done(work, analysis.text, limits, until, hung_up, permissions)
         whole = body if isinstance(body, bytes) else b"".join([chunk async for chunk in body])
@@ -157,7 +157,7 @@ class QueryService:
         limits, until = self.limits, time.monotonic() + self.limits.seconds
         await self._process.ready(until)
         needs = await self._synchroniser.resolved(needs)
-        async with self._synced(needs, limits, graphs):
+        async with self._sync(needs, limits, graphs):
             seen = self._synchroniser.seen(graphs)
             work = await prepare()
             try:
@@ -181,7 +181,7 @@ class QueryService:
             limits = limits._replace(seconds=min(limits.seconds, request.timeout))
         return limits, time.monotonic() + limits.seconds
 
-    async def _analysed(self, text: str, limits: Limits, until: float) -> Analysis:
+    async def _analyse(self, text: str, limits: Limits, until: float) -> Analysis:
         """The analysis of a query: of a long one off the loop, one at a time, as it takes seconds."""
         if len(text) <= _LONG:
             return self._analyser.analyse(text)
@@ -201,7 +201,7 @@ class QueryService:
         return _readable(await self._synchroniser.resolved(_needs(analysis, request)), permissions)
 
     @asynccontextmanager
-    async def _synced(self, needs: Needs, limits: Limits, scope: frozenset[str] | None) -> AsyncIterator[None]:
+    async def _sync(self, needs: Needs, limits: Limits, scope: frozenset[str] | None) -> AsyncIterator[None]:
         """Within it the dataset holds what the needs ask for."""
         deadline = loop_time() + limits.seconds
         synced = self._synchroniser.synced(needs, deadline=deadline, scope=scope)

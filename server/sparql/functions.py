@@ -41,7 +41,7 @@ def functions(seconds_since: Callable[[str], float | None]) -> Mapping[str, Func
             raise _NoAnswer
         return Literal(seconds)
 
-    return {**_LASTING, AGE: _guarded(age)}
+    return {**_LASTING, AGE: _guard(age)}
 
 
 def unknown(iris: Iterable[str]) -> Mapping[str, Function]:
@@ -97,7 +97,7 @@ def mean(array: Term) -> Term:
         return Literal(math.nan)
 
 
-def _guarded(function: Callable[..., Term]) -> Function:
+def _guard(function: Callable[..., Term]) -> Function:
     @wraps(function)
     def guarded(*terms: Term) -> Term | None:
         try:
@@ -180,6 +180,6 @@ def _term(element: object, *, numeric: bool) -> Term:
 
 
 _LASTING: Mapping[str, Function] = {
-    iri.value: _guarded(function)
+    iri.value: _guard(function)
     for iri, function in ((ros.at, at), (ros.length, length), (ros.min, least), (ros.max, greatest), (ros.mean, mean))
 }

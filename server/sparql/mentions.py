@@ -84,9 +84,9 @@ class Noting:
         for part in self._kept.changes(after):
             for edit in part.edits:
                 self._mentions.add(edit.graph, edit.added)
-            yield part._replace(graphs=self._noted(part.graphs))
+            yield part._replace(graphs=self._note(part.graphs))
 
-    def _noted(self, graphs: Mapping[str, Callable[[], str] | None]) -> Mapping[str, Callable[[], str] | None]:
+    def _note(self, graphs: Mapping[str, Callable[[], str] | None]) -> Mapping[str, Callable[[], str] | None]:
         for graph, render in graphs.items():
             if render is None:
                 self._mentions.replace(graph, None)

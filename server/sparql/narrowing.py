@@ -192,10 +192,10 @@ def _parts(group: Group, terms: Terms) -> Iterator[Part]:
     for pattern in bound:
         if pattern not in staying:
             yield Part(None, [pattern])
-    yield from _connected(staying, terms)
+    yield from _connect(staying, terms)
 
 
-def _connected(patterns: Sequence[Pattern], terms: Terms) -> Iterator[Part]:
+def _connect(patterns: Sequence[Pattern], terms: Terms) -> Iterator[Part]:
     """The patterns by what they are about: a union-find over their subjects, constants going by their documents."""
     rooted = _rooted(patterns)
     leaders: dict[str, str] = {}

@@ -93,9 +93,9 @@ def posted(query_string: bytes, content_type: str | None, body: bytes) -> QueryR
             raise Problem(400, "The query stands in the URL and the form: send it in one of them.")
         return _request([*in_url, *in_form])
     if essence == DIRECT:
-        return _request([*in_url, ("query", _decoded(body, "query", stated))])
+        return _request([*in_url, ("query", _decode(body, "query", stated))])
     if essence == UPDATE:
-        return _update([*in_url, ("update", _decoded(body, "update", stated))])
+        return _update([*in_url, ("update", _decode(body, "update", stated))])
     raise Problem(
         415,
         f"A query comes as {DIRECT}, an update as {UPDATE}, either as a form ({FORM}), not as {content_type}.",
@@ -130,7 +130,7 @@ def _media_type(content_type: str | None) -> MediaType:
     return found
 
 
-def _decoded(body: bytes, what: str, media_type: MediaType) -> str:
+def _decode(body: bytes, what: str, media_type: MediaType) -> str:
     try:
         return as_utf8(body, media_type).decode("utf-8")
     except UnicodeDecodeError as error:

@@ -139,9 +139,9 @@ def _write_graph(results: QueryTriples, syntax: RdfFormat, output: BinaryIO, che
     if syntax is RdfFormat.RDF_XML:
         _write_xml(results, output, check, base)
     elif syntax in _PREFIXED:
-        _write_prefixed(_checked(results, check), output, syntax)
+        _write_prefixed(_check(results, check), output, syntax)
     elif syntax is RdfFormat.JSON_LD:
-        serialize(_checked(results, check), output, syntax)
+        serialize(_check(results, check), output, syntax)
     else:
         _write_decoded(results, syntax, output)
 
@@ -167,7 +167,7 @@ _PREFIX = re.compile(rb'"(?:[^"\\]|\\.)*"|<[^>]*>|@prefix [^\n]*|([A-Za-z][A-Za-
 def _write_xml(results: QueryTriples, output: BinaryIO, check: Check, base: str) -> None:
     """XML cannot carry every graph, and the store's writer does not look; ours does, on the whole of it."""
     try:
-        output.write(rdfxml(_checked(results, check), base).encode("utf-8"))
+        output.write(rdfxml(_check(results, check), base).encode("utf-8"))
     except CannotCarry as error:
         raise not_in_xml(f"{error}.") from error
 
@@ -180,7 +180,7 @@ def _quads(solutions: QuerySolutions, check: Check) -> Iterator[Quad]:
         yield Quad(triple.subject, triple.predicate, triple.object, graph)
 
 
-def _checked(triples: Iterable[Triple], check: Check) -> Iterator[Triple]:
+def _check(triples: Iterable[Triple], check: Check) -> Iterator[Triple]:
     for triple in triples:
         check()
         yield decode_triple(triple)

@@ -132,7 +132,7 @@ class _Rewriter:
     def _change(self, operand: Operand, use: _Use) -> None:
         if isinstance(operand, Reference):
             if use is not _Use.TERM:
-                self._replace(operand.start, operand.end, self._decoded(operand.name))
+                self._replace(operand.start, operand.end, self._decode(operand.name))
         elif isinstance(operand, Constant):
             if use is _Use.TERM or operand.kind is Kind.WORD:
                 self.literal(operand)
@@ -145,7 +145,7 @@ class _Rewriter:
         elif isinstance(operand, Call):
             self._call(operand, use)
 
-    def _decoded(self, variable: str) -> str:
+    def _decode(self, variable: str) -> str:
         """A variable as a value to compute with."""
         self._inline += 1
         if self._inline > _MOST_INLINE:

@@ -88,17 +88,17 @@ def read(name: str, text: str, bounds: Bounds = BOUNDS) -> StoredQuery:
 
     Raises ValueError naming the query and the line (or the parameter) that is not as it should be.
     """
-    query, lines = _outlined(name, text)
+    query, lines = _outline(name, text)
     _check(query, lines, bounds)
     return query
 
 
 def outline(name: str, text: str) -> StoredQuery:
     """What the comments say that a text begins with; the query below them is not looked at. Raises as `read` does."""
-    return _outlined(name, text)[0]
+    return _outline(name, text)[0]
 
 
-def _outlined(name: str, text: str) -> tuple[StoredQuery, Mapping[str, int]]:
+def _outline(name: str, text: str) -> tuple[StoredQuery, Mapping[str, int]]:
     """The query, and the line in which each parameter is told of."""
     purpose: list[str] = []
     parameters: list[Parameter] = []

@@ -69,7 +69,7 @@ class Blobs:
 
         with _told():
             if self._durable:
-                await _finished(settle)
+                await _finish(settle)
             else:
                 os.rename(part, path)  # noqa: PTH104 - as quick as the thread would be to begin
 
@@ -182,14 +182,14 @@ async def _fill(file: int, chunks: AsyncIterator[bytes], most: int) -> int:
         held += len(chunk)
         if held > _AT_ONCE:
             with _told():
-                await _finished(_write, file, waiting)
+                await _finish(_write, file, waiting)
             held, waiting = 0, []
     with _told():
         _write(file, waiting)
     return size
 
 
-async def _finished(work: Callable[..., None], *arguments: object) -> None:
+async def _finish(work: Callable[..., None], *arguments: object) -> None:
     """Do it in another thread, to its end even where nobody waits any more: it holds a file that is closed next."""
     doing = asyncio.get_running_loop().run_in_executor(None, work, *arguments)
     cancelled: asyncio.CancelledError | None = None

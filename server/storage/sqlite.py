@@ -239,7 +239,7 @@ class SqliteRecords:
     def transact(self, jobs: Sequence[Job]) -> Sequence[Applied | Conflict]:
         """Do jobs in one transaction: what came of each. Raises Busy, StorageError, with none of them done."""
         try:
-            outcomes = self._committed(jobs)
+            outcomes = self._commit(jobs)
         except BaseException as error:
             if not isinstance(error, Busy):
                 for job in jobs:
@@ -255,7 +255,7 @@ class SqliteRecords:
                 self._keep(job.received)
         return outcomes
 
-    def _committed(self, jobs: Sequence[Job]) -> Sequence[Applied | Conflict]:
+    def _commit(self, jobs: Sequence[Job]) -> Sequence[Applied | Conflict]:
         ledger = self._ledger
         foreign = ledger.begin()
         try:

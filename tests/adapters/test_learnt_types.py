@@ -11,7 +11,7 @@ import pytest
 from rosld.adapters.model import ActionSchema, Array, MessageSchema, Primitive, ServiceSchema, TypeRef, UnknownType
 from rosld.adapters.model.description import definition_of
 from rosld.adapters.model.library import SEPARATOR, TypeLibrary
-from rosld.adapters.model.rihs import _DUMMY, _described  # the same structure, by which hashes are made
+from rosld.adapters.model.rihs import _DUMMY, _describe  # the same structure, by which hashes are made
 
 GRIP = f"""Tip left
 Tip right
@@ -87,7 +87,7 @@ class Described:
 def described(schema: MessageSchema) -> Iterator[Described]:
     """A schema as a node would describe it."""
     for kind in schema.types.values():
-        told = _described(kind)
+        told = _describe(kind)
         fields = [Field(each["name"], FieldType(**each["type"])) for each in told["fields"]]  # type: ignore[attr-defined]
         yield Described(kind.name, fields)
 

@@ -104,12 +104,12 @@ class KeptFile(Kept):
             parse_json(patch)  # before all else that may be wrong
 
         async def changed(record: Record) -> Write:
-            return with_blob(record, await self._patched(record, patch))
+            return with_blob(record, await self._patch(record, patch))
 
         await self.change(exchange, changed)
         return Response(status_code=204)
 
-    async def _patched(self, record: Record, patch: bytes) -> Blob:
+    async def _patch(self, record: Record, patch: bytes) -> Blob:
         assert record.blob is not None
         if record.blob.media_type.partition(";")[0].strip() != JSON:
             raise Problem(415, f"{MERGE_PATCH} changes {JSON}, and this is {record.blob.media_type}.")

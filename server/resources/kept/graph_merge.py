@@ -30,7 +30,7 @@ async def united(robot: Robot, exchange: Exchange, url: str, subject: str) -> St
     parts that are no RDF.
     """
     data, stated = await exchange.octets(), media.parse(exchange.header("content-type") or "")
-    work = partial(_united, data, stated.parameter("boundary"), url, subject)
+    work = partial(_unite, data, stated.parameter("boundary"), url, subject)
     return work() if is_light(data) else await robot.workers.run(work)
 
 
@@ -45,7 +45,7 @@ async def unite(robot: Robot, exchange: Exchange, url: str) -> None:
     exchange.become(exchange.method, _N_TRIPLES, unpack(found.kept))
 
 
-def _united(data: bytes, boundary: str | None, url: str, subject: str) -> Statements:
+def _unite(data: bytes, boundary: str | None, url: str, subject: str) -> Statements:
     try:
         found = parts(data, boundary)
     except ValueError as error:

@@ -109,7 +109,7 @@ class SourceResource(Kept):
             if not before.is_large:
                 with suppress(Grown):
                     said = before.document.triples
-                    after = await self._patched(patch, said)
+                    after = await self._patch(patch, said)
                     return await self.with_triples(record, after, record.version, frozenset(said))
             work = partial(patched, before.describe, data, media_type, url, self._subject)
             return await self.with_triples(record, await self.robot.workers.run(work), record.version)
@@ -117,7 +117,7 @@ class SourceResource(Kept):
         await self.change(exchange, changed)
         return no_content()
 
-    async def _patched(
+    async def _patch(
         self, patch: Callable[[Sequence[Triple]], Sequence[Triple]], before: Sequence[Triple]
     ) -> Sequence[Triple]:
         after = await asyncio.to_thread(patch, before)  # a hostile one takes its time

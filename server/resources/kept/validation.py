@@ -64,7 +64,7 @@ class MappingJudge:
             raise Problem(
                 409, f"A mapping is an RDF source directly under {room}: files and containers have no place there."
             )
-        document = await asyncio.to_thread(mapping_kept, _unpacked(write), url)  # a large one takes its time
+        document = await asyncio.to_thread(mapping_kept, _unpack(write), url)  # a large one takes its time
         robot.mappings.check(document)
         return self._told(lambda: robot.mappings.replace(document))
 
@@ -130,7 +130,7 @@ class LimitsJudge:
             room = self._robot.space.base + SHAPES
             raise Problem(409, f"Limits are an RDF source directly under {room}: nothing else has a place there.")
         try:
-            graph = await asyncio.to_thread(limits.check, url, _unpacked(write))  # a large one takes its time
+            graph = await asyncio.to_thread(limits.check, url, _unpack(write))  # a large one takes its time
         except ValueError as error:
             words = f"These limits cannot be put in force: {error}. Relative IRIs are relative to {url}."
             raise Problem(422, words) from error
@@ -145,7 +145,7 @@ class LimitsJudge:
         return sequel
 
 
-def _unpacked(put: Put) -> bytes:
+def _unpack(put: Put) -> bytes:
     """The N-Triples that a document says. Raises a 413 Problem for more than is read beside the loop in good time."""
     if size_of(put.triples) > MOST_BYTES:
         words = f"A document that is put in force has at most {MOST_BYTES} bytes of N-Triples"

@@ -183,17 +183,17 @@ class Draw(NamedTuple):
     def may_take_long(self, store: MemoryStore) -> bool:
         if len(self.update) > _MOST_UPDATE:
             return True
-        operations, asked = _opened(self.update)
+        operations, asked = _open(self.update)
         if asks_again(operations) or copies(operations) or any(one.may_take_long(store) for one in asked):
             return True
         return any(store.count(graph, _MOST_TRIPLES + 1) > _MOST_TRIPLES for graph in graphs_named(operations))
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
-        operations, asked = _opened(self.update)
+        operations, asked = _open(self.update)
         by_where = {id(one.where): one for one in asked}
         canvas = StagingDataset(store.triples, store.dataset if asks_again(operations) else None)
         draw(operations, canvas, lambda where: by_where[id(where)].solutions(store))
-        output.write(pickle.dumps([_written(change) for change in canvas.changes()]))
+        output.write(pickle.dumps([_write(change) for change in canvas.changes()]))
 
 
 def to_draw(operations: Sequence[Operation], asked: Sequence[Ask]) -> Draw:
@@ -224,13 +224,13 @@ def _split(quads: Sequence[QuadTemplate]) -> tuple[bytes, tuple[QuadTemplate, ..
 
 
 @lru_cache(maxsize=1)
-def _opened(update: bytes) -> _Update:
+def _open(update: bytes) -> _Update:
     """What was sent; the last, for it is looked at before it is done."""
     compact, asked = pickle.loads(update)  # from our own server
-    return _Update([_expanded(each) if isinstance(each, _Compact) else each for each in compact], asked)
+    return _Update([_expand(each) if isinstance(each, _Compact) else each for each in compact], asked)
 
 
-def _expanded(compact: _Compact) -> Modify:
+def _expand(compact: _Compact) -> Modify:
     rest = compact.rest
     deletes, inserts = _templates(compact.deletes), _templates(compact.inserts)
     return replace(rest, deletes=(*deletes, *rest.deletes), inserts=(*inserts, *rest.inserts))
@@ -244,7 +244,7 @@ def _templates(text: bytes) -> Iterator[QuadTemplate]:
 _Written = tuple[str, bool, bytes | None]
 
 
-def _written(change: GraphChange) -> _Written:
+def _write(change: GraphChange) -> _Written:
     """With N-Triples: terms are pickled one by one, which takes ten times as long."""
     graph, was_there, after = change
     return graph, was_there, None if after is None else serialize(after, format=RdfFormat.N_TRIPLES)

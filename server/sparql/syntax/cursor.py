@@ -130,7 +130,7 @@ class Cursor:
     def iri(self, token: Token) -> str:
         """The IRI that a token stands for."""
         if token.kind is Kind.IRI:
-            return self._resolved(token)
+            return self._resolve(token)
         prefix, _, local = token.text.partition(":")
         namespace = self.prefixes.get(prefix)
         if namespace is None:
@@ -138,9 +138,9 @@ class Cursor:
             near = like(written, self.prefixes, ":")
             where = place(self.text, token.start)
             raise Problem(400, f"The prefix {_short(written)}: is not declared{near}, at {where}.")
-        return namespace + (_unslashed(local) if "\\" in local else local)
+        return namespace + (_unslash(local) if "\\" in local else local)
 
-    def _resolved(self, token: Token) -> str:
+    def _resolve(self, token: Token) -> str:
         """The IRI as the store will have it: whatever is not plainly absolute is resolved by its own parser."""
         iri = token.text[1:-1]
         if "\\" in iri:
@@ -211,7 +211,7 @@ def _is_plain(iri: str) -> bool:
     return bool(colon) and scheme.isascii() and scheme.isalnum() and "/." not in rest and rest[:1] != "."
 
 
-def _unslashed(local: str) -> str:
+def _unslash(local: str) -> str:
     """A local name without the backslashes that protect its punctuation."""
     parts = iter(local)
     return "".join(next(parts, "") if character == "\\" else character for character in parts)

@@ -208,10 +208,10 @@ def check(text: str, bounds: Bounds = BOUNDS, *, what: str = "query", reach: Rea
     if _SERVICE.search(text):
         _check_services(found, text, reach)
     _check_shape(found, text, bounds, what)
-    return _renamed(Checked(_blanked(text, comments), found, text, what), _SERVICE)
+    return _rename(Checked(_blank(text, comments), found, text, what), _SERVICE)
 
 
-def _blanked(text: str, comments: Sequence[Token]) -> str:
+def _blank(text: str, comments: Sequence[Token]) -> str:
     """The text with spaces in place of its comments."""
     pieces: list[str] = []
     at = 0
@@ -237,7 +237,7 @@ def names_unescaped(text: str) -> str:
     return "".join(pieces)
 
 
-def _blotted(name: str, keywords: re.Pattern[str], letter: str) -> Iterator[str]:
+def _blot(name: str, keywords: re.Pattern[str], letter: str) -> Iterator[str]:
     """The name with a letter in place of each of the keywords'."""
     at = 0
     for match in keywords.finditer(name):
@@ -246,7 +246,7 @@ def _blotted(name: str, keywords: re.Pattern[str], letter: str) -> Iterator[str]
     yield name[at:]
 
 
-def _renamed(checked: Checked, keywords: re.Pattern[str]) -> Checked:
+def _rename(checked: Checked, keywords: re.Pattern[str]) -> Checked:
     """The same, with other names of the same length for prefixes that hold a keyword: it might be cut from them."""
     if not keywords.search(checked.text):
         return checked
@@ -254,7 +254,7 @@ def _renamed(checked: Checked, keywords: re.Pattern[str]) -> Checked:
     names: dict[str, str] = {}
     for name in sorted(used):
         if keywords.search(name):
-            others = ("".join(_blotted(name, keywords, letter)) for letter in ascii_letters)
+            others = ("".join(_blot(name, keywords, letter)) for letter in ascii_letters)
             names[name] = next(other for other in others if other not in used and not keywords.search(other))
             used.add(names[name])
     if not names:
@@ -378,7 +378,7 @@ def check_update_of_one_graph(text: str, bounds: Bounds = BOUNDS) -> Checked:
     Raises Problems: as `check`, and 422 for what reaches beyond: GRAPH, WITH, USING, LOAD, FROM, and operations on
     whole graphs. The check is on letters, wherever a keyword could be cut from them.
     """
-    checked = _renamed(check(text, bounds, what="update"), _KEYWORDS_BEYOND)
+    checked = _rename(check(text, bounds, what="update"), _KEYWORDS_BEYOND)
     for token in checked.tokens:
         if token.kind is Kind.WORD and (keyword := _beyond(token.text.upper())):
             where = place(text, token.start)

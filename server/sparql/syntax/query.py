@@ -104,7 +104,7 @@ class QueryParser(ExpressionParser):
         elif form == "DESCRIBE":
             is_everything = self.take("*")
             if not is_everything:
-                described = self._described()
+                described = self._describe()
         default, named = self._dataset()
         where = Group()
         if is_short:
@@ -122,7 +122,7 @@ class QueryParser(ExpressionParser):
             where.filters.append(Group(patterns=[Pattern(term, None, self.new())]))
         return default, named, where
 
-    def _described(self) -> list[Term]:
+    def _describe(self) -> list[Term]:
         described: list[Term] = []
         while True:
             if self.token.kind is Kind.VARIABLE:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import os
 import sqlite3
 import threading
 from collections.abc import Callable
@@ -18,9 +17,10 @@ from pathlib import Path
 
 from rosld.server.storage.blobs import Blobs, failure
 from rosld.server.storage.ledger import is_full
-from rosld.server.storage.log import Log, Reach, carry_over, close_as_it_is, cut
+from rosld.server.storage.log import carry_over, close_as_it_is
 from rosld.server.storage.record import StorageError
 from rosld.server.storage.reserve import Reserve
+from rosld.server.storage.synced_log import SyncedLog
 
 _log = logging.getLogger("rosld")
 
@@ -30,16 +30,13 @@ _RETRY = 0.5
 """Seconds until files that somebody keeps still are looked at again."""
 _BUSY_SECONDS = 0.05
 """Seconds to wait for readers when the log is to begin anew: no one can write meanwhile."""
-_sync = getattr(os, "fdatasync", os.fsync)
 
 
 class Durability:
     """Belongs to one loop. `database` is open elsewhere, with a log that was just carried over."""
 
     def __init__(self, database: Path, blobs: Blobs, reserve: Reserve) -> None:
-        self._log = Log(database)
-        self._reached = self._written = self._log.reach()
-        self._cut: Reach | None = None
+        self._log = SyncedLog(database)
         self.failure: StorageError | None = None
         """Why nothing can be acknowledged before `reopen` was successful."""
         self._database = database
@@ -60,7 +57,7 @@ class Durability:
     def reached(self, freed: list[str]) -> asyncio.Future[None]:
         """Done when everything written until now is on the disk; then these blobs are removed. Raises StorageError."""
         future = asyncio.get_running_loop().create_future()
-        self._written = self._log.reach()
+        self._log.note_written()
         with self._changed:
             self._waiting.append(future)
             self._freed += freed
@@ -90,7 +87,7 @@ class Durability:
         """Whether the disk syncs again; it says nothing of what it failed to sync before."""
         with self._at_work:
             try:
-                _sync(self._log.fileno())
+                self._log.flush()
             except OSError:
                 return False
         return True
@@ -111,33 +108,26 @@ class Durability:
                 close_as_it_is(self._database, connection)
             except sqlite3.Error as error:
                 return self._not_reopened(error, connection)
-            self._log.close()
             wrong: Exception | None = None
             try:
-                if self._cut is not None:
-                    cut(self._database, self._cut)
+                self._log.cut_back()
             except OSError as error:
                 wrong = error
             connection = connect()
-            self._log = Log(self._database)
+            self._log.open()
             if wrong is not None:
                 return self._not_reopened(wrong, connection)
-            self._look_for_losses()
+            if lost := self._log.lost_frames():
+                _log.critical("the disk has lost the last %d pages that it had taken: what they held is gone", lost)
             try:
                 if not carried_over(connection, self._reserve):
                     raise sqlite3.OperationalError("something else reads the database")
             except sqlite3.Error as error:
-                if self._cut is None or not is_full(error):  # what was not cut off is on the disk
+                if not self._log.is_cut or not is_full(error):  # what was not cut off is on the disk
                     return self._not_reopened(error, connection)
-            self._reached = self._written = self._log.reach()
-            self._cut = self.failure = None
+            self._log.begin_anew()
+            self.failure = None
             return connection
-
-    def _look_for_losses(self) -> None:
-        found, kept = self._log.reach(), self._cut
-        if kept is not None and found.salt == kept.salt and found.frames < kept.frames:
-            lost = kept.frames - found.frames
-            _log.critical("the disk has lost the last %d pages that it had taken: what they held is gone", lost)
 
     def _not_reopened(self, error: Exception, connection: sqlite3.Connection) -> sqlite3.Connection:
         _log.error("the log of records cannot be opened anew: %s", error)
@@ -163,16 +153,12 @@ class Durability:
                 return
 
     def _sync(self) -> StorageError | None:
-        written = self._written
         try:
-            _sync(self._log.fileno())
+            self._log.sync()
         except OSError as error:
             _log.error("the log of records could not be synced, and is opened anew: %s", error)
-            # Where another process has written as well nothing is cut off: that would be lost too.
-            self._cut = self._reached if self._log.reach() == written else None
             self.failure = failure(error)
             return self.failure
-        self._reached = written
         return None
 
     def _tidy_up(self) -> None:

@@ -10,9 +10,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import sqlite3
-import tempfile
 import time
-from collections.abc import AsyncIterator, Callable, Iterable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 
 from rosld.server.storage.blobs import Blobs, sync_folder
@@ -23,6 +22,7 @@ from rosld.server.storage.group import Group, Job
 from rosld.server.storage.ledger import Applied, Busy, RecordTable, is_full, relisted
 from rosld.server.storage.log import close_as_it_is
 from rosld.server.storage.paths import check
+from rosld.server.storage.received import ReceivedBlobs
 from rosld.server.storage.record import (
     Blob,
     Changed,
@@ -103,13 +103,10 @@ class SqliteRecords:
     """The `Records` that rosld brings along; `open_records` makes them."""
 
     def __init__(self, folder: Path | None, roots: Sequence[str], keep_seconds: float) -> None:
-        self._temporary: tempfile.TemporaryDirectory[str] | None = None
-        self._blobs: Blobs | None = None
+        self._received = ReceivedBlobs(keep_seconds)
         self._cache = Cache()
         self._differences = Differences()
         self._watchers: dict[object, Callable[[Sequence[Changed]], None]] = {}
-        self._waiting: dict[str, asyncio.TimerHandle] = {}
-        self._keep_seconds = keep_seconds
         self._look: asyncio.TimerHandle | None = None
         self._durability: Durability | None = None
         self._group: Group | None = None
@@ -140,8 +137,9 @@ class SqliteRecords:
 
     def _keep_in(self, folder: Path) -> None:
         self._connection.execute("PRAGMA busy_timeout = 0")  # from now on the loop waits, not SQLite
-        self._blobs = Blobs(folder / BLOBS, durable=True)
-        self._blobs.sweep(self._ledger.blobs)
+        blobs = Blobs(folder / BLOBS, durable=True)
+        blobs.sweep(self._ledger.blobs)
+        self._received.use(blobs)
         sync_folder(folder)
         reserve = Reserve(folder)
         try:
@@ -151,7 +149,7 @@ class SqliteRecords:
             if not is_full(error):
                 raise
             _log.warning("the log of records cannot be carried over: %s", error)
-        self._durability = Durability(folder / DATABASE, self._blobs, reserve)
+        self._durability = Durability(folder / DATABASE, blobs, reserve)
         self._group = Group(self)
         if self.trouble is not None:
             _log.warning("%s", self.trouble)
@@ -214,7 +212,7 @@ class SqliteRecords:
             if record is not None:
                 return [record]
         self._attach()
-        job = Job(writes, self._take(writes))
+        job = Job(writes, self._received.take(_blob_ids(writes)))
         if self._group is not None:
             applied = await self._group.do(job)
         else:
@@ -223,7 +221,7 @@ class SqliteRecords:
                 raise outcome
             applied = outcome
             if applied.freed:
-                self._folder().remove(applied.freed)
+                self._received.folder().remove(applied.freed)
         return [applied.records.get(write.path) for write in writes]
 
     def _rewritten(self, write: Write) -> Record | None:
@@ -243,16 +241,16 @@ class SqliteRecords:
         except BaseException as error:
             if not isinstance(error, Busy):
                 for job in jobs:
-                    self._keep(job.received)
+                    self._received.keep(job.received)
             raise
         for job, outcome in zip(jobs, outcomes, strict=True):
             if isinstance(outcome, Applied):
-                self._keep(outcome.unused)
+                self._received.keep(outcome.unused)
                 self._renew(outcome)
                 self._note(job.writes, outcome)
                 self._tell(outcome)
             else:
-                self._keep(job.received)
+                self._received.keep(job.received)
         return outcomes
 
     def _commit(self, jobs: Sequence[Job]) -> Sequence[Applied | Conflict]:
@@ -277,7 +275,7 @@ class SqliteRecords:
         except StorageError:
             for each in applied:
                 self._undone.update(each.records, each.gone, each.lists)
-                self._keep(record.blob.id for record in each.records.values() if record.blob is not None)
+                self._received.keep(record.blob.id for record in each.records.values() if record.blob is not None)
             await self._reopen()
             raise
 
@@ -344,47 +342,18 @@ class SqliteRecords:
                 self._differences.note(write, record)
 
     async def receive(self, chunks: AsyncIterator[bytes], media_type: str, *, most: int) -> Blob:
-        self._attach()
-        id, size = await self._folder().receive(chunks, most)
-        self._keep((id,))
-        return Blob(id, size, media_type)
-
-    def discard(self, blob: Blob) -> None:
-        timer = self._waiting.pop(blob.id, None)
-        if timer is not None:
-            timer.cancel()
-            self._folder().discard(blob.id)
-
-    def file(self, blob: Blob) -> Path:
-        path = self._folder().path(blob.id)
-        path.stat()
-        return path
-
-    def _folder(self) -> Blobs:
-        """The folder of blobs; in memory a private one, made when it is first needed."""
         if self._closed:
             raise StorageError("The records are closed.")
-        if self._blobs is None:
-            self._temporary = tempfile.TemporaryDirectory(prefix="rosld-", ignore_cleanup_errors=True)
-            self._blobs = Blobs(Path(self._temporary.name) / BLOBS, durable=False)
-        return self._blobs
+        self._attach()
+        return await self._received.receive(chunks, media_type, most)
 
-    def _keep(self, ids: Iterable[str]) -> None:
-        """Keep received blobs for a while, until a write refers to them."""
-        for id in ids:
-            blob = Blob(id, 0, "")
-            self._waiting[id] = asyncio.get_running_loop().call_later(self._keep_seconds, self.discard, blob)
+    def discard(self, blob: Blob) -> None:
+        self._received.discard(blob.id)
 
-    def _take(self, writes: Sequence[Write]) -> list[str]:
-        """The received blobs that writes refer to: they are not thrown away meanwhile."""
-        taken = []
-        for write in writes:
-            if isinstance(write, Put) and write.blob is not None:
-                timer = self._waiting.pop(write.blob.id, None)
-                if timer is not None:
-                    timer.cancel()
-                    taken.append(write.blob.id)
-        return taken
+    def file(self, blob: Blob) -> Path:
+        path = self._received.folder().path(blob.id)
+        path.stat()
+        return path
 
     def watch(self, wake: Callable[[Sequence[Changed]], None]) -> Callable[[], None]:
         self._attach()
@@ -447,8 +416,7 @@ class SqliteRecords:
     async def close(self) -> None:
         if self._closed:
             return
-        for id in tuple(self._waiting):
-            self.discard(Blob(id, 0, ""))
+        self._received.discard_all()
         self._closed = True
         if self._look is not None:
             self._look.cancel()
@@ -460,7 +428,8 @@ class SqliteRecords:
         if self._durability is not None:
             self._durability.closed()
         self._cache.clear()
-        if self._blobs is not None:
-            self._blobs.close()
-        if self._temporary is not None:
-            self._temporary.cleanup()
+        self._received.close()
+
+
+def _blob_ids(writes: Sequence[Write]) -> list[str]:
+    return [write.blob.id for write in writes if isinstance(write, Put) and write.blob is not None]

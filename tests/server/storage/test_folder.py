@@ -13,7 +13,17 @@ from typing import TypeAlias
 
 import pytest
 
-from rosld.server.storage import Model, Put, Remove, SqliteRecords, StorageError, durability, group, open_records
+from rosld.server.storage import (
+    Model,
+    Put,
+    Remove,
+    SqliteRecords,
+    StorageError,
+    durability,
+    group,
+    open_records,
+    synced_log,
+)
 
 Opened: TypeAlias = Callable[[], AbstractAsyncContextManager[SqliteRecords]]
 RDF = Model.RDF_SOURCE
@@ -32,7 +42,7 @@ class Disk:
         self.asked = threading.Semaphore(0)
         self.syncs = 0
         self.failure: OSError | None = None
-        monkeypatch.setattr(durability, "_sync", self.sync)
+        monkeypatch.setattr(synced_log, "_sync", self.sync)
 
     def sync(self, file: int) -> None:
         self.syncs += 1

@@ -137,6 +137,33 @@ def newest_frames(buffer: bytearray, end: int, depth: int) -> tuple[list[tuple[i
     return list(spans), position, count
 
 
+class FrameBuffer:
+    """What came of frames that are not whole yet: `data` up to `end`, at most MOST_BUFFER bytes unless asked for."""
+
+    def __init__(self) -> None:
+        self.data = bytearray(FIRST_BUFFER)
+        self.view = memoryview(self.data)
+        self.end = 0
+
+    def room(self) -> memoryview:
+        """Where the kernel may write."""
+        return self.view[self.end :]
+
+    def grow(self, size: int) -> None:
+        """Have room for `size` bytes."""
+        if size > len(self.data):
+            data = bytearray(size)
+            data[: self.end] = self.data[: self.end]
+            self.data, self.view = data, memoryview(data)
+
+    def drop(self, position: int, end: int) -> None:
+        """Keep what is from `position` up to `end`, at the front."""
+        rest = end - position
+        if position and rest:
+            self.data[:rest] = self.data[position:end]
+        self.end = rest
+
+
 class FrameReceiver(asyncio.BufferedProtocol):
     """Receives frames in bulk and delivers the newest of each batch.
 
@@ -157,8 +184,7 @@ class FrameReceiver(asyncio.BufferedProtocol):
         self._deliver: Deliver | None = None
         self._transport: asyncio.Transport | None = None
         self._kernel: ReceiveBuffer | None = None
-        self._new_buffer(FIRST_BUFFER)
-        self._end = 0
+        self._buffer = FrameBuffer()
         self._large: LargeFrame | None = None
         self._most = most
         self._proven = 0
@@ -191,7 +217,7 @@ class FrameReceiver(asyncio.BufferedProtocol):
         """Where the kernel may write: the rest of the buffer, or of the large frame being received."""
         if self._large is not None:
             return self._large.room()
-        return self._view[self._end :]
+        return self._buffer.room()
 
     def buffer_updated(self, nbytes: int) -> None:
         """Take what was written."""
@@ -199,79 +225,77 @@ class FrameReceiver(asyncio.BufferedProtocol):
         if self._large is not None:
             self._fill_large(nbytes)
             return
-        end = self._end + nbytes
+        buffer = self._buffer
+        end = buffer.end + nbytes
         if self._deliver is None:
             end = self._take_header(end)
             if self._deliver is None:
                 return
         if self.depth == 1:
-            start, position, count = skip_frames(self._buffer, end)
+            start, position, count = skip_frames(buffer.data, end)
             if count:
-                self._deliver((bytes(self._view[start + 4 : position]),), count)
+                self._deliver((bytes(buffer.view[start + 4 : position]),), count)
         else:
             position = self._take_several(end)
         self._keep_rest(position, end)
 
     def _take_several(self, end: int) -> int:
         assert self._deliver is not None
-        spans, position, count = newest_frames(self._buffer, end, self.depth)
+        spans, position, count = newest_frames(self._buffer.data, end, self.depth)
         if count:
-            self._deliver([bytes(self._view[start + 4 : stop]) for start, stop in spans], count)
+            self._deliver([bytes(self._buffer.view[start + 4 : stop]) for start, stop in spans], count)
         return position
 
     def _take_header(self, end: int) -> int:
         """Read the peer's header off the front of the buffer; how much is left in it."""
-        self._end = end
+        buffer = self._buffer
+        buffer.end = end
         if end < 4:
             return end
-        length: int = LENGTH.unpack_from(self._buffer)[0]
+        length: int = LENGTH.unpack_from(buffer.data)[0]
         try:
             if length > MOST_HEADER:
                 raise BadFrame(f"a header of {length} bytes")
             if end < 4 + length:
-                if end == len(self._buffer):
-                    self._make_room(2 * end)
+                if end == len(buffer.data):
+                    buffer.grow(2 * end)
                 return end
-            deliver = self._accept(decode_header(self._buffer[4 : 4 + length]))
+            deliver = self._accept(decode_header(buffer.data[4 : 4 + length]))
         except Exception as error:
             self._refuse(error)
             return 0
         self._deliver = deliver
-        rest = end - 4 - length
-        self._buffer[:rest] = self._buffer[4 + length : end]
-        self._end = rest
+        buffer.drop(4 + length, end)
         if not self.ready.done():
             self.ready.set_result(None)
-        return rest
+        return buffer.end
 
     def _refuse(self, error: Exception) -> None:
         self.trouble = str(error)
         if not self.ready.done():
             self.ready.set_exception(error)
-        self._end = 0
+        self._buffer.end = 0
         self.close()
 
     def _keep_rest(self, position: int, end: int) -> None:
         """Move what follows the last whole frame to the front, or begin to receive a large frame."""
-        rest = end - position
-        if rest >= 4:
-            (length,) = LENGTH.unpack_from(self._buffer, position)
+        buffer = self._buffer
+        if end - position >= 4:
+            (length,) = LENGTH.unpack_from(buffer.data, position)
             if length > self._most:
                 words = (
                     f"it announces a message of {length} bytes, more than the {self._most} of --setting message_limit"
                 )
                 self._refuse(BadFrame(words))
                 return
-            if length + 4 > len(self._buffer):
+            if length + 4 > len(buffer.data):
                 self._large = LargeFrame(length, self._proven)
-                self._large.put(self._view[position + 4 : end])
-                self._end = 0
+                self._large.put(buffer.view[position + 4 : end])
+                buffer.end = 0
                 return
-        if position and rest:
-            self._buffer[:rest] = self._buffer[position:end]
-        self._end = rest
-        if end == len(self._buffer) and end < MOST_BUFFER:
-            self._make_room(2 * end)
+        buffer.drop(position, end)
+        if end == len(buffer.data) and end < MOST_BUFFER:
+            buffer.grow(2 * end)
 
     def _fill_large(self, nbytes: int) -> None:
         assert self._large is not None
@@ -282,13 +306,3 @@ class FrameReceiver(asyncio.BufferedProtocol):
             self._proven = max(self._proven, len(whole))
             assert self._deliver is not None
             self._deliver((whole,), 1)
-
-    def _make_room(self, size: int) -> None:
-        if size > len(self._buffer):
-            old, end = self._buffer, self._end
-            self._new_buffer(size)
-            self._buffer[:end] = old[:end]
-
-    def _new_buffer(self, size: int) -> None:
-        self._buffer = bytearray(size)
-        self._view = memoryview(self._buffer)

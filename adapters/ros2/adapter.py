@@ -29,6 +29,7 @@ from rosld.adapters.model import (
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.ros2.descriptors import operations_on
 from rosld.adapters.ros2.feeds import Feed, TopicSubscription
+from rosld.adapters.ros2.graph import nodes_using, type_in_use
 from rosld.adapters.ros2.publications import Publication
 from rosld.adapters.ros2.source import Source, read_source, require_rclpy
 from rosld.adapters.ros2.system import System, unique_name
@@ -168,7 +169,7 @@ class Ros2Adapter:
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
         """The schema of a type. Raises UnknownType."""
         thread, system = self._running()
-        looking = system.types.schema(system.in_use(ref), system.users_of(ref), _until(deadline))
+        looking = system.types.schema(type_in_use(self.graph, ref), nodes_using(self.graph, ref), _until(deadline))
         try:
             return await asyncio.wait_for(thread.run(looking), max(_left(deadline), 0.0))
         except asyncio.TimeoutError as error:
@@ -193,7 +194,7 @@ class Ros2Adapter:
         if feed is None:
             epoch = self._epochs.get(topic, -1) + 1
             feed = self._feeds[topic] = Feed(topic, self.graph.own_node, epoch, system.waiter)
-            feed.depth = depth
+            feed.deepen(depth)
             for sample in self._own[topic].kept if topic in self._own else ():
                 feed.published(sample)
             thread.post(partial(system.read, feed))
@@ -215,8 +216,8 @@ class Ros2Adapter:
         takes it, one wake-up for many.
         """
         thread, system = self._running()
-        publication = system.publications.get(topic)
-        if publication is None or not publication.carries(type) or not system.suits(publication, latch):
+        publication = system.publications.by_topic.get(topic)
+        if publication is None or not publication.carries(type) or not system.publications.suits(publication, latch):
             publication = await self._advertise(topic, type, latch, deadline)
         elif not publication.matched:
             await thread.run(publication.matching(1, _until(deadline), 0.0))
@@ -230,7 +231,7 @@ class Ros2Adapter:
         self._own.pop(topic, None)
         if (feed := self._feeds.get(topic)) is not None:
             feed.forget_own()
-        await thread.run(system.unadvertise(topic))
+        await thread.run(system.publications.unadvertise(topic))
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """Call a service. Raises Refused, TimedOut, Unreachable, NotFound; ROS 2's nodes give no words of failure."""
@@ -284,7 +285,7 @@ class Ros2Adapter:
         if known is not None and known.types and all(type.name != each.name for each in known.types):
             names = " and ".join(each.name for each in known.types)
             raise Refused(f"{topic} has the type {names}, not {type.name}")
-        return await thread.run(system.advertise(topic, type, latch, _until(deadline)))
+        return await thread.run(system.publications.advertise(topic, type, latch, _until(deadline)))
 
     def _keep_own(self, publication: Publication, data: bytes) -> None:
         """What we publish is a sample of ours, there before `publish` returns."""

@@ -62,121 +62,29 @@ class _Stream:
         return self.sequence
 
 
-class Feed:
-    """What comes in on one topic, for all its subscriptions; `own` is the node under which we publish."""
+class _Streams:
+    """The newest samples of each publisher of one topic; `own` is the node under which we publish."""
 
-    def __init__(self, topic: str, own: str, epoch: int, waiter: Waiter) -> None:
-        self.topic = topic
+    def __init__(self, own: str, epoch: int) -> None:
         self.own = own
         self.depth = 1
-        self.publishers = Publishers()
-        self.subscriptions: list[TopicSubscription] = []
-        self.watches = Watches()
         self.epoch = epoch
-        self._waiter = waiter
-        self._server = asyncio.get_running_loop()
-        self._reader: Reader | None = None
-        self._armed = False
-        self._streams: dict[str, _Stream] = {}
-        self._echoes: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES)
+        self._by_publisher: dict[str, _Stream] = {}
         self._views: dict[int, tuple[Sample, ...]] = {}
-        self._taking = threading.Lock()
-        self._seen_publishers = self.publishers
 
-    @property
-    def reader(self) -> Reader | None:
-        """What it is read with, None while it is not read."""
-        return self._reader
-
-    def read_with(self, reader: Reader | None) -> Reader | None:
-        """Take from this reader from now on; the one before, to be closed. Called on the thread that talks to ROS."""
-        before, self._reader = self._reader, reader
-        if before is not None:
-            self._waiter.disarm(before.handle)
-        self._soon(self._rearm)
-        return before
-
-    def published(self, sample: Sample) -> None:
-        """We published this: it is a sample, and its echo is none. Called on the server's loop."""
-        self._echoes.append((sample.received_ns, sample.data))
-        stream = self._streams.get(self.own)
-        if stream is None:
-            stream = self._streams[self.own] = _Stream(sample.epoch, deque(maxlen=self.depth))
-        stream.kept.append(sample)
+    def put_own(self, sample: Sample) -> None:
+        """Keep what we published."""
+        self._stream(self.own, sample.epoch).kept.append(sample)
         self._views.clear()
-        self.watches.notify()
 
     def forget_own(self) -> None:
-        """We publish no more."""
-        if self._streams.pop(self.own, None) is not None:
+        """Forget what we published."""
+        if self._by_publisher.pop(self.own, None) is not None:
             self._views.clear()
 
-    def latest(self, depth: int) -> Sequence[Sample]:
-        """The newest `depth` samples of each publisher, in order of receipt; the same object until one arrives."""
-        self._drain()
-        view = self._views.get(depth)
-        if view is None:
-            newest = [sample for stream in self._heard() for sample in tuple(stream.kept)[-depth:]]
-            view = self._views[depth] = tuple(sorted(newest, key=_received))
-        return view
-
-    def deepen(self, depth: int) -> None:
-        """Keep so many of the newest samples from now on."""
-        self.depth = depth
-        for stream in self._streams.values():
-            if stream.kept.maxlen != depth:
-                stream.kept = deque(stream.kept, maxlen=depth)
-        self._views.clear()
-
-    def watch(self, wake: Callable[[], None]) -> LoopWatch:
-        """Wake on the loop after something new arrived."""
-        watch = self.watches.add(wake)
-        self._rearm()
-        return watch
-
-    def close(self) -> None:
-        """Show nothing any more."""
-        reader = self._reader
-        if reader is not None:
-            self._waiter.disarm(reader.handle)
-
-    def _drain(self) -> bool:
-        """Take what is there; whether something new was."""
-        publishers, reader = self.publishers, self._reader
-        if publishers is not self._seen_publishers:
-            self._seen_publishers = publishers
-            self._attribute(publishers)
-            self._views.clear()
-        if reader is None:
-            return False
-        new, latched = False, reader.qos.durability == "transient_local"
-        with self._taking:
-            for _ in range(max(reader.qos.depth, self.depth)):
-                taken = reader.take()
-                if taken is None:
-                    break
-                new = self._put(taken, publishers, latched) or new
-        if new:
-            self._views.clear()
-        return new
-
-    def _attribute(self, publishers: Publishers) -> None:
-        """What came before it was known who publishes is the only publisher's, once that is known."""
-        nameless = self._streams.get("")
-        name = next(iter(publishers.nodes), "")
-        if nameless is not None and name and len(publishers.nodes) == 1 and name not in self._streams:
-            is_latched = name in publishers.latched
-            named = (each._replace(publisher=name, latched=is_latched) for each in nameless.kept)
-            nameless.kept = deque(named, maxlen=self.depth)
-            self._streams[name] = self._streams.pop("")
-
-    def _put(self, taken: Taken, publishers: Publishers, latched: bool) -> bool:
-        name = self._who(taken, publishers)
-        if name == self.own or self._is_echo(taken):
-            return False
-        stream = self._streams.get(name)
-        if stream is None:
-            stream = self._streams[name] = _Stream(self.epoch, deque(maxlen=self.depth))
+    def put(self, taken: Taken, name: str, publishers: Publishers, latched: bool) -> bool:
+        """Keep what the publisher of this name sent; whether it is new."""
+        stream = self._stream(name, self.epoch)
         if latched:
             identity = taken.source_ns, taken.number
             if identity in stream.identities:
@@ -197,32 +105,180 @@ class Feed:
                 name in publishers.latched or (latched and not name),  # only what is latched is read so
             )
         )
+        self._views.clear()
         return True
+
+    def latest(self, depth: int, publishers: Publishers) -> Sequence[Sample]:
+        """The newest `depth` samples of each publisher, in order of receipt; the same object until one arrives."""
+        view = self._views.get(depth)
+        if view is None:
+            newest = [sample for stream in self._heard(publishers) for sample in tuple(stream.kept)[-depth:]]
+            view = self._views[depth] = tuple(sorted(newest, key=_received))
+        return view
+
+    def deepen(self, depth: int) -> None:
+        """Keep so many of the newest samples from now on."""
+        self.depth = depth
+        for stream in self._by_publisher.values():
+            if stream.kept.maxlen != depth:
+                stream.kept = deque(stream.kept, maxlen=depth)
+        self._views.clear()
+
+    def attribute(self, publishers: Publishers) -> None:
+        """What came before it was known who publishes is the only publisher's, once that is known."""
+        self._views.clear()
+        nameless = self._by_publisher.get("")
+        name = next(iter(publishers.nodes), "")
+        if nameless is not None and name and len(publishers.nodes) == 1 and name not in self._by_publisher:
+            is_latched = name in publishers.latched
+            named = (each._replace(publisher=name, latched=is_latched) for each in nameless.kept)
+            nameless.kept = deque(named, maxlen=self.depth)
+            self._by_publisher[name] = self._by_publisher.pop("")
+
+    def _stream(self, name: str, epoch: int) -> _Stream:
+        stream = self._by_publisher.get(name)
+        if stream is None:
+            stream = self._by_publisher[name] = _Stream(epoch, deque(maxlen=self.depth))
+        return stream
+
+    def _heard(self, publishers: Publishers) -> list[_Stream]:
+        """The streams of those who publish, and of others only the one who spoke last, until somebody speaks after."""
+        here = {*publishers.nodes, self.own}
+        present = [stream for name, stream in self._by_publisher.items() if name in here and stream.kept]
+        gone = [stream for name, stream in self._by_publisher.items() if name not in here and stream.kept]
+        last = max(gone, key=_newest, default=None)
+        if last is None or any(_newest(stream) >= _newest(last) for stream in present):
+            return present
+        return [*present, last]
+
+
+class _Echoes:
+    """What we published of late, by which the middleware's echo of it is known."""
+
+    def __init__(self) -> None:
+        self._published: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES)
+
+    def note(self, sample: Sample) -> None:
+        """Expect an echo of this."""
+        self._published.append((sample.received_ns, sample.data))
+
+    def take(self, taken: Taken) -> bool:
+        """Whether it is what we published ourselves: the same bytes, written just when we wrote them."""
+        for published in self._published:
+            written, data = published
+            if -_ECHO_NS < taken.source_ns - written < _ECHO_NS and data == taken.data:
+                self._published.remove(published)
+                return True
+        return False
+
+
+class Feed:
+    """What comes in on one topic, for all its subscriptions; `own` is the node under which we publish."""
+
+    def __init__(self, topic: str, own: str, epoch: int, waiter: Waiter) -> None:
+        self.topic = topic
+        self.publishers = Publishers()
+        self.subscriptions: list[TopicSubscription] = []
+        self.watches = Watches()
+        self._waiter = waiter
+        self._server = asyncio.get_running_loop()
+        self._reader: Reader | None = None
+        self._streams = _Streams(own, epoch)
+        self._echoes = _Echoes()
+        self._taking = threading.Lock()
+        self._seen_publishers = self.publishers
+
+    @property
+    def depth(self) -> int:
+        """How many of each publisher's newest samples are kept."""
+        return self._streams.depth
+
+    @property
+    def epoch(self) -> int:
+        """The newest epoch of its publishers."""
+        return self._streams.epoch
+
+    @property
+    def own(self) -> str:
+        """The node under which we publish."""
+        return self._streams.own
+
+    @own.setter
+    def own(self, node: str) -> None:
+        self._streams.own = node
+
+    @property
+    def reader(self) -> Reader | None:
+        """What it is read with, None while it is not read."""
+        return self._reader
+
+    def read_with(self, reader: Reader | None) -> Reader | None:
+        """Take from this reader from now on; the one before, to be closed. Called on the thread that talks to ROS."""
+        before, self._reader = self._reader, reader
+        if before is not None:
+            self._waiter.disarm(before.handle)
+        self._soon(self._rearm)
+        return before
+
+    def published(self, sample: Sample) -> None:
+        """We published this: it is a sample, and its echo is none. Called on the server's loop."""
+        self._echoes.note(sample)
+        self._streams.put_own(sample)
+        self.watches.notify()
+
+    def forget_own(self) -> None:
+        """We publish no more."""
+        self._streams.forget_own()
+
+    def latest(self, depth: int) -> Sequence[Sample]:
+        """The newest `depth` samples of each publisher, in order of receipt; the same object until one arrives."""
+        self._drain()
+        return self._streams.latest(depth, self._seen_publishers)
+
+    def deepen(self, depth: int) -> None:
+        """Keep so many of the newest samples from now on."""
+        self._streams.deepen(depth)
+
+    def watch(self, wake: Callable[[], None]) -> LoopWatch:
+        """Wake on the loop after something new arrived."""
+        watch = self.watches.add(wake)
+        self._rearm()
+        return watch
+
+    def close(self) -> None:
+        """Show nothing any more."""
+        reader = self._reader
+        if reader is not None:
+            self._waiter.disarm(reader.handle)
+
+    def _drain(self) -> bool:
+        """Take what is there; whether something new was."""
+        publishers, reader = self.publishers, self._reader
+        if publishers is not self._seen_publishers:
+            self._seen_publishers = publishers
+            self._streams.attribute(publishers)
+        if reader is None:
+            return False
+        new, latched = False, reader.qos.durability == "transient_local"
+        with self._taking:
+            for _ in range(max(reader.qos.depth, self.depth)):
+                taken = reader.take()
+                if taken is None:
+                    break
+                new = self._put(taken, publishers, latched) or new
+        return new
+
+    def _put(self, taken: Taken, publishers: Publishers, latched: bool) -> bool:
+        name = self._who(taken, publishers)
+        if name == self.own or self._echoes.take(taken):
+            return False
+        return self._streams.put(taken, name, publishers, latched)
 
     def _who(self, taken: Taken, publishers: Publishers) -> str:
         """Who sent it: told by its gid where the middleware tells that, else known where only one node publishes."""
         if taken.gid is not None and (found := publishers.gids.get(taken.gid)) is not None:
             return found
         return next(iter(publishers.nodes)) if len(publishers.nodes) == 1 else ""
-
-    def _is_echo(self, taken: Taken) -> bool:
-        """Whether it is what we published ourselves: the same bytes, written just when we wrote them."""
-        for echo in self._echoes:
-            written, data = echo
-            if -_ECHO_NS < taken.source_ns - written < _ECHO_NS and data == taken.data:
-                self._echoes.remove(echo)
-                return True
-        return False
-
-    def _heard(self) -> list[_Stream]:
-        """The streams of those who publish, and of others only the one who spoke last, until somebody speaks after."""
-        here = {*self.publishers.nodes, self.own}
-        present = [stream for name, stream in self._streams.items() if name in here and stream.kept]
-        gone = [stream for name, stream in self._streams.items() if name not in here and stream.kept]
-        last = max(gone, key=_newest, default=None)
-        if last is None or any(_newest(stream) >= _newest(last) for stream in present):
-            return present
-        return [*present, last]
 
     def _rearm(self) -> None:
         """Be told of the next message, if somebody watches."""

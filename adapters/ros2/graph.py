@@ -187,3 +187,24 @@ def _shared(previous: Mapping[str, _V], made: Mapping[str, _V]) -> Mapping[str, 
     if len(kept) == len(previous) and all(previous.get(name) is value for name, value in kept.items()):
         return previous
     return frozen(kept)
+
+
+def type_in_use(graph: Graph, ref: TypeRef) -> TypeRef:
+    """The type of this name that a topic has, where its hash is not said."""
+    if ref.hash is not None:
+        return ref
+    types = (each for topic in graph.topics.values() for each in topic.types)
+    return next((each for each in types if each.name == ref.name), ref)
+
+
+def nodes_using(graph: Graph, ref: TypeRef) -> list[str]:
+    """The nodes that use a type and tell of their types."""
+    nodes: dict[str, None] = {}
+    for topic in graph.topics.values():
+        for each in (*topic.publishers, *topic.subscribers):
+            if each.type is not None and each.type.name == ref.name:
+                nodes[each.node] = None
+    for service in graph.services.values():
+        if service.type is not None and service.type.name == ref.name:
+            nodes.update(dict.fromkeys(service.providers))
+    return [node for node in nodes if f"{node}/get_type_description" in graph.services]

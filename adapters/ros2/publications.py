@@ -6,13 +6,20 @@ Made on the thread that talks to ROS; how many are matched may be asked on any.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import replace
+from functools import partial
 
-from rosld.adapters.model import Qos, TypeRef
-from rosld.adapters.ros2.middleware import Reader, Writer
-from rosld.adapters.ros2.profiles import hears
+from rosld.adapters.base import AdapterOptions
+from rosld.adapters.model import Graph, NotFound, Qos, Refused, TypeRef, UnknownType
+from rosld.adapters.ros2.graph import nodes_using
+from rosld.adapters.ros2.middleware import Participant, Reader, Writer
+from rosld.adapters.ros2.profiles import hears, override_for, publishing_profile
+from rosld.adapters.ros2.types import Types
 
 _PAUSE = 0.005
+_PATIENCE = 0.5
+"""Seconds that a new publication waits for all subscribers, after the first."""
 _SETTLING = 0.1
 """Seconds until a matched best-effort subscriber, for whom nothing is repeated, knows of us as well."""
 
@@ -68,3 +75,97 @@ class Publication:
             self.writer.publish(data)
         except ValueError:
             pass
+
+
+class Publications:
+    """The topics that rosld publishes. Belongs to the thread of ROS, but for `suits` and reading `by_topic`.
+
+    `graph` tells the system's graph as it is now, `reader_of` what rosld itself reads a topic with, and `look` has the
+    graph show what a topic's endpoints are.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        types: Types,
+        options: AdapterOptions,
+        graph: Callable[[], Graph],
+        reader_of: Callable[[str], Reader | None],
+        look: Callable[[tuple[str, ...]], Awaitable[None]],
+    ) -> None:
+        self._participant = participant
+        self._types = types
+        self._options = options
+        self._graph = graph
+        self._reader_of = reader_of
+        self._look = look
+        self._by_topic: dict[str, Publication] = {}
+        self._advertising = asyncio.Lock()
+
+    @property
+    def by_topic(self) -> Mapping[str, Publication]:
+        """What is published now."""
+        return self._by_topic
+
+    async def advertise(self, topic: str, type: TypeRef, latch: bool, until: float) -> Publication:
+        """Publish a topic from now on, and wait for its subscribers as `Adapter.publish` promises.
+
+        Raises Refused where it is ours with another type, UnknownType, Unreachable.
+        """
+        async with self._advertising:
+            publication = self._by_topic.get(topic)
+            if publication is not None and not publication.carries(type):
+                raise Refused(f"rosld publishes {topic} as {publication.ref.name}, not {type.name}")
+            if publication is None or not self.suits(publication, latch):
+                publication = await self._advertise(topic, type, latch, until)
+            return publication
+
+    def suits(self, publication: Publication, latch: bool) -> bool:
+        """Whether all subscribers still accept a publication's profile. From any thread."""
+        wanted = self._profile(publication.topic, latch or publication.latched)
+        return replace(wanted, depth=publication.qos.depth) == publication.qos
+
+    async def unadvertise(self, topic: str) -> None:
+        """Stop publishing. Raises NotFound."""
+        async with self._advertising:
+            publication = self._by_topic.pop(topic, None)
+            if publication is None:
+                raise NotFound(f"rosld does not publish {topic}")
+            publication.writer.close()
+            if not self._by_topic:
+                self._participant.hide()
+            await self._look((topic,))
+
+    def close(self) -> None:
+        """Stop publishing everything."""
+        for publication in self._by_topic.values():
+            publication.writer.close()
+
+    def _profile(self, name: str, latch: bool) -> Qos:
+        topic = self._graph().topics.get(name)
+        subscribers = topic.subscribers if topic is not None else ()
+        return publishing_profile(subscribers, latch=latch, override=override_for(name, self._options.qos))
+
+    async def _advertise(self, topic: str, type: TypeRef, latch: bool, until: float) -> Publication:
+        if (words := self._types.problem(type.name)) is not None:
+            raise UnknownType(words)
+        schema = await self._types.schema(type, nodes_using(self._graph(), type), until)
+        before = self._by_topic.pop(topic, None)
+        if before is not None:
+            latch = latch or before.latched
+            before.writer.close()
+        profile = self._profile(topic, latch)
+        try:
+            self._participant.show(self._graph().own_node.rpartition("/")[2])
+            writer = self._participant.writer(topic, schema.ref.name, profile)
+        except Exception as error:
+            if not self._by_topic:
+                self._participant.hide()
+            raise Refused(f"{topic} cannot be published: {error}") from error
+        publication = Publication(topic, schema.ref, writer, partial(self._reader_of, topic))
+        self._by_topic[topic] = publication
+        await self._look((topic,))
+        known = self._graph().topics.get(topic)
+        await publication.matching(max(1, len(known.subscribers) if known else 0), until, _PATIENCE)
+        await publication.settled(until)
+        return publication

@@ -1,0 +1,122 @@
+"""The topics that are read: one reader for each feed, with the profile that fits the topic's publishers now."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from rosld.adapters.base import AdapterOptions
+from rosld.adapters.model import Endpoint, Graph, Qos, TypeRef, UnknownType
+from rosld.adapters.ros2.feeds import Feed, Publishers
+from rosld.adapters.ros2.graph import nodes_using
+from rosld.adapters.ros2.middleware import Participant, Reader, Seen
+from rosld.adapters.ros2.profiles import override_for, reading_profile
+from rosld.adapters.ros2.types import Types
+
+_PROOF = 5.0
+"""Seconds to find out whether messages of a type can be decoded."""
+
+
+class Readers:
+    """Reads feeds. `refresh_soon` is called when a topic turns out not to be readable. Belongs to the thread of ROS."""
+
+    def __init__(
+        self, participant: Participant, types: Types, options: AdapterOptions, refresh_soon: Callable[[], None]
+    ) -> None:
+        self._participant = participant
+        self._types = types
+        self._options = options
+        self._refresh_soon = refresh_soon
+        self._feeds: dict[str, Feed] = {}
+        self._proved: set[TypeRef] = set()
+        self._proofs: set[asyncio.Task[None] | None] = set()
+
+    def reader_of(self, topic: str) -> Reader | None:
+        """What a topic is read with, None where it is not read."""
+        feed = self._feeds.get(topic)
+        return feed.reader if feed is not None else None
+
+    def add(self, feed: Feed) -> None:
+        """Read a topic from the next `follow` on."""
+        self._feeds[feed.topic] = feed
+
+    def remove(self, feed: Feed) -> None:
+        """Stop reading a topic."""
+        if self._feeds.get(feed.topic) is feed:
+            del self._feeds[feed.topic]
+        if (reader := feed.read_with(None)) is not None:
+            reader.close()
+
+    def close(self) -> None:
+        """Stop reading all topics."""
+        for feed in self._feeds.values():
+            if (reader := feed.read_with(None)) is not None:
+                reader.close()
+
+    def follow_all(self, graph: Graph, seen: Callable[[str], Sequence[Seen]]) -> None:
+        """Read all topics with the profiles that fit their publishers now, which `seen` tells of each topic."""
+        for feed in list(self._feeds.values()):
+            self.follow(feed, graph, seen(feed.topic))
+
+    def follow(self, feed: Feed, graph: Graph, seen: Sequence[Seen]) -> None:
+        """Read a feed's topic with the profile that fits its publishers now."""
+        if self._feeds.get(feed.topic) is not feed:
+            return
+        feed.own = graph.own_node
+        others = [each for each in seen if each.node != graph.own_node]
+        publishers = self._publishers(feed.topic, graph, [each for each in others if each.node])
+        if publishers != feed.publishers:
+            feed.publishers = publishers
+        type = publishers.type
+        if feed.topic not in graph.topics or type is None or self._types.problem(type.name) is not None:
+            return
+        self._prove(type, graph)
+        endpoints = [Endpoint(each.node, qos=each.qos) for each in others]
+        wanted = reading_profile(endpoints, feed.depth, override_for(feed.topic, self._options.qos))
+        reader = feed.reader
+        if reader is not None and reader.qos.depth >= wanted.depth:
+            wanted = replace(wanted, depth=reader.qos.depth)
+        if reader is None or reader.qos != wanted:
+            self._read_with(feed, type, wanted)
+
+    def _prove(self, type: TypeRef, graph: Graph) -> None:
+        """Find out, once, whether messages of a type that is read can be decoded: else its topics say why not."""
+        if type in self._proved:
+            return
+        self._proved.add(type)
+        loop = asyncio.get_running_loop()
+
+        async def prove() -> None:
+            try:
+                await self._types.schema(type, nodes_using(graph, type), loop.time() + _PROOF)
+            except UnknownType as error:
+                self._types.note_problem(type.name, error.sentence)
+                self._refresh_soon()
+            finally:
+                self._proofs.discard(asyncio.current_task())
+
+        self._proofs.add(loop.create_task(prove()))
+
+    def _read_with(self, feed: Feed, type: TypeRef, wanted: Qos) -> None:
+        try:
+            reader: Reader | None = self._participant.reader(feed.topic, type.name, wanted)
+        except Exception:  # a name that ROS 2 does not allow, a profile that the middleware refuses
+            return
+        if (before := feed.read_with(reader)) is not None:
+            before.close()
+
+    def _publishers(self, name: str, graph: Graph, seen: Sequence[Seen]) -> Publishers:
+        topic = graph.topics.get(name)
+        types = {each.node: self._types.with_hash(each.type) for each in seen}
+        first = next(iter(types.values()), None)
+        if first is None and topic is not None and topic.types:
+            first = self._types.with_hash(topic.types[0])
+        return Publishers(
+            Counter(each.node for each in seen),
+            {each.gid: each.node for each in seen if each.gid},
+            types,
+            frozenset(each.node for each in seen if each.qos.durability == "transient_local"),
+            first,
+        )

@@ -37,7 +37,7 @@ def permissions() -> Permissions:
     everywhere, part = (Glob("/**"),), (Glob("/topics/t0/**"),)
     agent, read = Agent("anna"), frozenset({Mode.READ})
     rules = (Rule(frozenset({"anna"}), read, everywhere), Rule(frozenset({"anna"}), read, part, deny=True))
-    return Permissions(agent, Policy(rules).rights(agent), SPACE)
+    return Permissions(agent, Policy(rules).rights_of(agent), SPACE)
 
 
 def timed(what: str, work: Callable[[], object], rounds: int = ROUNDS) -> None:

@@ -15,7 +15,7 @@ from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channels import Channels
 from rosld.server.html import prepare_pages
 from rosld.server.http import link
-from rosld.server.http.origin import Site, site
+from rosld.server.http.origin import OriginPolicy, origin_policy
 from rosld.server.hypermedia.mappings import relations
 from rosld.server.middleware.audit import Audit
 from rosld.server.middleware.authentication import AccessHeaders, Authentication
@@ -80,7 +80,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     )
     service = query_service(robot, process, synchroniser, analyser, source.unread)
     mirror = mirror_of(robot, process, synchroniser, {*ROOMS, "queries", "sparql"})
-    names = site(settings.base_url, settings.host, settings.port, settings.cors_origins)
+    names = origin_policy(settings.base_url, settings.host, settings.port, settings.cors_origins)
     feeds = Broadcasters(robot.changes, settings.client_streams)
     alone = KeyedLock(settings.call_deadline)
     bounds = Bounds(size=settings.body_limit)
@@ -114,7 +114,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         background.append(mirror.run)
         closings.insert(0, mirror.close)
     if authenticator is not None:
-        background.append(authenticator.keep_up)
+        background.append(authenticator.watch_file)
     return Application(
         robot,
         clients,
@@ -132,7 +132,7 @@ def middleware(
     router: Router,
     verbs: Dispatcher,
     pages: Pages,
-    names: Site,
+    names: OriginPolicy,
     admission: Admission,
     authenticator: Authenticator | None,
 ) -> Handler:

@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 
 from rosld.adapters.base import MESSAGE_LIMIT, AdapterOptions
 from rosld.adapters.model import Qos
-from rosld.server.http.origin import is_loopback, is_wildcard, normal_origin
+from rosld.server.http.origin import is_loopback, is_wildcard, normalize_origin
 
 _V = TypeVar("_V")
 _HELP, _OPTION, _UNIT, _LEAST, _METAVAR = "help", "option", "unit", "least", "metavar"
@@ -510,7 +510,7 @@ def _check_namespace(iri: str) -> None:
 
 def _check_origin(origin: str) -> None:
     try:
-        normal_origin(origin)
+        normalize_origin(origin)
     except ValueError as error:
         raise ValueError(f"--cors-origin {origin!r} is no origin such as https://app.example") from error
 

@@ -13,5 +13,5 @@ class Agent:
     webid: str | None = None
 
 
-ANYBODY = Agent("anybody")
+ANONYMOUS = Agent("anybody")
 """Who asks without saying who they are."""

@@ -12,13 +12,13 @@ from typing import TypeAlias
 
 from rosld.ontology.urls import Space
 from rosld.server.auth import config
-from rosld.server.auth.agent import ANYBODY, Agent
-from rosld.server.auth.config import Access
-from rosld.server.auth.errors import unproven
-from rosld.server.auth.oidc import Claims, Unverified, Verifier, issuer_of, require_library
+from rosld.server.auth.agent import ANONYMOUS, Agent
+from rosld.server.auth.config import AuthConfig
+from rosld.server.auth.errors import invalid_token
+from rosld.server.auth.oidc import Claims, InvalidToken, TokenVerifier, issuer_of, require_library
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions, TypesAt
 from rosld.server.auth.rules import AUTHENTICATED
-from rosld.server.auth.tokens import credentials
+from rosld.server.auth.tokens import parse_credentials
 from rosld.server.runtime.signals import Signal
 
 _GLANCE = 1.0
@@ -34,7 +34,7 @@ class AuthContext:
     """One who asks: what they may do, and whether they still may after a while (streams last); what anybody may do."""
 
     permissions: Permissions
-    still: Callable[[], bool]
+    is_valid: Callable[[], bool]
     public: Permissions
 
 
@@ -42,7 +42,7 @@ def _always() -> bool:
     return True
 
 
-OPEN = AuthContext(ALLOW_ALL, _always, ALLOW_ALL)
+UNRESTRICTED = AuthContext(ALLOW_ALL, _always, ALLOW_ALL)
 """Everybody, where there is no door."""
 
 
@@ -54,35 +54,35 @@ class Authenticator:
         self._space = space
         self._types = types
         self._stamp = _stamp(path)
-        self.access = config.read(path, space.base)
-        if self.access.issuers:
+        self.config = config.read_config(path, space.base)
+        if self.config.issuers:
             require_library()
         self.changed = Signal()
         """Given when rights may have changed."""
-        self._verifier = Verifier()
+        self._verifier = TokenVerifier()
         self._judges: dict[Agent, Permissions] = {}
 
     @property
-    def anybody(self) -> AuthContext:
+    def anonymous(self) -> AuthContext:
         """Who has not said who they are."""
-        return self._visit(ANYBODY, lambda: ANYBODY, None)
+        return self._visit(ANONYMOUS, lambda: ANONYMOUS, None)
 
-    async def visit(self, field: str | None) -> AuthContext:
+    async def authenticate(self, field: str | None) -> AuthContext:
         """Who sends this Authorization field, None for none. Raises a 401 Problem for what proves nothing."""
         if field is None:
-            return self.anybody
-        sent = credentials(field)
+            return self.anonymous
+        sent = parse_credentials(field)
         if sent is None:
-            raise unproven("Authorization is neither Bearer nor Basic with a token as its password.")
+            raise invalid_token("Authorization is neither Bearer nor Basic with a token as its password.")
         token = sent.token
         agent = self._holder(token)
         if agent is not None:
             if sent.name not in ("", agent.name):
-                raise unproven("That token is another's.")
+                raise invalid_token("That token is another's.")
             return self._visit(agent, lambda: self._holder(token), None)
         claims = await self._claims(token)
         if claims is None:
-            raise unproven("That token is not known.")
+            raise invalid_token("That token is not known.")
         return self._visit(self._named(claims), lambda: self._named(claims), claims.expires)
 
     def permissions(self, agent: Agent) -> Permissions:
@@ -91,68 +91,68 @@ class Authenticator:
         if found is None:
             if len(self._judges) >= _MOST:
                 self._judges.clear()
-            found = Permissions(agent, self.access.policy.rights(agent), self._space, self._types)
+            found = Permissions(agent, self.config.policy.rights_of(agent), self._space, self._types)
             self._judges[agent] = found
         return found
 
-    async def keep_up(self) -> None:
+    async def watch_file(self) -> None:
         """Read the file again whenever it changes, for ever: to be cancelled. What cannot be read changes nothing."""
         while True:
             await asyncio.sleep(_GLANCE)
-            await self.look()
+            await self.reload_if_changed()
 
-    async def look(self) -> None:
+    async def reload_if_changed(self) -> None:
         """Read the file again if it has changed."""
         stamp = await asyncio.to_thread(_stamp, self._path)
         if stamp == self._stamp:
             return
         self._stamp = stamp
         try:
-            found = await asyncio.to_thread(config.read, self._path, self._space.base)
+            found = await asyncio.to_thread(config.read_config, self._path, self._space.base)
         except ValueError as error:
             _log.error("%s. The rights stay as they were.", error)
             return
         self._replace(found)
         _log.info("the rights in %s have been read anew", self._path)
 
-    def _replace(self, access: Access) -> None:
-        self.access = access
+    def _replace(self, access: AuthConfig) -> None:
+        self.config = access
         self._judges.clear()
         self.changed.emit()
 
     def _visit(self, agent: Agent, now: Callable[[], Agent | None], until: float | None) -> AuthContext:
-        permissions, access = self.permissions(agent), self.access
+        permissions, access = self.permissions(agent), self.config
 
         def still() -> bool:
             if until is not None and time.time() >= until:
                 return False
-            if self.access is access:
+            if self.config is access:
                 return True
             found = now()
             return found == agent and self.permissions(found).rights.key == permissions.rights.key
 
-        return AuthContext(permissions, still, self.permissions(ANYBODY))
+        return AuthContext(permissions, still, self.permissions(ANONYMOUS))
 
     def _holder(self, token: str) -> Agent | None:
-        name = self.access.tokens.whose(token)
-        return None if name is None else self.access.policy.agents[name]
+        name = self.config.tokens.owner_of(token)
+        return None if name is None else self.config.policy.agents[name]
 
     async def _claims(self, token: str) -> Claims | None:
         """What a token of an issuer says, None where it is of none that counts. Raises a 401 Problem."""
-        issuer = issuer_of(token, self.access.issuers)
+        issuer = issuer_of(token, self.config.issuers)
         if issuer is None:
             return None
         try:
             return await self._verifier.verify(token, issuer)
-        except Unverified as error:
-            raise unproven(f"{error}.") from error
+        except InvalidToken as error:
+            raise invalid_token(f"{error}.") from error
 
     def _named(self, claims: Claims) -> Agent:
         """The agent of a subject: the one that the file names, else one called by issuer and subject."""
-        name = self.access.subjects.get((claims.issuer, claims.subject))
+        name = self.config.subjects.get((claims.issuer, claims.subject))
         if name is not None:
-            return self.access.policy.agents[name]
-        if all(issuer.url != claims.issuer for issuer in self.access.issuers):
+            return self.config.policy.agents[name]
+        if all(issuer.url != claims.issuer for issuer in self.config.issuers):
             return Agent(AUTHENTICATED)
         return Agent(f"{claims.issuer}#{claims.subject}", claims.webid)
 

@@ -18,10 +18,10 @@ from urllib.parse import urlsplit
 from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, parse
 
 from rosld.ontology.vocab import acl, foaf, rdf, ros
-from rosld.server.auth.agent import ANYBODY, Agent
+from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.auth.globs import Glob
 from rosld.server.auth.rules import AUTHENTICATED, Mode, Policy, Rule
-from rosld.server.auth.tokens import DIGEST, Tokens
+from rosld.server.auth.tokens import DIGEST, TokenTable
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -57,16 +57,16 @@ class Issuer:
 
 
 @dataclass(frozen=True)
-class Access:
+class AuthConfig:
     """What the file says. `subjects` are the names of agents by issuer and subject."""
 
     policy: Policy
-    tokens: Tokens
+    tokens: TokenTable
     issuers: tuple[Issuer, ...] = ()
     subjects: Mapping[tuple[str, str], str] = field(default_factory=dict)
 
 
-def read(path: Path, base: str) -> Access:
+def read_config(path: Path, base: str) -> AuthConfig:
     """What a file says; `base` resolves the relative IRIs of one in Turtle. Raises ValueError with a sentence."""
     try:
         data = path.read_bytes()
@@ -143,7 +143,7 @@ class _Table:
             raise ValueError(f"{self._where}: {error}") from error
 
 
-def from_toml(data: bytes) -> Access:
+def from_toml(data: bytes) -> AuthConfig:
     """What TOML says. Raises ValueError naming the table and what is wrong in it."""
     said = tomllib.loads(data.decode("utf-8"))
     kinds = ("agent", "token", "issuer", "rule")
@@ -227,7 +227,7 @@ def _mode(name: str) -> Mode:
 
 
 def _name(name: str) -> str:
-    if name in (ANYBODY.name, AUTHENTICATED):
+    if name in (ANONYMOUS.name, AUTHENTICATED):
         raise ValueError(f"nobody can be called {name!r}: that means all of them")
     if not name.isprintable() or ":" in name or len(name) > 200:
         raise ValueError(f"{name[:200]!r} is no name of an agent: letters without colons, at most 200")
@@ -259,24 +259,24 @@ def _whole(
     issuers: tuple[Issuer, ...],
     subjects: Mapping[tuple[str, str], str],
     rules: tuple[Rule, ...],
-) -> Access:
+) -> AuthConfig:
     """All of it, once it is known that it fits together."""
     urls = {issuer.url for issuer in issuers}
     for issuer, subject in subjects:
         if issuer not in urls:
             raise ValueError(f"agent {subjects[issuer, subject]!r}: there is no [[issuer]] {issuer}")
-    known = {ANYBODY.name, AUTHENTICATED, *agents, *(one.webid for one in agents.values() if one.webid)}
+    known = {ANONYMOUS.name, AUTHENTICATED, *agents, *(one.webid for one in agents.values() if one.webid)}
     for rule in rules:
         for name in rule.agents:
             if name not in known and not issuers:
                 _log.warning("--auth: a rule is about %r, whom no [[agent]] or [[token]] names", name)
-    return Access(Policy(rules, agents), Tokens(tokens), issuers, subjects)
+    return AuthConfig(Policy(rules, agents), TokenTable(tokens), issuers, subjects)
 
 
 # Turtle
 
 
-def from_turtle(data: bytes, base: str) -> Access:
+def from_turtle(data: bytes, base: str) -> AuthConfig:
     """What Turtle says; IRIs below `base` are paths of this server. Raises ValueError, SyntaxError."""
     graph = _Graph((quad.subject, quad.predicate, quad.object) for quad in parse(data, RdfFormat.TURTLE, base_iri=base))
     agents: dict[str, Agent] = {}
@@ -342,7 +342,7 @@ _AUTHORIZATION = frozenset(
         ros.glob, ros.typeGlob, ros.deny,
     }
 )  # fmt: skip
-_CLASSES: Mapping[object, str] = {foaf.Agent: ANYBODY.name, acl.AuthenticatedAgent: AUTHENTICATED}
+_CLASSES: Mapping[object, str] = {foaf.Agent: ANONYMOUS.name, acl.AuthenticatedAgent: AUTHENTICATED}
 
 
 def _authorization(graph: _Graph, node: _Node, base: str, called: Mapping[str, str]) -> Rule:

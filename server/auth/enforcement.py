@@ -9,9 +9,9 @@ from typing import Protocol
 from starlette.types import Scope
 
 from rosld.ontology.urls import Location, Space, locate
-from rosld.server.auth.agent import ANYBODY
-from rosld.server.auth.errors import forbidden, nothing, unknown
-from rosld.server.auth.globs import path_of
+from rosld.server.auth.agent import ANONYMOUS
+from rosld.server.auth.errors import forbidden, not_found, not_visible
+from rosld.server.auth.globs import path_at
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction.links import redact_link_field
 from rosld.server.auth.rules import Mode, mode_of
@@ -31,7 +31,7 @@ class Protected(Protocol):
     """What is judged of a resource."""
 
     @property
-    def reaches_below(self) -> bool:
+    def changes_subtree(self) -> bool:
         """Whether its writes change what lies below it, too."""
         ...
 
@@ -45,7 +45,7 @@ class Protected(Protocol):
         ...
 
 
-def place_of(scope: Scope, space: Space) -> Location | None:
+def location_of(scope: Scope, space: Space) -> Location | None:
     """Where a request goes, None where its path is malformed."""
     try:
         path: str = scope["raw_path"].decode("ascii").removeprefix(space.path.rstrip("/"))
@@ -56,9 +56,9 @@ def place_of(scope: Scope, space: Space) -> Location | None:
 
 def require_path(permissions: Permissions, method: str, place: Location | None) -> None:
     """Refuse what the path alone forbids, before it is known whether anything is there. Raises 401, 403, 404."""
-    if place is None or not permissions.might_know(place):
-        raise unknown(permissions.agent)
-    if method in _READING and not permissions.rights.may(mode_of(method, path_of(place)), path_of(place), None):
+    if place is None or not permissions.may_know_path(place):
+        raise not_visible(permissions.agent)
+    if method in _READING and not permissions.rights.may(mode_of(method, path_at(place)), path_at(place), None):
         raise forbidden(permissions.agent, "read this")
 
 
@@ -67,29 +67,29 @@ def authorize(permissions: Permissions, method: str, place: Location | None, res
 
     What the resource does not do whoever asks (405) is not judged here.
     """
-    if place is None or not permissions.knows(place):
-        raise nothing()
+    if place is None or not permissions.may_know(place):
+        raise not_found()
     if method == "OPTIONS" or (method not in _SAFE and method not in resource.methods()):
         return
     if not permissions.may_at(method, place):
         raise forbidden(permissions.agent, _WORDS.get(method, "read this"))
     if method in _SAFE:
         return
-    if resource.reaches_below:
-        require_below(permissions, method, place)
+    if resource.changes_subtree:
+        require_subtree(permissions, method, place)
     if not all(permissions.may(method, url) for url in resource.also_changes):
         raise forbidden(permissions.agent, f"{_WORDS[method]}: it changes others, too, that are not yours to change")
 
 
-def allowed(permissions: Permissions, place: Location, resource: Protected) -> frozenset[str]:
+def allowed_methods(permissions: Permissions, place: Location, resource: Protected) -> frozenset[str]:
     """Those methods of a resource that the agent may use on it."""
     methods = resource.methods()
-    if permissions.whole:
+    if permissions.is_unrestricted:
         return methods
     found = frozenset(each for each in methods if permissions.may_at(each, place))
     writes = found - _SAFE
-    if writes and resource.reaches_below:
-        writes = frozenset(each for each in writes if permissions.may_below(each, place))
+    if writes and resource.changes_subtree:
+        writes = frozenset(each for each in writes if permissions.may_subtree(each, place))
     if writes:
         also = resource.also_changes
         writes = frozenset(each for each in writes if all(permissions.may(each, url) for url in also))
@@ -98,12 +98,12 @@ def allowed(permissions: Permissions, place: Location, resource: Protected) -> f
 
 def is_write(method: str, place: Location | None) -> bool:
     """Whether a request would write what is kept, or command the robot, if it were let pass."""
-    return method in _WORDS and place is not None and mode_of(method, path_of(place)) is not Mode.READ
+    return method in _WORDS and place is not None and mode_of(method, path_at(place)) is not Mode.READ
 
 
-def require_below(permissions: Permissions, method: str, place: Location) -> None:
+def require_subtree(permissions: Permissions, method: str, place: Location) -> None:
     """Refuse what changes everything below a place, where that is not allowed. Raises 401, 403."""
-    if not permissions.may_below(method, place):
+    if not permissions.may_subtree(method, place):
         raise forbidden(permissions.agent, f"{_WORDS[method]}: not everything below it is yours to change")
 
 
@@ -120,14 +120,18 @@ def with_auth_headers(
     `resource` is what answered, None where it is not known what that would have been.
     """
     found: Headers = []
-    may = None if permissions.whole or place is None or resource is None else allowed(permissions, place, resource)
+    may = (
+        None
+        if permissions.is_unrestricted or place is None or resource is None
+        else allowed_methods(permissions, place, resource)
+    )
     links, varies = [str(acl)], ["Authorization"]
     for name, value in headers:
         if name == b"vary":
             varies = [value.decode("latin-1"), *varies]
         elif name == b"link":
             links = [redact_link_field(value.decode("latin-1"), permissions), *links]
-        elif permissions.whole:
+        elif permissions.is_unrestricted:
             found.append((name, value))
         elif name == b"allow" and place is not None:
             methods = [each.strip() for each in value.decode("latin-1").split(",")]
@@ -137,7 +141,7 @@ def with_auth_headers(
             found.append((name, value))
     found.append((b"vary", ", ".join(varies).encode("latin-1")))
     found.append((b"link", ", ".join(filter(None, links)).encode("latin-1")))
-    if place is not None and permissions.knows(place):
+    if place is not None and permissions.may_know(place):
         found.append((b"wac-allow", _wac_allow(permissions, public, place).encode("ascii")))
     return found
 
@@ -151,12 +155,12 @@ def _may_use(method: str, permissions: Permissions, place: Location | None, may:
 
 def _wac_allow(permissions: Permissions, public: Permissions, place: Location) -> str:
     """WAC-Allow (Solid Protocol, WAC 6.1): `write` where writes of any kind are allowed, `control` for the rules."""
-    own = public if permissions.agent == ANYBODY else permissions
+    own = public if permissions.agent == ANONYMOUS else permissions
     return f'user="{" ".join(_modes(own, place))}", public="{" ".join(_modes(public, place))}"'
 
 
 def _modes(permissions: Permissions, place: Location) -> Iterable[str]:
-    path, modes = path_of(place), permissions.modes(place)
+    path, modes = path_at(place), permissions.modes(place)
     if mode_of("GET", path) in modes:
         yield "read"
     if mode_of("PUT", path) in modes:

@@ -21,7 +21,7 @@ _ANY = "**"
 _NOT_IN_PATHS = re.compile(r"[?#\[\]\x00-\x20\x7f]")
 
 
-def path_of(location: Location) -> Path:
+def path_at(location: Location) -> Path:
     """The path that rules are about; that of a container is that of its name."""
     return (location.kind, *location.segments) if location.kind else location.segments
 
@@ -62,11 +62,11 @@ class Glob:
         """Whether it is about this path."""
         return len(self._parts) in self._reached(path)
 
-    def reaches_below(self, path: Path) -> bool:
+    def overlaps_subtree(self, path: Path) -> bool:
         """Whether it is about this path, or about anything that may lie below."""
         return bool(self._reached(path))
 
-    def covers_below(self, path: Path) -> bool:
+    def covers_subtree(self, path: Path) -> bool:
         """Whether it is about this path and everything that may lie below."""
         last = len(self._parts) - 1
         return last >= 0 and self._parts[last] is None and last in self._reached(path)

@@ -27,7 +27,7 @@ _LEEWAY = 10.0
 _LONGEST_TOKEN = 16 * 1024
 
 
-class Unverified(Exception):
+class InvalidToken(Exception):
     """A token that does not count; its words are for whoever sent it, and tell nothing of keys."""
 
 
@@ -63,7 +63,7 @@ def issuer_of(token: str, issuers: Iterable[Issuer]) -> Issuer | None:
 
 
 @dataclass
-class Verifier:
+class TokenVerifier:
     """Verifies tokens. Belongs to one loop."""
 
     _keys: dict[Issuer, _Keys] = field(default_factory=dict)
@@ -76,7 +76,7 @@ class Verifier:
         try:
             key_id = jwt.get_unverified_header(token).get("kid")
         except jwt.PyJWTError as error:
-            raise Unverified("That token is malformed") from error
+            raise InvalidToken("That token is malformed") from error
         key = await self._key(issuer, key_id)
         try:
             said = jwt.decode(
@@ -89,9 +89,9 @@ class Verifier:
                 options={"require": ["exp", "iss", "aud", "sub"], "verify_signature": True},
             )
         except jwt.ExpiredSignatureError as error:
-            raise Unverified("That token has expired") from error
+            raise InvalidToken("That token has expired") from error
         except (jwt.PyJWTError, ValueError, TypeError) as error:
-            raise Unverified("That token does not hold") from error
+            raise InvalidToken("That token does not hold") from error
         webid = said.get("webid")
         return Claims(issuer.url, str(said["sub"]), float(said["exp"]), webid if isinstance(webid, str) else None)
 
@@ -107,11 +107,11 @@ class Verifier:
                     known = _Keys(await asyncio.to_thread(_fetch, issuer), now)
                 except (OSError, ValueError) as error:
                     if known is None:
-                        raise Unverified("The issuer's keys cannot be had now") from error
+                        raise InvalidToken("The issuer's keys cannot be had now") from error
                 self._keys[issuer] = known
         found = _found(known, key_id)
         if found is None:
-            raise Unverified("The issuer has no such key")
+            raise InvalidToken("The issuer has no such key")
         return found
 
 

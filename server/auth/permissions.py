@@ -8,10 +8,10 @@ from functools import lru_cache
 from typing import TypeAlias
 
 from rosld.ontology.urls import Location, Space
-from rosld.server.auth.agent import ANYBODY, Agent
-from rosld.server.auth.globs import path_of
-from rosld.server.auth.rules import UNTYPED, Mode, Rights, Types, everybody, mode_of
-from rosld.server.auth.tokens import digest
+from rosld.server.auth.agent import ANONYMOUS, Agent
+from rosld.server.auth.globs import path_at
+from rosld.server.auth.rules import UNTYPED, Mode, Rights, Types, allow_all_rules, mode_of
+from rosld.server.auth.tokens import token_digest
 
 TypesAt: TypeAlias = Callable[[Location], Types]
 """The types of the resource at a location."""
@@ -32,10 +32,10 @@ class Permissions:
     def __init__(self, agent: Agent, rights: Rights, space: Space | None = None, types: TypesAt = _untyped) -> None:
         self.agent = agent
         self.rights = rights
-        self.whole = rights.whole
-        self.reads_all = rights.reads_all
-        self.key = "" if self.whole else rights.key
-        self.mark = "" if agent == ANYBODY else f"-{digest(agent.name)[-12:]}"
+        self.is_unrestricted = rights.is_unrestricted
+        self.may_read_all = rights.may_read_all
+        self.rights_key = "" if self.is_unrestricted else rights.key
+        self.cache_key = "" if agent == ANONYMOUS else f"-{token_digest(agent.name)[-12:]}"
         """What tells what is made for this agent alone from what is made for others."""
         self._space = space
         self._types = types
@@ -53,7 +53,7 @@ class Permissions:
 
     def may(self, method: str, url: str) -> bool:
         """Whether a request with this method may be made of this URL."""
-        if self.whole:
+        if self.is_unrestricted:
             return True
         location = self._located(url)
         if location is None:
@@ -66,55 +66,57 @@ class Permissions:
         found = _PAGE.search(query)
         return found is None or self.may_read(container + found[1])
 
-    def place(self, url: str) -> Location | None:
+    def locate(self, url: str) -> Location | None:
         """Where a URL points, None for one of another server."""
         return self._located(url)
 
     def may_at(self, method: str, location: Location) -> bool:
         """Whether a request with this method may be made of what is at a location."""
-        path = path_of(location)
+        path = path_at(location)
         if method == "OPTIONS":
-            return self.rights.knows(path, self._types(location))
+            return self.rights.may_know(path, self._types(location))
         return self.rights.may(mode_of(method, path), path, self._types(location))
 
-    def knows(self, location: Location) -> bool:
+    def may_know(self, location: Location) -> bool:
         """Whether the agent may know if anything is there."""
-        return self.whole or self.rights.knows(path_of(location), self._types(location))
+        return self.is_unrestricted or self.rights.may_know(path_at(location), self._types(location))
 
-    def might_know(self, location: Location) -> bool:
+    def may_know_path(self, location: Location) -> bool:
         """The same, as far as the path says: what is there is not looked at."""
-        return self.whole or self.rights.knows(path_of(location), None)
+        return self.is_unrestricted or self.rights.may_know(path_at(location), None)
 
-    def knows_any(self, location: Location) -> bool:
+    def may_know_any_type(self, location: Location) -> bool:
         """Whether the agent may know if anything is there, whatever it would be."""
-        return self.whole or self.rights.knows_any(path_of(location))
+        return self.is_unrestricted or self.rights.may_know_any_type(path_at(location))
 
-    def may_below(self, method: str, location: Location) -> bool:
+    def may_subtree(self, method: str, location: Location) -> bool:
         """Whether a request may be made of a location and of everything below, whatever lies there."""
-        path = path_of(location)
-        return self.whole or self.rights.may_below(mode_of(method, path), path)
+        path = path_at(location)
+        return self.is_unrestricted or self.rights.may_subtree(mode_of(method, path), path)
 
-    def may_somewhere(self, method: str, url: str) -> bool:
+    def may_template(self, method: str, url: str) -> bool:
         """Whether a request may be made of a URL, or of one that a template of URLs (`/data/{name}`) stands for."""
         if "{" not in url:
             return self.may(method, url)
         place = self._located(url.partition("{")[0])
-        return self.whole or (
-            place is not None and self.rights.might_below(mode_of(method, path_of(place)), path_of(place))
+        return self.is_unrestricted or (
+            place is not None and self.rights.may_in_subtree(mode_of(method, path_at(place)), path_at(place))
         )
 
-    def allowed(self, methods: Iterable[str], url: str) -> frozenset[str]:
+    def allowed_methods(self, methods: Iterable[str], url: str) -> frozenset[str]:
         """Those methods that the agent may use there."""
-        return frozenset(methods) if self.whole else frozenset(each for each in methods if self.may(each, url))
+        return (
+            frozenset(methods) if self.is_unrestricted else frozenset(each for each in methods if self.may(each, url))
+        )
 
     def modes(self, location: Location) -> frozenset[Mode]:
         """All that may be done at a location."""
-        path, types = path_of(location), self._types(location)
+        path, types = path_at(location), self._types(location)
         return frozenset(mode for mode in Mode if self.rights.may(mode, path, types))
 
     def _locate(self, url: str) -> Location | None:
         return None if self._space is None else self._space.location(url)
 
 
-ALLOW_ALL = Permissions(ANYBODY, Rights(everybody()))
+ALLOW_ALL = Permissions(ANONYMOUS, Rights(allow_all_rules()))
 """Of a server without rules: everybody may do everything."""

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from ipaddress import IPv6Address, ip_address
 
-from rosld.server.auth.agent import ANYBODY, Agent
+from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.token_bucket import TokenBucket
 
 BURST_SECONDS = 2.0
 """A client that was quiet may send at once what it may send in so many seconds."""
-REFUSAL_SECONDS = 0.5
+RETRY_SECONDS = 0.5
 """How long a refusal waits: who asks again at once would keep the server as busy with refusing as with answering."""
 _MOST_KNOWN = 10_000
 
@@ -68,7 +68,7 @@ class ClientLimiter:
 
     def acquire(self, agent: Agent, address: str | None) -> Client | None:
         """Count a request. Return what `release` takes when it is answered. Raises RateLimitExceeded."""
-        name = self._address(address) if agent.name == ANYBODY.name else f"agent {agent.name}"
+        name = self._address(address) if agent.name == ANONYMOUS.name else f"agent {agent.name}"
         if name is None:
             return None
         client, now, limits = self._client(name), self._clock(), self._limits

@@ -14,7 +14,7 @@ from enum import Enum
 from functools import cached_property
 from typing import TypeAlias
 
-from rosld.server.auth.agent import ANYBODY, Agent
+from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.auth.globs import Glob, Path, type_matches
 
 AUTHENTICATED = "authenticated"
@@ -73,10 +73,10 @@ class Rule:
     types: tuple[str, ...] = ()
     deny: bool = False
 
-    def concerns(self, agent: Agent) -> bool:
+    def applies_to(self, agent: Agent) -> bool:
         """Whether it is about this agent."""
-        called = {ANYBODY.name} | (
-            {AUTHENTICATED, agent.name, agent.webid or agent.name} if agent != ANYBODY else set()
+        called = {ANONYMOUS.name} | (
+            {AUTHENTICATED, agent.name, agent.webid or agent.name} if agent != ANONYMOUS else set()
         )
         return not called.isdisjoint(self.agents)
 
@@ -86,7 +86,7 @@ class Rule:
         fitting = (any(type_matches(glob, name) for glob in self.types) for name in types)
         return any(fitting) if self.deny else bool(types) and all(fitting)
 
-    def holds(self, mode: Mode, path: Path, types: Types | None) -> bool:
+    def covers(self, mode: Mode, path: Path, types: Types | None) -> bool:
         """Whether it says something of this; types that are not known yet (None) fit an allowance, and no denial."""
         return (
             mode in self.modes
@@ -94,17 +94,17 @@ class Rule:
             and any(glob.matches(path) for glob in self.globs)
         )
 
-    def reaches(self, mode: Mode, path: Path) -> bool:
+    def may_cover(self, mode: Mode, path: Path) -> bool:
         """Whether it may be about this path, of whatever type."""
         return mode in self.modes and any(glob.matches(path) for glob in self.globs)
 
-    def covers_below(self, mode: Mode, path: Path) -> bool:
+    def covers_subtree(self, mode: Mode, path: Path) -> bool:
         """Whether it is about this path and all that may lie below, of whatever type."""
-        return mode in self.modes and not self.types and any(glob.covers_below(path) for glob in self.globs)
+        return mode in self.modes and not self.types and any(glob.covers_subtree(path) for glob in self.globs)
 
-    def reaches_below(self, mode: Mode, path: Path) -> bool:
+    def overlaps_subtree(self, mode: Mode, path: Path) -> bool:
         """Whether it may be about this path, or about something below."""
-        return mode in self.modes and any(glob.reaches_below(path) for glob in self.globs)
+        return mode in self.modes and any(glob.overlaps_subtree(path) for glob in self.globs)
 
 
 @dataclass(frozen=True)
@@ -114,9 +114,9 @@ class Policy:
     rules: tuple[Rule, ...] = ()
     agents: Mapping[str, Agent] = field(default_factory=dict)
 
-    def rights(self, agent: Agent) -> Rights:
+    def rights_of(self, agent: Agent) -> Rights:
         """What an agent may do."""
-        return Rights(tuple(rule for rule in self.rules if rule.concerns(agent)))
+        return Rights(tuple(rule for rule in self.rules if rule.applies_to(agent)))
 
 
 @dataclass(frozen=True)
@@ -136,38 +136,38 @@ class Rights:
             found = self._known[key] = self._judge(mode, path, types)
         return found
 
-    def may_below(self, mode: Mode, path: Path) -> bool:
+    def may_subtree(self, mode: Mode, path: Path) -> bool:
         """Whether this may be done at a path and at everything that may lie below it, whatever that is."""
-        allowed = any(rule.covers_below(mode, path) for rule in self.rules if not rule.deny)
-        return allowed and not any(rule.reaches_below(mode, path) for rule in self.rules if rule.deny)
+        allowed = any(rule.covers_subtree(mode, path) for rule in self.rules if not rule.deny)
+        return allowed and not any(rule.overlaps_subtree(mode, path) for rule in self.rules if rule.deny)
 
-    def might_below(self, mode: Mode, path: Path) -> bool:
+    def may_in_subtree(self, mode: Mode, path: Path) -> bool:
         """Whether this may be done at something that may lie below a path, and not everything there is denied."""
-        allowed = any(rule.reaches_below(mode, path) for rule in self.rules if not rule.deny)
-        return allowed and not any(rule.covers_below(mode, path) for rule in self.rules if rule.deny)
+        allowed = any(rule.overlaps_subtree(mode, path) for rule in self.rules if not rule.deny)
+        return allowed and not any(rule.covers_subtree(mode, path) for rule in self.rules if rule.deny)
 
-    def knows_any(self, path: Path) -> bool:
+    def may_know_any_type(self, path: Path) -> bool:
         """Whether something may be done there whatever its types are, so that types hide nothing there."""
         return any(self._may_any(mode, path) for mode in Mode)
 
     def _may_any(self, mode: Mode, path: Path) -> bool:
-        if not any(rule.holds(mode, path, UNTYPED) for rule in self.rules if not rule.deny and not rule.types):
+        if not any(rule.covers(mode, path, UNTYPED) for rule in self.rules if not rule.deny and not rule.types):
             return False
-        return not any(rule.reaches(mode, path) for rule in self.rules if rule.deny)
+        return not any(rule.may_cover(mode, path) for rule in self.rules if rule.deny)
 
-    def knows(self, path: Path, types: Types | None = UNTYPED) -> bool:
+    def may_know(self, path: Path, types: Types | None = UNTYPED) -> bool:
         """Whether anything at all may be done there: only then may the agent learn whether anything is there."""
         return any(self.may(mode, path, types) for mode in Mode)
 
     @cached_property
-    def whole(self) -> bool:
+    def is_unrestricted(self) -> bool:
         """Whether everything may be done everywhere."""
-        return all(self.may_below(mode, ()) for mode in Mode)
+        return all(self.may_subtree(mode, ()) for mode in Mode)
 
     @cached_property
-    def reads_all(self) -> bool:
+    def may_read_all(self) -> bool:
         """Whether everything may be read but the rules themselves."""
-        return self.may_below(Mode.READ, ())
+        return self.may_subtree(Mode.READ, ())
 
     @cached_property
     def is_typed(self) -> bool:
@@ -184,10 +184,10 @@ class Rights:
         return hashlib.blake2b("\n".join(said).encode(), digest_size=6, key=_SECRET).hexdigest()
 
     def _judge(self, mode: Mode, path: Path, types: Types | None) -> bool:
-        found = [rule.deny for rule in self.rules if rule.holds(mode, path, types)]
+        found = [rule.deny for rule in self.rules if rule.covers(mode, path, types)]
         return bool(found) and not any(found)
 
 
-def everybody() -> tuple[Rule, ...]:
+def allow_all_rules() -> tuple[Rule, ...]:
     """The rules of a server without any: everybody may do everything."""
-    return (Rule(frozenset({ANYBODY.name}), frozenset(Mode), (Glob("/**"),)),)
+    return (Rule(frozenset({ANONYMOUS.name}), frozenset(Mode), (Glob("/**"),)),)

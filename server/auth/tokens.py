@@ -28,13 +28,13 @@ def generate_token() -> str:
     return PREFIX + secrets.token_urlsafe(32)
 
 
-def digest(token: str) -> str:
+def token_digest(token: str) -> str:
     """What is kept of a token."""
     return "sha256:" + hashlib.sha256(token.encode("utf-8", "surrogatepass")).hexdigest()
 
 
 @dataclass(frozen=True)
-class Tokens:
+class TokenTable:
     """The names of agents by the digests of their tokens."""
 
     agents: Mapping[str, str]
@@ -43,9 +43,9 @@ class Tokens:
     def _by_digest(self) -> Mapping[str, tuple[str, str]]:
         return {known: (known, name) for known, name in self.agents.items()}
 
-    def whose(self, token: str) -> str | None:
+    def owner_of(self, token: str) -> str | None:
         """The name of the agent that has this token."""
-        sent = digest(token)
+        sent = token_digest(token)
         known, found = self._by_digest.get(sent, ("", None))
         return found if hmac.compare_digest(sent, known) else None
 
@@ -58,7 +58,7 @@ class Credentials:
     name: str = ""
 
 
-def credentials(field: str) -> Credentials | None:
+def parse_credentials(field: str) -> Credentials | None:
     """What an Authorization field holds (RFC 9110 11.6.2): Bearer, or Basic with the token as its password (RFC 7617).
 
     None where it holds neither.

@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from rosld.server.auth import config, tokens
-from rosld.server.auth.config import Access
+from rosld.server.auth.config import AuthConfig
 from rosld.server.cli.failure import user_errors
 
 _TABLE = re.compile(r"^[ \t]*\[", re.MULTILINE)
@@ -24,7 +24,7 @@ def add(file: Path, name: str, modes: Sequence[str], globs: Sequence[str]) -> No
     """Give an agent a new token, and these rights where there are any; the token is told once, here."""
     token = tokens.generate_token()
     made = datetime.now(timezone.utc).strftime("%Y-%m-%d")
-    more = f'\n[[token]]\nagent = {_text(name)}\nsha256 = "{tokens.digest(token)}"\ncreated = "{made}"\n'
+    more = f'\n[[token]]\nagent = {_text(name)}\nsha256 = "{tokens.token_digest(token)}"\ncreated = "{made}"\n'
     if modes or globs:
         more += (
             f"\n[[rule]]\nagents = [{_text(name)}]\nmodes = [{', '.join(map(_text, modes or ('read',)))}]\n"
@@ -76,8 +76,8 @@ def _content(file: Path) -> str:
     return file.read_text("utf-8") if file.exists() else ""
 
 
-def _read(file: Path) -> Access:
-    return config.read(file, "http://localhost/")
+def _read(file: Path) -> AuthConfig:
+    return config.read_config(file, "http://localhost/")
 
 
 def _text(text: str) -> str:

@@ -19,7 +19,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
-from rosld.server.runtime.signals import Signal, every
+from rosld.server.runtime.signals import Signal, call_every
 
 MOST_READERS = 2000
 """Streams and waiting requests at a time; one more is answered 503."""
@@ -153,7 +153,7 @@ class Broadcaster:
             self._is_outdated = True
             raise
         finally:
-            old, self._watch = self._watch, watch or every(_LOOK_AGAIN_SECONDS, self.stir)
+            old, self._watch = self._watch, watch or call_every(_LOOK_AGAIN_SECONDS, self.stir)
             if old is not None:
                 old.close()
 

@@ -14,7 +14,7 @@ from pyoxigraph import NamedNode
 
 from rosld.ontology.notifications import Activity, Terms
 from rosld.ontology.vocab import ldp
-from rosld.server.auth.authenticator import OPEN, AuthContext
+from rosld.server.auth.authenticator import UNRESTRICTED, AuthContext
 from rosld.server.auth.permissions import Permissions
 from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Observation
@@ -52,7 +52,7 @@ class Channel:
     since: float
     """Since when (monotonic, s) nobody receives."""
     receiver: asyncio.Task[None] | None = None
-    visit: AuthContext = OPEN
+    visit: AuthContext = UNRESTRICTED
     """Who made it, who may cease to be allowed to read."""
     due: float = float("-inf")
     """When (monotonic, s) the next notification may be sent."""
@@ -95,7 +95,7 @@ class Channels:
         resource: Resource,
         state: State,
         place: Callable[[str], tuple[str, str]],
-        visit: AuthContext = OPEN,
+        visit: AuthContext = UNRESTRICTED,
     ) -> Channel:
         """A new channel; `place` gives the URLs of the channel and of its source by its token. A 503 Problem if full.
 
@@ -114,7 +114,7 @@ class Channels:
     def find(self, token: str) -> Channel:
         """The channel with a token. A 404 Problem where there is none, or none any more."""
         channel = self._kept.get(token)
-        if channel is None or channel.is_over or not channel.visit.still():
+        if channel is None or channel.is_over or not channel.visit.is_valid():
             self._kept.pop(token, None)
             raise Problem(404, "There is no such channel, or its time has passed: subscribe again.")
         return channel

@@ -54,7 +54,7 @@ class Delivery:
             await self._pause(self._channel.due - time.monotonic())
             version = feed.version
             moment = feed.at_hand() or await feed.look()
-            may_read = self._channel.visit.still()
+            may_read = self._channel.visit.is_valid()
             if may_read:
                 await self._tell(moment)
             if moment.is_final or not may_read:

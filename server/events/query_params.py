@@ -53,4 +53,4 @@ def _number(query: Mapping[str, str], name: str, default: float) -> float | None
     given = query.get(name)
     if given is None:
         return default
-    return header_syntax.number(given)
+    return header_syntax.parse_decimal(given)

@@ -14,7 +14,7 @@ from rosld.ontology.notifications import channel_type
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.delivery import Delivery
-from rosld.server.http.origin import Site, check_host
+from rosld.server.http.origin import OriginPolicy, check_host
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 
@@ -26,9 +26,9 @@ CLOSE_SECONDS = 0.5
 """How long a receiver that takes nothing may keep the server from saying why it closes."""
 
 
-def check_reader(site: Site, origin: str | None) -> None:
+def check_reader(site: OriginPolicy, origin: str | None) -> None:
     """Raises a 403 Problem for a page that nothing is shared with: browsers let every page open a WebSocket."""
-    if origin is None or site.anybody or origin.lower() in site.origins or origin in site.shared:
+    if origin is None or site.allows_any_origin or origin.lower() in site.origins or origin in site.shared_origins:
         return
     raise Problem(
         403, f"Pages of {origin[:200]!r} may not read here. To let them, start the server with --cors-origin."
@@ -40,7 +40,7 @@ def headers_of(scope: Scope, name: bytes) -> list[str]:
     return [value.decode("latin-1") for field, value in scope["headers"] if field == name]
 
 
-def check_request(site: Site, scope: Scope) -> None:
+def check_request(site: OriginPolicy, scope: Scope) -> None:
     """Raises Problems for a handshake that names another server (421), or is a page's that nothing is shared with."""
     check_host(site, headers_of(scope, b"host"))
     origins = headers_of(scope, b"origin")

@@ -63,7 +63,7 @@ class Site:
     """Who stopped the robot, when and why, in a sentence; empty while it is not stopped."""
     may: Callable[[str, str], bool] = field(default=_anything, compare=False)
     """Whether the reader may use a method at a URL."""
-    may_below: Callable[[str, str], bool] = field(default=_anything, compare=False)
+    may_subtree: Callable[[str, str], bool] = field(default=_anything, compare=False)
     """The same of a URL and everything below it."""
     is_restricted: bool = False
     """Whether there are things here that the reader may not know of."""

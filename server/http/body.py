@@ -16,13 +16,13 @@ from rosld.server.http.problem import Problem
 
 TIMEOUT = 30.0
 """Seconds a client has to send its body."""
-LEAST_BYTES = 1024
+MIN_BYTES_PER_SECOND = 1024
 """Bytes a second that a body must come at on the whole, where it is read as it comes."""
 LINGER_SECONDS = 2.0
 """How long a body that is too large is read on and thrown away, so that its client hears why."""
 
 
-class Incoming(Protocol):
+class IncomingRequest(Protocol):
     """A request, as far as its body is concerned: Starlette's is one."""
 
     @property
@@ -36,15 +36,15 @@ class Incoming(Protocol):
         ...
 
 
-async def read_body(request: Incoming, *, limit: int, timeout: float = TIMEOUT) -> bytes:
+async def read_body(request: IncomingRequest, *, limit: int, timeout: float = TIMEOUT) -> bytes:
     """The body of a request, of at most `limit` bytes, sent within `timeout` seconds.
 
     Raises Problems: 413 too large (before reading where Content-Length says so), 415 compressed, 408 too slow, 400 cut
     off or not as long as Content-Length says. A connection whose body was not read to its end is not used again.
     """
     headers = request.headers
-    refuse_coding(headers.get("content-encoding"))
-    declared = declared_length(headers.get("content-length"))
+    require_identity_coding(headers.get("content-encoding"))
+    declared = parse_content_length(headers.get("content-length"))
     if declared is not None and declared > limit:
         await _let_finish(request)
         raise _too_large(limit)
@@ -62,20 +62,20 @@ async def read_body(request: Incoming, *, limit: int, timeout: float = TIMEOUT) 
     return body
 
 
-async def read_chunks(request: Incoming, *, limit: int, timeout: float = TIMEOUT) -> AsyncIterator[bytes]:
+async def read_chunks(request: IncomingRequest, *, limit: int, timeout: float = TIMEOUT) -> AsyncIterator[bytes]:
     """The body of a request as it comes, each chunk within `timeout` seconds; Problems as `read_body`'s.
 
     All of it may take that long and a second more for each `LEAST_BYTES`, so that no trickle goes on for ever.
     """
-    refuse_coding(request.headers.get("content-encoding"))
-    declared = declared_length(request.headers.get("content-length"))
+    require_identity_coding(request.headers.get("content-encoding"))
+    declared = parse_content_length(request.headers.get("content-length"))
     if declared is not None and declared > limit:
         await _let_finish(request)
         raise _too_large(limit)
     size, more, begun = 0, True, time.monotonic()
     while more:
-        if time.monotonic() - begun > timeout + size / LEAST_BYTES:
-            words = f"The body came at less than {LEAST_BYTES} bytes a second, {size} bytes of it."
+        if time.monotonic() - begun > timeout + size / MIN_BYTES_PER_SECOND:
+            words = f"The body came at less than {MIN_BYTES_PER_SECOND} bytes a second, {size} bytes of it."
             raise Problem(408, words, headers=_CLOSE)
         try:
             with anyio.fail_after(timeout):
@@ -96,7 +96,7 @@ async def read_chunks(request: Incoming, *, limit: int, timeout: float = TIMEOUT
         raise Problem(400, f"Content-Length says {declared} bytes, the body has {size}.", headers=_CLOSE)
 
 
-def refuse_coding(coding: str | None) -> None:
+def require_identity_coding(coding: str | None) -> None:
     """Raises a 415 Problem for a compressed body, which could grow without limit (RFC 9110 15.5.16)."""
     if coding is not None and coding.strip().lower() not in ("", "identity"):
         raise Problem(
@@ -106,7 +106,7 @@ def refuse_coding(coding: str | None) -> None:
         )
 
 
-def declared_length(text: str | None) -> int | None:
+def parse_content_length(text: str | None) -> int | None:
     """The number in Content-Length, None where there is none; a 400 Problem where it is no number."""
     if text is None:
         return None
@@ -163,7 +163,7 @@ async def _within(seconds: float, work: Coroutine[object, object, bytes]) -> byt
         timer.cancel()
 
 
-async def _let_finish(request: Incoming) -> None:
+async def _let_finish(request: IncomingRequest) -> None:
     """Read on and throw away: a connection closed while its client sends is reset, and the answer with it.
 
     A client that waits for 100 Continue is sent its answer at once.

@@ -45,7 +45,7 @@ class ETag:
 
 
 @dataclass(frozen=True, slots=True)
-class Tag:
+class ReceivedTag:
     """A tag as a client sent it: its opaque text and whether it is weak."""
 
     opaque: str
@@ -57,7 +57,7 @@ class Tag:
         return self.opaque.rpartition(".")[0] or self.opaque
 
 
-Tags: TypeAlias = "Literal['*'] | tuple[Tag, ...]"
+Tags: TypeAlias = "Literal['*'] | tuple[ReceivedTag, ...]"
 
 
 class PreconditionResult(Enum):
@@ -78,7 +78,7 @@ def parse(text: str, name: str = "If-Match") -> Tags:
         return "*"
     if not _LIST.fullmatch(stripped):
         raise Problem(400, f'{name}: {text[:100]!r} is no list of entity tags; one looks like "abc-1.ttl", with quotes')
-    return tuple(Tag(found[2], bool(found[1])) for found in _TAG.finditer(stripped))
+    return tuple(ReceivedTag(found[2], bool(found[1])) for found in _TAG.finditer(stripped))
 
 
 def evaluate(

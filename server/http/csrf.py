@@ -28,11 +28,11 @@ class FormKey:
         mac = hmac.digest(self.key, b"form " + action.encode("utf-8", "surrogatepass"), "sha256")
         return urlsafe_b64encode(mac).decode().rstrip("=")
 
-    def valid(self, token: str, action: str) -> bool:
+    def is_valid(self, token: str, action: str) -> bool:
         """Whether `token` was made for `action` in this run; takes the same time for any wrong token."""
         return hmac.compare_digest(token.encode("utf-8", "replace"), self.token(action).encode())
 
     def require(self, token: str | None, action: str) -> None:
         """Raises a 403 Problem unless the token is valid."""
-        if token is None or not self.valid(token, action):
+        if token is None or not self.is_valid(token, action):
             raise Problem(403, "This form is not from this run of the server. Load the page again, and send it again.")

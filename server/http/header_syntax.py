@@ -17,7 +17,7 @@ _NUMBER = re.compile(r"([0-9]{1,20}(\.[0-9]{0,20})?|\.[0-9]{1,20})([eE][+-]?[0-9
 _PAIR = re.compile(r"\\(.)", re.DOTALL)
 
 
-def number(text: str) -> float | None:
+def parse_decimal(text: str) -> float | None:
     """The decimal number that a query parameter gives, None for everything else, such as `1_0`, `inf` and `+1`."""
     return float(text) if _NUMBER.fullmatch(text) else None
 
@@ -27,7 +27,7 @@ def is_token(text: str) -> bool:
     return _IS_TOKEN.fullmatch(text) is not None
 
 
-def safe(value: str) -> str:
+def require_field_value(value: str) -> str:
     """The value unchanged, if it may stand in a header field (RFC 9110 5.5): no CR, LF, NUL or other control.
 
     Raises ValueError otherwise, also for characters that no header can carry (outside Latin-1).
@@ -41,7 +41,7 @@ def safe(value: str) -> str:
 
 def quote(text: str) -> str:
     """`text` as a quoted-string (RFC 9110 5.6.4). Raises ValueError for what cannot be quoted."""
-    return '"' + safe(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return '"' + require_field_value(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 def unquote(text: str) -> str:
@@ -80,7 +80,7 @@ def _part(text: str) -> Iterator[str]:
         yield stripped
 
 
-def parameter(text: str) -> tuple[str, str]:
+def parse_parameter(text: str) -> tuple[str, str]:
     """One `name=value` or `name="value"` (RFC 9110 5.6.6); the name in lower case; a bare name has the value "".
 
     Raises ValueError where the name is no token or the value is neither token nor quoted-string.

@@ -30,12 +30,12 @@ class Link:
     attributes: tuple[tuple[str, str], ...] = ()
 
     def __str__(self) -> str:
-        return "; ".join((f"<{uri(self.target)}>", *self._parameters()))
+        return "; ".join((f"<{to_uri(self.target)}>", *self._parameters()))
 
     def _parameters(self) -> Iterator[str]:
         yield f"rel={header_syntax.quote(self.rel)}"
         if self.anchor is not None:
-            yield f"anchor={header_syntax.quote(uri(self.anchor))}"
+            yield f"anchor={header_syntax.quote(to_uri(self.anchor))}"
         if self.type is not None:
             yield f"type={header_syntax.quote(self.type)}"
         if self.title is not None:
@@ -56,7 +56,7 @@ def parse(text: str) -> tuple[Link, ...]:
     return tuple(link for member in header_syntax.split(text, ",") for link in _link(member))
 
 
-def uri(iri: str) -> str:
+def to_uri(iri: str) -> str:
     """The URI of an IRI (RFC 3987 3.1): what is not ASCII is percent-encoded as UTF-8.
 
     Raises ValueError for characters that no IRI reference holds, such as spaces, quotes and angle brackets.
@@ -79,9 +79,9 @@ def _link(member: str) -> Iterator[Link]:
     if not member.startswith("<") or end < 0:
         return
     try:
-        found = _first_of_each(map(header_syntax.parameter, header_syntax.split(member[end + 1 :], ";")))
+        found = _first_of_each(map(header_syntax.parse_parameter, header_syntax.split(member[end + 1 :], ";")))
         yield Link(
-            target=uri(member[1:end].strip(" \t")),
+            target=to_uri(member[1:end].strip(" \t")),
             rel=found.pop("rel"),
             type=found.pop("type", None),
             title=_title(found.pop("title*", None), found.pop("title", None)),

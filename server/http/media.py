@@ -44,7 +44,7 @@ def parse(text: str) -> MediaType:
         raise ValueError(f"{text!r} is no media type; one looks like text/turtle")
     parameters: dict[str, str] = {}
     for part in rest:
-        name, value = header_syntax.parameter(part)
+        name, value = header_syntax.parse_parameter(part)
         if name in parameters:
             raise ValueError(f"the parameter {name!r} occurs twice in {text!r}")
         parameters[name] = value.lower() if name == "charset" else value

@@ -23,7 +23,7 @@ class Part(NamedTuple):
     body: bytes
 
 
-def parts(body: bytes, boundary: str | None) -> tuple[Part, ...]:
+def split_parts(body: bytes, boundary: str | None) -> tuple[Part, ...]:
     """The parts of a body in order, cut at `boundary`: what its Content-Type says it is (RFC 2046 5.1).
 
     Raises ValueError naming what is wrong.

@@ -92,8 +92,8 @@ def _range(member: str) -> MediaRange:
     essence, *rest = header_syntax.split(member, ";")
     weight, kept = 1.0, [essence]
     for part in rest:
-        if part[:1] in "qQ" and header_syntax.parameter(part)[0] == "q":
-            weight = _weight(header_syntax.parameter(part)[1])
+        if part[:1] in "qQ" and header_syntax.parse_parameter(part)[0] == "q":
+            weight = _weight(header_syntax.parse_parameter(part)[1])
             break  # what follows are accept-ext, which RFC 9110 took out of the grammar
         kept.append(part)
     found = media.parse(";".join(kept))

@@ -25,12 +25,12 @@ _EXPOSED = (
     "ETag, Link, Location, Content-Location, Allow, Accept-Post, Accept-Patch, Accept-Put, Age, Retry-After, "
     "Preference-Applied, Unread-Graphs, WAC-Allow, WWW-Authenticate"
 )
-ANYBODY = "*"
+ANY_ORIGIN = "*"
 """`--cors-origin '*'` shares reads with every page; writes stay with the origins that are named."""
 
 
 @dataclass(frozen=True, slots=True)
-class Site:
+class OriginPolicy:
     """This server's names: its base, the Hosts it answers to, its own origins and those it shares with.
 
     `anybody`: pages of every origin may read.
@@ -39,11 +39,11 @@ class Site:
     base: str
     hosts: frozenset[str]
     origins: frozenset[str]
-    shared: frozenset[str] = frozenset()
-    anybody: bool = False
+    shared_origins: frozenset[str] = frozenset()
+    allows_any_origin: bool = False
 
 
-def site(base: str, bound_host: str, bound_port: int, shared: Iterable[str] = ()) -> Site:
+def origin_policy(base: str, bound_host: str, bound_port: int, shared: Iterable[str] = ()) -> OriginPolicy:
     """The names of a server with this base URL that is bound to this address.
 
     Accepted are the base's own and, where the address is loopback, the loopback names with the bound port.
@@ -51,11 +51,11 @@ def site(base: str, bound_host: str, bound_port: int, shared: Iterable[str] = ()
     scheme, authority = _split(base)
     hosts, origins = {authority}, {f"{scheme}://{authority}"}
     if is_loopback(bound_host):
-        local = {normal_authority(f"{name}:{bound_port}", "http") for name in _LOOPBACK_NAMES}
+        local = {normalize_authority(f"{name}:{bound_port}", "http") for name in _LOOPBACK_NAMES}
         hosts |= local
         origins |= {f"{each}://{name}" for name in local for each in ("http", scheme)}
-    named = frozenset(map(normal_origin, shared))
-    return Site(base, frozenset(hosts), frozenset(origins), named - {ANYBODY}, ANYBODY in named)
+    named = frozenset(map(normalize_origin, shared))
+    return OriginPolicy(base, frozenset(hosts), frozenset(origins), named - {ANY_ORIGIN}, ANY_ORIGIN in named)
 
 
 def is_loopback(host: str) -> bool:
@@ -74,7 +74,7 @@ def is_wildcard(host: str) -> bool:
         return host in ("", "*")
 
 
-def normal_authority(authority: str, scheme: str) -> str:
+def normalize_authority(authority: str, scheme: str) -> str:
     """An authority in lower case, without its scheme's default port and without a final dot of the name."""
     name, colon, port = authority.lower().rpartition(":")
     if not colon or not (port.isdigit() or not port):
@@ -83,24 +83,24 @@ def normal_authority(authority: str, scheme: str) -> str:
     return name if not port or int(port) == _DEFAULT_PORTS.get(scheme) else f"{name}:{int(port)}"
 
 
-def normal_origin(origin: str) -> str:
+def normalize_origin(origin: str) -> str:
     """An origin as browsers write it (RFC 6454 6.2). Raises ValueError for what is none."""
-    if origin == ANYBODY:
+    if origin == ANY_ORIGIN:
         return origin
     scheme, authority = _split(origin)
     return f"{scheme}://{authority}"
 
 
-def check_host(site: Site, hosts: Sequence[str]) -> None:
+def check_host(site: OriginPolicy, hosts: Sequence[str]) -> None:
     """Raises a Problem unless the request names this server: 400 without exactly one Host, 421 for another's."""
     if len(hosts) != 1:
         raise Problem(400, f"A request has one Host header, this one has {len(hosts)} (RFC 9112 3.2).")
     named = hosts[0]
-    if named not in site.hosts and normal_authority(named, urlsplit(site.base).scheme) not in site.hosts:
+    if named not in site.hosts and normalize_authority(named, urlsplit(site.base).scheme) not in site.hosts:
         raise Problem(421, f"This server is not {named[:200]!r}. It is {site.base}", extra={"base": site.base})
 
 
-def check_origin(site: Site, method: str, origin: str | None, fetch_site: str | None = None) -> None:
+def check_origin(site: OriginPolicy, method: str, origin: str | None, fetch_site: str | None = None) -> None:
     """Raises a 403 Problem for a method that is not safe from a page of somebody else.
 
     Without an Origin the request is no page's (curl, a robot), unless Sec-Fetch-Site says that it is.
@@ -109,7 +109,7 @@ def check_origin(site: Site, method: str, origin: str | None, fetch_site: str | 
         return
     if origin is None and fetch_site in _OWN_FETCH_SITES:
         return
-    if origin is None or not (_is_own(site, origin) or origin in site.shared):
+    if origin is None or not (_is_own(site, origin) or origin in site.shared_origins):
         raise Problem(
             403,
             f"Pages of {(origin or 'another site')[:200]!r} may not change anything here. "
@@ -117,17 +117,17 @@ def check_origin(site: Site, method: str, origin: str | None, fetch_site: str | 
         )
 
 
-def sharing(site: Site, method: str, origin: str | None, *, preflight: bool = False) -> Mapping[str, str]:
+def cors_headers(site: OriginPolicy, method: str, origin: str | None, *, preflight: bool = False) -> Mapping[str, str]:
     """The CORS headers of an answer: none for an origin that nothing is shared with.
 
     `preflight`: the request is an OPTIONS with Access-Control-Request-Method. `vary` is among them whenever the answer
     depends on the origin; the caller adds it to the answer's own Vary.
     """
-    headers = {"vary": "Origin"} if site.shared or site.anybody else {}
-    named = origin in site.shared
-    if origin is None or not (named or (site.anybody and method in SAFE_METHODS)):
+    headers = {"vary": "Origin"} if site.shared_origins or site.allows_any_origin else {}
+    named = origin in site.shared_origins
+    if origin is None or not (named or (site.allows_any_origin and method in SAFE_METHODS)):
         return headers
-    headers["access-control-allow-origin"] = origin if named else ANYBODY
+    headers["access-control-allow-origin"] = origin if named else ANY_ORIGIN
     if preflight:
         return headers | {
             "access-control-allow-methods": _METHODS if named else _READS,
@@ -137,7 +137,7 @@ def sharing(site: Site, method: str, origin: str | None, *, preflight: bool = Fa
     return headers | {"access-control-expose-headers": _EXPOSED}
 
 
-def _is_own(site: Site, origin: str) -> bool:
+def _is_own(site: OriginPolicy, origin: str) -> bool:
     return origin.lower() in site.origins
 
 
@@ -147,4 +147,4 @@ def _split(url: str) -> tuple[str, str]:
     if parts.scheme not in _DEFAULT_PORTS or not parts.hostname or parts.username is not None:
         raise ValueError(f"{url!r} is no http or https URL")
     assert parts.port is None or parts.port >= 0  # reading it raises ValueError for a bad one
-    return parts.scheme, normal_authority(parts.netloc, parts.scheme)
+    return parts.scheme, normalize_authority(parts.netloc, parts.scheme)

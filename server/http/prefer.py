@@ -62,13 +62,13 @@ class Preferences:
         )
 
 
-NONE = Preferences()
+NO_PREFERENCES = Preferences()
 
 
 def parse(text: str | None) -> Preferences:
     """The preferences in a Prefer field. Malformed members are passed over, as a preference may always be ignored."""
     if text is None:
-        return NONE
+        return NO_PREFERENCES
     named: dict[str, Preference] = {}
     for member in fields.split(text, ","):
         try:
@@ -79,9 +79,9 @@ def parse(text: str | None) -> Preferences:
     return Preferences(named)
 
 
-def applied(*names: str) -> str:
+def preference_applied(*names: str) -> str:
     """The value of Preference-Applied for preferences such as `return=representation` (RFC 7240 3)."""
-    return fields.safe(", ".join(names))
+    return fields.require_field_value(", ".join(names))
 
 
 def render(preferences: Preferences) -> str:
@@ -91,8 +91,8 @@ def render(preferences: Preferences) -> str:
 
 def _preference(member: str) -> tuple[str, Preference]:
     head, *rest = fields.split(member, ";")
-    name, value = fields.parameter(head)
-    return name, Preference(value, tuple(fields.parameter(part) for part in rest))
+    name, value = fields.parse_parameter(head)
+    return name, Preference(value, tuple(fields.parse_parameter(part) for part in rest))
 
 
 def _write(name: str, preference: Preference) -> str:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from http import HTTPStatus
 from typing import TYPE_CHECKING
 
-from rosld.server.http.tokens import without_tokens, without_tokens_in
+from rosld.server.http.tokens import redact_tokens, redact_tokens_in
 
 if TYPE_CHECKING:  # what a problem needs is little, so that the query process can raise one
     from rosld.ontology.violations import Violation
@@ -37,13 +37,13 @@ class Problem(Exception):
         violations: Sequence[Violation] = (),
         about: Sequence[str] = (),
     ) -> None:
-        super().__init__(f"{status} {without_tokens(detail)}")
+        super().__init__(f"{status} {redact_tokens(detail)}")
         self.status = status
         self.detail = detail
-        self.title = title or phrase(status)
+        self.title = title or reason_phrase(status)
         self.type = type
         self.headers = dict(headers)
-        self.extra = {name: without_tokens_in(value) for name, value in extra.items()}
+        self.extra = {name: redact_tokens_in(value) for name, value in extra.items()}
         self.violations = tuple(map(_without_tokens, violations))
         self.about = tuple(about)
 
@@ -54,7 +54,7 @@ class Problem(Exception):
 
     @detail.setter
     def detail(self, words: str) -> None:
-        self._detail = without_tokens(words)
+        self._detail = redact_tokens(words)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Worker processes raise problems, too."""
@@ -74,7 +74,7 @@ def _problem(
     return Problem(status, detail, title=title, type=type, headers=headers, extra=extra, violations=violations)
 
 
-def phrase(status: int) -> str:
+def reason_phrase(status: int) -> str:
     """The reason phrase of a status, such as "Not Found"."""
     try:
         return HTTPStatus(status).phrase
@@ -83,7 +83,7 @@ def phrase(status: int) -> str:
 
 
 def _without_tokens(violation: Violation) -> Violation:
-    value = None if violation.value is None else without_tokens(violation.value)
-    path, message = without_tokens(violation.path), without_tokens(violation.message)
+    value = None if violation.value is None else redact_tokens(violation.value)
+    path, message = redact_tokens(violation.path), redact_tokens(violation.message)
     same = (path, message, value) == (violation.path, violation.message, violation.value)
     return violation if same else replace(violation, path=path, message=message, value=value)

@@ -30,7 +30,7 @@ _LONGEST = 2000
 
 
 @dataclass(frozen=True, slots=True)
-class Rendered:
+class RenderedProblem:
     """A problem ready to be sent."""
 
     status: int
@@ -43,7 +43,7 @@ class Rendered:
         return Response(b"" if head else self.body, self.status, headers)
 
 
-def render(problem: Problem, accept: str | None = None, *, url: str = _NOWHERE) -> Rendered:
+def render(problem: Problem, accept: str | None = None, *, url: str = _NOWHERE) -> RenderedProblem:
     """The problem in the form the client prefers: problem+json by default and whenever nothing else is acceptable.
 
     `url` is the resource the problem is with; RDF is about it. Headers that could not be sent safely are left out, so
@@ -58,7 +58,7 @@ def render(problem: Problem, accept: str | None = None, *, url: str = _NOWHERE) 
         chosen, body = JSON, _json(problem)
     headers = {name.lower(): value for name, value in problem.headers.items() if _sendable(name, value)}
     content_type = f"{chosen}; charset=utf-8" if chosen.startswith("text/") else chosen
-    return Rendered(
+    return RenderedProblem(
         problem.status,
         {
             **headers,
@@ -147,7 +147,7 @@ def _clean(text: str) -> str:
 
 def _sendable(name: str, value: str) -> bool:
     try:
-        header_syntax.safe(value)
+        header_syntax.require_field_value(value)
     except ValueError:
         return False
     return header_syntax.is_token(name)

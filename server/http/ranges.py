@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from rosld.server.http import header_syntax
 from rosld.server.http.problem import Problem
 
-MOST = 32
+MAX_RANGES = 32
 """Ranges of one request. Nobody who reads a file needs more; a field with more is ignored (RFC 9110 14.2)."""
-GAP = 128
+MIN_GAP = 128
 """Bytes between two ranges that are sent along: to frame another part would take as many (RFC 9110 15.3.7.2)."""
 _NEXT = "\r\n"
 _FIELD = re.compile(r"[ \t]*bytes[ \t]*=(.*)", re.IGNORECASE | re.DOTALL)
@@ -34,7 +34,7 @@ class Span:
         return f"bytes {self.start}-{self.stop - 1}/{size}"
 
 
-def read_ranges(text: str | None, size: int) -> tuple[Span, ...] | None:
+def parse_ranges(text: str | None, size: int) -> tuple[Span, ...] | None:
     """The spans of `size` bytes that a Range field asks for; None where all is to be sent (200).
 
     Fields in another unit than bytes, malformed ones, and those with more than `MOST` ranges are ignored (RFC 9110
@@ -62,15 +62,15 @@ def is_unchanged(if_range: str | None, etag: str) -> bool:
     return if_range is None or (if_range.strip(" \t") == etag and not etag.startswith("W/"))
 
 
-def selected(range_: str | None, if_range: str | None, etag: str, size: int) -> tuple[Span, ...] | None:
+def select_ranges(range_: str | None, if_range: str | None, etag: str, size: int) -> tuple[Span, ...] | None:
     """The spans that a GET is answered with (206), None for all (200); raises the 416 Problem of `read_ranges`."""
     if range_ is None or not is_unchanged(if_range, etag):
         return None
-    return read_ranges(range_, size)
+    return parse_ranges(range_, size)
 
 
 @dataclass(frozen=True, slots=True)
-class Framing:
+class MultipartFraming:
     """How several spans are sent as multipart/byteranges (RFC 9110 14.6): what stands before each and at the end."""
 
     boundary: str
@@ -87,19 +87,19 @@ class Framing:
         return sum(map(len, self.heads)) + sum(map(len, spans)) + len(self.tail)
 
 
-def framing(spans: Sequence[Span], size: int, media_type: str) -> Framing:
+def frame_parts(spans: Sequence[Span], size: int, media_type: str) -> MultipartFraming:
     """The frame of several spans of a representation, with a boundary that nobody can foresee.
 
     Raises ValueError for a media type that could end its header early.
     """
     boundary = secrets.token_hex(16)
-    kind = header_syntax.safe(media_type)
+    kind = header_syntax.require_field_value(media_type)
     heads = tuple(
         f"{_NEXT if number else ''}--{boundary}\r\n"
         f"Content-Type: {kind}\r\nContent-Range: {span.content_range(size)}\r\n\r\n".encode("ascii")
         for number, span in enumerate(spans)
     )
-    return Framing(boundary, heads, f"\r\n--{boundary}--\r\n".encode("ascii"))
+    return MultipartFraming(boundary, heads, f"\r\n--{boundary}--\r\n".encode("ascii"))
 
 
 def _asked(text: str | None) -> list[tuple[int | None, int | None]] | None:
@@ -108,12 +108,12 @@ def _asked(text: str | None) -> list[tuple[int | None, int | None]] | None:
     if match is None:
         return None
     asked: list[tuple[int | None, int | None]] = []
-    for part in match[1].split(",", MOST * 2):
+    for part in match[1].split(",", MAX_RANGES * 2):
         stripped = part.strip(" \t")
         if not stripped:
             continue
         spec = _SPEC.fullmatch(stripped)
-        if spec is None or not (spec[1] or spec[2]) or len(asked) == MOST:
+        if spec is None or not (spec[1] or spec[2]) or len(asked) == MAX_RANGES:
             return None
         first, last = int(spec[1]) if spec[1] else None, int(spec[2]) if spec[2] else None
         if first is not None and last is not None and last < first:
@@ -136,7 +136,7 @@ def _coalesce(spans: Sequence[Span]) -> tuple[Span, ...]:
     joined: list[tuple[int, Span]] = []
     for place in places:
         span = spans[place]
-        if joined and span.start <= joined[-1][1].stop + GAP:
+        if joined and span.start <= joined[-1][1].stop + MIN_GAP:
             earlier, before = joined[-1]
             joined[-1] = (min(earlier, place), Span(before.start, max(before.stop, span.stop)))
         else:

@@ -9,7 +9,7 @@ from rosld.server.http.problem import Problem
 FORM = "application/x-www-form-urlencoded"
 
 
-def codec_of(media_type: MediaType) -> str:
+def codec_for(media_type: MediaType) -> str:
     """The Python codec of the charset that a media type states, UTF-8 where it states none.
 
     The parts of a multipart body each state their own, and what is said of the whole means nothing. A form is ASCII
@@ -27,12 +27,12 @@ def codec_of(media_type: MediaType) -> str:
     return found
 
 
-def as_utf8(data: bytes, media_type: MediaType) -> bytes:
+def to_utf8(data: bytes, media_type: MediaType) -> bytes:
     """A body in UTF-8. Raises Problems: 415 as `codec_of`, 400 for bytes that are nothing in the stated charset."""
     stated = media_type.parameter("charset")
     if stated is None:
         return data
-    found, declares_another = codec_of(media_type), _is_xml(media_type)  # what the field says counts (RFC 7303 3.2)
+    found, declares_another = codec_for(media_type), _is_xml(media_type)  # what the field says counts (RFC 7303 3.2)
     if not data or (found == UTF_8 and not declares_another):
         return data
     try:

@@ -17,32 +17,32 @@ _TOKEN = re.compile(rf"{PREFIX}(?=[\w-]*[A-Z])(?=[\w-]*[a-z])[A-Za-z0-9_-]{{{_RA
 """Both cases occur in every token but one in 10^9, and hardly in a name of ROS that is as long."""
 _ENCODED = re.compile("%(?:2[Dd]|3[0-9]|4[1-9A-Fa-f]|5[0-9AaFf]|6[1-9A-Fa-f]|7[0-9Aa])")
 """A character that tokens consist of, percent-encoded, which nobody does without need."""
-WITHHELD = "rosld-token-withheld"
+PLACEHOLDER = "rosld-token-withheld"
 """What stands in place of a token; fit for URLs."""
 
 
-def has_token(text: str) -> bool:
+def contains_token(text: str) -> bool:
     """Whether a text holds a token of rosld, percent-encoded or not."""
     if PREFIX in text and _TOKEN.search(text):
         return True
     return _ENCODED.search(text) is not None and _TOKEN.search(unquote(text)) is not None
 
 
-def without_tokens(text: str) -> str:
+def redact_tokens(text: str) -> str:
     """The text with `WITHHELD` in place of every token, percent-encoded ones too."""
     if PREFIX in text:
-        text = _TOKEN.sub(WITHHELD, text)
+        text = _TOKEN.sub(PLACEHOLDER, text)
     if "%" in text and _TOKEN.search(unquote(text)):
-        return quote(_TOKEN.sub(WITHHELD, unquote(text)), safe="/%:@!$&'()*+,;=~?#")
+        return quote(_TOKEN.sub(PLACEHOLDER, unquote(text)), safe="/%:@!$&'()*+,;=~?#")
     return text
 
 
-def without_tokens_in(value: object) -> object:
+def redact_tokens_in(value: object) -> object:
     """The same of every string in a JSON value; other values are as they are."""
     if isinstance(value, str):
-        return without_tokens(value)
+        return redact_tokens(value)
     if isinstance(value, dict):
-        return {name: without_tokens_in(each) for name, each in value.items()}
+        return {name: redact_tokens_in(each) for name, each in value.items()}
     if isinstance(value, list | tuple):
-        return [without_tokens_in(each) for each in value]
+        return [redact_tokens_in(each) for each in value]
     return value

@@ -44,7 +44,7 @@ from rosld.server.hypermedia.views import (
     PropertyView,
 )
 from rosld.server.robot.session import Session
-from rosld.server.runtime.signals import Signal, every, together
+from rosld.server.runtime.signals import Signal, call_every, combine_watches
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
 from rosld.shapes.limits import Limits
@@ -184,8 +184,8 @@ class AffordanceService(Generic[T]):
         states = self._states
         readings = self.known(reads) or await self.look(reads)
         version = (layout, readings)
-        found = states.known(url, version)
-        return found if found is not None else states.keep(url, version, make(self.sight(layout, readings)))
+        found = states.find(url, version)
+        return found if found is not None else states.put(url, version, make(self.sight(layout, readings)))
 
     def sight(self, layout: ResourceTree, readings: Iterable[Reading]) -> Snapshot:
         """What follows from readings."""
@@ -204,8 +204,8 @@ class AffordanceService(Generic[T]):
         watches = [session.changes.watch(wake), self._changes.watch(wake, lambda name: name in names)]
         watches += [await session.topics.watch(one.readers[0].name, wake) for one in reads if is_observable(one)]
         if not all(map(is_observable, reads)):
-            watches.append(every(max(_LEAST_SECONDS, session.settings.freshness), wake))
-        return together(*watches)
+            watches.append(call_every(max(_LEAST_SECONDS, session.settings.freshness), wake))
+        return combine_watches(*watches)
 
     # What is seen
 

@@ -6,7 +6,7 @@ from starlette.responses import Response
 
 from rosld.ontology.urls import Space
 from rosld.server.auth import enforcement
-from rosld.server.auth.agent import ANYBODY
+from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.middleware.handler import Handler
 from rosld.server.middleware.recorder import Recorder
 from rosld.server.rest.exchange import Exchange
@@ -38,8 +38,8 @@ class Audit:
 
         Of nobody in particular, what is not there leaves none.
         """
-        if exchange.agent == ANYBODY:
+        if exchange.agent == ANONYMOUS:
             if status in ABSENT:
                 exchange.account.only_reads()
-        elif enforcement.is_write(exchange.method, enforcement.place_of(exchange.request.scope, self._space)):
+        elif enforcement.is_write(exchange.method, enforcement.location_of(exchange.request.scope, self._space)):
             exchange.account.begin()

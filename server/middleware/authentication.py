@@ -31,10 +31,10 @@ class AccessHeaders:
 
     async def __call__(self, exchange: Exchange) -> Response:
         """Answer as the next handler does, with the headers."""
-        exchange.visit = self._authenticator.anybody
+        exchange.auth = self._authenticator.anonymous
         response = await self._next(exchange)
-        place = enforcement.place_of(exchange.request.scope, self._space)
-        permissions, public = exchange.permissions, self._authenticator.anybody.permissions
+        place = enforcement.location_of(exchange.request.scope, self._space)
+        permissions, public = exchange.permissions, self._authenticator.anonymous.permissions
         if response.status_code in _TELLING_NOTHING and not _may_know(permissions, place, response.status_code):
             place = None
         response.raw_headers = enforcement.with_auth_headers(
@@ -53,13 +53,13 @@ class Authentication:
 
     async def __call__(self, exchange: Exchange) -> Response:
         """Answer as the next handler does. Raises Problems."""
-        exchange.visit = await self._authenticator.visit(exchange.header("authorization"))
-        if not exchange.permissions.whole:
-            place = enforcement.place_of(exchange.request.scope, self._space)
+        exchange.auth = await self._authenticator.authenticate(exchange.header("authorization"))
+        if not exchange.permissions.is_unrestricted:
+            place = enforcement.location_of(exchange.request.scope, self._space)
             enforcement.require_path(exchange.permissions, exchange.method, place)
         return await self._next(exchange)
 
 
 def _may_know(permissions: Permissions, place: Location | None, status: int) -> bool:
     """Whether an agent may know that there is nothing at a place."""
-    return status in ABSENT and place is not None and permissions.knows_any(place)
+    return status in ABSENT and place is not None and permissions.may_know_any_type(place)

@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable, Mapping
 
 from starlette.responses import Response
 
-from rosld.server.http.origin import Site, check_host, check_origin, sharing
+from rosld.server.http.origin import OriginPolicy, check_host, check_origin, cors_headers
 from rosld.server.middleware.handler import Handler, is_preflight
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import Resource
@@ -16,27 +16,27 @@ from rosld.server.routing.dispatcher import options
 class CrossOriginHeaders:
     """Says with every answer which pages may read it, where any may or one asks."""
 
-    def __init__(self, next: Handler, site: Site) -> None:
+    def __init__(self, next: Handler, site: OriginPolicy) -> None:
         self._next = next
         self._site = site
 
     def __call__(self, exchange: Exchange) -> Awaitable[Response]:
         """Answer as the next handler does, with the headers."""
         origin = exchange.header("origin")
-        if origin is None and not self._site.shared and not self._site.anybody:
+        if origin is None and not self._site.shared_origins and not self._site.allows_any_origin:
             return self._next(exchange)
         return self._shared(exchange, origin)
 
     async def _shared(self, exchange: Exchange, origin: str | None) -> Response:
         response = await self._next(exchange)
-        _share(response, sharing(self._site, exchange.method, origin))
+        _share(response, cors_headers(self._site, exchange.method, origin))
         return response
 
 
 class TrustedHosts:
     """Refuses requests for another host (421), and writes of pages that nothing is shared with (403)."""
 
-    def __init__(self, next: Handler, site: Site) -> None:
+    def __init__(self, next: Handler, site: OriginPolicy) -> None:
         self._next = next
         self._site = site
 
@@ -54,7 +54,7 @@ class Preflight:
     None: it is not known who asks, and nothing is told of the resource.
     """
 
-    def __init__(self, next: Handler, site: Site, resolve: Callable[[Exchange], Resource | None]) -> None:
+    def __init__(self, next: Handler, site: OriginPolicy, resolve: Callable[[Exchange], Resource | None]) -> None:
         self._next = next
         self._site = site
         self._resolve = resolve
@@ -66,7 +66,7 @@ class Preflight:
     async def _answer(self, exchange: Exchange) -> Response:
         resource = self._resolve(exchange)
         response = Response(status_code=204, headers={"vary": "Accept"} if resource is None else options(resource))
-        _share(response, sharing(self._site, "OPTIONS", exchange.header("origin"), preflight=True))
+        _share(response, cors_headers(self._site, "OPTIONS", exchange.header("origin"), preflight=True))
         return response
 
 

@@ -13,17 +13,17 @@ from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.ontology.urls import Space
 from rosld.server.auth import enforcement
-from rosld.server.auth.rate_limit import REFUSAL_SECONDS, RateLimitExceeded
+from rosld.server.auth.rate_limit import RETRY_SECONDS, RateLimitExceeded
 from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
-from rosld.server.http.tokens import without_tokens
+from rosld.server.http.tokens import redact_tokens
 from rosld.server.middleware.handler import Handler
 from rosld.server.middleware.rate_limits import Admission
 from rosld.server.rest.errors import problem_of, problem_of_body, problem_of_shortage
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.pages import Pages
-from rosld.server.runtime.memory import is_shortage
+from rosld.server.runtime.memory import is_out_of_memory
 from rosld.server.sparql.protocol import UPDATE
 from rosld.server.storage.record import StorageError
 
@@ -46,7 +46,7 @@ class ErrorResponses:
         except Exception as raised:
             error = self._admission.counted(exchange, raised)
             if isinstance(error, RateLimitExceeded):
-                await asyncio.sleep(REFUSAL_SECONDS)
+                await asyncio.sleep(RETRY_SECONDS)
             return self._failure(exchange, error)
 
     def _failure(self, exchange: Exchange, error: Exception) -> Response:
@@ -58,21 +58,21 @@ class ErrorResponses:
             error = problem_of_body(error)
         elif isinstance(error, StorageError):
             error = Problem(507, str(error)) if error.full else Problem(503, str(error), headers={"Retry-After": "1"})
-        elif is_shortage(error):
+        elif is_out_of_memory(error):
             _log.error("%s %s: %s", exchange.method, scope["path"], error or "no memory is left")
             error = problem_of_shortage(error, is_write=self._would_write(exchange))
         if not isinstance(error, Problem):
             _log.exception("%s %s failed", exchange.method, scope["path"], exc_info=error)
             error = Problem(500, "The server failed on this request; its log says more.")
-        error = redact_problem(error, exchange.permissions, enforcement.place_of(scope, self._space))
+        error = redact_problem(error, exchange.permissions, enforcement.location_of(scope, self._space))
         exchange.account.refused(error.detail)
         path = quote(scope["raw_path"].lstrip(b"/"), safe="/%:@!$&'()*+,;=~")
-        url = without_tokens(self._space.base + path)
+        url = redact_tokens(self._space.base + path)
         return self._pages.problem(exchange, error, url) or render(error, exchange.accept, url=url).response()
 
     def _would_write(self, exchange: Exchange) -> bool:
         """Whether a request is a write, as far as it was read: of a form for `/sparql`, only its content tells."""
         if exchange.account.is_write or exchange.method in ("PUT", "PATCH"):
             return True
-        is_write = enforcement.is_write(exchange.method, enforcement.place_of(exchange.request.scope, self._space))
+        is_write = enforcement.is_write(exchange.method, enforcement.location_of(exchange.request.scope, self._space))
         return exchange.essence == UPDATE or is_write

@@ -6,7 +6,7 @@ from collections.abc import Awaitable
 
 from starlette.responses import Response
 
-from rosld.server.auth.agent import ANYBODY
+from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.rate_limit import ClientLimiter, RateLimitExceeded
 from rosld.server.middleware.handler import Handler
 from rosld.server.rest.exchange import Exchange
@@ -42,7 +42,7 @@ class Admission:
     def may_open(self, address: str | None) -> bool:
         """Whether a client may open a WebSocket now; it counts as a request."""
         try:
-            self._clients.release(self._clients.acquire(ANYBODY, address))
+            self._clients.release(self._clients.acquire(ANONYMOUS, address))
         except RateLimitExceeded:
             return False
         return True

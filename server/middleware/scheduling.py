@@ -21,10 +21,10 @@ class Scheduling:
 
     def __call__(self, exchange: Exchange) -> Awaitable[Response]:
         """Answer as the next handler does, in turn."""
-        if exchange.request.scope["raw_path"] == self._stop or self._turns.begin():
+        if exchange.request.scope["raw_path"] == self._stop or self._turns.try_start():
             return self._next(exchange)
         return self._later(exchange)
 
     async def _later(self, exchange: Exchange) -> Response:
-        await self._turns.wait()
+        await self._turns.wait_turn()
         return await self._next(exchange)

@@ -9,7 +9,7 @@ from starlette.responses import Response
 from rosld.ontology.urls import Space
 from rosld.server.auth import enforcement
 from rosld.server.http.problem import Problem
-from rosld.server.http.tokens import LENGTH, PREFIX, has_token
+from rosld.server.http.tokens import LENGTH, PREFIX, contains_token
 from rosld.server.middleware.handler import Handler
 from rosld.server.rest.exchange import Exchange
 
@@ -28,8 +28,8 @@ class NoTokensInUrls:
         scope = exchange.request.scope
         asked: bytes = scope["raw_path"] + b"?" + scope["query_string"]
         may_have_one = len(asked) > LENGTH and (_MARK in asked or b"%" in asked)
-        if may_have_one and exchange.method != "DELETE" and has_token(asked.decode("latin-1")):
-            if enforcement.is_write(exchange.method, enforcement.place_of(scope, self._space)):
+        if may_have_one and exchange.method != "DELETE" and contains_token(asked.decode("latin-1")):
+            if enforcement.is_write(exchange.method, enforcement.location_of(scope, self._space)):
                 exchange.account.begin()
             sentence = "The URL has a token in it: send it as 'Authorization: Bearer TOKEN', and have it replaced."
             raise Problem(400, sentence)

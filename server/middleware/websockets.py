@@ -6,9 +6,9 @@ import asyncio
 
 from starlette.types import Receive, Scope, Send
 
-from rosld.server.auth.rate_limit import REFUSAL_SECONDS
+from rosld.server.auth.rate_limit import RETRY_SECONDS
 from rosld.server.events import websocket
-from rosld.server.http.origin import Site
+from rosld.server.http.origin import OriginPolicy
 from rosld.server.http.problem import Problem
 from rosld.server.middleware.rate_limits import Admission
 from rosld.server.resources.channels import Notifications
@@ -17,7 +17,7 @@ from rosld.server.resources.channels import Notifications
 class WebSockets:
     """The ASGI application of WebSockets."""
 
-    def __init__(self, site: Site, admission: Admission, notifications: Notifications) -> None:
+    def __init__(self, site: OriginPolicy, admission: Admission, notifications: Notifications) -> None:
         self._site = site
         self._admission = admission
         self._notifications = notifications
@@ -26,7 +26,7 @@ class WebSockets:
         """Serve a WebSocket, or refuse its handshake with a problem."""
         client = scope["client"]
         if not self._admission.may_open(client[0] if client else None):
-            await asyncio.sleep(REFUSAL_SECONDS)
+            await asyncio.sleep(RETRY_SECONDS)
             await websocket.refuse(scope, send, Problem(429, "You open too many WebSockets a second: open fewer."))
             return
         try:

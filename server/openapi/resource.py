@@ -13,7 +13,7 @@ from rosld import __version__
 from rosld.adapters.model import RosError, TypeRef
 from rosld.adapters.model import Schema as RosType
 from rosld.server.auth import enforcement
-from rosld.server.auth.authenticator import OPEN
+from rosld.server.auth.authenticator import UNRESTRICTED
 from rosld.server.auth.permissions import Permissions
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import ETag, digest
@@ -89,14 +89,14 @@ class OpenApiResource(Resource):
         hidden = exchange.flag("hidden") and self.robot.adapter.capabilities.hidden_names
         kept = await self._describe(hidden)
         data = kept.data
-        if exchange.visit is not OPEN:
-            data = await self._for_agent(kept, hidden, exchange.permissions, exchange.visit.public)
+        if exchange.auth is not UNRESTRICTED:
+            data = await self._for_agent(kept, hidden, exchange.permissions, exchange.auth.public)
         etag = ETag(f"{self.robot.instance_id}-{_digest(data)}", media_type.partition("/")[2].replace(".", "-"))
         return bytes_response(exchange, data, media_type, etag, standing_headers(self).items())
 
     async def _for_agent(self, kept: _Described, hidden: bool, permissions: Permissions, public: Permissions) -> bytes:
         """The description as it is for an agent, kept for as long as it is the same."""
-        key = (hidden, permissions.key, public.key)
+        key = (hidden, permissions.rights_key, public.rights_key)
         known = self._of_agents.get(key)
         if known is None or known[0] is not kept:
             if len(self._of_agents) >= _MOST:
@@ -108,20 +108,20 @@ class OpenApiResource(Resource):
     def _made_for(self, kept: _Described, permissions: Permissions, public: Permissions) -> bytes:
         """What is described to an agent is described anew, so that not even a number tells of anything else."""
         data = kept.data
-        if not permissions.whole:
+        if not permissions.is_unrestricted:
             data = self._write(
                 paths_for(kept.paths, partial(self._may, permissions), permissions.may_read), kept.schemas
             )
-        return with_security(data, partial(self._may, public), whole=permissions.whole)
+        return with_security(data, partial(self._may, public), whole=permissions.is_unrestricted)
 
     def _may(self, permissions: Permissions, method: str, path: str) -> bool:
         """Whether a method may be used at a path below the base, or at some that a template stands for."""
         url = self.robot.space.base.rstrip("/") + path
-        place = permissions.place(url)
-        if permissions.whole or "{" in path or place is None:
-            return permissions.may_somewhere(method, url)
+        place = permissions.locate(url)
+        if permissions.is_unrestricted or "{" in path or place is None:
+            return permissions.may_template(method, url)
         try:
-            return method in enforcement.allowed(permissions, place, self._resolve(path))
+            return method in enforcement.allowed_methods(permissions, place, self._resolve(path))
         except Problem:
             return False
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from rosld.ontology.describe_activities import Receipt
 from rosld.server.auth.agent import Agent
-from rosld.server.http.tokens import PREFIX, without_tokens
+from rosld.server.http.tokens import PREFIX, redact_tokens
 from rosld.server.receipts.secrets import SCANNED, holds_credentials
 
 _MOST_STEPS = 100
@@ -68,16 +68,16 @@ def receipt_of(asked: AuditEntry, number: int, id: str, excerpt_bytes: int) -> R
         asked.ended_ns,
         asked.method,
         _url(asked.url, _WITHHELD.strip("()") if hides_query else query),
-        None if asked.media_type is None else without_tokens(asked.media_type)[:_LONGEST],
+        None if asked.media_type is None else redact_tokens(asked.media_type)[:_LONGEST],
         asked.length,
         None if withheld or digest is None else f"sha-256=:{base64.b64encode(digest).decode()}:",
         None if withheld or text is None or not excerpt_bytes else _begin(text, excerpt_bytes),
         withheld or hides_query,
         tuple(dict.fromkeys(_said(step, withheld) for step in asked.plan[:_MOST_STEPS])),
-        tuple(map(without_tokens, asked.touched[:_MOST_STEPS])),
+        tuple(map(redact_tokens, asked.touched[:_MOST_STEPS])),
         asked.matched,
         asked.status,
-        None if asked.made is None else without_tokens(asked.made),
+        None if asked.made is None else redact_tokens(asked.made),
         None if asked.words is None else _said(asked.words, withheld),
     )
 
@@ -108,4 +108,4 @@ def _said(words: str, withheld: bool) -> str:
 
 def _url(url: str, query: str) -> str:
     whole = f"{url}?{query}" if query else url
-    return without_tokens(whole)[:_LONGEST_URL]
+    return redact_tokens(whole)[:_LONGEST_URL]

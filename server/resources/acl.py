@@ -10,7 +10,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import about, boolean, each, text
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import acl, foaf, rdf, ros
-from rosld.server.auth.agent import ANYBODY, Agent
+from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.auth.authenticator import Authenticator
 from rosld.server.auth.config import MODES
 from rosld.server.auth.rules import ACL, AUTHENTICATED, Policy, Rule
@@ -19,7 +19,7 @@ from rosld.server.resources.context import Robot
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
 
-_CLASSES = {ANYBODY.name: foaf.Agent, AUTHENTICATED: acl.AuthenticatedAgent}
+_CLASSES = {ANONYMOUS.name: foaf.Agent, AUTHENTICATED: acl.AuthenticatedAgent}
 _MODES = {mode: term for term, mode in MODES.items()}
 
 
@@ -38,7 +38,7 @@ class AclResource(Resource):
         return "The rules are written in the file of --auth; it is read again whenever it changes."
 
     async def state(self) -> State:
-        policy = self._authenticator.access.policy
+        policy = self._authenticator.config.policy
         return State(lambda: Document(self.url, tuple(described(policy, self.url))))
 
 

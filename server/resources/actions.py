@@ -28,7 +28,7 @@ from rosld.ontology.describe_actions import GoalView, action_document, goal_docu
 from rosld.ontology.document import Document, Envelope
 from rosld.ontology.lift import lifter
 from rosld.server.html import DeleteForm, Form, MessageForm
-from rosld.server.http.link import uri
+from rosld.server.http.link import to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import TEXT, or_null
 from rosld.server.hypermedia.message_schemas import MessageSchemas
@@ -112,7 +112,7 @@ class ActionResource(Resource):
         """What it is like, as far as its goals are known."""
         goals = tuple(goal.id for goal in self.robot.goals.of(self.name))
         version = (IdentityKey(self.action), goals, self.methods(), self.robot.graph.revision)
-        return self.robot.states.get(self.url, version, lambda: State(self.document))
+        return self.robot.states.get_or_make(self.url, version, lambda: State(self.document))
 
     def document(self) -> Document:
         """The RDF of this action."""
@@ -256,7 +256,7 @@ class GoalResource(Resource):
 
     def shown(self, goal: Goal) -> State:
         """The state of this goal as it stood."""
-        return self.robot.states.get(
+        return self.robot.states.get_or_make(
             self.url,
             (IdentityKey(goal), self._is_open(goal)),
             lambda: State(lambda: self.document(goal), lambda: self._plain(goal)),
@@ -311,7 +311,7 @@ class GoalResource(Resource):
             problem.status = 409
             problem.detail = f"The goal {self.id} was not canceled: {error.words or error.sentence}"
             raise problem from error
-        return Response(status_code=202, headers={"Location": uri(self.url)})
+        return Response(status_code=202, headers={"Location": to_uri(self.url)})
 
 
 async def follow_action(robot: Robot, action: str) -> None:

@@ -66,7 +66,7 @@ class ActivityResource(Resource):
             kept = self.robot.settings.receipts_kept
             sentence = f"There is no receipt {self.id}: it never was, or it is older than the {kept} that are kept."
             raise Problem(404, sentence) from error
-        return self.robot.states.get(self.url, entry.number, lambda: _shown(self.robot, entry))
+        return self.robot.states.get_or_make(self.url, entry.number, lambda: _shown(self.robot, entry))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         return self.robot.receipts.changes.watch(wake)
@@ -107,7 +107,7 @@ class ActivityContainer(Resource):
         version = self.robot.receipts.version
         if self._place is None:
             entries = list(self.robot.receipts.newest_first())
-            return self.robot.states.get(self.url, version, lambda: State(lambda: self._document(entries)))
+            return self.robot.states.get_or_make(self.url, version, lambda: State(lambda: self._document(entries)))
         page, told = self._page(self._place)
 
         def make() -> State:
@@ -115,7 +115,7 @@ class ActivityContainer(Resource):
             part = f"p{digest(page.token.encode())}"
             return State(lambda: page.told_with(self._document(told)), part=part, headers=headers)
 
-        return self.robot.states.get(page.url, version, make)
+        return self.robot.states.get_or_make(page.url, version, make)
 
     def _document(self, entries: list[Entry]) -> Document:
         return container_document(self.url, (self.robot.space.activity(entry.id) for entry in entries), TITLE)

@@ -46,7 +46,7 @@ class BagContainer(Resource):
 
     async def state(self) -> State:
         members = [self.robot.space.bag(name) for name in self.robot.adapter.recordings]
-        return self.robot.states.get(
+        return self.robot.states.get_or_make(
             self.url, len(members), lambda: State(lambda: container_document(self.url, members, "Recordings"))
         )
 
@@ -67,7 +67,7 @@ class BagResource(Resource):
 
     async def state(self) -> State:
         recording, space = self.recording, self.robot.space
-        return self.robot.states.get(self.url, 0, lambda: State(lambda: bag_document(recording, space)))
+        return self.robot.states.get_or_make(self.url, 0, lambda: State(lambda: bag_document(recording, space)))
 
 
 class BagMessages(Resource):
@@ -88,7 +88,7 @@ class BagMessages(Resource):
 
     async def state(self) -> State:
         recording, space, page = self.recording, self.robot.space, self.number
-        return self.robot.states.get(
+        return self.robot.states.get_or_make(
             self.url, 0, lambda: State(lambda: bag_messages_document(recording, space, page, PAGE))
         )
 
@@ -143,7 +143,7 @@ class BagMessage(Resource):
         return PathItem(f"A message of {self.recording.name}", FIELD_READS, ANYTHING, (FORMAT, FIELD))
 
     async def state(self) -> State:
-        known = self.robot.states.known(self.url, 0)
+        known = self.robot.states.find(self.url, 0)
         if known is not None:
             return known
         message = await self.message()
@@ -160,7 +160,7 @@ class BagMessage(Resource):
             said = bag_message_document(recording, message, robot.space, found, unreadable=decoded.reason)
             return replace(said, simulated_time=robot.graph.simulated_time)
 
-        return robot.states.keep(self.url, 0, State(describe, plain))
+        return robot.states.put(self.url, 0, State(describe, plain))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         if "field" not in exchange.query:

@@ -37,7 +37,7 @@ from rosld.server.http import negotiation
 from rosld.server.http.body import read_body
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.link import Link
-from rosld.server.http.origin import Site, normal_authority
+from rosld.server.http.origin import OriginPolicy, normalize_authority
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import OBJECT, TEXT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
@@ -77,7 +77,9 @@ class Notifications:
     `resolve` finds the resource that a request is about.
     """
 
-    def __init__(self, robot: Robot, channels: Channels, feeds: Broadcasters, site: Site, resolve: Resolve) -> None:
+    def __init__(
+        self, robot: Robot, channels: Channels, feeds: Broadcasters, site: OriginPolicy, resolve: Resolve
+    ) -> None:
         self.robot = robot
         self.channels = channels
         self.feeds = feeds
@@ -102,11 +104,11 @@ class Notifications:
         """The channel that a request asks for. Raises Problems, and BodyError for what cannot be read."""
         check_profile(exchange.header("content-type"))
         media_type = exchange.media_type
-        data = exchange.as_utf8(await read_body(exchange.request, limit=MOST_BYTES))
+        data = exchange.to_utf8(await read_body(exchange.request, limit=MOST_BYTES))
         wish = read_subscription(data, media_type, service.url, service.type, time.time_ns())
         resource, state = await self._topic(wish.topic, exchange.permissions)
         place = partial(self.place, service.type)
-        return self.channels.open(wish, service.type, resource, state, place, exchange.visit)
+        return self.channels.open(wish, service.type, resource, state, place, exchange.auth)
 
     def receiver(self, scope: Scope) -> Receiver:
         """Who receives over the WebSocket that is to be opened. Raises Problems: 404 for every other path, 503."""
@@ -125,13 +127,13 @@ class Notifications:
         """The resource to tell of, and what it is like now. Raises a 422 Problem where nothing can be told of it."""
         scope = self._scope(url)
         exchange = Exchange(Request(scope), 0)
-        place = None if permissions.whole else enforcement.place_of(scope, self.robot.space)
+        place = None if permissions.is_unrestricted else enforcement.location_of(scope, self.robot.space)
         try:
-            if not permissions.whole:
+            if not permissions.is_unrestricted:
                 enforcement.require_path(permissions, "GET", place)
             resource = await _narrow(self._resolve(scope), exchange)
             await resource.prepare()
-            if not permissions.whole:
+            if not permissions.is_unrestricted:
                 enforcement.authorize(permissions, "GET", place, resource)
             return resource, await resource.state()
         except NotImplementedError as error:
@@ -147,7 +149,7 @@ class Notifications:
         """The GET request for a URL of this server, by whichever of its names. Raises a 422 Problem for all others."""
         try:
             parts = urlsplit(url)
-            origin = f"{parts.scheme}://{normal_authority(parts.netloc, parts.scheme)}"
+            origin = f"{parts.scheme}://{normalize_authority(parts.netloc, parts.scheme)}"
             raw_path, query = (quote(part, safe="/%:@!$&'()*+,;=~?-._").encode() for part in (parts.path, parts.query))
         except ValueError as error:
             raise Problem(422, f"The topic {url[:200]!r} is no URL: {error}.") from error

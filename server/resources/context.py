@@ -18,7 +18,7 @@ from rosld.server.rest.state import State
 from rosld.server.robot.holds import Holds
 from rosld.server.robot.session import Session
 from rosld.server.robot.stop import SoftwareStop
-from rosld.server.runtime.offload import Workers
+from rosld.server.runtime.offload import WorkerPool
 from rosld.server.runtime.signals import Signal
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
@@ -35,7 +35,7 @@ class Robot(Session):
         super().__init__(adapter, settings)
         self.instance_id = secrets.token_hex(4)
         self.states: VersionCache[State] = VersionCache()
-        self.workers = Workers()
+        self.workers = WorkerPool()
         self.limits_in_force = ActiveLimits(tuple(given_limits(settings, adapter, self.space)), self.space)
         self.records = open_records(settings.data, roots=(mappings.ROOM, queries.ROOM, limits.ROOM))
         self.receipts = Journal(

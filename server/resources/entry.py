@@ -72,7 +72,7 @@ class EntryResource(Resource):
     async def state(self) -> State:
         graph = listed(self.robot)
         system, problems = self.robot.adapter.capabilities.system, self.robot.storage_problems
-        return self.robot.states.get(
+        return self.robot.states.get_or_make(
             self.url,
             (graph.revision, problems),
             lambda: State(lambda: entry_document(graph, self.robot.space, system, problems)),

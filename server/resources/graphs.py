@@ -21,7 +21,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import about, text
 from rosld.ontology.vocab import dcterms, rdf, rdfs, sd
 from rosld.server.auth import enforcement
-from rosld.server.http.link import uri
+from rosld.server.http.link import to_uri
 from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
@@ -93,7 +93,7 @@ _remembered = lru_cache(maxsize=256)(_named)
 
 def _resolved(iri: str, base: str) -> str:
     try:
-        return uri(NamedNode(urljoin(base, iri)).value)
+        return to_uri(NamedNode(urljoin(base, iri)).value)
     except ValueError as error:
         raise Problem(400, f"graph={iri[:200]!r} is no IRI: {error}.") from error
 
@@ -151,7 +151,7 @@ class GraphStore(Resource):
         return READ if self._robot.settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
 
     async def state(self) -> State:
-        return self._robot.states.get(self.url, 0, lambda: State(self.document))
+        return self._robot.states.get_or_make(self.url, 0, lambda: State(self.document))
 
     def document(self) -> Document:
         """What it says of itself."""
@@ -192,9 +192,11 @@ class GraphStore(Resource):
 
     async def _graph(self, exchange: Exchange, graph: str, others: str) -> Resource:
         exchange.redirect_internally(self._scope(exchange, graph, others))
-        if not exchange.permissions.whole:
+        if not exchange.permissions.is_unrestricted:
             enforcement.require_path(
-                exchange.permissions, exchange.method, enforcement.place_of(exchange.request.scope, self._robot.space)
+                exchange.permissions,
+                exchange.method,
+                enforcement.location_of(exchange.request.scope, self._robot.space),
             )
         resource = self._resolve(exchange.request.scope)
         if resource is self:

@@ -21,7 +21,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import LoweringError, find_message, lowerer, parse_json
 from rosld.ontology.neutral_message import TWISTS, zeroed
-from rosld.server.auth.errors import nothing
+from rosld.server.auth.errors import not_found
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http import header_syntax
 from rosld.server.http.problem import Problem
@@ -148,7 +148,7 @@ class HoldResource(Resource):
 
     def shown(self, hold: Hold) -> State:
         """The state of this hold as it stood."""
-        return self.robot.states.get(
+        return self.robot.states.get_or_make(
             self.url, IdentityKey(hold), lambda: State(lambda: self.document(hold), lambda: self._plain(hold))
         )
 
@@ -280,7 +280,7 @@ def _number(exchange: Exchange, name: str, most: float, words: str) -> float | N
     if name not in exchange.query:
         return None
     given = exchange.query[name]
-    value = header_syntax.number(given)
+    value = header_syntax.parse_decimal(given)
     if value is None or not LEAST_OF_HOLDS <= value <= most:
         raise Problem(400, f"?{name}={given[:100]}: it must be {words}.")
     return value
@@ -288,12 +288,12 @@ def _number(exchange: Exchange, name: str, most: float, words: str) -> float | N
 
 def _readable(robot: Robot, find: Find | None, exchange: Exchange) -> Find | None:
     """What finds resources for whoever asks: of those that they may not read it says nothing."""
-    if find is None or exchange.permissions.whole:
+    if find is None or exchange.permissions.is_unrestricted:
         return find
 
     def found(path: str) -> Resource:
         if not exchange.permissions.may_read(robot.space.base + path.lstrip("/")):
-            raise nothing()
+            raise not_found()
         return find(path)
 
     return found

@@ -34,7 +34,7 @@ class Listing(Resource):
 
     async def state(self) -> State:
         members = tuple(self._members())
-        return self._robot.states.get(
+        return self._robot.states.get_or_make(
             self.url, members, lambda: State(lambda: container_document(self.url, members, self.kind))
         )
 

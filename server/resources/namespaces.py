@@ -220,7 +220,9 @@ class NamespaceContainer(Resource):
         members = self._members()
         version = (members, self._is_name, self.robot.graph.revision)  # the page tells of what lies below, too
         if self._place is None:
-            return self.robot.states.get(self._sequence, version, lambda: State(lambda: self._document(members)))
+            return self.robot.states.get_or_make(
+                self._sequence, version, lambda: State(lambda: self._document(members))
+            )
         page, told = self._page(self._place, members)
 
         def make() -> State:
@@ -229,7 +231,7 @@ class NamespaceContainer(Resource):
                 lambda: page.told_with(self._document(told)), part=f"p{digest(page.token.encode())}", headers=headers
             )
 
-        return self.robot.states.get(page.url, version, make)
+        return self.robot.states.get_or_make(page.url, version, make)
 
     def _document(self, members: Members) -> Document:
         return namespace_described(self.robot, self.room, self.namespace, members, hidden=self._hidden)

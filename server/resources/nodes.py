@@ -108,7 +108,7 @@ class NodeResource(Resource):
 
     async def state(self) -> State:
         view, space, simulated = self.view, self.robot.space, self.robot.graph.simulated_time
-        return self.robot.states.get(
+        return self.robot.states.get_or_make(
             self.url, (view, simulated), lambda: State(partial(node_document, view, space, simulated_time=simulated))
         )
 

@@ -39,4 +39,4 @@ class OntologyResource(Resource):
         return PathItem("The vocabulary")
 
     async def state(self) -> State:
-        return self.robot.states.get(self.url, 0, lambda: State(lambda: Document(self.url, vocabulary())))
+        return self.robot.states.get_or_make(self.url, 0, lambda: State(lambda: Document(self.url, vocabulary())))

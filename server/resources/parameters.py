@@ -28,7 +28,7 @@ from rosld.ontology.parameters import (
 )
 from rosld.ontology.urls import encode_segment
 from rosld.ontology.vocab import ros
-from rosld.server.auth.enforcement import require_below
+from rosld.server.auth.enforcement import require_subtree
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction.trees import redact_tree
 from rosld.server.events.query_params import EVENT_STREAM
@@ -38,7 +38,7 @@ from rosld.server.http import negotiation
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
-from rosld.server.http.tokens import without_tokens
+from rosld.server.http.tokens import redact_tokens
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import DataSchema
@@ -71,7 +71,7 @@ from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Created, Resource, moved
 from rosld.server.rest.state import State
 from rosld.server.robot.write_policy import parameter_denied_reason, resources_only_reason
-from rosld.server.runtime.signals import every, together
+from rosld.server.runtime.signals import call_every, combine_watches
 from rosld.shapes.parameter import constraint_url, declared_shape, declared_triples
 from rosld.shapes.value import OpenShape
 
@@ -113,7 +113,7 @@ class _Parameters(Resource):
         return None if parameter is None else parameter.descriptor
 
     @property
-    def reaches_below(self) -> bool:
+    def changes_subtree(self) -> bool:
         return bool(_below(self.name, self.robot))
 
     def _can(self, operation: Operation) -> bool:
@@ -134,7 +134,7 @@ class _Parameters(Resource):
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         told = self.robot.parameter_changes.watch(wake, lambda name: _related(name, self.name))
-        return together(told, every(_LOOK_AGAIN_SECONDS, wake))
+        return combine_watches(told, call_every(_LOOK_AGAIN_SECONDS, wake))
 
     async def _require_settable(self, values: Mapping[str, ParameterValue]) -> None:
         """Raise a Problem or a LoweringError where a value must not be set."""
@@ -248,7 +248,7 @@ class ParameterResource(_Parameters):
             return replace(document, triples=(*document.triples, *declared))
 
         token = digest(plain if descriptor is None else plain + repr(descriptor).encode("utf-8", "surrogatepass"))
-        return self.robot.states.get(self.url, token, lambda: State(described, lambda: plain, token))
+        return self.robot.states.get_or_make(self.url, token, lambda: State(described, lambda: plain, token))
 
     async def forms(self) -> Sequence[Form]:
         methods, value = self.methods(), await self._value()
@@ -358,7 +358,7 @@ class ParameterTree(_Parameters):
         return self._place, self._hidden
 
     @property
-    def reaches_below(self) -> bool:
+    def changes_subtree(self) -> bool:
         return True
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -413,7 +413,7 @@ class ParameterTree(_Parameters):
         plain = self._plain(tree)
         if self._place is not None:
             return self._page_shown(self._place, tree, plain)
-        return self.robot.states.get(
+        return self.robot.states.get_or_make(
             self._sequence,
             (plain, whole),
             lambda: State(
@@ -478,7 +478,7 @@ class ParameterTree(_Parameters):
                 headers={"link": render([*self.links, *page.links()]), "vary": "Accept, Prefer"},
             )
 
-        return self.robot.states.get(page.url, whole, make)
+        return self.robot.states.get_or_make(page.url, whole, make)
 
     def _page(self, place: Place, tree: Mapping[str, ParameterValue]) -> tuple[Page, dict[str, ParameterValue]]:
         """A page, and what of the tree it tells."""
@@ -515,7 +515,7 @@ class ParameterTree(_Parameters):
 
     async def _free_name(self, slug: str | None) -> str:
         kept = "".join(
-            char if char.isalnum() or char == "_" else "_" for char in without_tokens(slug or "")[:_MOST_SLUG]
+            char if char.isalnum() or char == "_" else "_" for char in redact_tokens(slug or "")[:_MOST_SLUG]
         )
         name = names.join((*self.namespace, kept or f"parameter_{secrets.token_hex(3)}"))
         deadline = self.robot.deadline(self.robot.settings.call_deadline)
@@ -581,9 +581,9 @@ def _without(name: str, tree: dict[str, ParameterValue], hidden: Container[str])
 
 def _require_below(exchange: Exchange, url: str, value: ParameterValue) -> None:
     """Refuse a tree where not everything in it is for who asks to write."""
-    place = exchange.permissions.place(url)
+    place = exchange.permissions.locate(url)
     if isinstance(value, dict) and place is not None:
-        require_below(exchange.permissions, exchange.method, place)
+        require_subtree(exchange.permissions, exchange.method, place)
 
 
 def _below(name: str, robot: Robot) -> list[str]:

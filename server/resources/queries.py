@@ -23,7 +23,7 @@ from rosld.server import html
 from rosld.server.html import Listing, Notice, QueryPage, QueryParameter, Results
 from rosld.server.html.page import Tone
 from rosld.server.http import negotiation
-from rosld.server.http.body import declared_length
+from rosld.server.http.body import parse_content_length
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT
@@ -201,7 +201,9 @@ class ShippedQuery(Resource):
         return f"{self._query.name} comes with rosld and stays as it is: PUT a query of another name to {room}NAME."
 
     async def state(self) -> State:
-        return self.robot.states.get(self.url, 0, lambda: State(partial(shipped_document, self.url, self._query)))
+        return self.robot.states.get_or_make(
+            self.url, 0, lambda: State(partial(shipped_document, self.url, self._query))
+        )
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         if not exchange.query.get("format") and negotiation.choose(exchange.accept, (*OFFERS, DIRECT)) == DIRECT:
@@ -298,7 +300,7 @@ class QueryContainer(ContainerResource):
     async def state(self) -> State:
         kept = await super().state()
         version = self.robot.queries.version
-        return self.robot.states.get(
+        return self.robot.states.get_or_make(
             f"{self.url}?{self._place}#{self._parts.variant} with what is shipped",
             (IdentityKey(kept), version),
             lambda: replace(
@@ -382,13 +384,13 @@ def _describe(robot: Robot, record: Record) -> State:
         return Document(document.url, tuple(dict.fromkeys((*document.triples, *robot.queries.said(record)))))
 
     url = f"{robot.space.base}{record.path}# with what it says"
-    return robot.states.get(url, IdentityKey(state), lambda: replace(state, describe=describe, renderings={}))
+    return robot.states.get_or_make(url, IdentityKey(state), lambda: replace(state, describe=describe, renderings={}))
 
 
 async def _require_size(robot: Robot, exchange: Exchange) -> None:
     """Raise a 413 Problem for a text that says that it is longer than a query may be."""
     most = 4 * robot.queries.bounds.size
-    if exchange.method in ("PUT", "POST") and (declared_length(exchange.header("content-length")) or 0) > most:
+    if exchange.method in ("PUT", "POST") and (parse_content_length(exchange.header("content-length")) or 0) > most:
         async for _ in exchange.chunks(limit=most):
             pass
 

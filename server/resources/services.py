@@ -83,7 +83,7 @@ class ServiceResource(Resource):
     async def state(self) -> State:
         service = self.service
         space = self.robot.space
-        return self.robot.states.get(
+        return self.robot.states.get_or_make(
             self.url, IdentityKey(service), lambda: State(lambda: service_document(service, space, self.robot.graph))
         )
 
@@ -159,7 +159,7 @@ class CallResource(Resource):
 
     async def state(self) -> State:
         call = self.call
-        return self.robot.states.get(self.url, IdentityKey(call), lambda: self.shown(call))
+        return self.robot.states.get_or_make(self.url, IdentityKey(call), lambda: self.shown(call))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         return self.robot.calls.changes.watch(wake)

@@ -252,7 +252,7 @@ class SparqlResource(Resource):
         return READ | {"POST"}
 
     async def state(self) -> State:
-        return self.robot.states.get(self.url, 0, lambda: State(self.document))
+        return self.robot.states.get_or_make(self.url, 0, lambda: State(self.document))
 
     def document(self) -> Document:
         """What it says of itself."""

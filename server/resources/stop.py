@@ -16,7 +16,7 @@ from rosld.ontology.vocab import ros
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http.problem import Problem
-from rosld.server.http.tokens import without_tokens
+from rosld.server.http.tokens import redact_tokens
 from rosld.server.hypermedia.json_schema import TEXT, or_null
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import DataSchema
@@ -88,7 +88,7 @@ class StopResource(Resource):
         """What it is like now."""
         robot = self.robot
         version = (robot.stops.revision, robot.stops.steps, robot.stops.stop_state)
-        return robot.states.get(self.url, version, lambda: State(self.document, self._plain))
+        return robot.states.get_or_make(self.url, version, lambda: State(self.document, self._plain))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         return self.robot.stops.changes.watch(wake)
@@ -165,7 +165,7 @@ def _reason(body: bytes) -> str | None:
         return None
     match parse_json(body):
         case {"reason": str(reason), **others} if not others and len(reason) <= _LONGEST:
-            return without_tokens(" ".join(reason.split())) or None
+            return redact_tokens(" ".join(reason.split())) or None
         case {**others} if not others:
             return None
     raise Problem(422, f'The body is empty, or {{"reason": "..."}} with at most {_LONGEST} characters.')

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from starlette.responses import Response
 
-from rosld.server.auth.authenticator import OPEN
+from rosld.server.auth.authenticator import UNRESTRICTED
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.auth.redaction.thing_descriptions import redact_thing_description
 from rosld.server.http import negotiation
@@ -39,7 +39,7 @@ def wants_thing(exchange: Exchange) -> bool:
 
 def thing_response(exchange: Exchange, robot: Robot, data: bytes) -> Response:
     """The answer with a Thing Description, as it is for who asks."""
-    if exchange.visit is not OPEN:
+    if exchange.auth is not UNRESTRICTED:
         data = redact_thing_description(data, exchange.permissions)
     return bytes_response(exchange, data, MEDIA_TYPE, ETag(f"{robot.instance_id}-{digest(data)}", FORMAT))
 

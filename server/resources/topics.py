@@ -36,7 +36,7 @@ from rosld.server.rest.state import State
 from rosld.server.robot.publication import publish
 from rosld.server.robot.topic_view import View
 from rosld.server.robot.write_policy import RESERVED, denied_reason, resources_only_reason
-from rosld.server.runtime.signals import together
+from rosld.server.runtime.signals import combine_watches
 
 _LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
 
@@ -170,15 +170,15 @@ class TopicResource(Resource):
         topic = graph.topics.get(self.name) or Topic(self.name)
         hold, methods = robot.holds.on(self.name), self.methods()
         version = (IdentityKey(topic), IdentityKey(view), graph.simulated_time, hold and hold.id, "POST" in methods)
-        known = robot.states.known(self.url, version)
+        known = robot.states.find(self.url, version)
         if known is None:
             decoded = [await decode(robot, sample) for sample in view.samples]
-            known = robot.states.keep(self.url, version, self._state(topic, view, decoded))
+            known = robot.states.put(self.url, version, self._state(topic, view, decoded))
         return known
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         holds = self.robot.holds.changes.watch(wake, lambda about: about == self.name)
-        return together(await self.robot.topics.watch(self.name, wake), self.robot.changes.watch(wake), holds)
+        return combine_watches(await self.robot.topics.watch(self.name, wake), self.robot.changes.watch(wake), holds)
 
     def _state(self, topic: Topic, view: View, decoded: Sequence[Decoded]) -> State:
         newest = decoded[-1] if decoded else None

@@ -75,7 +75,7 @@ class TypeResource(Resource):
     async def state(self) -> State:
         schema = await schema_of(self.robot, self.ref)
         variants = tuple(ref for ref in known_types(self.robot) if ref.name == self.ref.name)
-        return self.robot.states.get(
+        return self.robot.states.get_or_make(
             self.url,
             (IdentityKey(schema), variants),
             lambda: State(lambda: type_document(schema, self.robot.space, variants)),
@@ -100,7 +100,7 @@ class ShapeResource(Resource):
 
     async def state(self) -> State:
         schema = await schema_of(self.robot, TypeRef(self.name))
-        return self.robot.states.get(
+        return self.robot.states.get_or_make(
             self.url, IdentityKey(schema), lambda: State(lambda: shape_document(schema, self.robot.space))
         )
 
@@ -125,7 +125,7 @@ class WholeShapeResource(Resource):
         return await self.methods_if_there()
 
     async def state(self) -> State:
-        return self.robot.states.get(
+        return self.robot.states.get_or_make(
             self.url, IdentityKey(self.robot.limits), lambda: State(lambda: whole_shape(self.robot, self.title))
         )
 
@@ -162,7 +162,7 @@ class TypeContainer(Resource):
         below = names_below(listed, self.room, self.namespace)
         if self.namespace and not below:
             raise Problem(404, f"No type of {'/'.join(self.namespace)} is known.")
-        return self.robot.states.get(
+        return self.robot.states.get_or_make(
             self.url,
             below,
             lambda: State(lambda: type_container_document(self.room, self.namespace, below, self.robot.space)),
@@ -262,7 +262,7 @@ class LimitsContainer(ContainerResource):
         def describe() -> Document:
             return Document(kept.document.url, tuple(dict.fromkeys((*kept.document.triples, *more))))
 
-        return self.robot.states.get(
+        return self.robot.states.get_or_make(
             f"{self.url}?{self._place}#{self._parts.variant} with what is generated",
             (IdentityKey(kept), more),
             lambda: replace(kept, describe=describe, token=f"{kept.tag}-{digest(repr(more).encode())}", renderings={}),

@@ -12,7 +12,7 @@ from starlette.types import Receive, Scope
 
 from rosld.ontology.charsets import UTF_8
 from rosld.server.auth.agent import Agent
-from rosld.server.auth.authenticator import OPEN
+from rosld.server.auth.authenticator import UNRESTRICTED
 from rosld.server.auth.enforcement import Protected
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.rate_limit import Client
@@ -20,7 +20,7 @@ from rosld.server.http import media, prefer, text
 from rosld.server.http.body import TIMEOUT, read_body, read_chunks
 from rosld.server.http.problem import Problem
 from rosld.server.receipts.account import AuditContext
-from rosld.server.runtime.memory import MEMORY, PER_BYTE
+from rosld.server.runtime.memory import PER_BYTE, PROCESS_MEMORY
 
 
 class Exchange:
@@ -35,7 +35,7 @@ class Exchange:
         self._body_seconds = body_seconds
         self._body: bytes | None = None
         self.typed: Sequence[tuple[str, str]] = ()
-        self.visit = OPEN
+        self.auth = UNRESTRICTED
         """Who asks, and what they may do."""
         self.client: Client | None = None
         """Whose limits it counts against, once it was let pass."""
@@ -47,12 +47,12 @@ class Exchange:
     @property
     def agent(self) -> Agent:
         """Who asks."""
-        return self.visit.permissions.agent
+        return self.auth.permissions.agent
 
     @property
     def permissions(self) -> Permissions:
         """What who asks may do."""
-        return self.visit.permissions
+        return self.auth.permissions
 
     @cached_property
     def query(self) -> Mapping[str, str]:
@@ -93,14 +93,14 @@ class Exchange:
         found = self._content_type
         if found is None:
             raise Problem(415, "The request has a body of unknown type: send Content-Type.")
-        text.codec_of(found)
+        text.codec_for(found)
         return found.essence
 
     @property
     def codec(self) -> str:
         """The Python codec of the charset that the body states, UTF-8 where it states none. Raises a 415 Problem."""
         found = self._content_type
-        return UTF_8 if found is None else text.codec_of(found)
+        return UTF_8 if found is None else text.codec_for(found)
 
     @property
     def essence(self) -> str | None:
@@ -136,7 +136,7 @@ class Exchange:
         """The whole body as it was sent; raises Problems for one too large (413), compressed (415) or cut off (400)."""
         if self._body is None:
             self._body = await read_body(self, limit=self._body_limit, timeout=self._body_seconds)
-            MEMORY.require(len(self._body) * PER_BYTE, f"a body of {len(self._body)} bytes")
+            PROCESS_MEMORY.require(len(self._body) * PER_BYTE, f"a body of {len(self._body)} bytes")
         return self._body
 
     async def body(self) -> bytes:
@@ -144,12 +144,12 @@ class Exchange:
 
         Raises a 415 Problem for a charset that is not read here, and a 400 Problem for bytes that are none of it.
         """
-        return self.as_utf8(await self.octets() if self._body is None else self._body)
+        return self.to_utf8(await self.octets() if self._body is None else self._body)
 
-    def as_utf8(self, data: bytes) -> bytes:
+    def to_utf8(self, data: bytes) -> bytes:
         """What was read of the body in UTF-8. Raises a 415 and a 400 Problem as `body`."""
         found = self._content_type
-        return data if found is None else text.as_utf8(data, found)
+        return data if found is None else text.to_utf8(data, found)
 
     @property
     def received(self) -> bytes | None:

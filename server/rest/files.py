@@ -48,7 +48,7 @@ def exact_media_type(stated: str | None) -> str:
         return UNKNOWN
     try:
         media.parse(stated)
-        return header_syntax.safe(stated.strip(" \t"))
+        return header_syntax.require_field_value(stated.strip(" \t"))
     except ValueError as error:
         raise Problem(415, f"Content-Type: {error}.") from error
 
@@ -72,7 +72,7 @@ async def file_response(
     If-None-Match are judged before (RFC 9110 13.2.2). `name` is what it is called when it is saved. The file is opened
     here, off the loop, and what is removed afterwards is still sent whole. Raises a 416 Problem and FileNotFoundError.
     """
-    spans = None if head else ranges.selected(range_, if_range, etag, size)
+    spans = None if head else ranges.select_ranges(range_, if_range, etag, size)
     pieces: list[Piece]
     added = {"content-type": media_type}
     if spans is None:
@@ -81,7 +81,7 @@ async def file_response(
         pieces = [spans[0]]
         added["content-range"] = spans[0].content_range(size)
     else:
-        frame = ranges.framing(spans, size, media_type)
+        frame = ranges.frame_parts(spans, size, media_type)
         pieces = [each for pair in zip(frame.heads, spans, strict=True) for each in pair] + [frame.tail]
         added["content-type"] = frame.content_type
     length = sum(map(len, pieces))
@@ -207,4 +207,7 @@ def _disposition(media_type: str, name: str | None) -> str:
 
 
 def _encode(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
-    return [(name.encode("ascii"), header_syntax.safe(value).encode("ascii")) for name, value in headers.items()]
+    return [
+        (name.encode("ascii"), header_syntax.require_field_value(value).encode("ascii"))
+        for name, value in headers.items()
+    ]

@@ -22,7 +22,7 @@ from pyoxigraph import serialize as pyoxigraph_serialize
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import serialize
 from rosld.server.rest.state import State, require_memory
-from rosld.server.runtime.offload import Work, Workers
+from rosld.server.runtime.offload import Work, WorkerPool
 
 _T = TypeVar("_T")
 
@@ -44,7 +44,7 @@ class Excerpt:
 class LargeDocuments:
     """Files with representations of large documents. Belongs to one loop."""
 
-    def __init__(self, workers: Workers) -> None:
+    def __init__(self, workers: WorkerPool) -> None:
         self._workers = workers
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._numbers = itertools.count()

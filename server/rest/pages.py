@@ -86,10 +86,10 @@ class Pages:
             stop_token=self._stop_token(permissions),
             stopped="" if stop_state is None or not permissions.may_read(session.space.stop) else stop_state.words,
             may=permissions.may,
-            may_below=lambda method, url: (
-                (place := permissions.place(url)) is None or permissions.may_below(method, place)
+            may_subtree=lambda method, url: (
+                (place := permissions.locate(url)) is None or permissions.may_subtree(method, place)
             ),
-            is_restricted=not permissions.whole,
+            is_restricted=not permissions.is_unrestricted,
         )
 
     def _stop_token(self, permissions: Permissions) -> str:
@@ -173,7 +173,7 @@ class Pages:
         again = await resource.forms() if isinstance(form, ChoiceForm) else [form.refilled(refusal.typed, fields)]
         try:
             state = await resource.state()
-            state = state if permissions.whole else resource.redact(state, permissions)
+            state = state if permissions.is_unrestricted else resource.redact(state, permissions)
         except Problem:
             raise problem from None
         body = await self._page(resource, state, again, [notice], permissions)
@@ -183,7 +183,7 @@ class Pages:
     async def told(self, resource: Resource, sentence: str, permissions: Permissions = ALLOW_ALL) -> Response:
         """The page with a notice, after a form that was carried out with a reservation (202)."""
         state = await resource.state()
-        state = state if permissions.whole else resource.redact(state, permissions)
+        state = state if permissions.is_unrestricted else resource.redact(state, permissions)
         body = await self.page(resource, state, [Notice(sentence, Tone.WARNING)], permissions)
         return Response(body, 202, {**self.headers, "Cache-Control": "no-store"}, "text/html; charset=utf-8")
 
@@ -213,7 +213,7 @@ class Pages:
 
 def _of_agent(url: str, permissions: Permissions) -> str:
     """What a form's token is for: a URL, and who may send it where that is known."""
-    return f"{url} {permissions.mark}" if permissions.mark else url
+    return f"{url} {permissions.cache_key}" if permissions.cache_key else url
 
 
 class FormRefused(Exception):

@@ -20,7 +20,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import about
 from rosld.ontology.vocab import ldp, rdf, xhv
 from rosld.server.html import Step
-from rosld.server.http.link import Link, uri
+from rosld.server.http.link import Link, to_uri
 from rosld.server.http.prefer import Preferences
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
@@ -208,5 +208,5 @@ def first_page(container: str, count: int, preferences: Preferences, query: str 
         303,
         f"Its {count} members come in pages; the first is {first}",
         title="See Other",
-        headers={"Location": uri(first), "Vary": "Accept, Prefer"},
+        headers={"Location": to_uri(first), "Vary": "Accept, Prefer"},
     )

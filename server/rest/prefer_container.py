@@ -39,7 +39,7 @@ class Parts:
     @property
     def preference_applied(self) -> str | None:
         """The value of Preference-Applied (RFC 7240 3); None where no preference was."""
-        return prefer.applied("return=representation") if self.applied else None
+        return prefer.preference_applied("return=representation") if self.applied else None
 
 
 ALL = Parts()

@@ -18,7 +18,7 @@ from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
 from rosld.server.auth.permissions import Permissions
 from rosld.server.html import Csrf, Form, Listing, Notice, Page, Site, Step
-from rosld.server.http.link import Link, uri
+from rosld.server.http.link import Link, to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.rest.errors import problem_of
@@ -127,7 +127,7 @@ class Resource:
         return ()
 
     @property
-    def reaches_below(self) -> bool:
+    def changes_subtree(self) -> bool:
         """Whether its writes change what lies below it, too, so that they take the right to all of that."""
         return False
 
@@ -165,7 +165,7 @@ class Resource:
         if method in READ or not site.is_restricted:
             return site.may(method, self.url)
         may = all(site.may(method, url) for url in (self.url, *self.also_changes))
-        return may and (not self.reaches_below or site.may_below(method, self.url))
+        return may and (not self.changes_subtree or site.may_subtree(method, self.url))
 
     @property
     def query(self) -> str:
@@ -249,7 +249,7 @@ def _not_there(resource: Resource, method: str) -> Problem:
 
 def moved(url: str) -> Problem:
     """308: what was asked for is at `url` (RFC 9110 15.4.9)."""
-    return Problem(308, f"It is at {url}", title="Moved", headers={"Location": uri(url)})
+    return Problem(308, f"It is at {url}", title="Moved", headers={"Location": to_uri(url)})
 
 
 def allow(resource: Resource) -> str:

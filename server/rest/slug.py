@@ -8,7 +8,7 @@ import unicodedata
 from collections.abc import Callable, Iterator
 from urllib.parse import unquote_to_bytes
 
-from rosld.server.http.tokens import without_tokens
+from rosld.server.http.tokens import redact_tokens
 
 LONGEST = 100
 """Characters of a name."""
@@ -36,7 +36,7 @@ def free_name(slug: str | None, taken: Callable[[str], bool], *, suffix: str = "
     """
     if not _SUFFIX.fullmatch(suffix) or _RESERVED.search(suffix):
         raise ValueError(f"{suffix!r} is no extension such as '.png'")
-    stem, extension = _split(_readable(without_tokens(slug or "")), suffix)
+    stem, extension = _split(_readable(redact_tokens(slug or "")), suffix)
     return next(name for name in _candidates(stem or _word(), extension) if not taken(name))
 
 

@@ -12,7 +12,7 @@ from rosld.ontology.serialize import Syntax, serialize
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction.documents import redact_document
 from rosld.server.http.conditional import digest
-from rosld.server.runtime.memory import MEMORY, PER_CHARACTER
+from rosld.server.runtime.memory import PER_CHARACTER, PROCESS_MEMORY
 
 if TYPE_CHECKING:
     from rosld.server.hypermedia.views import View
@@ -109,4 +109,4 @@ def _describe_redacted(describe: Callable[[], Document], permissions: Permission
 def require_memory(state: State) -> None:
     """Raise NotEnoughMemory where there is none to work on what a state says."""
     if state.weight:
-        MEMORY.require(state.weight * PER_CHARACTER, f"a document of {state.weight} bytes of N-Triples")
+        PROCESS_MEMORY.require(state.weight * PER_CHARACTER, f"a document of {state.weight} bytes of N-Triples")

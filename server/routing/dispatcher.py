@@ -15,7 +15,7 @@ from rosld.ontology.lower import LoweringError
 from rosld.ontology.serialize import CannotCarry, Syntax, serialize
 from rosld.ontology.urls import Location
 from rosld.server.auth import enforcement
-from rosld.server.auth.errors import unproven
+from rosld.server.auth.errors import invalid_token
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.events import query_params
@@ -57,7 +57,7 @@ class Dispatcher:
         try:
             resource = await resource.select_variant(exchange)
             await resource.prepare()
-            if not exchange.permissions.whole:
+            if not exchange.permissions.is_unrestricted:
                 self._permissions(exchange, resource)
                 exchange.answering = resource
             response = await self._answer(exchange, resource)
@@ -73,7 +73,7 @@ class Dispatcher:
             enforcement.authorize(exchange.permissions, exchange.method, self._place(exchange), resource)
 
     def _place(self, exchange: Exchange) -> Location | None:
-        return enforcement.place_of(exchange.request.scope, self.pages.space)
+        return enforcement.location_of(exchange.request.scope, self.pages.space)
 
     async def _answer(self, exchange: Exchange, resource: Resource) -> Response:
         method = exchange.method
@@ -121,8 +121,8 @@ class Dispatcher:
         unchanged = False
         if b"after=" in exchange.request.scope["query_string"] and "after" in exchange.query:
             await self._wait_for_another(exchange, resource, state)
-            if not exchange.visit.still():
-                raise unproven("Your rights have changed meanwhile.")
+            if not exchange.auth.is_valid():
+                raise invalid_token("Your rights have changed meanwhile.")
             state = await resource.state()
             unchanged = query_params.is_state(exchange.query["after"], self._name(state))
         media_type = negotiate(exchange)
@@ -173,7 +173,7 @@ class Dispatcher:
         Bytes are shared by agents of the same rights; a page, which has forms, is one agent's.
         """
         variant = _variant(media_type, permissions)
-        if not permissions.whole:
+        if not permissions.is_unrestricted:
             state = redacted_state(resource, state, permissions)
         if media_type == HTML and self.pages.edition is not None:
             return await self._render(resource, state, media_type, variant, permissions)
@@ -219,10 +219,10 @@ class Dispatcher:
         headers = _encode(standing_headers(resource))
         if exchange.method == "HEAD":
             return RawResponse(200, b"", [*HEADERS, *headers])
-        mark = exchange.permissions.mark if media_type == HTML else ""
-        variant = f"{VARIANTS[media_type]}-{exchange.permissions.key}{mark}"
+        mark = exchange.permissions.cache_key if media_type == HTML else ""
+        variant = f"{VARIANTS[media_type]}-{exchange.permissions.rights_key}{mark}"
         redact = partial(redact_problem, permissions=exchange.permissions, place=self._place(exchange))
-        telling = StreamFormat(variant, render, self._name, exchange.visit.still, redact)
+        telling = StreamFormat(variant, render, self._name, exchange.auth.is_valid, redact)
         if media_type == HTML:
             telling = replace(telling, edition=lambda: self.pages.edition)
         known, lease = exchange.header("last-event-id"), resource.keep_alive(exchange)
@@ -250,7 +250,7 @@ class Dispatcher:
         """A form of one of our pages: the write it means, then the way back to a page (303)."""
         try:
             form = await self.pages.meant(exchange, resource)
-            if not exchange.permissions.whole:
+            if not exchange.permissions.is_unrestricted:
                 enforcement.authorize(exchange.permissions, form.method, self._place(exchange), resource)
             exchange.account.begin()
             try:
@@ -270,14 +270,14 @@ class Dispatcher:
         back = _back(resource, answer, self.pages.came_from(exchange))
         if form.method == "DELETE" and not (isinstance(answer, Response) and answer.status_code == 202):
             back = resource.url.rstrip("/").rpartition("/")[0] + "/"
-        return Response(status_code=303, headers={"Location": link.uri(back)})
+        return Response(status_code=303, headers={"Location": link.to_uri(back)})
 
     async def _create(self, exchange: Exchange, resource: Resource, created: Created) -> Response:
         """201 with the new resource as body (RFC 9110 15.3.2), or without where less is preferred.
 
         It says also what that is which the request was sent to (LDP 5.2.1.4).
         """
-        headers = [(b"location", link.uri(created.location).encode("ascii"))]
+        headers = [(b"location", link.to_uri(created.location).encode("ascii"))]
         is_member = created.location != resource.url
         links, rendering = created.links, None
         if created.state is not None and not exchange.prefer.minimal:
@@ -299,7 +299,7 @@ class Dispatcher:
 
     async def _shown(self, exchange: Exchange, shown: Shown) -> Response:
         """200 with the representation of the resource that shows it (RFC 9110 8.7), or 204 where less is preferred."""
-        location = (b"content-location", link.uri(shown.resource.url).encode("ascii"))
+        location = (b"content-location", link.to_uri(shown.resource.url).encode("ascii"))
         added = [(b"link", link.render(shown.links).encode("latin-1"))] if shown.links else []
         if exchange.prefer.minimal:
             return RawResponse(204, b"", [location, *added, (b"preference-applied", b"return=minimal")])
@@ -316,7 +316,7 @@ class Dispatcher:
         if rendering is None:
             return response
         headers = [*rendering.headers, (b"preference-applied", b"return=representation")]
-        headers.append((b"content-location", link.uri(resource.url).encode("ascii")))
+        headers.append((b"content-location", link.to_uri(resource.url).encode("ascii")))
         return RawResponse(200, rendering.body, headers)
 
     async def _outcome(
@@ -336,8 +336,10 @@ class Dispatcher:
 
 def _variant(media_type: str, permissions: Permissions) -> str:
     """The variant part of the ETags of representations in a media type, for agents of these rights."""
-    variant = VARIANTS[media_type] if permissions.whole else f"{VARIANTS[media_type]}-{permissions.key}"
-    return variant + permissions.mark if media_type == HTML else variant
+    variant = (
+        VARIANTS[media_type] if permissions.is_unrestricted else f"{VARIANTS[media_type]}-{permissions.rights_key}"
+    )
+    return variant + permissions.cache_key if media_type == HTML else variant
 
 
 def _headers(resource: Resource, state: State, media_type: str, etag: str) -> dict[str, str]:
@@ -361,13 +363,13 @@ def _is_form(exchange: Exchange, resource: Resource) -> bool:
 
 def redacted_state(resource: Resource, state: State, permissions: Permissions) -> State:
     """A state as an agent may see it: made once for the same rights."""
-    if permissions.whole:
+    if permissions.is_unrestricted:
         return state
-    found = state.redactions.get(permissions.key)
+    found = state.redactions.get(permissions.rights_key)
     if found is None:
         if len(state.redactions) >= _MOST_RENDERINGS:
             state.redactions.clear()
-        found = state.redactions[permissions.key] = resource.redact(state, permissions)
+        found = state.redactions[permissions.rights_key] = resource.redact(state, permissions)
     return found
 
 

@@ -34,7 +34,7 @@ SENT_PER_CHARACTER = 6
 """Bytes that a character of N-Triples takes on its way to the query process: as text, pickled, and in a frame."""
 PER_CHARACTER = 24
 """Bytes that a document takes for a character of its N-Triples while it is patched or rendered, measured likewise."""
-GOOD_FOR = 0.25
+CACHE_SECONDS = 0.25
 """Seconds for which what was measured is gone by, less what was asked for since."""
 _MIB = 1024 * 1024
 _AVAILABLE = re.compile(rb"^(?:MemAvailable|SwapFree): +(\d+) kB", re.MULTILINE)
@@ -85,11 +85,11 @@ class Memory:
         found = self._measure()
         left = None if found is None else found - MARGIN
         self._left = sys.maxsize if left is None else left
-        self._until = time.monotonic() + GOOD_FOR
+        self._until = time.monotonic() + CACHE_SECONDS
         return left
 
 
-def available(pid: int | None = None) -> int | None:
+def available_bytes(pid: int | None = None) -> int | None:
     """The bytes that a process may still take: by its own limits, its container's, and what the machine has.
 
     It is this process, or a child of it.
@@ -97,11 +97,11 @@ def available(pid: int | None = None) -> int | None:
     process = Path("/proc", "self" if pid is None else str(pid))
     found = [*_of_process(process, pid or 0), *_of_machine()]
     with contextlib.suppress(OSError, ValueError):
-        found += of_groups((process / "cgroup").read_text(), Path("/sys/fs/cgroup"))
+        found += cgroup_available_bytes((process / "cgroup").read_text(), Path("/sys/fs/cgroup"))
     return min(found) if found else None
 
 
-def resident() -> int:
+def resident_bytes() -> int:
     """The bytes of memory that this process has; 0 where that cannot be told."""
     with contextlib.suppress(OSError, ValueError):
         return int(Path("/proc/self/statm").read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -116,7 +116,7 @@ def trim() -> None:
             trim(0)
 
 
-def is_shortage(error: BaseException) -> bool:
+def is_out_of_memory(error: BaseException) -> bool:
     """Whether an error says that the system gave no memory: for an object, a thread, a process."""
     if isinstance(error, OSError):
         return error.errno in (errno.ENOMEM, errno.EAGAIN)
@@ -136,7 +136,7 @@ def _of_process(process: Path, pid: int) -> Iterator[int]:
             yield limit - pages * os.sysconf("SC_PAGE_SIZE")
 
 
-def of_groups(groups: str, mounted: Path) -> Iterator[int]:
+def cgroup_available_bytes(groups: str, mounted: Path) -> Iterator[int]:
     """What control groups leave, from those that a process is in (the text of /proc/self/cgroup) upwards."""
     for line in groups.splitlines():
         _, controllers, path = line.split(":", 2)
@@ -169,5 +169,5 @@ def _mebibytes(size: int) -> str:
     return f"{size / _MIB:.0f} MiB"
 
 
-MEMORY = Memory(available)
+PROCESS_MEMORY = Memory(available_bytes)
 """The memory of this process."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 
-MOST = 4
+MAX_STARTS = 4
 """Requests begun in a turn. One takes about half a millisecond, so that a turn is over in a few."""
 
 
@@ -15,13 +15,13 @@ class RequestScheduler:
     Belongs to one loop.
     """
 
-    def __init__(self, most: int = MOST) -> None:
+    def __init__(self, most: int = MAX_STARTS) -> None:
         self._most = most
         self._begun = 0
         self._waiting: deque[asyncio.Future[None]] = deque()
         self._loop: asyncio.AbstractEventLoop | None = None
 
-    def begin(self) -> bool:
+    def try_start(self) -> bool:
         """Begin in this turn, unless as many have begun in it as may: then `wait` for one's turn."""
         loop = self._loop = self._loop or asyncio.get_running_loop()  # the latter is a system call before Python 3.12
         if self._begun == 0:
@@ -31,9 +31,9 @@ class RequestScheduler:
             return True
         return False
 
-    async def wait(self) -> None:
+    async def wait_turn(self) -> None:
         """Wait until it is one's turn."""
-        if self.begin():
+        if self.try_start():
             return
         turn = asyncio.get_running_loop().create_future()
         self._waiting.append(turn)

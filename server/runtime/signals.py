@@ -73,11 +73,11 @@ class _Together:
             watch.close()
 
 
-def every(seconds: float, wake: Callable[[], None]) -> Watch:
+def call_every(seconds: float, wake: Callable[[], None]) -> Watch:
     """Call `wake` every so many seconds."""
     return _Every(seconds, wake)
 
 
-def together(*watches: Watch) -> Watch:
+def combine_watches(*watches: Watch) -> Watch:
     """Several watches as one: for a resource that is made of several things."""
     return _Together(watches)

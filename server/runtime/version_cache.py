@@ -16,12 +16,12 @@ class VersionCache(Generic[T]):
     most: int = 4096
     _entries: dict[str, tuple[Hashable, T]] = field(default_factory=dict)
 
-    def known(self, url: str, version: Hashable) -> T | None:
+    def find(self, url: str, version: Hashable) -> T | None:
         """Return what is kept for a URL, if it is of this version."""
         entry = self._entries.get(url)
         return entry[1] if entry is not None and entry[0] == version else None
 
-    def keep(self, url: str, version: Hashable, value: T) -> T:
+    def put(self, url: str, version: Hashable, value: T) -> T:
         """Keep a value; returns it."""
         self._entries.pop(url, None)
         self._entries[url] = (version, value)
@@ -33,7 +33,7 @@ class VersionCache(Generic[T]):
         """Have all of them made anew from now on."""
         self._entries.clear()
 
-    def get(self, url: str, version: Hashable, make: Callable[[], T]) -> T:
+    def get_or_make(self, url: str, version: Hashable, make: Callable[[], T]) -> T:
         """Return the value for a URL at this version: kept, or made now."""
-        found = self.known(url, version)
-        return found if found is not None else self.keep(url, version, make())
+        found = self.find(url, version)
+        return found if found is not None else self.put(url, version, make())

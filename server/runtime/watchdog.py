@@ -142,7 +142,7 @@ class Watchdog:
             pause = self._to_log
             if pause is not None and now - logged >= LOG_INTERVAL_SECONDS:
                 self._to_log, logged = None, now
-                _log.log(_level(pause), "%s", words(pause))
+                _log.log(_level(pause), "%s", describe_pause(pause))
 
     def _stack(self) -> tuple[str | None, str | None]:
         """The innermost function of rosld that the loop's thread runs, and the whole stack."""
@@ -158,7 +158,7 @@ def _level(pause: Pause) -> int:
     return logging.WARNING if pause.code is not None or pause.seconds >= LONG_SECONDS else logging.INFO
 
 
-def words(pause: Pause) -> str:
+def describe_pause(pause: Pause) -> str:
     """A pause in words for the log, with its stack."""
     where = f", in {pause.code}" if pause.code else ""
     head = f"the event loop was paused for {pause.seconds:.2f} s, {pause.busy:.2f} s of them at work{where}"

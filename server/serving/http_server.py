@@ -13,7 +13,7 @@ from typing import Any
 import uvicorn
 from starlette.types import ASGIApp
 
-from rosld.server.http.tokens import without_tokens
+from rosld.server.http.tokens import redact_tokens
 from rosld.server.serving.connection import Bounded, Bounds, Connection
 from rosld.server.serving.connections import Connections
 from rosld.server.serving.websocket_connection import WebSocketConnection
@@ -111,7 +111,7 @@ class _WithoutTokens(logging.Formatter):
     """Formats records, tracebacks included, without tokens of rosld."""
 
     def format(self, record: logging.LogRecord) -> str:
-        return without_tokens(super().format(record))
+        return redact_tokens(super().format(record))
 
 
 def quiet_logs() -> None:

@@ -226,7 +226,7 @@ class QueryService:
         self, work: Work, text: str, limits: Limits, until: float, hung_up: HangUp | None, permissions: Permissions
     ) -> bytes | AsyncIterator[bytes]:
         dataset = 0
-        if not permissions.reads_all:
+        if not permissions.may_read_all:
             if self._restricted is None:
                 raise Problem(403, "Queries are for those who may read everything.")
             dataset = await self._restricted.of(permissions, limits, until)
@@ -249,7 +249,7 @@ def _scope(analysis: Analysis, request: QueryRequest) -> frozenset[str] | None:
 
 def _readable(needs: Needs, permissions: Permissions) -> Needs:
     """Needs without what may not be read: nothing is subscribed to or called for one who may not see it."""
-    if permissions.reads_all:
+    if permissions.may_read_all:
         return needs
     demands = (
         one if one.graphs is None else replace(one, graphs=frozenset(filter(permissions.may_read, one.graphs)))

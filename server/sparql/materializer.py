@@ -23,7 +23,7 @@ from pyoxigraph import Triple
 
 from rosld.server.dataset import Edit
 from rosld.server.http.problem import Problem
-from rosld.server.runtime.memory import MEMORY, SENT_PER_CHARACTER
+from rosld.server.runtime.memory import PROCESS_MEMORY, SENT_PER_CHARACTER
 from rosld.server.sparql.change_source import NOTHING, Changes, ChangeSource
 from rosld.server.sparql.limits import restarting
 from rosld.server.sparql.needs import Needs
@@ -540,7 +540,7 @@ class Synchroniser:
             self._state.ahead.clear()
 
     async def _bring_part(self, part: Changes, version: int, generation: int) -> None:
-        MEMORY.require(part.size * SENT_PER_CHARACTER, f"a part of {part.size} characters for the dataset")
+        PROCESS_MEMORY.require(part.size * SENT_PER_CHARACTER, f"a part of {part.size} characters for the dataset")
         if part.size <= _INLINE:
             texts = _rendered(part.graphs)
         else:

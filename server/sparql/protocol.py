@@ -14,7 +14,7 @@ from rosld.ontology.charsets import UTF_8
 from rosld.server.http import header_syntax, media
 from rosld.server.http.media import MediaType
 from rosld.server.http.problem import Problem
-from rosld.server.http.text import FORM, as_utf8, codec_of
+from rosld.server.http.text import FORM, codec_for, to_utf8
 from rosld.server.sparql.syntax.lexer import Kind, place, tokens
 
 DIRECT = "application/sparql-query"
@@ -86,7 +86,7 @@ def posted(query_string: bytes, content_type: str | None, body: bytes) -> QueryR
     stated = _media_type(content_type)
     essence = stated.essence
     if essence == FORM:
-        in_form = _parameters(body, "form", codec_of(stated))
+        in_form = _parameters(body, "form", codec_for(stated))
         if any(name == "update" for name, _ in in_form):
             return _update([*in_url, *in_form])
         if any(name == "query" for name, _ in in_url):
@@ -124,7 +124,7 @@ def _media_type(content_type: str | None) -> MediaType:
         found = media.parse(content_type)
     except ValueError as error:
         raise Problem(415, f"{error}.", headers=_ACCEPTED) from error
-    if codec_of(found).startswith("utf-16"):
+    if codec_for(found).startswith("utf-16"):
         sentence = f"Queries and updates are in UTF-8, not in {found.parameter('charset')} (SPARQL 1.1 Protocol 2.1.3)."
         raise Problem(415, sentence, headers=_ACCEPTED)
     return found
@@ -132,7 +132,7 @@ def _media_type(content_type: str | None) -> MediaType:
 
 def _decode(body: bytes, what: str, media_type: MediaType) -> str:
     try:
-        return as_utf8(body, media_type).decode("utf-8")
+        return to_utf8(body, media_type).decode("utf-8")
     except UnicodeDecodeError as error:
         raise Problem(400, f"The {what} is not UTF-8: {error.reason} at byte {error.start}.") from error
 
@@ -164,7 +164,7 @@ def timeout_asked(parameters: Iterable[tuple[str, str]]) -> float | None:
     given = [value for name, value in parameters if name == "timeout"]
     if not given:
         return None
-    seconds = header_syntax.number(given[0])
+    seconds = header_syntax.parse_decimal(given[0])
     if len(given) > 1 or seconds is None or not 0 < seconds < inf:
         raise Problem(400, f"timeout={given[0]} is no number of seconds above 0, such as 2.5, given once.")
     return seconds

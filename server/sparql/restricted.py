@@ -42,15 +42,15 @@ class RestrictedDatasets:
     async def of(self, permissions: Permissions, limits: Limits, until: float) -> int:
         """The number of the dataset as the judge lets it be seen, of now: to be asked at once. Raises Problems."""
         revision = self._revision() if permissions.rights.is_typed else None
-        found = self._kept.get(permissions.key)
+        found = self._kept.get(permissions.rights_key)
         if found is None or found.revision != revision or found.generation != self._process.generation:
             if found is not None:
-                self._drop(permissions.key)
+                self._drop(permissions.rights_key)
             names: list[str] = pickle.loads(await self._process.result(Graphs(), limits, until))
-            found = self._kept[permissions.key] = _Restricted(self._process, permissions, revision, names)
+            found = self._kept[permissions.rights_key] = _Restricted(self._process, permissions, revision, names)
             while len(self._kept) > _MOST:
                 self._drop(next(iter(self._kept)))
-        self._kept.move_to_end(permissions.key)
+        self._kept.move_to_end(permissions.rights_key)
         async with found.turn:
             await found.catch_up(limits, until)
         return found.number

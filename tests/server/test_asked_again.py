@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
-from rosld.server.auth.tokens import digest
+from rosld.server.auth.tokens import token_digest
 from tests.server.robots import asking
 from tests.server.robots.made_up import MadeUp, Serving
 
@@ -152,7 +152,7 @@ def test_queries_whose_answers_differ_each_time_are_asked_each_time(robot: MadeU
 def test_a_right_that_is_withdrawn_counts_for_the_same_request_too(serve: Callable[..., Any], tmp_path: Any) -> None:
     file = tmp_path / "rights.toml"
     rule = '[[rule]]\nagents = ["reader"]\nmodes = ["read"]\npaths = ["/**"]\n'
-    file.write_text(rule + f'[[token]]\nagent = "reader"\nsha256 = "{digest("word")}"\n')
+    file.write_text(rule + f'[[token]]\nagent = "reader"\nsha256 = "{token_digest("word")}"\n')
     served = serve("aircraft", "--auth", str(file))
     known = {"Authorization": "Bearer word"}
     assert [served.http.get("/topics/", headers=known).status_code for _ in range(3)] == [200] * 3

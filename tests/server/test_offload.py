@@ -13,7 +13,7 @@ import pytest
 from rosld.ontology.body import BodyError, read_ntriples
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.server.http.problem import Problem
-from rosld.server.runtime.offload import Workers
+from rosld.server.runtime.offload import WorkerPool
 
 
 def _raise(error: Exception) -> None:
@@ -28,7 +28,7 @@ def run(work: partial[object], **limits: float) -> object:
     """What comes of work, and that the next work is done whatever came of it."""
 
     async def do() -> object:
-        workers = Workers(most=1, seconds=limits.get("seconds", 60.0), memory=int(limits.get("memory", 4 << 30)))
+        workers = WorkerPool(most=1, seconds=limits.get("seconds", 60.0), memory=int(limits.get("memory", 4 << 30)))
         try:
             try:
                 return await workers.run(work)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.server.auth import rate_limit
-from rosld.server.auth.agent import ANYBODY, Agent
+from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits, client_name
 from rosld.server.events.stream import BURST
 from rosld.server.http.problem import Problem
@@ -31,7 +31,7 @@ def limiter_for(
     return ClientLimiter(ClientLimits(rate, requests, connections), loopback=loopback, clock=clock)
 
 
-def passing(limiter: ClientLimiter, agent: Agent = ANYBODY, address: str = FAR) -> int:
+def passing(limiter: ClientLimiter, agent: Agent = ANONYMOUS, address: str = FAR) -> int:
     """How many requests pass at this moment."""
     for number in range(1000):
         try:
@@ -64,10 +64,10 @@ def test_a_rate_below_one_a_second_lets_one_pass() -> None:
 def test_a_client_below_one_request_a_second_is_told_when_the_next_one_passes() -> None:
     clock = Clock()
     limiter = limiter_for(clock, rate=0.1)
-    limiter.release(limiter.acquire(ANYBODY, FAR))
+    limiter.release(limiter.acquire(ANONYMOUS, FAR))
     clock.now += 4.0
     with pytest.raises(Problem, match=r"0\.1 requests a second") as refused:
-        limiter.acquire(ANYBODY, FAR)
+        limiter.acquire(ANONYMOUS, FAR)
     assert refused.value.headers["Retry-After"] == "6"
 
 
@@ -81,13 +81,13 @@ def test_every_client_has_a_limit_of_its_own_and_who_says_who_they_are_is_known_
 
 def test_requests_under_way_are_counted() -> None:
     limiter = limiter_for(Clock(), requests=2)
-    first = limiter.acquire(ANYBODY, FAR)
-    limiter.acquire(ANYBODY, FAR)
+    first = limiter.acquire(ANONYMOUS, FAR)
+    limiter.acquire(ANONYMOUS, FAR)
     with pytest.raises(Problem, match="2 requests") as refused:
-        limiter.acquire(ANYBODY, FAR)
+        limiter.acquire(ANONYMOUS, FAR)
     assert (refused.value.status, refused.value.headers["Retry-After"]) == (429, "1")
     limiter.release(first)
-    assert limiter.acquire(ANYBODY, FAR) is not None
+    assert limiter.acquire(ANONYMOUS, FAR) is not None
 
 
 def test_connections_are_counted() -> None:
@@ -128,7 +128,7 @@ def test_no_number_of_clients_fills_the_memory() -> None:
     clock = Clock()
     limiter = limiter_for(clock)
     for number in range(30_000):
-        limiter.release(limiter.acquire(ANYBODY, f"10.{number >> 16}.{number >> 8 & 255}.{number & 255}"))
+        limiter.release(limiter.acquire(ANONYMOUS, f"10.{number >> 16}.{number >> 8 & 255}.{number & 255}"))
         clock.now += 0.01
     assert len(limiter._known) <= 10_001
     assert len(limiter._names) <= 10_001

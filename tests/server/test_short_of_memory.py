@@ -23,13 +23,13 @@ from pyoxigraph import RdfFormat
 from rosld.server.dataset import MemoryStore
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.memory import (
-    GOOD_FOR,
+    CACHE_SECONDS,
     MARGIN,
     Memory,
     NotEnoughMemory,
-    available,
-    is_shortage,
-    of_groups,
+    available_bytes,
+    cgroup_available_bytes,
+    is_out_of_memory,
 )
 from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
@@ -69,7 +69,7 @@ def limit(pid: int, spare: int = SPARE) -> int:
     """Let a process take so much more than it has, beside the margin; the limit, which counts from then on."""
     most = address_space(pid) + MARGIN + spare
     resource.prlimit(pid, resource.RLIMIT_AS, (most, most))
-    time.sleep(GOOD_FOR)  # what was measured before is not gone by any more
+    time.sleep(CACHE_SECONDS)  # what was measured before is not gone by any more
     return most
 
 
@@ -302,7 +302,7 @@ def test_a_query_process_most_of_whose_memory_is_garbage_is_replaced_where_it_ha
 
 
 def test_what_may_be_taken_is_told_and_what_is_more_is_refused_with_both_sizes() -> None:
-    left = available()
+    left = available_bytes()
     assert left is None or left > 0
     memory = Memory(lambda: MARGIN + 1000 * 1024 * 1024)
     memory.require(900 * 1024 * 1024, "a body of 9 bytes")
@@ -334,7 +334,7 @@ def test_what_was_asked_for_a_moment_ago_counts() -> None:
     ],
 )
 def test_errors_that_tell_of_a_lack_of_memory_are_known(error: Exception, expected: bool) -> None:
-    assert is_shortage(error) is expected
+    assert is_out_of_memory(error) is expected
 
 
 @pytest.mark.parametrize(
@@ -357,6 +357,6 @@ def test_what_a_container_leaves_is_the_least_that_its_groups_do(
         (folder / limit).write_text(f"{most}\n")
         (folder / used).write_text("700\n")
         (folder / "memory.stat").write_text(f"anon 1\n{files} 50\n")
-    assert min(of_groups(groups, tmp_path)) == 350
+    assert min(cgroup_available_bytes(groups, tmp_path)) == 350
     shutil.rmtree(tmp_path / place / "a")  # as within a container, which sees its own group as the top
-    assert list(of_groups(groups, tmp_path)) == [1350]
+    assert list(cgroup_available_bytes(groups, tmp_path)) == [1350]

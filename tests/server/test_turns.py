@@ -12,7 +12,7 @@ def test_no_turn_begins_more_than_it_may_and_everybody_has_one_in_order() -> Non
         turns, begun = RequestScheduler(most=4), list[list[int]]()
 
         async def ask(number: int) -> None:
-            await turns.wait()
+            await turns.wait_turn()
             begun[-1].append(number)
 
         asked = [asyncio.ensure_future(ask(number)) for number in range(18)]
@@ -29,7 +29,7 @@ def test_no_turn_begins_more_than_it_may_and_everybody_has_one_in_order() -> Non
 def test_who_has_gone_takes_no_turn() -> None:
     async def run() -> bool:
         turns = RequestScheduler(most=1)
-        first, gone, last = (asyncio.ensure_future(turns.wait()) for _ in range(3))
+        first, gone, last = (asyncio.ensure_future(turns.wait_turn()) for _ in range(3))
         await first
         gone.cancel()
         await asyncio.wait_for(last, 60)

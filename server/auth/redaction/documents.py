@@ -23,7 +23,7 @@ _Term: TypeAlias = "NamedNode | BlankNode | Literal | Triple"
 
 def redact_document(document: Document, permissions: Permissions) -> Document:
     """Return the document without what the agent may not read; the agent may read what the document is about."""
-    if permissions.whole:
+    if permissions.is_unrestricted:
         return document
     redaction = _Redaction(document, permissions)
     triples = redaction.triples()
@@ -73,7 +73,7 @@ class _Redaction:
         }
         urls |= {one.envelope.publisher for one in self._document.messages if one.envelope and one.envelope.publisher}
         for url in urls:
-            place = self._permissions.place(url)
+            place = self._permissions.locate(url)
             if place is not None and place.segments and not self._permissions.may_read(url):
                 yield "/" + "/".join(place.segments)
 

@@ -10,7 +10,7 @@ from rosld.server.http import link
 
 def redact_link_field(field: str, permissions: Permissions) -> str:
     """Return the value of a Link field without links to what the agent may not read, empty where none is left."""
-    if permissions.whole:
+    if permissions.is_unrestricted:
         return field
     # Where rights depend on types the answer may change from request to request.
     return _redact(field, permissions) if permissions.rights.is_typed else _cached_redaction(field, permissions)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rosld.ontology.urls import Location
-from rosld.server.auth.errors import gone, nothing, unsaid
+from rosld.server.auth.errors import gone, not_found, withhold_reason
 from rosld.server.auth.permissions import Permissions
 from rosld.server.http.problem import Problem
 
@@ -17,26 +17,26 @@ def redact_problem(problem: Problem, permissions: Permissions, place: Location |
     A 410 remains one only where the agent may know of whatever might be there. A Location that the agent may not read
     makes it a 404, and a reason that speaks of what the agent may not read is left out.
     """
-    if permissions.whole:
+    if permissions.is_unrestricted:
         return problem
     if problem.status in (404, 410):
         return _redact_absence(problem, permissions, place)
-    if problem.status == 405 and not permissions.reads_all:  # the reason may name who may not be known
+    if problem.status == 405 and not permissions.may_read_all:  # the reason may name who may not be known
         words = "What is here does not answer that method, whoever asks; Allow says what you may do."
         return Problem(405, words, headers=problem.headers)
     if not all(map(permissions.may_read, problem.about)):
-        return unsaid(problem)
+        return withhold_reason(problem)
     target = problem.headers.get("Location")
     if target is not None and problem.status < 400 and not permissions.may_read(target):
-        return nothing()
+        return not_found()
     return problem
 
 
 def _redact_absence(problem: Problem, permissions: Permissions, place: Location | None) -> Problem:
-    if place is None or not permissions.knows_any(place):
-        return nothing()
-    if permissions.reads_all:
+    if place is None or not permissions.may_know_any_type(place):
+        return not_found()
+    if permissions.may_read_all:
         return problem
-    found = gone() if problem.status == 410 else nothing()
+    found = gone() if problem.status == 410 else not_found()
     found.headers |= {name: value for name, value in problem.headers.items() if name.lower() in _OFFERED_METHODS}
     return found

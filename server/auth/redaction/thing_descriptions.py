@@ -21,7 +21,7 @@ def redact_thing_description(data: bytes, permissions: Permissions) -> bytes:
     thing = orjson.loads(data)
     base = thing["id"]
     thing["securityDefinitions"], thing["security"] = _SECURITY, ["token_sc"]
-    if permissions.whole:
+    if permissions.is_unrestricted:
         return orjson.dumps(thing)
 
     def usable(forms: list[dict[str, str]]) -> list[dict[str, str]]:

@@ -15,7 +15,7 @@ from rosld.server.http import media
 from rosld.server.http.conditional import ETag, check_preconditions
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
-from rosld.server.http.text import as_utf8, codec_of
+from rosld.server.http.text import codec_for, to_utf8
 from rosld.server.ldp.patch import merge_patch
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import ANYTHING, Kept
@@ -129,8 +129,8 @@ class KeptFile(Kept):
 def merged_json(path: Path, patch: bytes, media_type: str) -> bytes:
     """The JSON of a file of a media type after a merge patch (RFC 7396). Raises FileNotFoundError, LoweringError."""
     stated = media.parse(media_type)
-    before = parse_json(as_utf8(path.read_bytes(), stated))
-    return json.dumps(merge_patch(before, parse_json(patch))).encode(codec_of(stated))  # integers of any size
+    before = parse_json(to_utf8(path.read_bytes(), stated))
+    return json.dumps(merge_patch(before, parse_json(patch))).encode(codec_for(stated))  # integers of any size
 
 
 def with_blob(record: Record, blob: Blob) -> Put:

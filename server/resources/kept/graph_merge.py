@@ -8,9 +8,9 @@ from pyoxigraph import Triple
 
 from rosld.ontology.body import parse_triples
 from rosld.server.http import media
-from rosld.server.http.multipart import MULTIPART, Part, parts
+from rosld.server.http.multipart import MULTIPART, Part, split_parts
 from rosld.server.http.problem import Problem
-from rosld.server.http.text import as_utf8
+from rosld.server.http.text import to_utf8
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.stated import Statements, apart, is_light, looked_through
 from rosld.server.rest.exchange import Exchange
@@ -47,7 +47,7 @@ async def unite(robot: Robot, exchange: Exchange, url: str) -> None:
 
 def _unite(data: bytes, boundary: str | None, url: str, subject: str) -> Statements:
     try:
-        found = parts(data, boundary)
+        found = split_parts(data, boundary)
     except ValueError as error:
         raise Problem(400, f"{MULTIPART}: {error}.") from error
     triples = [triple for number, part in enumerate(found, 1) for triple in _read(part, number, url)]
@@ -62,4 +62,4 @@ def _read(part: Part, number: int, url: str) -> list[Triple]:
             f"Part {number} is {stated or 'of unknown type'}; each part says by its Content-Type which RDF it is: "
             f"{', '.join(RDF_BODIES)}.",
         )
-    return apart(parse_triples(as_utf8(part.body, stated), stated.essence, url))
+    return apart(parse_triples(to_utf8(part.body, stated), stated.essence, url))

@@ -41,7 +41,7 @@ def state_of(robot: Robot, record: Record, parts: Parts = ALL) -> State:
     if record.count > MOST:
         parts = replace(parts, containment=False, membership=False)
     url = robot.space.base + record.path
-    return robot.states.get(
+    return robot.states.get_or_make(
         f"{url}#{parts.variant}",
         (record.version, record.listed),
         lambda: _state(robot, record, parts, all_members(robot, record) if _lists(parts) else []),
@@ -58,7 +58,7 @@ def page_shown(robot: Robot, record: Record, parts: Parts, place: Place) -> Stat
         headers = {"link": render([*model_links(record.model), *links])}
         return _state(robot, record, parts, found, headers=headers, page=f"p{place.token}", said=page.triples())
 
-    return robot.states.get(f"{url}?page={place.token}#{parts.variant}", (record.version, record.listed), make)
+    return robot.states.get_or_make(f"{url}?page={place.token}#{parts.variant}", (record.version, record.listed), make)
 
 
 def page_at(robot: Robot, record: Record, place: Place) -> tuple[Page, Sequence[Member]]:

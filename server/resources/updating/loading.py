@@ -11,7 +11,7 @@ from rosld.ontology.body import MEDIA_TYPES, parse_triples
 from rosld.server.dataset.endpoint import Endpoint, StoreError
 from rosld.server.http import media
 from rosld.server.http.problem import Problem
-from rosld.server.http.text import as_utf8
+from rosld.server.http.text import to_utf8
 from rosld.server.sparql.update.operations import Load, Modify, Operation, QuadTemplate
 
 
@@ -51,7 +51,7 @@ def _read(document: str, seconds: float, most: int) -> Sequence[Triple]:
         answer = endpoint.get(", ".join(MEDIA_TYPES))
         if answer.media_type not in MEDIA_TYPES:
             raise ValueError(f"it is {answer.media_type or 'of no type'}, not one of {MEDIA_TYPES}")
-        body = as_utf8(answer.body, media.parse(answer.content_type))
+        body = to_utf8(answer.body, media.parse(answer.content_type))
         triples = parse_triples(body, answer.media_type, document)
     except StoreError as error:
         raise Problem(502, f"LOAD: {error}") from error

@@ -16,7 +16,7 @@ def require_rights(operations: Sequence[Operation], permissions: Permissions) ->
 
     A WHERE sees the whole dataset, so it is for those who may read it.
     """
-    if permissions.whole:
+    if permissions.is_unrestricted:
         return
     sources = [each.source for each in operations if isinstance(each, Manage) and isinstance(each.source, str)]
     for graph in sorted(graphs_named(operations)):
@@ -24,7 +24,7 @@ def require_rights(operations: Sequence[Operation], permissions: Permissions) ->
             raise forbidden(permissions.agent, f"read <{graph[:200]}>")
         if not (permissions.may("PUT", graph) or graph in sources):
             raise forbidden(permissions.agent, f"change <{graph[:200]}>")
-    if permissions.reads_all:
+    if permissions.may_read_all:
         return
     if any(isinstance(each, Modify) and each.where is not None for each in operations):
         raise forbidden(
@@ -35,9 +35,9 @@ def require_rights(operations: Sequence[Operation], permissions: Permissions) ->
 
 def require_change(permissions: Permissions, graph: str, resource: Resource) -> None:
     """Refuse to change a graph, with all that this changes. Raises 401, 403."""
-    place = permissions.place(graph)
-    if permissions.whole or place is None:
+    place = permissions.locate(graph)
+    if permissions.is_unrestricted or place is None:
         return
     may = permissions.may("PUT", graph) and all(permissions.may("PUT", url) for url in resource.also_changes)
-    if not may or (resource.reaches_below and not permissions.may_below("PUT", place)):
+    if not may or (resource.changes_subtree and not permissions.may_subtree("PUT", place)):
         raise forbidden(permissions.agent, f"change <{graph[:200]}>")

@@ -23,29 +23,29 @@ _log = logging.getLogger("rosld")
 Work: TypeAlias = Callable[[], _T]
 """What a worker does: a `functools.partial` of a function of a module, whose arguments can be pickled."""
 
-MOST = max(1, min(2, (os.cpu_count() or 2) - 1))
+MAX_WORKERS = max(1, min(2, (os.cpu_count() or 2) - 1))
 """Workers at a time: a processor is left for the server."""
-SECONDS = 120.0
+WORK_SECONDS = 120.0
 """The longest that one piece of work may take."""
-MEMORY = 6 * 1024 * 1024 * 1024
+WORKER_BYTES = 6 * 1024 * 1024 * 1024
 """Bytes of address space that a worker may have."""
 IDLE_SECONDS = 30.0
 """How long a worker without work is kept."""
-QUEUE = 32
+MAX_QUEUED = 32
 """The most pieces of work that wait."""
 _BUFFER = 1024 * 1024
 _AT_ONCE_SECONDS = 0.5
 """A worker that ends within these did not end by its work."""
 _START = "import sys; sys.path[:] = sys.argv[1:-2]; from rosld.server.runtime.offload.worker import main; main()"
 """What a worker runs: with the same modules as the server, wherever that found them."""
-AVAILABLE = sys.platform != "win32"
+HAS_PROCESSES = sys.platform != "win32"
 """Elsewhere a thread does the work."""
 
 
-class Workers:
+class WorkerPool:
     """Does work in other processes. Belongs to one loop."""
 
-    def __init__(self, most: int = MOST, seconds: float = SECONDS, memory: int = MEMORY) -> None:
+    def __init__(self, most: int = MAX_WORKERS, seconds: float = WORK_SECONDS, memory: int = WORKER_BYTES) -> None:
         self._seconds = seconds
         self._memory = memory
         self._free = asyncio.Semaphore(most)
@@ -61,7 +61,7 @@ class Workers:
         data = _pickled(work)
         if data is None:
             return await asyncio.to_thread(work)
-        if self._waiting >= QUEUE:
+        if self._waiting >= MAX_QUEUED:
             raise Problem(503, "Too many large documents are being worked on: try again.", headers={"Retry-After": "5"})
         self._waiting += 1
         try:
@@ -166,7 +166,7 @@ class _Worker:
 
 def _pickled(work: Work[object]) -> bytes | None:
     """Work for another process; None where it must stay in this one."""
-    if not AVAILABLE:
+    if not HAS_PROCESSES:
         return None
     try:
         return pickle.dumps(work, protocol=5)
@@ -174,7 +174,7 @@ def _pickled(work: Work[object]) -> bytes | None:
         return None
 
 
-def _start(workers: Workers) -> tuple[subprocess.Popen[bytes], socket.socket]:
+def _start(workers: WorkerPool) -> tuple[subprocess.Popen[bytes], socket.socket]:
     """A new worker process and our end of the socket to it. Raises OSError."""
     ours, theirs = socket.socketpair()
     with theirs:

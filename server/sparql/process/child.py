@@ -15,7 +15,7 @@ from itertools import count
 from typing import cast
 
 from rosld.server.dataset.encoding import NAMESPACE, VARIABLE
-from rosld.server.runtime.memory import Memory, NotEnoughMemory, available
+from rosld.server.runtime.memory import Memory, NotEnoughMemory, available_bytes
 from rosld.server.sparql.limits import restarting
 from rosld.server.sparql.process.frames import AtWork, Buffer, Reply, Tidy, packed
 
@@ -75,7 +75,7 @@ class Child:
         self._descriptors: deque[int] = deque()
         self._buffer = Buffer()
         self._taken: asyncio.Future[None] | None = None
-        self._memory = Memory(lambda: available(self.popen.pid))
+        self._memory = Memory(lambda: available_bytes(self.popen.pid))
         self._changes = count(1)
         self._ahead: deque[tuple[int, int]] = deque()
         """The changes that may not have been made yet: the number of each since the start, and the bytes for it."""

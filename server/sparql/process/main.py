@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import BinaryIO, cast
 
 from rosld.server.dataset.memory import MemoryStore
-from rosld.server.runtime.memory import MEMORY, trim
+from rosld.server.runtime.memory import PROCESS_MEMORY, trim
 from rosld.server.sparql.limits import busy
 from rosld.server.sparql.process.fork import Fork, pickled
 from rosld.server.sparql.process.frames import AtWork, Buffer, Cancel, Change, Drop, Job, Kind, Reply, Tidy, packed
@@ -158,7 +158,7 @@ class Process:
             self._send(Kind.RAISED, job.number, pickled(busy()))
             return
         try:
-            MEMORY.require(_LEAST, "a query")
+            PROCESS_MEMORY.require(_LEAST, "a query")
             fork = Fork(lambda output: job.work(store, output), job.seconds, job.memory)
         except (OSError, MemoryError) as error:
             self._send(Kind.RAISED, job.number, pickled(error))

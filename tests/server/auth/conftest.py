@@ -10,7 +10,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from rosld.server.auth.tokens import digest
+from rosld.server.auth.tokens import token_digest
 from tests.server.conftest import Served
 
 UNHURRIED = ("--setting", "client_rate", "100000")
@@ -64,7 +64,7 @@ def token(agent: str) -> str:
 
 def tokens(*agents: str) -> str:
     """The tables with the digests of their tokens."""
-    return "".join(f'[[token]]\nagent = "{each}"\nsha256 = "{digest(token(each))}"\n' for each in agents)
+    return "".join(f'[[token]]\nagent = "{each}"\nsha256 = "{token_digest(token(each))}"\n' for each in agents)
 
 
 @dataclass

@@ -18,7 +18,7 @@ from cryptography.x509.oid import NameOID
 
 from rosld.server.auth import config
 from rosld.server.auth.rules import Mode
-from rosld.server.auth.tokens import credentials, digest, generate_token
+from rosld.server.auth.tokens import generate_token, parse_credentials, token_digest
 from rosld.server.cli.main import main
 from tests.server.conftest import Served
 
@@ -29,7 +29,7 @@ name = "anna"
 webid = "https://anna.example/#me"
 [[token]]
 agent = "anna"
-sha256 = "{digest("a")}"
+sha256 = "{token_digest("a")}"
 [[rule]]
 agents = ["anna", "authenticated"]
 modes = ["read", "control"]
@@ -40,7 +40,7 @@ deny = true
 TURTLE = f"""
 @prefix acl: <http://www.w3.org/ns/auth/acl#> . @prefix ros: <https://w3id.org/rosld#> .
 @prefix foaf: <http://xmlns.com/foaf/0.1/> .
-<https://anna.example/#me> a foaf:Agent ; ros:name "anna" ; ros:tokenDigest "{digest("a")}" .
+<https://anna.example/#me> a foaf:Agent ; ros:name "anna" ; ros:tokenDigest "{token_digest("a")}" .
 [] a acl:Authorization ; acl:agent <https://anna.example/#me> ; acl:agentClass acl:AuthenticatedAgent ;
    acl:mode acl:Read, ros:Command ; acl:default </topics/camera> ; ros:typeGlob "sensor_msgs/*" ; ros:deny true .
 """
@@ -49,10 +49,10 @@ TURTLE = f"""
 def test_both_forms_say_the_same(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(TOML)
     (tmp_path / "a.ttl").write_text(TURTLE)
-    one, other = config.read(tmp_path / "a.toml", BASE), config.read(tmp_path / "a.ttl", BASE)
+    one, other = config.read_config(tmp_path / "a.toml", BASE), config.read_config(tmp_path / "a.ttl", BASE)
     assert one.policy == other.policy
-    assert one.tokens.whose("a") == other.tokens.whose("a") == "anna"
-    assert one.tokens.whose("b") is None
+    assert one.tokens.owner_of("a") == other.tokens.owner_of("a") == "anna"
+    assert one.tokens.owner_of("b") is None
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_what_is_not_understood_is_refused_at_the_start_in_a_sentence(tmp_path: 
     file = tmp_path / "auth.toml"
     file.write_text(text)
     with pytest.raises(ValueError, match=words):
-        config.read(file, BASE)
+        config.read_config(file, BASE)
     told = CliRunner().invoke(main, ["serve", "aircraft", "--port", "0", "--auth", str(file)])
     assert told.exit_code == 1
     assert "Traceback" not in told.output
@@ -93,7 +93,7 @@ def test_turtle_that_is_not_understood_is_refused(tmp_path: Path, line: str) -> 
     file = tmp_path / "a.ttl"
     file.write_text(TURTLE.replace("ros:deny true", f"ros:deny true ; {line}"))
     with pytest.raises(ValueError, match=re.escape(str(file))):
-        config.read(file, BASE)
+        config.read_config(file, BASE)
 
 
 def test_tokens_are_made_listed_and_taken_away(tmp_path: Path) -> None:
@@ -107,22 +107,22 @@ def test_tokens_are_made_listed_and_taken_away(tmp_path: Path) -> None:
     token = run("add", "anna", "--mode", "read", "--glob", "/topics/**").strip()
     run("add", "bert")
     run("add", "anna")
-    found = config.read(file, BASE)
-    assert found.tokens.whose(token) == "anna"
+    found = config.read_config(file, BASE)
+    assert found.tokens.owner_of(token) == "anna"
     assert token not in file.read_text()
     assert file.stat().st_mode & 0o077 == 0
-    assert found.policy.rights(found.policy.agents["anna"]).may(Mode.READ, ("topics", "x"))
+    assert found.policy.rights_of(found.policy.agents["anna"]).may(Mode.READ, ("topics", "x"))
     assert run("list") == "anna\t2\nbert\t1\n"
     run("remove", "anna")
     assert run("list") == "bert\t1\n"
-    assert config.read(file, BASE).tokens.whose(token) is None
+    assert config.read_config(file, BASE).tokens.owner_of(token) is None
 
 
 def test_a_token_has_256_bits_and_is_found_by_its_digest_alone() -> None:
     one, other = generate_token(), generate_token()
     assert one != other
     assert len(one.removeprefix("rosld_")) == 43
-    sent = credentials(f"Bearer {one}")
+    sent = parse_credentials(f"Bearer {one}")
     assert sent is not None
     assert sent.token == one
 

@@ -7,13 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.ontology.urls import encode_segment, locate
-from rosld.server.auth.globs import Glob, path_of, type_matches
+from rosld.server.auth.globs import Glob, path_at, type_matches
 
 _segments = st.lists(st.text(st.characters(blacklist_categories=("Cs",)), max_size=5), min_size=1, max_size=5)
 
 
 def at(path: str) -> tuple[str, ...]:
-    return path_of(locate(path))
+    return path_at(locate(path))
 
 
 @pytest.mark.parametrize(
@@ -84,10 +84,10 @@ def test_what_covers_below_is_about_everything_below_and_what_is_not_reached_is_
 ) -> None:
     glob, below = Glob("/" + "/".join(parts)), tuple(path)
     deeper = [below, (*below, "a"), (*below, "b", "c"), (*below, "a", "a", "a")]
-    if glob.covers_below(below):
+    if glob.covers_subtree(below):
         assert all(map(glob.matches, deeper))
     if any(map(glob.matches, deeper)):
-        assert glob.reaches_below(below)
+        assert glob.overlaps_subtree(below)
 
 
 def test_globs_over_types() -> None:

@@ -11,7 +11,7 @@ from pyoxigraph import Literal, NamedNode, Triple
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import hctl, htv, td
-from rosld.server.auth.agent import ANYBODY
+from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.globs import Glob
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction.documents import redact_document
@@ -172,7 +172,7 @@ def test_a_name_that_is_not_for_one_to_give_counts_as_taken(guarded: Guarded) ->
 
 def test_of_an_affordance_only_the_forms_are_left_that_may_be_used() -> None:
     base = "http://robot.example/"
-    rule = Rule(frozenset({ANYBODY.name}), frozenset({Mode.READ}), (Glob("/topics/**"),))
+    rule = Rule(frozenset({ANONYMOUS.name}), frozenset({Mode.READ}), (Glob("/topics/**"),))
     url = f"{base}topics/a"
     about, read, write = (NamedNode(f"{url}#{name}") for name in ("affordance", "read", "write"))
     forms = [
@@ -184,6 +184,6 @@ def test_of_an_affordance_only_the_forms_are_left_that_may_be_used() -> None:
             Triple(form, htv.methodName, Literal(method)),
         )
     ]
-    told = redact_document(Document(url, tuple(forms)), Permissions(ANYBODY, Rights((rule,)), Space(base))).triples
+    told = redact_document(Document(url, tuple(forms)), Permissions(ANONYMOUS, Rights((rule,)), Space(base))).triples
     assert {triple.object for triple in told if triple.predicate == td.hasForm} == {read}
     assert write not in {triple.subject for triple in told}

@@ -3,9 +3,9 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.server.auth.agent import ANYBODY, Agent
+from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.auth.globs import Glob
-from rosld.server.auth.rules import AUTHENTICATED, Mode, Policy, Rights, Rule, everybody, mode_of
+from rosld.server.auth.rules import AUTHENTICATED, Mode, Policy, Rights, Rule, allow_all_rules, mode_of
 
 ANNA = Agent("anna", "https://anna.example/#me")
 IMAGE, TWIST = frozenset({"sensor_msgs/msg/Image"}), frozenset({"geometry_msgs/msg/Twist"})
@@ -18,20 +18,20 @@ def rule(
 
 
 def rights(*rules: Rule, agent: Agent = ANNA) -> Rights:
-    return Policy(rules).rights(agent)
+    return Policy(rules).rights_of(agent)
 
 
 def test_what_no_rule_allows_is_not_allowed() -> None:
     assert not rights().may(Mode.READ, ())
-    assert not rights().knows(("topics",))
+    assert not rights().may_know(("topics",))
 
 
 def test_rules_are_about_names_webids_everybody_and_those_who_are_known() -> None:
     for name in ("anna", "https://anna.example/#me", "anybody", AUTHENTICATED):
         assert rights(rule("/**", agents=name)).may(Mode.READ, ("topics",)), name
     assert not rights(rule("/**", agents="bert")).may(Mode.READ, ("topics",))
-    assert not rights(rule("/**", agents=AUTHENTICATED), agent=ANYBODY).may(Mode.READ, ("topics",))
-    assert not rights(rule("/**", agents="anna"), agent=ANYBODY).may(Mode.READ, ("topics",))
+    assert not rights(rule("/**", agents=AUTHENTICATED), agent=ANONYMOUS).may(Mode.READ, ("topics",))
+    assert not rights(rule("/**", agents="anna"), agent=ANONYMOUS).may(Mode.READ, ("topics",))
 
 
 _rules = st.builds(
@@ -51,7 +51,7 @@ def test_what_one_rule_denies_no_other_allows_in_whatever_order(
     rules: list[Rule], path: tuple[str, ...], mode: Mode, types: frozenset[str]
 ) -> None:
     found = rights(*rules)
-    said = [one.deny for one in rules if one.holds(mode, path, types)]
+    said = [one.deny for one in rules if one.covers(mode, path, types)]
     assert found.may(mode, path, types) == (False in said and True not in said)
     assert rights(*reversed(rules)).may(mode, path, types) == found.may(mode, path, types)
     denial = rule("/**", modes=mode.value, deny=True)
@@ -74,7 +74,7 @@ def test_a_right_to_all_below_is_a_right_to_each_thing_below(
     rules: list[Rule], path: tuple[str, ...], mode: Mode, inner: tuple[str, ...], types: frozenset[str]
 ) -> None:
     found = rights(*rules)
-    if found.may_below(mode, path):
+    if found.may_subtree(mode, path):
         assert found.may(mode, (*path, *inner), types)
 
 
@@ -90,7 +90,7 @@ def test_rules_about_types_are_about_what_is_of_such_types_alone() -> None:
 
 
 def test_without_rules_of_its_own_a_server_lets_everybody_do_everything() -> None:
-    assert Policy(everybody()).rights(ANYBODY).whole
+    assert Policy(allow_all_rules()).rights_of(ANONYMOUS).is_unrestricted
 
 
 def test_agents_with_the_same_rules_share_the_name_of_their_rights_and_others_do_not() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from rosld.server.runtime.signals import Signal, every, together
+from rosld.server.runtime.signals import Signal, call_every, combine_watches
 
 
 def test_a_signal_wakes_its_watches_until_they_are_closed() -> None:
@@ -47,7 +47,7 @@ def test_several_watches_are_one_and_what_cannot_tell_is_looked_at_again() -> No
     async def main() -> None:
         woken = asyncio.Event()
         signal = Signal()
-        both = together(signal.watch(woken.set), every(0.01, woken.set))
+        both = combine_watches(signal.watch(woken.set), call_every(0.01, woken.set))
         for _ in range(3):
             await asyncio.wait_for(woken.wait(), 60)
             woken.clear()

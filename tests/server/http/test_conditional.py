@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rosld.server.http.conditional import (
     ETag,
     PreconditionResult,
-    Tag,
+    ReceivedTag,
     check_preconditions,
     evaluate,
     parse,
@@ -118,11 +118,11 @@ def test_a_write_that_needs_a_guard_and_has_none_is_428() -> None:
 
 
 _opaque = st.text(st.characters(min_codepoint=0x21, max_codepoint=0x7E, exclude_characters='"'), max_size=12)
-_tags = st.lists(st.builds(Tag, _opaque, st.booleans()), min_size=1, max_size=5)
+_tags = st.lists(st.builds(ReceivedTag, _opaque, st.booleans()), min_size=1, max_size=5)
 
 
 @given(_tags)
-def test_a_list_of_tags_is_read_as_it_was_written(tags: list[Tag]) -> None:
+def test_a_list_of_tags_is_read_as_it_was_written(tags: list[ReceivedTag]) -> None:
     written = " , ".join(f'{"W/" if tag.weak else ""}"{tag.opaque}"' for tag in tags)
     assert parse(written) == tuple(tags)
 

@@ -11,9 +11,9 @@ from rosld.server.http.problem import Problem
 def test_a_token_is_valid_for_its_action_in_its_run_only() -> None:
     key, other = FormKey(), FormKey()
     token = key.token("http://127.0.0.1:8080/services/aircraft/start")
-    assert key.valid(token, "http://127.0.0.1:8080/services/aircraft/start")
-    assert not key.valid(token, "http://127.0.0.1:8080/services/aircraft/stop")
-    assert not other.valid(token, "http://127.0.0.1:8080/services/aircraft/start")
+    assert key.is_valid(token, "http://127.0.0.1:8080/services/aircraft/start")
+    assert not key.is_valid(token, "http://127.0.0.1:8080/services/aircraft/stop")
+    assert not other.is_valid(token, "http://127.0.0.1:8080/services/aircraft/start")
 
 
 @pytest.mark.parametrize("token", [None, "", "x", "ü\ud800", "A" * 10_000])

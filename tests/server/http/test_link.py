@@ -82,4 +82,4 @@ def test_links_are_read_as_they_were_written(links: list[Link]) -> None:
 @given(st.text(max_size=200))
 def test_no_text_whatever_makes_reading_fail(text: str) -> None:
     for one in link.parse(text):
-        assert link.uri(one.target) == one.target
+        assert link.to_uri(one.target) == one.target

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.server.http import media
-from rosld.server.http.multipart import Part, parts
+from rosld.server.http.multipart import Part, split_parts
 
 TURTLE = media.parse("text/turtle")
 
@@ -23,16 +23,16 @@ def body(boundary: str, *contents: bytes, head: bytes = b"Content-Type: text/tur
 def test_parts_come_back_as_they_were_sent(contents: list[bytes], boundary: str) -> None:
     mark = b"--" + boundary.encode()
     kept = [each for each in contents if b"\r\n" + mark not in b"\r\n" + each + b"\r\n"]
-    assert parts(body(boundary, *kept), boundary) == tuple(Part(TURTLE, each) for each in kept)
+    assert split_parts(body(boundary, *kept), boundary) == tuple(Part(TURTLE, each) for each in kept)
 
 
 def test_what_stands_before_and_after_the_parts_is_passed_over() -> None:
-    assert parts(b"before\r\n" + body("x", b"a") + b"after", "x") == (Part(TURTLE, b"a"),)
+    assert split_parts(b"before\r\n" + body("x", b"a") + b"after", "x") == (Part(TURTLE, b"a"),)
 
 
 def test_a_part_need_not_say_what_it_is() -> None:
-    assert parts(b"--x \t\r\n\r\na\r\n--x--", "x") == (Part(None, b"a"),)
-    assert parts(body("x", b"a", head=b'content-disposition: form-data; name="n"'), "x") == (Part(None, b"a"),)
+    assert split_parts(b"--x \t\r\n\r\na\r\n--x--", "x") == (Part(None, b"a"),)
+    assert split_parts(body("x", b"a", head=b'content-disposition: form-data; name="n"'), "x") == (Part(None, b"a"),)
 
 
 @pytest.mark.parametrize(
@@ -54,13 +54,13 @@ def test_a_part_need_not_say_what_it_is() -> None:
 )
 def test_what_is_wrong_is_named(data: bytes, boundary: str | None, words: str) -> None:
     with pytest.raises(ValueError, match=r".") as caught:
-        parts(data, boundary)
+        split_parts(data, boundary)
     assert words in str(caught.value)
 
 
 @given(st.binary(), st.text(max_size=5) | st.none())
 def test_nothing_that_arrives_makes_it_raise_anything_else(data: bytes, boundary: str | None) -> None:
     with suppress(ValueError):
-        parts(data, boundary)
+        split_parts(data, boundary)
     with suppress(ValueError):
-        parts(b"--x\r\n" + data.replace(b"y", b"\r\n--x"), "x")
+        split_parts(b"--x\r\n" + data.replace(b"y", b"\r\n--x"), "x")

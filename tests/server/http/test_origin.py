@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from rosld.server.http.origin import check_host, check_origin, is_loopback, is_wildcard, sharing, site
+from rosld.server.http.origin import check_host, check_origin, cors_headers, is_loopback, is_wildcard, origin_policy
 from rosld.server.http.problem import Problem
 
-LOCAL = site("http://127.0.0.1:8080/", "127.0.0.1", 8080)
-PROXIED = site("https://robot.example/", "127.0.0.1", 8080, ["https://App.example"])
-SEEN = site("http://10.0.0.7:8080/", "10.0.0.7", 8080)
-OPEN = site("http://127.0.0.1:8080/", "127.0.0.1", 8080, ["*"])
+LOCAL = origin_policy("http://127.0.0.1:8080/", "127.0.0.1", 8080)
+PROXIED = origin_policy("https://robot.example/", "127.0.0.1", 8080, ["https://App.example"])
+SEEN = origin_policy("http://10.0.0.7:8080/", "10.0.0.7", 8080)
+OPEN = origin_policy("http://127.0.0.1:8080/", "127.0.0.1", 8080, ["*"])
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_reads_are_answered_whatever_the_origin() -> None:
 
 def test_a_listed_origin_may_write_and_reads_the_headers() -> None:
     check_origin(PROXIED, "PUT", "https://app.example", "cross-site")
-    shared = sharing(PROXIED, "PUT", "https://app.example")
+    shared = cors_headers(PROXIED, "PUT", "https://app.example")
     assert shared["access-control-allow-origin"] == "https://app.example"
     assert "ETag" in shared["access-control-expose-headers"]
     assert shared["vary"] == "Origin"
@@ -98,21 +98,24 @@ def test_the_own_origin_of_a_base_behind_a_proxy_may_write() -> None:
 
 
 def test_nothing_is_shared_with_an_origin_that_is_not_listed() -> None:
-    assert sharing(LOCAL, "GET", "https://app.example") == {}
-    assert sharing(PROXIED, "GET", "https://evil.example") == {"vary": "Origin"}
-    assert sharing(PROXIED, "GET", None) == {"vary": "Origin"}
+    assert cors_headers(LOCAL, "GET", "https://app.example") == {}
+    assert cors_headers(PROXIED, "GET", "https://evil.example") == {"vary": "Origin"}
+    assert cors_headers(PROXIED, "GET", None) == {"vary": "Origin"}
 
 
 def test_a_preflight_of_a_listed_origin_names_methods_and_headers() -> None:
-    shared = sharing(PROXIED, "OPTIONS", "https://app.example", preflight=True)
+    shared = cors_headers(PROXIED, "OPTIONS", "https://app.example", preflight=True)
     assert "PATCH" in shared["access-control-allow-methods"]
     assert "If-Match" in shared["access-control-allow-headers"]
 
 
 def test_a_star_shares_reads_and_never_writes() -> None:
-    assert sharing(OPEN, "GET", "https://any.example")["access-control-allow-origin"] == "*"
-    assert "PUT" not in sharing(OPEN, "OPTIONS", "https://any.example", preflight=True)["access-control-allow-methods"]
-    assert "access-control-allow-origin" not in sharing(OPEN, "PUT", "https://any.example")
+    assert cors_headers(OPEN, "GET", "https://any.example")["access-control-allow-origin"] == "*"
+    assert (
+        "PUT"
+        not in cors_headers(OPEN, "OPTIONS", "https://any.example", preflight=True)["access-control-allow-methods"]
+    )
+    assert "access-control-allow-origin" not in cors_headers(OPEN, "PUT", "https://any.example")
     with pytest.raises(Problem, match="403"):
         check_origin(OPEN, "PUT", "https://any.example")
     with pytest.raises(Problem, match="403"):

@@ -14,7 +14,7 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
-from rosld.server.http.origin import check_host, site
+from rosld.server.http.origin import check_host, origin_policy
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.serving.connection import Bounded, Connection
@@ -22,7 +22,7 @@ from rosld.server.serving.connection import Bounded, Connection
 Seen: TypeAlias = list[tuple[bytes, bytes, bytes]]
 """Method, target and body of each whole request."""
 MOST_TURNS = 200
-SITE = site("http://a/", "a", 80)
+SITE = origin_policy("http://a/", "a", 80)
 
 
 class Wire(asyncio.Transport):

@@ -16,7 +16,7 @@ LDP = "http://www.w3.org/ns/ldp#"
 
 def test_no_field_is_no_preference() -> None:
     none = prefer.parse(None)
-    assert none == prefer.NONE
+    assert none == prefer.NO_PREFERENCES
     assert not none.representation
     assert not none.minimal
     assert none.wait is None
@@ -57,9 +57,9 @@ def test_what_is_malformed_is_passed_over(text: str) -> None:
 
 
 def test_what_was_applied_is_told_and_nothing_is_injected() -> None:
-    assert prefer.applied("return=minimal", "wait=5") == "return=minimal, wait=5"
+    assert prefer.preference_applied("return=minimal", "wait=5") == "return=minimal, wait=5"
     with pytest.raises(ValueError, match="control"):
-        prefer.applied("return=minimal\r\nSet-Cookie: a=b")
+        prefer.preference_applied("return=minimal\r\nSet-Cookie: a=b")
 
 
 _names = st.text(string.ascii_lowercase + string.digits + "-", min_size=1, max_size=8)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.server.http.problem import Problem
-from rosld.server.http.ranges import GAP, MOST, Span, framing, is_unchanged, read_ranges, selected
+from rosld.server.http.ranges import MAX_RANGES, MIN_GAP, Span, frame_parts, is_unchanged, parse_ranges, select_ranges
 
 SIZE = 10_000
 TAG = '"a-1.any"'
@@ -30,7 +30,7 @@ TAG = '"a-1.any"'
     ],
 )
 def test_one_range_is_one_span(text: str, span: Span) -> None:
-    assert read_ranges(text, SIZE) == (span,)
+    assert parse_ranges(text, SIZE) == (span,)
 
 
 @pytest.mark.parametrize(
@@ -39,53 +39,53 @@ def test_one_range_is_one_span(text: str, span: Span) -> None:
      "bytes=١-٢", "bytes=" + "9" * 30 + "-", "bytes=--5", "bytes 0-5"],
 )  # fmt: skip
 def test_what_cannot_be_read_is_ignored_and_all_is_sent(text: str | None) -> None:
-    assert read_ranges(text, SIZE) is None
+    assert parse_ranges(text, SIZE) is None
 
 
 @pytest.mark.parametrize("text", ["bytes=10000-", "bytes=-0", "bytes=20000-30000,10000-10001", "bytes=99999999999-"])
 def test_what_no_byte_satisfies_is_416_and_tells_the_size(text: str) -> None:
     with pytest.raises(Problem, match="from 0 to 9999") as refused:
-        read_ranges(text, SIZE)
+        parse_ranges(text, SIZE)
     assert refused.value.status == 416
     assert refused.value.headers == {"Content-Range": "bytes */10000"}
 
 
 @pytest.mark.parametrize("text", ["bytes=0-", "bytes=-5", "bytes=5-9"])
 def test_of_nothing_all_is_sent_for_no_range_could_be_told(text: str) -> None:
-    assert read_ranges(text, 0) is None
+    assert parse_ranges(text, 0) is None
 
 
 def test_several_ranges_keep_their_order() -> None:
-    assert read_ranges("bytes=5000-5009, 0-9, -10", SIZE) == (Span(5000, 5010), Span(0, 10), Span(9990, 10_000))
+    assert parse_ranges("bytes=5000-5009, 0-9, -10", SIZE) == (Span(5000, 5010), Span(0, 10), Span(9990, 10_000))
 
 
 def test_ranges_that_overlap_or_nearly_touch_become_one() -> None:
-    assert read_ranges("bytes=0-99, 50-149", SIZE) == (Span(0, 150),)
-    assert read_ranges("bytes=100-199, 0-99", SIZE) == (Span(0, 200),)
-    assert read_ranges(f"bytes=0-99, {100 + GAP}-299", SIZE) == (Span(0, 300),)
-    assert read_ranges(f"bytes=0-99, {101 + GAP}-299", SIZE) == (Span(0, 100), Span(101 + GAP, 300))
-    assert read_ranges("bytes=9000-, 0-9, 0-, 5-6", SIZE) == (Span(0, 10_000),)
+    assert parse_ranges("bytes=0-99, 50-149", SIZE) == (Span(0, 150),)
+    assert parse_ranges("bytes=100-199, 0-99", SIZE) == (Span(0, 200),)
+    assert parse_ranges(f"bytes=0-99, {100 + MIN_GAP}-299", SIZE) == (Span(0, 300),)
+    assert parse_ranges(f"bytes=0-99, {101 + MIN_GAP}-299", SIZE) == (Span(0, 100), Span(101 + MIN_GAP, 300))
+    assert parse_ranges("bytes=9000-, 0-9, 0-, 5-6", SIZE) == (Span(0, 10_000),)
 
 
 def test_too_many_ranges_are_ignored() -> None:
-    many = ",".join(f"{number * 200}-{number * 200}" for number in range(MOST))
-    assert len(read_ranges(f"bytes={many}", SIZE) or ()) == MOST
-    assert read_ranges(f"bytes={many},9999-9999", SIZE) is None
-    assert read_ranges("bytes=" + "0-0," * 1_000_000, SIZE) is None
-    assert read_ranges("bytes=" + "," * 1_000_000, SIZE) is None
+    many = ",".join(f"{number * 200}-{number * 200}" for number in range(MAX_RANGES))
+    assert len(parse_ranges(f"bytes={many}", SIZE) or ()) == MAX_RANGES
+    assert parse_ranges(f"bytes={many},9999-9999", SIZE) is None
+    assert parse_ranges("bytes=" + "0-0," * 1_000_000, SIZE) is None
+    assert parse_ranges("bytes=" + "," * 1_000_000, SIZE) is None
 
 
 @pytest.mark.parametrize("if_range", [None, TAG, f" {TAG} "])
 def test_if_range_with_the_same_tag_lets_the_ranges_be_sent(if_range: str | None) -> None:
-    assert selected("bytes=0-9", if_range, TAG, SIZE) == (Span(0, 10),)
+    assert select_ranges("bytes=0-9", if_range, TAG, SIZE) == (Span(0, 10),)
 
 
 @pytest.mark.parametrize(
     "if_range", ['"a-2.any"', f"W/{TAG}", "Sat, 21 Nov 2026 05:00:00 GMT", "*", "", f'{TAG}, "b"', "a-1.any"]
 )
 def test_if_range_with_anything_else_has_all_sent(if_range: str) -> None:
-    assert selected("bytes=0-9", if_range, TAG, SIZE) is None
-    assert selected("bytes=20000-", if_range, TAG, SIZE) is None
+    assert select_ranges("bytes=0-9", if_range, TAG, SIZE) is None
+    assert select_ranges("bytes=20000-", if_range, TAG, SIZE) is None
     assert not is_unchanged(if_range, TAG)
 
 
@@ -94,12 +94,12 @@ def test_a_weak_tag_never_matches_even_itself() -> None:
 
 
 def test_without_a_range_if_range_means_nothing() -> None:
-    assert selected(None, TAG, TAG, SIZE) is None
+    assert select_ranges(None, TAG, TAG, SIZE) is None
 
 
 def test_several_spans_are_framed_as_multipart_byteranges() -> None:
     spans = (Span(0, 3), Span(7, 10))
-    frame = framing(spans, 10, "image/png")
+    frame = frame_parts(spans, 10, "image/png")
     data = b"0123456789"
     body = b"".join(head + data[span.start : span.stop] for head, span in zip(frame.heads, spans, strict=True))
     body += frame.tail
@@ -114,8 +114,8 @@ def test_several_spans_are_framed_as_multipart_byteranges() -> None:
 
 def test_nothing_is_injected_into_a_part_and_no_boundary_is_foreseen() -> None:
     with pytest.raises(ValueError, match="control"):
-        framing((Span(0, 1),), 10, "text/plain\r\nX: y")
-    assert framing((), 0, "a/b").boundary != framing((), 0, "a/b").boundary
+        frame_parts((Span(0, 1),), 10, "text/plain\r\nX: y")
+    assert frame_parts((), 0, "a/b").boundary != frame_parts((), 0, "a/b").boundary
 
 
 _positions = st.none() | st.integers(0, 200)
@@ -133,7 +133,7 @@ def test_spans_hold_every_byte_that_was_asked_for_and_none_twice(
         else:
             wanted |= set(range(first, size if last is None else min(last + 1, size)))
     try:
-        spans = read_ranges(f"bytes={text}", size)
+        spans = parse_ranges(f"bytes={text}", size)
     except Problem:
         assert not wanted
         return
@@ -148,7 +148,7 @@ def test_spans_hold_every_byte_that_was_asked_for_and_none_twice(
 @given(st.text(max_size=100) | st.from_regex(r"bytes=[0-9,\- ]{0,60}", fullmatch=True), st.integers(0, 1000))
 def test_no_text_whatever_makes_reading_fail(text: str, size: int) -> None:
     try:
-        spans = read_ranges(text, size)
+        spans = parse_ranges(text, size)
     except Problem:
         return
     assert spans is None or all(0 <= span.start < span.stop <= size for span in spans)

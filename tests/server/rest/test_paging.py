@@ -77,12 +77,12 @@ def test_every_place_has_a_token(after: int, most: int) -> None:
 
 
 def test_a_container_of_few_members_is_told_at_once() -> None:
-    assert first_page(ROOT, 0, prefer.NONE) is None
-    assert first_page(ROOT, MOST, prefer.NONE) is None
+    assert first_page(ROOT, 0, prefer.NO_PREFERENCES) is None
+    assert first_page(ROOT, MOST, prefer.NO_PREFERENCES) is None
 
 
 def test_a_container_of_many_members_sends_to_its_first_page() -> None:
-    found = first_page(ROOT, MOST + 1, prefer.NONE)
+    found = first_page(ROOT, MOST + 1, prefer.NO_PREFERENCES)
     assert found is not None
     assert (found.status, found.headers["Location"]) == (303, f"{ROOT}?page=0")
     assert "Prefer" in found.headers["Vary"]

@@ -16,7 +16,7 @@ from rosld.adapters.model.names import segments
 
 Tree: TypeAlias = dict[str, ParameterValue]
 
-_MOST_NESTED = 64
+_MAX_NESTED = 64
 _INT32 = range(-(2**31), 2**31)
 
 
@@ -83,8 +83,8 @@ def leaves(tree: Mapping[str, ParameterValue], prefix: str = "") -> Iterator[str
 
 def check(name: str, value: object, depth: int = 0) -> None:
     """Raises Refused, naming the parameter, for a value that ROS 1's parameter server could not hold."""
-    if depth > _MOST_NESTED:
-        raise Refused(f"the parameter {name} is nested more than {_MOST_NESTED} deep")
+    if depth > _MAX_NESTED:
+        raise Refused(f"the parameter {name} is nested more than {_MAX_NESTED} deep")
     if isinstance(value, int) and not isinstance(value, bool) and value not in _INT32:
         raise Refused(f"the parameter {name} cannot be {value}: ROS 1 parameters hold integers of 32 bits")
     if isinstance(value, dict):

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from rosld.adapters.model import Unreachable
 
 _T = TypeVar("_T")
-_MOST_AT_ONCE = 1000
+_MAX_AT_ONCE = 1000
 
 
 class IoThread:
@@ -92,7 +92,7 @@ class IoThread:
 
     def _drain(self) -> None:
         self._woken = False
-        for _ in range(min(len(self._posted), _MOST_AT_ONCE)):
+        for _ in range(min(len(self._posted), _MAX_AT_ONCE)):
             self._posted.popleft()()
         if self._posted and not self._woken:  # sockets get their turn in between
             self._woken = True

@@ -59,7 +59,7 @@ class Fanout(NamedTuple):
     each: float
     per_cpu_second: float
     median: float
-    most: float
+    limit: float
 
 
 class Reader(asyncio.Protocol):

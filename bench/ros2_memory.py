@@ -35,7 +35,7 @@ LONGEST_WARM_UP = 300.0
 LOOKED_AT = 20
 SEEN = 0.5
 """The share of topics that must have had a message at each look."""
-MOST_LINES = 60
+MAX_LINES = 60
 PATIENCE = 60.0
 QUERY = "SELECT ?topic ?rate WHERE { GRAPH <%s> { ?topic <https://w3id.org/rosld#rate> ?rate } }"
 
@@ -179,12 +179,12 @@ def main() -> int:
         print("ros2 memory: skipped, there is no rclpy here (make ros2 makes a venv that has one)")
         return 0
     samples = measure(options)
-    for one in samples[:: max(1, len(samples) // MOST_LINES)]:
+    for one in samples[:: max(1, len(samples) // MAX_LINES)]:
         print(f"{one.seconds:8.0f} s {one.megabytes:8.1f} MB")
     more, hourly = grown(samples), slope(warm(samples)) * 3600
     print(f"ros2 memory, {options.topics} topics of 50 Hz, {len(samples)} looks: {hourly:+.1f} MB an hour, ", end="")
     print(f"grown by {more:.1f} MB after the warm-up (at most {options.most:g} MB)")
-    return 0 if more <= options.most else 1
+    return 0 if more <= options.limit else 1
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ from rosld.ontology.syntax_codegen import Json, Notation, Site
 from rosld.ontology.typenames import TypeName, type_names
 
 TIME = "builtin_interfaces/msg/Time"
-_MOST_INLINED = 96
+_MAX_INLINED = 96
 _ATTRIBUTE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 Lift = Callable[[object, str, str, Site, str], str]
@@ -110,7 +110,7 @@ class _Module:
 
     def inlined(self, name: str) -> bool:
         """Whether a nested message of this type is written where it stands."""
-        return self.leaves(name, ()) <= _MOST_INLINED
+        return self.leaves(name, ()) <= _MAX_INLINED
 
 
 class _Function:

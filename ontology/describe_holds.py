@@ -16,11 +16,11 @@ from rosld.ontology.triples import RDF_SOURCE, about, boolean, double, each, mom
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import hctl, js, rdf, rdfs, ros, td
 
-MOST_RATE = 50.0
+MAX_RATE = 50.0
 """Hz: how often a hold may publish."""
-MOST_LEASE = 5.0
+MAX_LEASE = 5.0
 """Seconds that a hold may go on without being renewed."""
-LEAST_OF_HOLDS = 1e-6
+MIN_OF_HOLDS = 1e-6
 """The least rate in Hz, and the least lease in seconds."""
 _SETTINGS = LiftSettings()
 _BODIES = tuple(map(Literal, ("application/json", "text/turtle", "application/ld+json")))
@@ -160,19 +160,19 @@ def _variables(subject: NamedNode, affordance: str) -> list[Triple]:
     """The parameters of a hold: its rate in Hz, its lease in seconds, and what is published when it ends."""
     node = NamedNode(f"{subject.value}#{affordance}")
     said: Iterable[tuple[str, NamedNode, float | None]] = (
-        ("rate", js.NumberSchema, MOST_RATE),
-        ("lease", js.NumberSchema, MOST_LEASE),
+        ("rate", js.NumberSchema, MAX_RATE),
+        ("lease", js.NumberSchema, MAX_LEASE),
         ("then", js.StringSchema, None),
     )
     triples: list[Triple] = []
-    for name, kind, most in said:
+    for name, kind, limit in said:
         variable = NamedNode(f"{node.value}/{name}")
         triples.append(Triple(node, td.hasUriTemplateSchema, variable))
         triples += about(
             variable,
             (rdf.type, kind),
             (js.propertyName, Literal(name)),
-            (js.exclusiveMinimum, None if most is None else double(0)),
-            (js.maximum, None if most is None else double(most)),
+            (js.exclusiveMinimum, None if limit is None else double(0)),
+            (js.maximum, None if limit is None else double(limit)),
         )
     return triples

@@ -18,7 +18,7 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros
 
 MESSAGE = "#message"
-_MOST_MISMATCHES = 50
+_MAX_MISMATCHES = 50
 
 
 def topic_document(
@@ -190,7 +190,7 @@ def _seconds(nanoseconds: int | None) -> Literal | None:
 
 def _mismatches(topic: Topic, space: Space) -> Iterator[tuple[NamedNode, list[Triple]]]:
     """Who does not hear whom, as far as it is told: of topics with many endpoints the number says the rest."""
-    for number, one in enumerate(mismatches(topic.publishers, topic.subscribers, _MOST_MISMATCHES), 1):
+    for number, one in enumerate(mismatches(topic.publishers, topic.subscribers, _MAX_MISMATCHES), 1):
         node = NamedNode(space.fragment(space.topic(topic.name), "qos-mismatch", str(number)))
         yield (
             node,

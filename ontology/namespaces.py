@@ -53,9 +53,9 @@ class Kept(Generic[_K, _V]):
     A graph is looked at very often before it changes, and too large to be compared.
     """
 
-    def __init__(self, compute: Callable[[_K], _V], most: int = 8) -> None:
+    def __init__(self, compute: Callable[[_K], _V], limit: int = 8) -> None:
         self._compute = compute
-        self._most = most
+        self._limit = limit
         self._kept: tuple[tuple[_K, _V], ...] = ()
 
     def __call__(self, key: _K) -> _V:
@@ -64,7 +64,7 @@ class Kept(Generic[_K, _V]):
                 return value
         value = self._compute(key)
         # One assignment, so that threads see either the old or the new; at worst something is computed twice.
-        self._kept = ((key, value), *self._kept[: self._most - 1])
+        self._kept = ((key, value), *self._kept[: self._limit - 1])
         return value
 
 

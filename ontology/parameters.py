@@ -62,21 +62,21 @@ def parameter_container_document(
     namespace: tuple[str, ...],
     tree: Tree,
     space: Space,
-    most: int | None = None,
+    limit: int | None = None,
     *,
     whole: str | None = None,
 ) -> Document:
     """A tree of parameters as a container with all its members and their values.
 
-    Of trees in it that have more than `most` members it is told that they are there, and not what they hold. `whole` is
-    where hidden members are told as well, if there are any. A value that is None is not told.
+    Of trees in it that have more than `limit` members it is told that they are there, and not what they hold. `whole`
+    is where hidden members are told as well, if there are any. A value that is None is not told.
     """
     url = space.container("parameters", namespace)
     title = f"Parameters in /{'/'.join(namespace)}" if namespace else "Parameters"
     triples = about(
         NamedNode(url), (dcterms.title, text(title)), (rdfs.seeAlso, NamedNode(whole) if whole is not None else None)
     )
-    return Document(url, (*_tree(url, "/" + "/".join(namespace), tree, 0, most), *triples))
+    return Document(url, (*_tree(url, "/" + "/".join(namespace), tree, 0, limit), *triples))
 
 
 def _leaf(url: str, name: str, value: ParameterValue | None) -> list[Triple]:
@@ -84,18 +84,18 @@ def _leaf(url: str, name: str, value: ParameterValue | None) -> list[Triple]:
     return about(NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(name)), (ros.value, told))
 
 
-def _tree(url: str, name: str, tree: Tree, depth: int, most: int | None) -> list[Triple]:
+def _tree(url: str, name: str, tree: Tree, depth: int, limit: int | None) -> list[Triple]:
     if depth > DEEPEST:
         raise ValueError(f"{name} lies deeper than {DEEPEST} levels, which is more than rosld shows")
     subject = NamedNode(url)
     triples = about(subject, (rdf.type, ros.Parameter), *CONTAINER, (ros.name, text(name)))
-    if depth and most is not None and len(tree) > most:
+    if depth and limit is not None and len(tree) > limit:
         return triples
     for key, value in tree.items():
         member, inner = url + encode_segment(key), f"{name.rstrip('/')}/{key}"
         if isinstance(value, dict):
             triples.append(Triple(subject, ldp.contains, NamedNode(member + "/")))
-            triples += _tree(member + "/", inner, value, depth + 1, most)
+            triples += _tree(member + "/", inner, value, depth + 1, limit)
         else:
             triples.append(Triple(subject, ldp.contains, NamedNode(member)))
             triples += _leaf(member, inner, value)

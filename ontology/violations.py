@@ -14,8 +14,8 @@ from rosld.ontology.coercion import Misfit
 Path: TypeAlias = "tuple[Path, str] | None"
 """The way from the message to a field, innermost last: (((None, "linear"), "x")); text only once it is needed."""
 
-_MOST = 20
-_LONGEST = 120
+_MAX_VIOLATIONS = 20
+_MAX_TEXT = 120
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class Findings:
     def add(self, path: Path, words: str, value: object = None) -> None:
         """Note a violation."""
         self.violations.append(Violation(dotted(path), words, shortened(value)))
-        if len(self.violations) >= _MOST:
+        if len(self.violations) >= _MAX_VIOLATIONS:
             raise LoweringError(*self.violations)
 
     def misfit(self, path: Path, misfit: Misfit) -> None:
@@ -87,4 +87,4 @@ def shortened(value: object) -> str | None:
         return None
     text = json.dumps(value, ensure_ascii=False, default=str) if isinstance(value, bool | list | dict) else str(value)
     text = text.encode("utf-8", "backslashreplace").decode()
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
+    return text if len(text) <= _MAX_TEXT else text[: _MAX_TEXT - 1] + "…"

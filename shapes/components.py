@@ -61,11 +61,11 @@ def phrase(term: Term) -> str:
     return quoted(term.value) if is_plain(term) else term.value
 
 
-def listed(terms: Iterable[Term], most: int = 12) -> str:
+def listed(terms: Iterable[Term], limit: int = 12) -> str:
     """Several terms within a sentence."""
     phrases = [phrase(term) for term in terms]
-    more = [f"{len(phrases) - most} more"] if len(phrases) > most else []
-    return ", ".join([*phrases[:most], *more])
+    more = [f"{len(phrases) - limit} more"] if len(phrases) > limit else []
+    return ", ".join([*phrases[:limit], *more])
 
 
 # Value type (4.1)
@@ -132,12 +132,16 @@ def at_least_so_many(least: int) -> OfSet:
     return OfSet(component(sh.minCount), lambda values: len(values) >= least, words)
 
 
-def at_most_so_many(most: int) -> OfSet:
+def at_most_so_many(limit: int) -> OfSet:
     """sh:maxCount."""
     words = (
-        "must not be there" if most == 0 else "must be there once only" if most == 1 else f"is there over {most} times"
+        "must not be there"
+        if limit == 0
+        else "must be there once only"
+        if limit == 1
+        else f"is there over {limit} times"
     )
-    return OfSet(component(sh.maxCount), lambda values: len(values) <= most, words)
+    return OfSet(component(sh.maxCount), lambda values: len(values) <= limit, words)
 
 
 # Value range (4.3)

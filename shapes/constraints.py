@@ -22,7 +22,7 @@ from rosld.shapes.shape import Judge
 from rosld.shapes.value import Bounds
 from rosld.shapes.view import TripleView, View
 
-MOST = 20
+MAX_VIOLATIONS = 20
 """The violations that are told; there may be more."""
 
 
@@ -51,7 +51,7 @@ class NodeShape:
 
     def broken(self, focus: NamedNode | BlankNode, view: View) -> tuple[Violation, ...]:
         """The same, through a view."""
-        return tuple(islice(self._broken(focus, view), MOST))
+        return tuple(islice(self._broken(focus, view), MAX_VIOLATIONS))
 
     def _broken(self, focus: NamedNode | BlankNode, view: View) -> Iterator[Violation]:
         for judge in self.judges:

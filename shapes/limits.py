@@ -25,7 +25,7 @@ from rosld.ontology.urls import Space
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf, rdfs, sh, xsd
 from rosld.shapes.bounds import merged
-from rosld.shapes.constraints import MOST, NodeShape, compiled, conjunction
+from rosld.shapes.constraints import MAX_VIOLATIONS, NodeShape, compiled, conjunction
 from rosld.shapes.reading import ShapesGraph
 from rosld.shapes.value import UNBOUNDED, Bounds
 from rosld.shapes.view import TripleView
@@ -198,7 +198,7 @@ class _MessageCheck:
         if self._strange:
             return self._strange
         view = MessageView(self._layout, message, document, node)
-        return tuple(islice(self._broken(self._schema.ref.name, message, "", view), MOST))
+        return tuple(islice(self._broken(self._schema.ref.name, message, "", view), MAX_VIOLATIONS))
 
     def _broken(self, name: str, message: Message, place: str, view: MessageView) -> Iterator[Violation]:
         shape = self._shapes.get(name)

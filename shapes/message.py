@@ -202,11 +202,11 @@ def array(kind: Array, element: Primitive) -> list[Statement]:
 
 def _pattern(kind: Array) -> str | None:
     """A pattern of arrays of the right length; None where it would be too long to be of use."""
-    least, most = (kind.length, kind.length) if kind.length is not None else (0, kind.bound)
-    if most is None or most > _LONGEST_PATTERN:
+    least, limit = (kind.length, kind.length) if kind.length is not None else (0, kind.bound)
+    if limit is None or limit > _LONGEST_PATTERN:
         return None
-    if most == 0:
+    if limit == 0:
         return r"^\s*\[\s*\]\s*$"
-    more = f"{{{max(0, (least or 0) - 1)},{most - 1}}}" if least != most else f"{{{most - 1}}}"
+    more = f"{{{max(0, (least or 0) - 1)},{limit - 1}}}" if least != limit else f"{{{limit - 1}}}"
     body = rf"{_NUMBER}(,{_NUMBER}){more}"
     return rf"^\s*\[{body}\]\s*$" if least else rf"^\s*\[({body}|\s*)\]\s*$"

@@ -17,7 +17,7 @@ from rosld.shapes.affordance import value_shape_triples, within
 from rosld.shapes.components import component, phrase
 from rosld.shapes.value import NO_MEASURE, Bounds, Measure, OpenShape, ScalarShape
 
-_MOST_CHOICES = 32
+_MAX_CHOICES = 32
 """Steps of a range that SHACL Core can say, value by value."""
 
 _INT64 = Range(-(2**63), 2**63 - 1)
@@ -93,7 +93,7 @@ def _number(value: int | float | None) -> Literal | None:
 def _choices(range: Range | None) -> tuple[Literal, ...]:
     """All whole numbers of a range with a step, where they are few; none where SHACL Core cannot say them."""
     match range:
-        case Range(int(least), int(greatest), int(step)) if step > 1 and (greatest - least) // step < _MOST_CHOICES:
+        case Range(int(least), int(greatest), int(step)) if step > 1 and (greatest - least) // step < _MAX_CHOICES:
             values = dict.fromkeys((*_counted(least, greatest, step), greatest))
             return tuple(found for value in values if (found := integer(value)) is not None)
     return ()

@@ -16,7 +16,7 @@ from rosld.shapes.shape import brief, joined
 from rosld.shapes.terms import Node, normal, normal_graph
 from rosld.shapes.view import View
 
-_MOST_KEPT = 64
+_MAX_KEPT = 64
 _SHAPES, _DATA = "s", "d"
 _TARGET = URIRef(sh.targetNode.value)
 _NOWHERE = URIRef("urn:nowhere")
@@ -59,7 +59,7 @@ class Reference:
 
     def _shapes_for(self, focus: Node) -> rdflib.Graph:
         if focus not in self._targeted:
-            if len(self._targeted) >= _MOST_KEPT:
+            if len(self._targeted) >= _MAX_KEPT:
                 self._targeted.clear()
             self._targeted[focus] = self._with_targets([(self._root, focus)])
         return self._targeted[focus]

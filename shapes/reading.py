@@ -23,7 +23,7 @@ Node: TypeAlias = NamedNode | BlankNode
 
 DEEPEST = 10
 """The levels of shapes within shapes."""
-LARGEST = 1000
+MAX_SHAPES = 1000
 """The shapes that one shape may hold, counted each time they are referred to."""
 
 _LONGEST_PATH = 50
@@ -206,8 +206,8 @@ class ShapesGraph:
         size, depth = 1 + sum(each.size for each in children), 1 + max((each.depth for each in children), default=0)
         if depth > DEEPEST:
             raise self._deep()
-        if size > LARGEST:
-            raise ValueError(f"{self.name(node)} holds more than {LARGEST} shapes, counted as often as referred to")
+        if size > MAX_SHAPES:
+            raise ValueError(f"{self.name(node)} holds more than {MAX_SHAPES} shapes, counted as often as referred to")
         if off:
             return Shape(node, path, is_property=is_property)
         inner = merged(*draft.within)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 _parser: Any = importlib.import_module("re._parser" if sys.version_info >= (3, 11) else "sre_parse")
 
 _STEPS = 30_000_000
-_LONGEST = 2000
+_MAX_PATTERN = 2000
 _SHORTEST_TEXT = 64
 _MANY = 8
 _BEYOND = 256
@@ -44,8 +44,8 @@ class Pattern:
 
 def pattern(text: str, flags: str = "") -> Pattern:
     """The pattern written as `text`, with SHACL's flags (4.4.3). Raises ValueError for one that cannot be taken."""
-    if len(text) > _LONGEST:
-        raise ValueError(f"the pattern {text[:40]!r}... is longer than {_LONGEST} characters")
+    if len(text) > _MAX_PATTERN:
+        raise ValueError(f"the pattern {text[:40]!r}... is longer than {_MAX_PATTERN} characters")
     if strange := set(flags.lower()) - _FLAGS.keys():
         raise ValueError(f"the flag {min(strange)!r} of the pattern {text!r} is not known here: use i or m")
     options = re.RegexFlag(0)
@@ -110,20 +110,20 @@ class _Reader:
             return [each._replace(needed=False) for each in self.steps(value[1])]
         raise ValueError(f"the pattern {self.text!r} refers back to what it matched, which could take for ever")
 
-    def repeat(self, least: int, most: int, parsed: Any) -> list[_Step]:
+    def repeat(self, least: int, limit: int, parsed: Any) -> list[_Step]:
         body = self.steps(parsed)
-        most = int(most)
-        if least == most <= 1:
-            return body * most
+        limit = int(limit)
+        if least == limit <= 1:
+            return body * limit
         whole = _joined(body)
-        if most > 1 and (whole.vague or (whole.varies and not _separated(body))):
+        if limit > 1 and (whole.vague or (whole.varies and not _separated(body))):
             raise ValueError(
                 f"the pattern {self.text!r} could take for ever on some texts: in a repetition within a repetition, "
                 "let each turn begin or end with a character that is nowhere else in it"
             )
-        varies = least != most
-        many = whole.many or (varies and most >= _MANY)
-        ways = min(whole.ways * (1 if many else most - least + 1), _STEPS)
+        varies = least != limit
+        many = whole.many or (varies and limit >= _MANY)
+        ways = min(whole.ways * (1 if many else limit - least + 1), _STEPS)
         return [
             whole._replace(
                 needed=whole.needed and least > 0, varies=varies or whole.varies, many=many, ways=ways,

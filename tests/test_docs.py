@@ -31,7 +31,7 @@ def anchors(page: Path) -> frozenset[str]:
         text = re.sub(r"[^\w\- ]", "", re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower()).replace(" ", "-")
         found[text] = found.get(text, -1) + 1
     return frozenset(
-        text if number == 0 else f"{text}-{number}" for text, most in found.items() for number in range(most + 1)
+        text if number == 0 else f"{text}-{number}" for text, limit in found.items() for number in range(limit + 1)
     )
 
 

@@ -70,7 +70,7 @@ _CAPABILITIES = Capabilities(
 )
 _KNOWN_TOPIC = frozenset({Operation.SUBSCRIBE, Operation.PUBLISH})
 _KNOWN_PARAMETER = frozenset({Operation.GET_PARAMETER, Operation.SET_PARAMETER, Operation.DELETE_PARAMETER})
-_MOST_ADVERTISED = 10_000
+_MAX_ADVERTISED = 10_000
 
 
 def initial_parameters() -> parameters.Tree:
@@ -334,8 +334,8 @@ class Aircraft:
         own = self._advertised.get(topic)
         if own is not None and own.latched == latch:
             return own
-        if own is None and len(self._advertised) >= _MOST_ADVERTISED:
-            raise Refused(f"rosld advertises {_MOST_ADVERTISED} topics already: DELETE one first")
+        if own is None and len(self._advertised) >= _MAX_ADVERTISED:
+            raise Refused(f"rosld advertises {_MAX_ADVERTISED} topics already: DELETE one first")
         self._advertisings += 1
         own = Advertised(kind, latch, epoch=self._advertisings, matched=int(topic == DISPLAY))
         self._advertised[topic] = own

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-MOST_SPEED = 1000.0
-MOST_DIRECTION = 360.0
+MAX_SPEED = 1000.0
+MAX_DIRECTION = 360.0
 ACCELERATION = 100.0
 """How much the speed changes in a second, up or down."""
 
@@ -67,21 +67,21 @@ def powered(flight: Flight, power: str, now_ns: int) -> Flight:
 
 def set_speed(flight: Flight, speed: float, now_ns: int) -> Flight:
     """On its way to another speed. Declined while off and outside 0 to 1000."""
-    _on_and_within(flight, "speed", speed, MOST_SPEED)
+    _on_and_within(flight, "speed", speed, MAX_SPEED)
     return replace(flight, speed=flight.speed_at(now_ns), commanded=_positive(speed), since_ns=now_ns)
 
 
 def set_heading(flight: Flight, direction: float, now_ns: int) -> Flight:
     """Heading to another direction, at once. Declined while off and outside 0 to 360."""
-    _on_and_within(flight, "direction", direction, MOST_DIRECTION)
+    _on_and_within(flight, "direction", direction, MAX_DIRECTION)
     return replace(flight, speed=flight.speed_at(now_ns), direction=_positive(direction), since_ns=now_ns)
 
 
-def _on_and_within(flight: Flight, what: str, value: float, most: float) -> None:
+def _on_and_within(flight: Flight, what: str, value: float, limit: float) -> None:
     if not flight.on:
         raise Declined(f"the aircraft is off: start it before setting its {what}")
-    if not 0 <= value <= most:  # NaN is within nothing
-        raise Declined(f"the {what} must be between 0 and {most:g}, not {value:g}")
+    if not 0 <= value <= limit:  # NaN is within nothing
+        raise Declined(f"the {what} must be between 0 and {limit:g}, not {value:g}")
 
 
 def _positive(value: float) -> float:

@@ -12,7 +12,7 @@ from rosld.adapters.model import GoalStatus
 
 ACTION = "/aircraft/fly"
 TYPE = "rosld_aircraft/action/Fly"
-MOST_DISTANCE = 100_000.0
+MAX_DISTANCE = 100_000.0
 PACE = 100.0
 """How far the aircraft flies in a second."""
 
@@ -45,8 +45,8 @@ def accept(flight: Flight, underway: Fly | None, id: str, distance: float, now_n
         raise Declined("the aircraft is off: start it before it is to fly")
     if underway is not None:
         raise Declined("the aircraft flies already: cancel that goal first, or wait for its end")
-    if not 0 <= distance <= MOST_DISTANCE:  # NaN is within nothing
-        raise Declined(f"the distance must be between 0 and {MOST_DISTANCE:g}, not {distance:g}")
+    if not 0 <= distance <= MAX_DISTANCE:  # NaN is within nothing
+        raise Declined(f"the distance must be between 0 and {MAX_DISTANCE:g}, not {distance:g}")
     return Fly(id, distance, now_ns)
 
 

@@ -32,7 +32,7 @@ _BUILTIN = {
 _ROS1_ONLY = frozenset({"control_msgs", "dynamic_reconfigure", "move_base_msgs", "roscpp", "roslib", "tf"})
 """Shipped packages whose definitions have another layout, or no meaning, in ROS 2."""
 _ROS2_ONLY = frozenset({"action_msgs"})
-_MOST_FILES = 50_000
+_MAX_FILES = 50_000
 
 
 class TypeLibrary:
@@ -281,7 +281,7 @@ def _definition_files(folders: Sequence[Path]) -> Mapping[tuple[str, str], Path]
     for folder in folders:
         for pattern in ("*.msg", "*.srv", "*.action"):
             for count, path in enumerate(sorted(folder.rglob(pattern))):
-                if count > _MOST_FILES:
+                if count > _MAX_FILES:
                     break
                 found.setdefault((path.parent.parent.name, path.name), path)
     return found

@@ -94,9 +94,9 @@ class Mismatch:
 
 
 def mismatches(
-    publishers: Sequence[Endpoint], subscribers: Sequence[Endpoint], most: int | None = None
+    publishers: Sequence[Endpoint], subscribers: Sequence[Endpoint], limit: int | None = None
 ) -> tuple[Mismatch, ...]:
-    """The pairs of one topic that do not fit, each once and at most `most`.
+    """The pairs of one topic that do not fit, each once and at most `limit`.
 
     DDS 1.4, 2.2.3: what is requested must not be more than is offered. Two endpoints of one node with which a third
     fits as little are one.
@@ -107,7 +107,7 @@ def mismatches(
         for publisher in dict.fromkeys(offering)
         for subscriber in dict.fromkeys(requesting)
     )
-    return tuple(islice(_once(found), most))
+    return tuple(islice(_once(found), limit))
 
 
 def mismatch_count(publishers: Sequence[Endpoint], subscribers: Sequence[Endpoint]) -> int:

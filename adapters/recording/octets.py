@@ -21,7 +21,7 @@ else:
 
 ZstdError = zstd.ZstdError
 ZstdFile = zstd.ZstdFile
-_MOST_INFLATED = 1 << 31
+_MAX_INFLATED = 1 << 31
 """Bytes that one chunk may claim to hold: what a real recorder never comes near."""
 
 
@@ -100,7 +100,7 @@ def inflate(compression: str, data: bytes, size: int) -> bytes:
         return data
     if compression not in _DECOMPRESSORS:
         raise Damaged(f"the compression {compression!r} is not one of {', '.join(_DECOMPRESSORS)}")
-    if size > _MOST_INFLATED:
+    if size > _MAX_INFLATED:
         raise Damaged(f"a chunk claims to hold {size} bytes")
     try:
         inflated = _DECOMPRESSORS[compression]().decompress(data, max_length=size + 1)
@@ -115,7 +115,7 @@ def inflate_zstd(data: bytes) -> bytes:
     """What one zstd frame of unknown size was compressed from. Raises Damaged."""
     decompressor = zstd.ZstdDecompressor()
     try:
-        inflated: bytes = decompressor.decompress(data, max_length=_MOST_INFLATED)
+        inflated: bytes = decompressor.decompress(data, max_length=_MAX_INFLATED)
     except zstd.ZstdError as error:
         raise Damaged(f"it cannot be decompressed: {error}") from error
     if not decompressor.eof:
@@ -129,9 +129,9 @@ class ChunkCache:
     A chunk that cannot be read is remembered as such. Thread-safe; two threads may load one chunk at the same time.
     """
 
-    def __init__(self, load: Callable[[int], bytes], most_bytes: int = 64 << 20) -> None:
+    def __init__(self, load: Callable[[int], bytes], max_bytes: int = 64 << 20) -> None:
         self._load = load
-        self._most = most_bytes
+        self._limit = max_bytes
         self._held = 0
         self._chunks: OrderedDict[int, Octets | Damaged] = OrderedDict()
         self._lock = threading.Lock()
@@ -159,7 +159,7 @@ class ChunkCache:
             if chunk not in self._chunks:
                 self._chunks[chunk] = found
                 self._held += _weight(found)
-            while self._held > self._most and len(self._chunks) > 1:
+            while self._held > self._limit and len(self._chunks) > 1:
                 _, dropped = self._chunks.popitem(last=False)
                 self._held -= _weight(dropped)
         return found

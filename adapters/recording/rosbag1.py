@@ -19,7 +19,7 @@ from rosld.adapters.recording.storage import Contents, Damaged, MessageTable, Re
 
 MAGIC = b"#ROSBAG V"
 _MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
-_MOST_HEADER = 1 << 20
+_MAX_HEADER = 1 << 20
 _ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
 _UINT32 = struct.Struct("<I")
 _UINT64 = struct.Struct("<Q")
@@ -244,7 +244,7 @@ def _records(source: Source, at: int) -> Iterator[_Record]:
 def _record_at(source: Source, at: int) -> _Record:
     head = source.some(at, 256)
     size = _header_size(head)
-    if not 0 < size <= _MOST_HEADER:
+    if not 0 < size <= _MAX_HEADER:
         raise Damaged(f"there is no record at {at}")
     if len(head) < size + 8:
         head = exactly(source, at, size + 8)

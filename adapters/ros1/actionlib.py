@@ -16,7 +16,7 @@ from rosld.adapters.model import Action, GoalStatus, TypeRef
 _TIME = struct.Struct("<II")
 _LENGTH = struct.Struct("<I")
 _GOAL_ID, _STATUSES = "actionlib_msgs/GoalID", "actionlib_msgs/GoalStatusArray"
-_MOST_STATUSES = 10_000
+_MAX_STATUSES = 10_000
 STATUSES: Mapping[int, GoalStatus] = {
     0: GoalStatus.ACCEPTED,  # PENDING
     1: GoalStatus.EXECUTING,  # ACTIVE
@@ -121,8 +121,8 @@ def read_statuses(data: bytes) -> list[Status]:
     reader = _Reader(data)
     reader.header()
     count = reader.number()
-    if count > _MOST_STATUSES:
-        raise ValueError(f"{count} goals at once are more than {_MOST_STATUSES}")
+    if count > _MAX_STATUSES:
+        raise ValueError(f"{count} goals at once are more than {_MAX_STATUSES}")
     return [reader.status() for _ in range(count)]
 
 

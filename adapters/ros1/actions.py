@@ -58,7 +58,7 @@ _DECISION = 0.3
 _ASKED, _ASKED_AGAIN = 4, 0.5
 """How often a server is told to cancel a goal that goes on as if nothing had been said, and the seconds between."""
 _UNHEEDED = (GoalStatus.ACCEPTED, GoalStatus.EXECUTING)
-_MOST_KNOWN = 1000
+_MAX_KNOWN = 1000
 _CANCEL = TypeRef("actionlib_msgs/msg/GoalID")
 _PARTS = ("status", "result", "feedback", "goal")
 
@@ -457,7 +457,7 @@ class Actions:
     def _bound(self, action: str) -> None:
         """Keep no more goals of others in mind than so many."""
         goals = self._goals(action)
-        while len(goals) > _MOST_KNOWN:
+        while len(goals) > _MAX_KNOWN:
             oldest = next((id for id, known in goals.items() if not known.is_own or _is_over(known)), None)
             if oldest is None:
                 return

@@ -19,9 +19,9 @@ from rosld.adapters.model import NotFound, Operation, Parameter, Refused, TimedO
 from rosld.adapters.ros1.master import MasterApi
 
 _NOT_XML = re.compile(r"[^\t\n\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-_MOST_DEPTH = 100
+_MAX_DEPTH = 100
 _INT32 = range(-(2**31), 2**31)
-_MOST_HINTS = 1000
+_MAX_HINTS = 1000
 _ROOT = frozenset({Operation.GET_PARAMETER, Operation.SET_PARAMETER})
 _ALL = _ROOT | {Operation.DELETE_PARAMETER}
 
@@ -105,8 +105,8 @@ def check(name: str, value: ParameterValue) -> None:
 
 def _objection(value: object, depth: int) -> str | None:
     """Why XML-RPC or the master would not keep this value, None where they do."""
-    if depth > _MOST_DEPTH:
-        return f"it is nested more than {_MOST_DEPTH} deep"
+    if depth > _MAX_DEPTH:
+        return f"it is nested more than {_MAX_DEPTH} deep"
     if isinstance(value, (bool, bytes)):
         return None
     if isinstance(value, int):
@@ -251,7 +251,7 @@ class Parameters:
         self.trees = frozenset(_trees(named))
         self.graph_parameters = {name: Parameter(name) for name, leaf in named.items() if leaf.value != {}}
         if changed:
-            self._changed(changed[:_MOST_HINTS])
+            self._changed(changed[:_MAX_HINTS])
 
     def note_write(self) -> None:
         """A write begins or ends: a tree read before that is not to be believed."""

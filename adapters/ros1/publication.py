@@ -10,7 +10,7 @@ from typing import cast
 from rosld.adapters.model import MessageSchema, TypeRef
 from rosld.adapters.ros1.tcpros import (
     LENGTH,
-    MOST_HEADER,
+    MAX_HEADER,
     BadFrame,
     Header,
     decode_header,
@@ -20,15 +20,15 @@ from rosld.adapters.ros1.tcpros import (
 from rosld.adapters.ros1.types import ros_name
 
 _HIGH_WATER = 256 * 1024
-_MOST_WAITING = 8 * 1024 * 1024
-_MOST_PENDING = 64 * 1024 * 1024
+_MAX_WAITING = 8 * 1024 * 1024
+_MAX_PENDING = 64 * 1024 * 1024
 
 
 class Outbox:
     """Frames that wait to be written: at most so many bytes, the oldest giving way, but always the newest."""
 
-    def __init__(self, most_bytes: int) -> None:
-        self._most = most_bytes
+    def __init__(self, max_bytes: int) -> None:
+        self._limit = max_bytes
         self._bytes = 0
         self._frames: deque[bytes] = deque()
 
@@ -39,14 +39,14 @@ class Outbox:
         """Add the newest."""
         self._frames.append(frame)
         self._bytes += len(frame)
-        while self._bytes > self._most and len(self._frames) > 1:
+        while self._bytes > self._limit and len(self._frames) > 1:
             self._bytes -= len(self._frames.popleft())
 
-    def take(self, most_bytes: int) -> bytes:
+    def take(self, max_bytes: int) -> bytes:
         """The oldest frames joined: at least one, and no more than so many bytes unless one alone is larger."""
         taken = [self._frames.popleft()]
         size = len(taken[0])
-        while self._frames and size + len(self._frames[0]) <= most_bytes:
+        while self._frames and size + len(self._frames[0]) <= max_bytes:
             taken.append(self._frames.popleft())
             size += len(taken[-1])
         self._bytes -= size
@@ -76,7 +76,7 @@ class Publication:
         self._schema = schema
         self._node = node
         self._links: set[Link] = set()
-        self._pending = Outbox(_MOST_PENDING)
+        self._pending = Outbox(_MAX_PENDING)
         self._flushing = False
         self._changed = asyncio.Event()
 
@@ -185,7 +185,7 @@ class Link(asyncio.Protocol):
         self._publications = publications
         self._publication: Publication | None = None
         self._received = bytearray()
-        self._waiting = Outbox(_MOST_WAITING)
+        self._waiting = Outbox(_MAX_WAITING)
         self._paused = False
         self._drained: asyncio.Future[None] | None = None
         self._transport: asyncio.Transport
@@ -245,7 +245,7 @@ class Link(asyncio.Protocol):
         if len(self._received) < 4:
             return None
         (length,) = LENGTH.unpack_from(self._received)
-        if length > MOST_HEADER:
+        if length > MAX_HEADER:
             raise BadFrame(f"a header of {length} bytes")
         return decode_header(self._received[4 : 4 + length]) if len(self._received) >= 4 + length else None
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 SECONDS = 2.0
 """How much of a topic the buffer holds, by the highest rate seen: a second is promised, measured rates vary."""
-LEAST = 1024 * 1024
-MOST = 64 * 1024 * 1024
+MIN_BYTES = 1024 * 1024
+MAX_BYTES = 64 * 1024 * 1024
 _PERMITTED = Path("/proc/sys/net/core/rmem_max")
 _FORCE = 33 if sys.platform == "linux" else None
 """SO_RCVBUFFORCE, which `socket` does not name: beyond net.core.rmem_max, for those who may (CAP_NET_ADMIN)."""
@@ -21,7 +21,7 @@ _FORCE = 33 if sys.platform == "linux" else None
 
 def wanted_bytes(highest_rate: float) -> int:
     """The bytes that a buffer should hold for a topic of so many bytes a second."""
-    return min(max(int(SECONDS * highest_rate), LEAST), MOST)
+    return min(max(int(SECONDS * highest_rate), MIN_BYTES), MAX_BYTES)
 
 
 class ReceiveBuffer:
@@ -67,8 +67,8 @@ def enlarge(sock: socket.socket, size: int) -> None:
 
 
 def permitted() -> int:
-    """The largest buffer that anybody may ask for (net.core.rmem_max), in bytes; MOST where that is not told."""
+    """The largest buffer that anybody may ask for (net.core.rmem_max), in bytes; `MAX_BYTES` where that is not told."""
     try:
         return int(_PERMITTED.read_text())
     except (OSError, ValueError):
-        return MOST
+        return MAX_BYTES

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, TypeRef, UnknownType, Unreachable
 from rosld.adapters.ros1.hosts import Hosts, host_and_port
 from rosld.adapters.ros1.master import MasterApi
-from rosld.adapters.ros1.tcpros import MOST_HEADER, BadFrame, Header, decode_header, encode_header, frame, read_frame
+from rosld.adapters.ros1.tcpros import MAX_HEADER, BadFrame, Header, decode_header, encode_header, frame, read_frame
 from rosld.adapters.ros1.type_cache import Learnt, ServiceFacts
 from rosld.adapters.ros1.types import Types, service_type
 
@@ -81,14 +81,14 @@ class Services:
         try:
             hello = {"callerid": self._caller, "service": service, "md5sum": await self._md5(type), "persistent": "0"}
             writer.write(encode_header(hello))
-            header = decode_header(await read_frame(reader, MOST_HEADER))
+            header = decode_header(await read_frame(reader, MAX_HEADER))
             if "error" in header:
                 self._asked.pop(service, None)
                 raise Refused(f"{service} refuses the call: {header['error']}", words=header["error"])
             progress[0] = Sent.YES
             writer.write(frame(request))
             succeeded = await reader.readexactly(1)
-            answer = await read_frame(reader, MOST_HEADER if succeeded == b"\0" else self._message_limit)
+            answer = await read_frame(reader, MAX_HEADER if succeeded == b"\0" else self._message_limit)
         finally:
             writer.close()
         if succeeded == b"\0":
@@ -126,7 +126,7 @@ class Services:
         try:
             hello = {"callerid": self._caller, "service": service, "md5sum": "*", "probe": "1"}
             writer.write(encode_header(hello))
-            header = decode_header(await read_frame(reader, MOST_HEADER))
+            header = decode_header(await read_frame(reader, MAX_HEADER))
         finally:
             writer.close()
         return await self._judge(service, header)

@@ -19,8 +19,8 @@ from rosld.adapters.ros1.xmlrpc import (
     read_head,
 )
 
-_MOST_REQUEST = 1024 * 1024
-_MOST_CONNECTIONS = 200
+_MAX_REQUEST = 1024 * 1024
+_MAX_CONNECTIONS = 200
 _IDLE = 15.0
 
 
@@ -98,7 +98,7 @@ class XmlRpcServer:
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._open += 1
         try:
-            while self._open <= _MOST_CONNECTIONS and await asyncio.wait_for(self._turn(reader, writer), _IDLE):
+            while self._open <= _MAX_CONNECTIONS and await asyncio.wait_for(self._turn(reader, writer), _IDLE):
                 pass
         except (OSError, EOFError, Malformed, asyncio.TimeoutError):
             pass  # the peer left, or does not speak HTTP
@@ -109,7 +109,7 @@ class XmlRpcServer:
     async def _turn(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bool:
         """Answer one request; whether another may follow."""
         line, fields = await read_head(reader)
-        length = content_length(fields, _MOST_REQUEST)
+        length = content_length(fields, _MAX_REQUEST)
         if not line.startswith("POST ") or length is None:
             writer.write(
                 b"HTTP/1.1 405 Method Not Allowed\r\nAllow: POST\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"

@@ -16,9 +16,9 @@ from typing import TypeAlias, cast
 from rosld.adapters.ros1.receive_buffer import ReceiveBuffer
 
 LENGTH = struct.Struct("<I")
-MOST_HEADER = 1024 * 1024
+MAX_HEADER = 1024 * 1024
 FIRST_BUFFER = 64 * 1024
-MOST_BUFFER = 1024 * 1024
+MAX_BUFFER = 1024 * 1024
 FIRST_PIECE = 4 * 1024 * 1024
 """How much memory a peer gets for a length that it has only announced, in bytes; more as it fills it."""
 
@@ -61,11 +61,11 @@ def frame(data: bytes) -> bytes:
     return LENGTH.pack(len(data)) + data
 
 
-async def read_frame(reader: asyncio.StreamReader, most: int) -> bytes:
-    """The next frame of a stream; memory grows with what arrives. Raises BadFrame where it is longer than `most`."""
+async def read_frame(reader: asyncio.StreamReader, limit: int) -> bytes:
+    """The next frame of a stream; memory grows with what arrives. Raises BadFrame where it is longer than `limit`."""
     (length,) = LENGTH.unpack(await reader.readexactly(4))
-    if length > most:
-        raise BadFrame(f"it announces {length} bytes, more than {most}")
+    if length > limit:
+        raise BadFrame(f"it announces {length} bytes, more than {limit}")
     return await reader.readexactly(length)
 
 
@@ -138,7 +138,7 @@ def newest_frames(buffer: bytearray, end: int, depth: int) -> tuple[list[tuple[i
 
 
 class FrameBuffer:
-    """What came of frames that are not whole yet: `data` up to `end`, at most MOST_BUFFER bytes unless asked for."""
+    """What came of frames that are not whole yet: `data` up to `end`, at most MAX_BUFFER bytes unless asked for."""
 
     def __init__(self) -> None:
         self.data = bytearray(FIRST_BUFFER)
@@ -168,12 +168,12 @@ class FrameReceiver(asyncio.BufferedProtocol):
     """Receives frames in bulk and delivers the newest of each batch.
 
     The kernel writes into one buffer; whole frames in it are counted, and only the newest `depth` are copied
-    out, however many came. A frame larger than the buffer is received into memory of its own; one longer than `most`
+    out, however many came. A frame larger than the buffer is received into memory of its own; one longer than `limit`
     bytes ends the connection, and `trouble` then says why. `accept` is given the peer's header and returns where frames
     go; whatever it raises ends the connection.
     """
 
-    def __init__(self, hello: bytes, accept: Accept, most: int) -> None:
+    def __init__(self, hello: bytes, accept: Accept, limit: int) -> None:
         self.depth = 1
         self.received = 0
         self.trouble: str | None = None
@@ -186,7 +186,7 @@ class FrameReceiver(asyncio.BufferedProtocol):
         self._kernel: ReceiveBuffer | None = None
         self._buffer = FrameBuffer()
         self._large: LargeFrame | None = None
-        self._most = most
+        self._limit = limit
         self._proven = 0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -254,7 +254,7 @@ class FrameReceiver(asyncio.BufferedProtocol):
             return end
         length: int = LENGTH.unpack_from(buffer.data)[0]
         try:
-            if length > MOST_HEADER:
+            if length > MAX_HEADER:
                 raise BadFrame(f"a header of {length} bytes")
             if end < 4 + length:
                 if end == len(buffer.data):
@@ -282,9 +282,9 @@ class FrameReceiver(asyncio.BufferedProtocol):
         buffer = self._buffer
         if end - position >= 4:
             (length,) = LENGTH.unpack_from(buffer.data, position)
-            if length > self._most:
+            if length > self._limit:
                 words = (
-                    f"it announces a message of {length} bytes, more than the {self._most} of --setting message_limit"
+                    f"it announces a message of {length} bytes, more than the {self._limit} of --setting message_limit"
                 )
                 self._refuse(BadFrame(words))
                 return
@@ -294,7 +294,7 @@ class FrameReceiver(asyncio.BufferedProtocol):
                 buffer.end = 0
                 return
         buffer.drop(position, end)
-        if end == len(buffer.data) and end < MOST_BUFFER:
+        if end == len(buffer.data) and end < MAX_BUFFER:
             buffer.grow(2 * end)
 
     def _fill_large(self, nbytes: int) -> None:

@@ -15,10 +15,10 @@ from xml.parsers import expat
 from rosld.adapters.base import ParameterValue
 from rosld.adapters.model import Refused, Sent, TimedOut, Unreachable
 
-MOST_BYTES = 64 * 1024 * 1024
-MOST_HEADER = 16 * 1024
-MOST_DEPTH = 400  # elements; a struct in a struct takes three
-MOST_IDLE = 2
+MAX_BYTES = 64 * 1024 * 1024
+MAX_HEADER = 16 * 1024
+MAX_DEPTH = 400  # elements; a struct in a struct takes three
+MAX_IDLE = 2
 
 Dial: TypeAlias = Callable[[], Awaitable[tuple[asyncio.StreamReader, asyncio.StreamWriter]]]
 
@@ -88,8 +88,8 @@ def _parser(target: xmlrpc.client.Unmarshaller) -> expat.XMLParserType:
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
-        if depth > MOST_DEPTH:
-            raise Malformed(f"nested more than {MOST_DEPTH} elements deep")
+        if depth > MAX_DEPTH:
+            raise Malformed(f"nested more than {MAX_DEPTH} elements deep")
         target.start(tag, attributes)
 
     def end(tag: str) -> None:
@@ -177,7 +177,7 @@ class XmlRpcClient:
             progress[0] = Sent.MAYBE
             writer.write(self._head(len(document)) + document)
             body, kept = await _read_response(reader)
-            kept = kept and self._keep_alive and len(self._idle) < MOST_IDLE
+            kept = kept and self._keep_alive and len(self._idle) < MAX_IDLE
             return body
         finally:
             if kept:
@@ -204,12 +204,12 @@ async def read_head(reader: asyncio.StreamReader) -> tuple[str, dict[str, str]]:
     return first, {name.strip().lower(): value.strip() for name, _, value in pairs}
 
 
-def content_length(fields: dict[str, str], most: int = MOST_BYTES) -> int | None:
+def content_length(fields: dict[str, str], limit: int = MAX_BYTES) -> int | None:
     """The length that a header states, None where it states none. Raises Malformed."""
     stated = fields.get("content-length")
     if stated is None:
         return None
-    if not stated.isascii() or not stated.isdigit() or len(stated) > 12 or int(stated) > most:
+    if not stated.isascii() or not stated.isdigit() or len(stated) > 12 or int(stated) > limit:
         raise Malformed(f"a Content-Length of {stated[:20]!r}")
     return int(stated)
 
@@ -230,8 +230,8 @@ async def _read_to_end(reader: asyncio.StreamReader) -> bytes:
     body = bytearray()
     while piece := await reader.read(65536):
         body += piece
-        if len(body) > MOST_BYTES:
-            raise Malformed(f"its answer is longer than {MOST_BYTES} bytes")
+        if len(body) > MAX_BYTES:
+            raise Malformed(f"its answer is longer than {MAX_BYTES} bytes")
     return bytes(body)
 
 

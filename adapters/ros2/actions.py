@@ -41,7 +41,7 @@ _RESULT = 5.0
 _MATCHED = 0.5
 _TOLD = 0.2
 _PAUSE = 0.005
-_MOST_REMEMBERED = 1000
+_MAX_REMEMBERED = 1000
 
 
 @dataclass
@@ -233,7 +233,7 @@ class Actions:
         if goal is None:
             if not line.followers:
                 return
-            if len(line.goals) >= _MOST_REMEMBERED:
+            if len(line.goals) >= _MAX_REMEMBERED:
                 del line.goals[next(iter(line.goals))]
             goal = line.goals[id] = _Goal(own=False)
         if _ended(goal) or goal.ending or goal.status is status:

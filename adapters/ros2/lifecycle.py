@@ -40,7 +40,7 @@ _AGAIN = 10.0
 _AT_ONCE = 16
 _TRIES = 4
 """Times that a node is asked until its state is the same before and after."""
-_MOST_TRANSITIONS = 64
+_MAX_TRANSITIONS = 64
 
 
 @dataclass(eq=False)
@@ -214,7 +214,7 @@ class Lifecycles:
                 self._call(node, "get_available_transitions", _TRANSITIONS, {}, until),
             )
             state = _state(now.current_state)
-            offered = list(possible.available_transitions)[:_MOST_TRANSITIONS]
+            offered = list(possible.available_transitions)[:_MAX_TRANSITIONS]
             if not _heard(one) and all(each.start_state.id == state.id for each in offered):
                 break
         legal = {} if state.is_underway else {each.transition.label: each for each in reversed(offered)}

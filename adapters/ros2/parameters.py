@@ -42,7 +42,7 @@ _FIRST_RETRY = 2.0
 _LONGEST_RETRY = 60.0
 _AGAIN = 60.0
 _AT_ONCE = 16
-_MOST_PARAMETERS = 20_000
+_MAX_PARAMETERS = 20_000
 
 
 @dataclass
@@ -259,7 +259,7 @@ class Parameters:
     ) -> None:
         """These parameters are there, those are gone; what is new is soon asked for what is declared of it."""
         owner.generation += 1
-        room = max(0, _MOST_PARAMETERS - len(owner.names))
+        room = max(0, _MAX_PARAMETERS - len(owner.names))
         came = [name for name in dict.fromkeys(set) if name not in owner.names][:room]
         owner.names = owner.names.union(came).difference(deleted)
         for name in deleted:
@@ -305,7 +305,7 @@ class Parameters:
 
     async def _names(self, node: str, until: float) -> frozenset[str]:
         response = await self._ask(node, "list_parameters", {"prefixes": [], "depth": 0}, until)
-        return frozenset(list(response.result.names)[:_MOST_PARAMETERS])
+        return frozenset(list(response.result.names)[:_MAX_PARAMETERS])
 
     def _ask_again(self, owner: _Owner) -> None:
         """Ask a node that did not answer again, each time after a longer while."""

@@ -19,7 +19,7 @@ from rosld.adapters.ros2.middleware import class_problem, make_message
 
 _DESCRIPTION = "type_description_interfaces/srv/GetTypeDescription"
 _KINDS = ("msg", "srv", "action")
-_MOST_ASKED = 3
+_MAX_ASKED = 3
 
 
 def definition_folders(
@@ -105,7 +105,7 @@ class Types:
         try:
             return await loop.run_in_executor(None, self.library.find, ref)
         except UnknownType as unknown:
-            for node in users[:_MOST_ASKED]:
+            for node in users[:_MAX_ASKED]:
                 if (found := await self._ask(node, ref, until)) is not None:
                     return found
             raise unknown

@@ -23,7 +23,7 @@ from rosld.server.runtime.signals import Signal
 
 _GLANCE = 1.0
 """Seconds between looks at whether the file has changed."""
-_MOST = 1000
+_MAX_AGENTS = 1000
 """Agents whose judges are kept."""
 _log = logging.getLogger("rosld")
 _Stamp: TypeAlias = tuple[int, int, int]
@@ -89,7 +89,7 @@ class Authenticator:
         """What an agent may do now."""
         found = self._judges.get(agent)
         if found is None:
-            if len(self._judges) >= _MOST:
+            if len(self._judges) >= _MAX_AGENTS:
                 self._judges.clear()
             found = Permissions(agent, self.config.policy.rights_of(agent), self._space, self._types)
             self._judges[agent] = found

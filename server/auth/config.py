@@ -40,7 +40,7 @@ MODES: Mapping[NamedNode, Mode] = {
     ros.Command: Mode.CONTROL,
 }
 """The modes as RDF says them: acl:Control is about the rules themselves."""
-_MOST = 4 * 1024 * 1024
+_MAX_BYTES = 4 * 1024 * 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +72,8 @@ def read_config(path: Path, base: str) -> AuthConfig:
         data = path.read_bytes()
     except OSError as error:
         raise ValueError(f"--auth {path}: {error.strerror or error}") from error
-    if len(data) > _MOST:
-        raise ValueError(f"--auth {path}: larger than {_MOST} bytes")
+    if len(data) > _MAX_BYTES:
+        raise ValueError(f"--auth {path}: larger than {_MAX_BYTES} bytes")
     try:
         return from_turtle(data, base) if path.suffix in (".ttl", ".turtle") else from_toml(data)
     except (ValueError, SyntaxError) as error:

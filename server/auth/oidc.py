@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 from rosld.server.auth.config import Issuer
 
 _SECONDS = 5.0
-_MOST_BYTES = 256 * 1024
+_MAX_BYTES = 256 * 1024
 _KEPT_SECONDS = 3600.0
 _AGAIN_SECONDS = 10.0
 """How long keys are at least kept: a token with a key that is not known has them fetched again no sooner."""
@@ -162,12 +162,12 @@ def _json(url: str) -> dict[str, object]:
         with opener.open(
             urllib.request.Request(url, headers={"Accept": "application/json"}), timeout=_SECONDS
         ) as answer:
-            data = answer.read(_MOST_BYTES + 1)
+            data = answer.read(_MAX_BYTES + 1)
     except urllib.error.HTTPError as error:
         error.close()
         raise
-    if len(data) > _MOST_BYTES:
-        raise ValueError(f"{url} says more than {_MOST_BYTES} bytes")
+    if len(data) > _MAX_BYTES:
+        raise ValueError(f"{url} says more than {_MAX_BYTES} bytes")
     found = json.loads(data)
     if not isinstance(found, dict):
         raise ValueError(f"{url} is no JSON object")

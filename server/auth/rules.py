@@ -20,7 +20,7 @@ from rosld.server.auth.globs import Glob, Path, type_matches
 AUTHENTICATED = "authenticated"
 """Whom rules call so: everybody who has said who they are."""
 _SECRET = secrets.token_bytes(32)
-_MOST = 16384
+_MAX_DECISIONS = 16384
 """Judgements that are remembered."""
 Types: TypeAlias = frozenset[str]
 """The names of the types that a resource is of, as ROS has them; none for what is of no type."""
@@ -131,7 +131,7 @@ class Rights:
         key = (mode, path, types)
         found = self._known.get(key)
         if found is None:
-            if len(self._known) >= _MOST:
+            if len(self._known) >= _MAX_DECISIONS:
                 self._known.clear()
             found = self._known[key] = self._judge(mode, path, types)
         return found

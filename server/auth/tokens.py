@@ -20,7 +20,7 @@ from rosld.server.http.tokens import PREFIX
 
 DIGEST = re.compile(r"sha256:[0-9a-f]{64}")
 _TOKEN68 = re.compile(r"[A-Za-z0-9\-._~+/]+=*")
-_MOST = 16 * 1024
+_MAX_FIELD = 16 * 1024
 
 
 def generate_token() -> str:
@@ -65,7 +65,7 @@ def parse_credentials(field: str) -> Credentials | None:
     """
     scheme, _, rest = field.strip(" \t").partition(" ")
     rest = rest.strip(" \t")
-    if len(rest) > _MOST or not _TOKEN68.fullmatch(rest):
+    if len(rest) > _MAX_FIELD or not _TOKEN68.fullmatch(rest):
         return None
     if scheme.lower() == "bearer":
         return Credentials(rest)

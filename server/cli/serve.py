@@ -63,8 +63,8 @@ class Serving:
         settings = app.robot.settings
         limits = (settings.head_limit, settings.head_timeout, settings.read_timeout)
         bounds = Bounds(*limits, app.clients.connect, app.clients.open_websocket, app.is_urgent)
-        most = min(settings.connections, most_open_files() - FILES)
-        self._server = http_server.Server(app, self._listening, bounds, max(most, 1))
+        limit = min(settings.connections, max_open_files() - FILES)
+        self._server = http_server.Server(app, self._listening, bounds, max(limit, 1))
         tls.apply(self._server.config, app.robot.settings.tls_cert, app.robot.settings.tls_key)
         self._work: asyncio.Task[None] | None = None
 
@@ -118,13 +118,13 @@ def allow_open_files() -> None:
     import resource
 
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    most = 65536 if hard == resource.RLIM_INFINITY else min(hard, 65536)
-    if soft != resource.RLIM_INFINITY and soft < most:
+    limit = 65536 if hard == resource.RLIM_INFINITY else min(hard, 65536)
+    if soft != resource.RLIM_INFINITY and soft < limit:
         with contextlib.suppress(OSError, ValueError):
-            resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+            resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
 
 
-def most_open_files() -> int:
+def max_open_files() -> int:
     """How many files this process may have open, sockets among them."""
     if sys.platform == "win32":
         return 65536

@@ -13,7 +13,7 @@ _FREE = 4000
 """Triples that a store may have without anything being worth a thought."""
 _STEPS = 16
 """Steps past what is no more that take as long as renewing one triple, walked by a change and by a query after it."""
-_MOST = 4
+_MAX_GARBAGE_RATIO = 4
 """Triples that are no more, for each that is: what memory may be lost to them."""
 
 
@@ -31,7 +31,7 @@ class GarbageEstimate:
     def is_due(self) -> bool:
         """Whether walking past what is no more has cost as much as a new store would, or it takes too much memory."""
         size = max(self._size, _FREE)
-        return self._walked > _STEPS * size or self._lost > _MOST * size
+        return self._walked > _STEPS * size or self._lost > _MAX_GARBAGE_RATIO * size
 
     @property
     def is_half_gone(self) -> bool:

@@ -47,18 +47,18 @@ class Response(NamedTuple):
 class Endpoint:
     """Sends requests to one URL. Thread-safe; requests wait for each other.
 
-    `seconds` is what a request may take, from connecting to the last byte; `most` the bytes an answer may have.
+    `seconds` is what a request may take, from connecting to the last byte; `limit` the bytes an answer may have.
     `authorization` is the value of that header. TLS is verified as the system's certificates have it.
     """
 
     def __init__(
-        self, url: str, authorization: str | None = None, *, seconds: float = 30.0, most: int = 64 * 1024 * 1024
+        self, url: str, authorization: str | None = None, *, seconds: float = 30.0, limit: int = 64 * 1024 * 1024
     ) -> None:
         self.url = url
         self.seconds = seconds
         self.connections = 0
         """How many connections were made: while it is the same, the same server has answered."""
-        self._most = most
+        self._limit = limit
         parts = urlsplit(url)
         self._target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
         self._headers = {} if authorization is None else {"Authorization": authorization}
@@ -121,12 +121,12 @@ class Endpoint:
             media_type = stated.partition(";")[0].strip().lower()
             if not 200 <= answer.status < 300:
                 raise self._refused(answer)
-            read = answer.read(self._most + 1)
-            if answer.length and len(read) <= self._most:
+            read = answer.read(self._limit + 1)
+            if answer.length and len(read) <= self._limit:
                 raise HTTPException("the answer broke off")
-            if len(read) > self._most:
+            if len(read) > self._limit:
                 self._drop()
-                raise Unreachable(f"{self.url} answers with more than {self._most} bytes.")
+                raise Unreachable(f"{self.url} answers with more than {self._limit} bytes.")
             if answer.will_close or not answer.isclosed():
                 self._drop()
         return Response(media_type, read, stated)

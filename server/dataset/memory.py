@@ -79,10 +79,10 @@ class MemoryStore:
         """The dataset itself. Whoever changes it must be a process that ends afterwards."""
         return self._store
 
-    def lookup(self, subject: Term | None, predicate: NamedNode | None, object: Term | None, most: int) -> list[Quad]:
+    def lookup(self, subject: Term | None, predicate: NamedNode | None, object: Term | None, limit: int) -> list[Quad]:
         """At most so many statements with this subject, predicate and object."""
         place = cast("NamedNode | None", subject)
-        return [*islice(self._store.quads_for_pattern(place, predicate, object, None), most)]
+        return [*islice(self._store.quads_for_pattern(place, predicate, object, None), limit)]
 
     def graphs(self) -> Collection[str]:
         return [graph.value for graph in self._store.named_graphs() if isinstance(graph, NamedNode)]
@@ -145,12 +145,12 @@ class MemoryStore:
         assert held is not None
         return decode_ntriples(held).decode()
 
-    def count(self, graph: str, most: int) -> int:
+    def count(self, graph: str, limit: int) -> int:
         """The number of triples of a graph, at most so many."""
         lines = self._lines.get(graph)
         if lines is not None:
-            return min(len(lines), most)
-        return sum(1 for _ in islice(self._quads(graph), most))
+            return min(len(lines), limit)
+        return sum(1 for _ in islice(self._quads(graph), limit))
 
     def triples(self, graph: str) -> Sequence[Triple] | None:
         """The triples of a graph, None where it has none."""
@@ -164,12 +164,12 @@ class MemoryStore:
         """Found by walking past all that are gone: the lines of a graph that was replaced often are read faster."""
         return self._store.quads_for_pattern(None, None, None, NamedNode(graph))
 
-    def extent(self, graph: NamedNode, most: int) -> tuple[int, int]:
+    def extent(self, graph: NamedNode, limit: int) -> tuple[int, int]:
         """The number of triples of a graph, at most so many, and about the characters of their literals."""
         lines = self._lines.get(graph.value)
         if lines is not None:
             return len(lines), sum(len(line) - start for line in lines if (start := line.find('"')) >= 0)
-        quads = [*islice(self._quads(graph.value), most)]
+        quads = [*islice(self._quads(graph.value), limit)]
         return len(quads), sum(len(quad.object.value) for quad in quads if isinstance(quad.object, Literal))
 
     def query(

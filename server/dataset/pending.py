@@ -34,8 +34,8 @@ class Pending:
     Where more wait than there may, all are forgotten, and `overflowed` says that everything is to be told anew.
     """
 
-    def __init__(self, most: int = FREE) -> None:
-        self.most = most
+    def __init__(self, limit: int = FREE) -> None:
+        self.limit = limit
         self.overflowed = False
         self._entries: dict[str, Entry] = {}
         self._size = 0
@@ -60,7 +60,7 @@ class Pending:
                 self._put(edit.graph, None if before is None else (*before, edit))
             if self._entries and self._since is None:
                 self._since = time.monotonic()
-            if len(self._entries) > self.most:
+            if len(self._entries) > self.limit:
                 self._forget()
                 self.overflowed = True
 
@@ -73,18 +73,18 @@ class Pending:
     def note_all(self, graphs: Collection[str]) -> None:
         """These graphs, however many they are, and what was noted besides, are all that is to be told."""
         with self._lock:
-            self.most = FREE + len(graphs)
+            self.limit = FREE + len(graphs)
             for graph in graphs:
                 self._put(graph, None)
             if self._entries and self._since is None:
                 self._since = time.monotonic()
 
-    def take(self, most: int) -> Taken | None:
+    def take(self, limit: int) -> Taken | None:
         """The first of what waits, which waits no more; None where nothing does."""
         with self._lock:
             if not self._entries or self._since is None:
                 return None
-            taken = Taken({graph: self._entries[graph] for graph in islice(self._entries, most)}, self._since)
+            taken = Taken({graph: self._entries[graph] for graph in islice(self._entries, limit)}, self._since)
             for graph in taken.entries:
                 self._size -= _size(self._entries.pop(graph))
             if not self._entries:

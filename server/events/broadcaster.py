@@ -21,9 +21,9 @@ from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 from rosld.server.runtime.signals import Signal, call_every
 
-MOST_READERS = 2000
+MAX_READERS = 2000
 """Streams and waiting requests at a time; one more is answered 503."""
-MOST_OF_ADDRESS = 256
+MAX_OF_ADDRESS = 256
 """Those of one address, unless a setting says otherwise; one more is answered 429."""
 RETRY_SECONDS = 2
 _LOOK_AGAIN_SECONDS = 5.0
@@ -173,9 +173,9 @@ class Broadcaster:
 class Broadcasters:
     """The feeds of one server and all that read them; `general` is given whenever anything changed."""
 
-    def __init__(self, general: Signal, most_of_address: int = MOST_OF_ADDRESS) -> None:
+    def __init__(self, general: Signal, max_of_address: int = MAX_OF_ADDRESS) -> None:
         self._general = general
-        self._most_of_address = most_of_address
+        self._max_of_address = max_of_address
         self._of_address: Counter[str | None] = Counter()
         self._feeds: dict[Resource, Broadcaster] = {}
         self._held: set[asyncio.Task[None]] = set()
@@ -186,11 +186,11 @@ class Broadcasters:
 
         Raises a 429 Problem where as many as may be come from the address of this client, this machine's included.
         """
-        if self._of_address[_address_of(client)] >= self._most_of_address:
-            words = f"{self._most_of_address} streams and waiting requests come from your address already"
+        if self._of_address[_address_of(client)] >= self._max_of_address:
+            words = f"{self._max_of_address} streams and waiting requests come from your address already"
             raise Problem(429, f"{words} (client_streams): end some.", headers={"Retry-After": "5"})
-        if self._is_over or len(self._held) >= MOST_READERS:
-            why = "The server is ending." if self._is_over else f"{MOST_READERS} readers of changes are here already."
+        if self._is_over or len(self._held) >= MAX_READERS:
+            why = "The server is ending." if self._is_over else f"{MAX_READERS} readers of changes are here already."
             raise Problem(503, f"{why} Come back later, or read without a stream.", headers={"Retry-After": "10"})
 
     @contextlib.contextmanager

@@ -23,7 +23,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 
-MOST_CHANNELS = 4000
+MAX_CHANNELS = 4000
 """Channels at a time. One more takes the place of the one that has been without a receiver longest."""
 IDLE_SECONDS = 300.0
 """How long a channel without a receiver is kept: so long may a client take to connect, and to come back."""
@@ -80,9 +80,9 @@ class Channel:
 class Channels:
     """The channels of one server. `instance_id` tells this run of the server from others in the names of states."""
 
-    def __init__(self, instance_id: str, most: int = MOST_CHANNELS) -> None:
+    def __init__(self, instance_id: str, limit: int = MAX_CHANNELS) -> None:
         self._instance_id = instance_id
-        self._most = most
+        self._limit = limit
         self._kept: dict[str, Channel] = {}
 
     def __len__(self) -> int:
@@ -167,16 +167,16 @@ class Channels:
         return _changed(topic, told.container, now, channel.visit.permissions), now
 
     def _make_room(self) -> None:
-        if len(self._kept) < self._most:
+        if len(self._kept) < self._limit:
             return
         for channel in [one for one in self._kept.values() if one.is_over]:
             self.close(channel)
         waiting = [one for one in self._kept.values() if one.receiver is None]
-        if len(self._kept) >= self._most:
+        if len(self._kept) >= self._limit:
             if not waiting:
                 raise Problem(
                     503,
-                    f"{self._most} channels have receivers already. Come back later.",
+                    f"{self._limit} channels have receivers already. Come back later.",
                     headers={"Retry-After": "60"},
                 )
             self.close(min(waiting, key=lambda one: one.since))

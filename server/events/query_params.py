@@ -8,8 +8,8 @@ from rosld.server.http import header_syntax, negotiation
 from rosld.server.http.problem import Problem
 
 EVENT_STREAM = "text/event-stream"
-DEFAULT_RATE, LEAST_RATE, MOST_RATE = 10.0, 0.001, 100.0
-DEFAULT_TIMEOUT, MOST_TIMEOUT = 25.0, 60.0
+DEFAULT_RATE, MIN_RATE, MAX_RATE = 10.0, 0.001, 100.0
+DEFAULT_TIMEOUT, MAX_TIMEOUT = 25.0, 60.0
 
 
 def stream_is_preferred(accept: str | None, offers: tuple[str, ...]) -> bool:
@@ -22,13 +22,12 @@ def stream_is_preferred(accept: str | None, offers: tuple[str, ...]) -> bool:
 def rate(query: Mapping[str, str]) -> float:
     """`?rate=`: at most so many events a second. More than can be had gives what can be had. A 400 Problem else."""
     wanted = _number(query, "rate", DEFAULT_RATE)
-    if wanted is None or wanted < LEAST_RATE:
+    if wanted is None or wanted < MIN_RATE:
         raise Problem(
             400,
-            f"?rate={query['rate'][:100]} is no number of events a second: send one from {LEAST_RATE:g} to "
-            f"{MOST_RATE:g}.",
+            f"?rate={query['rate'][:100]} is no number of events a second: send one from {MIN_RATE:g} to {MAX_RATE:g}.",
         )
-    return min(wanted, MOST_RATE)
+    return min(wanted, MAX_RATE)
 
 
 def timeout(query: Mapping[str, str]) -> float:
@@ -36,9 +35,9 @@ def timeout(query: Mapping[str, str]) -> float:
     wanted = _number(query, "timeout", DEFAULT_TIMEOUT)
     if wanted is None:
         raise Problem(
-            400, f"?timeout={query['timeout'][:100]} is no number of seconds: send one from 0 to {MOST_TIMEOUT:g}."
+            400, f"?timeout={query['timeout'][:100]} is no number of seconds: send one from 0 to {MAX_TIMEOUT:g}."
         )
-    return min(wanted, MOST_TIMEOUT)
+    return min(wanted, MAX_TIMEOUT)
 
 
 def is_state(text: str | None, state: str) -> bool:

@@ -18,14 +18,14 @@ from rosld.ontology.vocab import rdf
 from rosld.server.http import media, negotiation
 from rosld.server.http.problem import Problem
 
-MOST_BYTES = 16 * 1024
+MAX_BYTES = 16 * 1024
 """A request names a topic and a few features: more is not read."""
 JSON_LD = "application/ld+json"
 MEDIA_TYPES = (JSON_LD, "application/json", "text/turtle", "application/n-triples")
 """What a request may be written in."""
 MESSAGE_TYPES = (JSON_LD, "application/json", "application/activity+json", "text/turtle", "application/n-triples")
 """What notifications can be written in, the default first."""
-LEAST_INTERVAL, DEFAULT_INTERVAL, MOST_INTERVAL = 0.01, 0.1, 86_400.0
+MIN_INTERVAL, DEFAULT_INTERVAL, MAX_INTERVAL = 0.01, 0.1, 86_400.0
 """Seconds between two notifications of a channel."""
 
 _DURATION = re.compile(
@@ -33,7 +33,7 @@ _DURATION = re.compile(
 )
 _DATE_TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)(?:\.(\d{1,18}))?(Z|[+-]\d\d:\d\d)?", re.ASCII)
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
-_LONGEST = 200
+_MAX_LENGTH = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ def check_profile(content_type: str | None) -> None:
         raise Problem(415, f"Content-Type: {error}.") from error
     for one in (profile or "").split():
         if one not in KNOWN_CONTEXTS:
-            raise Problem(415, f"The profile {one[:_LONGEST]!r} is unknown here: leave it out.")
+            raise Problem(415, f"The profile {one[:_MAX_LENGTH]!r} is unknown here: leave it out.")
 
 
 def read_subscription(data: bytes, media_type: str, service: str, channel_type: str, now: int) -> Subscription:
@@ -129,7 +129,7 @@ def _known(context: object) -> object:
 
 def _unknown_context(context: object) -> Problem:
     return _refused(
-        f"The JSON-LD context {str(context)[:_LONGEST]!r} is unknown, and nothing is fetched here: send "
+        f"The JSON-LD context {str(context)[:_MAX_LENGTH]!r} is unknown, and nothing is fetched here: send "
         f"{sorted(KNOWN_CONTEXTS)[0]} or write the context itself in its place."
     )
 
@@ -147,7 +147,7 @@ def _check_type(body: RdfBody, channel: Subject, wanted: str) -> None:
         raise _refused(f"A subscription has a type: {notify.iri}{wanted} here.")
     for one in types:
         if type_named(one) != wanted:
-            raise _refused(f"The type {one[:_LONGEST]!r} is not made here: this service makes {notify.iri}{wanted}")
+            raise _refused(f"The type {one[:_MAX_LENGTH]!r} is not made here: this service makes {notify.iri}{wanted}")
 
 
 def _topic(body: RdfBody, channel: Subject) -> str:
@@ -156,13 +156,15 @@ def _topic(body: RdfBody, channel: Subject) -> str:
         raise _refused(f"A channel has one topic here; this has {len(found)}: subscribe once for each.")
     topic = found[0]
     if not isinstance(topic, NamedNode):
-        raise _refused(f"The topic {str(topic)[:_LONGEST]} is no URL: send it as an IRI.")
+        raise _refused(f"The topic {str(topic)[:_MAX_LENGTH]} is no URL: send it as an IRI.")
     try:
         fragment = urlsplit(topic.value).fragment
     except ValueError as error:
-        raise _refused(f"The topic {topic.value[:_LONGEST]!r} is no URL: {error}.") from error
+        raise _refused(f"The topic {topic.value[:_MAX_LENGTH]!r} is no URL: {error}.") from error
     if fragment or topic.value.endswith("#"):
-        raise _refused(f"The topic {topic.value[:_LONGEST]!r} is a part of a resource: name the resource, without #.")
+        raise _refused(
+            f"The topic {topic.value[:_MAX_LENGTH]!r} is a part of a resource: name the resource, without #."
+        )
     return topic.value
 
 
@@ -175,9 +177,9 @@ def _text(body: RdfBody, channel: Subject, term: NamedNode) -> str | None:
         return None
     value = found[0]
     if not isinstance(value, Literal):
-        raise _refused(f"{name} {str(value)[:_LONGEST]} is no literal.")
-    if len(value.value) > _LONGEST:
-        raise _refused(f"{name} {value.value[:_LONGEST]!r}... is longer than {_LONGEST} characters.")
+        raise _refused(f"{name} {str(value)[:_MAX_LENGTH]} is no literal.")
+    if len(value.value) > _MAX_LENGTH:
+        raise _refused(f"{name} {value.value[:_MAX_LENGTH]!r}... is longer than {_MAX_LENGTH} characters.")
     return value.value
 
 
@@ -199,9 +201,9 @@ def _interval(rate: str | None) -> float:
         )
     days, hours, minutes, seconds = (Decimal(part or 0) for part in match.groups())
     wanted = float(((days * 24 + hours) * 60 + minutes) * 60 + seconds)
-    if wanted > MOST_INTERVAL:
-        raise _refused(f"rate {rate!r} is longer than a day ({MOST_INTERVAL:g} s), the longest here.")
-    return max(wanted, LEAST_INTERVAL)
+    if wanted > MAX_INTERVAL:
+        raise _refused(f"rate {rate!r} is longer than a day ({MAX_INTERVAL:g} s), the longest here.")
+    return max(wanted, MIN_INTERVAL)
 
 
 def _date_time(text: str | None) -> int | None:

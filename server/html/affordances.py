@@ -21,7 +21,7 @@ from rosld.server.hypermedia.views import (
 )
 from rosld.shapes.value import ScalarShape
 
-MOST_FORMS = 100
+MAX_FORMS = 100
 """Properties that can be set right on the page of their complex resource; the others have pages of their own."""
 
 
@@ -52,7 +52,7 @@ def property_form(affordance: PropertyAffordance, reading: Reading) -> ValueForm
 
 def _member_forms(view: ComplexView) -> Iterator[ValueForm]:
     settable = [member for member in view.members if is_set_in_place(member)]
-    for member in settable[:MOST_FORMS]:
+    for member in settable[:MAX_FORMS]:
         yield replace(property_form(member.affordance, member.reading), action=member.affordance.url)
 
 

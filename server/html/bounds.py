@@ -15,7 +15,7 @@ from rosld.adapters.model import Primitive
 from rosld.ontology.coercion import RANGES
 from rosld.shapes.value import Bounds
 
-_MOST_DIGITS = 40
+_MAX_DIGITS = 40
 _ONLY_IN_XPATH = re.compile(r"\\[A-Za-z]|\[[^\]]*\[|\(\?")
 """What a pattern may hold that XPath and a browser read differently: classes by letter, subtraction, options."""
 
@@ -26,7 +26,7 @@ def number(text: str) -> Decimal | None:
         found = Decimal(text.strip())
     except InvalidOperation:
         return None
-    return found if found.is_finite() and abs(found.adjusted()) < _MOST_DIGITS else None
+    return found if found.is_finite() and abs(found.adjusted()) < _MAX_DIGITS else None
 
 
 def same_value(one: str, other: str) -> bool:

@@ -14,7 +14,7 @@ from rosld.server.html.labels import label
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.view import visible
 
-_MOST = 200
+_MAX_ROWS = 200
 _COLUMNS = ("Role", "Reliability", "Durability", "History", "More")
 _TOLD = (ros.reliability, ros.durability)
 _TIMES = (ros.deadline, ros.lifespan, ros.lease)
@@ -49,7 +49,7 @@ def endpoints(document: Document, site: Site) -> Endpoints | None:
     if not found:
         return None
     of_node = ros.Node in own.get(rdf.type, ())
-    rows = [_row(each, subjects, ros.topic if of_node else ros.node, site) for each in found[:_MOST]]
+    rows = [_row(each, subjects, ros.topic if of_node else ros.node, site) for each in found[:_MAX_ROWS]]
     told = [place for place in range(len(_COLUMNS)) if any(row.cells[place] for row in rows)]
     return Endpoints(
         "Topic" if of_node else "Node",

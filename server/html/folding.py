@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from rosld.server.html.description import Section
 
-MOST_UNFOLDED = 40
+MAX_UNFOLDED = 40
 """Sections that a page shows one below the other. More of them are folded, by kind."""
 
 
@@ -21,7 +21,7 @@ class Group:
 
 def folded_groups(sections: Sequence[Section]) -> tuple[Group, ...]:
     """The sections by kind, in the order in which kinds first come; none where they are few."""
-    if len(sections) <= MOST_UNFOLDED:
+    if len(sections) <= MAX_UNFOLDED:
         return ()
     kinds: dict[str, list[Section]] = {}
     for section in sections:

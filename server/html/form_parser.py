@@ -12,7 +12,7 @@ from rosld.ontology.literals import STRINGS
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import xsd
 from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD, PARAMETER_TYPES, TYPE_FIELD, VALUE_FIELD
-from rosld.server.html.inputs import FLOATS, MOST_TEXT, is_fieldset, is_octets
+from rosld.server.html.inputs import FLOATS, MAX_TEXT, is_fieldset, is_octets
 from rosld.server.html.terms import NUMBERS
 from rosld.shapes.value import Bounds, MessageShape, OpenShape, ScalarShape, ValueShape
 
@@ -207,7 +207,7 @@ def _read_float(text: str) -> JsonValue:
 def _read_json(text: str) -> JsonValue:
     if not text.strip():
         raise ValueError("is empty: write JSON, such as [] for none")
-    if len(text) > 50 * MOST_TEXT:
+    if len(text) > 50 * MAX_TEXT:
         raise ValueError(f"is too long for a form ({len(text):,} characters): send it as application/json")
     try:
         return cast(JsonValue, parse_json(text.replace("\r\n", "\n").encode("utf-8", "surrogatepass")))

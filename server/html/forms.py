@@ -15,7 +15,7 @@ from rosld.adapters.model import MessageSchema
 from rosld.ontology.violations import Violation
 from rosld.server.html.bounds import demanded
 from rosld.server.html.inputs import (
-    MOST_TEXT,
+    MAX_TEXT,
     Control,
     Filling,
     Input,
@@ -240,7 +240,7 @@ def _parameter_text(value: Json) -> str:
 
 
 def _parameter_input(kind: str, text: str) -> Input:
-    if len(text) > MOST_TEXT:
+    if len(text) > MAX_TEXT:
         return Input(VALUE_FIELD, "value", "textarea", note="The present value is too long to be edited here.")
     several = kind == "JSON" or "\n" in text
     return Input(VALUE_FIELD, "value", "textarea" if several else "text", visible(text), required=False)

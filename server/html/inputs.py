@@ -19,9 +19,9 @@ Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json
 """Plain JSON as parsed; whole numbers are ints of any size."""
 
 FLOATS = frozenset({"float32", "float64"})
-MOST_LEAVES = 120
+MAX_LEAVES = 120
 """A nested message with more fields than this (all levels counted) is one text of JSON, not a fieldset."""
-MOST_TEXT = 20_000
+MAX_TEXT = 20_000
 """Characters that an input is filled with; what is longer stays empty, to be sent by other means."""
 _DEEPEST = 64
 
@@ -131,14 +131,14 @@ def _control(schema: MessageSchema, each: Field, path: str, value: Json, filling
 
 def is_fieldset(schema: MessageSchema, kind: FieldType) -> bool:
     """Whether a field is drawn as inputs of its own: a nested message that is not too large."""
-    return isinstance(kind, Nested) and leaves(schema, kind.name) <= MOST_LEAVES
+    return isinstance(kind, Nested) and leaves(schema, kind.name) <= MAX_LEAVES
 
 
 def leaves(schema: MessageSchema, name: str) -> int:
-    """How many inputs all fields of a type come to; counting stops above `MOST_LEAVES`, however deep types nest."""
+    """How many inputs all fields of a type come to; counting stops above `MAX_LEAVES`, however deep types nest."""
     count = 0
     waiting = [name]
-    while waiting and count <= MOST_LEAVES:
+    while waiting and count <= MAX_LEAVES:
         for each in schema.types[waiting.pop()].fields:
             count += 1
             if isinstance(each.type, Nested):
@@ -208,7 +208,7 @@ def _text(kind: Primitive, label: str, path: str, value: Json, bounds: Bounds, f
 
 def can_be_typed(text: str) -> bool:
     """Whether a browser sends a text back as it got it: not too long, and without control characters."""
-    return len(text) <= MOST_TEXT and visible(text) == text and "\r" not in text
+    return len(text) <= MAX_TEXT and visible(text) == text and "\r" not in text
 
 
 def _number(kind: Primitive, label: str, path: str, value: Json, bounds: Bounds, filling: Filling, unit: str) -> Input:
@@ -274,14 +274,14 @@ def is_octets(kind: FieldType) -> bool:
 def json_text(kind: FieldType, value: Json) -> str | None:
     """The text for a field that is edited as JSON (or base64); None where it is elided or too long for that."""
     if is_octets(kind):
-        return value if isinstance(value, str) and len(value) <= MOST_TEXT else None
+        return value if isinstance(value, str) and len(value) <= MAX_TEXT else None
     if not isinstance(value, list if isinstance(kind, Array) else Mapping):
         return None
     try:
         text = editable_json(value, indent=2 if _is_of_messages(kind) else None)
     except (TypeError, ValueError):
         return None
-    return text if len(text) <= MOST_TEXT else None
+    return text if len(text) <= MAX_TEXT else None
 
 
 def editable_json(value: Json, indent: int | None = None) -> str:
@@ -307,7 +307,7 @@ class _Defaults:
 
     def __init__(self, schema: MessageSchema) -> None:
         self._schema = schema
-        self._left = MOST_TEXT // 2
+        self._left = MAX_TEXT // 2
 
     def of(self, kind: FieldType, depth: int) -> Json:
         """The default of a type; raises OverflowError where it is too large."""
@@ -325,5 +325,5 @@ class _Defaults:
 
 def _zeros(count: int) -> str:
     """The base64 of `count` zero bytes, as far as an input would hold it."""
-    whole, rest = divmod(min(count, MOST_TEXT), 3)
+    whole, rest = divmod(min(count, MAX_TEXT), 3)
     return "AAAA" * whole + ("", "AA==", "AAA=")[rest]

@@ -15,7 +15,7 @@ from rosld.server.html.site import Anchor, Site
 from rosld.server.html.terms import cell_view
 from rosld.server.html.view import View, visible
 
-_MOST_COLUMNS = 4
+_MAX_COLUMNS = 4
 _NO_COLUMNS = frozenset({rdf.type, ros.name, rdfs.label, rdfs.comment, ros.namespace})
 
 
@@ -87,6 +87,6 @@ def _columns(document: Document, urls: list[str]) -> tuple[tuple[str, ...], dict
                 continue
             predicates[triple.predicate] = None
             found.setdefault(triple.subject.value, {})[triple.predicate] = triple.object
-    chosen = tuple(predicates)[:_MOST_COLUMNS]
+    chosen = tuple(predicates)[:_MAX_COLUMNS]
     rows = {url: tuple(cells.get(predicate, "") for predicate in chosen) for url, cells in found.items()}
     return tuple(label(predicate.value) for predicate in chosen), rows

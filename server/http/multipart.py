@@ -12,7 +12,7 @@ MULTIPART = "multipart/form-data"
 _BOUNDARY = re.compile(r"[0-9A-Za-z'()+_,./:=? -]{0,69}[0-9A-Za-z'()+_,./:=?-]")
 _DELIMITED = re.compile(rb"[ \t]*\r\n")
 _LONGEST_HEAD = 16 * 1024
-_MOST = 1000
+_MAX_PARTS = 1000
 _PLAIN_CODINGS = ("", "7bit", "8bit", "binary")
 
 
@@ -30,9 +30,9 @@ def split_parts(body: bytes, boundary: str | None) -> tuple[Part, ...]:
     """
     if boundary is None or not _BOUNDARY.fullmatch(boundary):
         raise ValueError(f"boundary={boundary!r} cuts no multipart body: 1 to 70 characters of RFC 2046 5.1.1 do")
-    _, *pieces = (b"\r\n" + body).split(b"\r\n--" + boundary.encode("ascii"), _MOST + 1)
-    if len(pieces) > _MOST:
-        raise ValueError(f"the body has more than {_MOST} parts")
+    _, *pieces = (b"\r\n" + body).split(b"\r\n--" + boundary.encode("ascii"), _MAX_PARTS + 1)
+    if len(pieces) > _MAX_PARTS:
+        raise ValueError(f"the body has more than {_MAX_PARTS} parts")
     found: list[Part] = []
     for piece in pieces:
         if piece.startswith(b"--"):

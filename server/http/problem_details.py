@@ -25,7 +25,7 @@ _SYNTAXES: Mapping[str, Syntax] = {syntax.media_type: syntax for syntax in Synta
 _OFFERS = (JSON, "application/json", "text/html", *_SYNTAXES)
 _HYDRA = "http://www.w3.org/ns/hydra/core#"
 _NOWHERE = "about:blank"
-_LONGEST = 2000
+_MAX_QUOTED = 2000
 """Characters of a value that are told back to whoever sent it."""
 
 
@@ -141,7 +141,7 @@ def _page(problem: Problem) -> str:
 
 def _clean(text: str) -> str:
     """Text that every form can carry: no control characters, no lone surrogates, not endless."""
-    shown = text if len(text) <= _LONGEST else text[:_LONGEST] + "..."
+    shown = text if len(text) <= _MAX_QUOTED else text[:_MAX_QUOTED] + "..."
     return "".join(char if char.isprintable() or char == "\n" else "\N{REPLACEMENT CHARACTER}" for char in shown)
 
 

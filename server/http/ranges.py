@@ -37,8 +37,8 @@ class Span:
 def parse_ranges(text: str | None, size: int) -> tuple[Span, ...] | None:
     """The spans of `size` bytes that a Range field asks for; None where all is to be sent (200).
 
-    Fields in another unit than bytes, malformed ones, and those with more than `MOST` ranges are ignored (RFC 9110
-    14.2). Ranges that overlap or nearly touch become one, so that nothing is ever sent twice; the others keep the
+    Fields in another unit than bytes, malformed ones, and those with more than `MAX_RANGES` ranges are ignored (RFC
+    9110 14.2). Ranges that overlap or nearly touch become one, so that nothing is ever sent twice; the others keep the
     order in which they were asked for. Raises a 416 Problem where none of them can be satisfied (RFC 9110 15.5.17).
     """
     asked = _asked(text)

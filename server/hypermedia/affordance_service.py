@@ -52,7 +52,7 @@ from rosld.shapes.value import NO_MEASURE
 
 T = TypeVar("T")
 
-_LEAST_SECONDS = 0.1
+_MIN_SECONDS = 0.1
 """How often a getter is asked at most for somebody who follows its value."""
 _MANY_NAMES = 200
 """Names in a graph from which its resources are found on a thread: 10,000 take it most of a second."""
@@ -204,7 +204,7 @@ class AffordanceService(Generic[T]):
         watches = [session.changes.watch(wake), self._changes.watch(wake, lambda name: name in names)]
         watches += [await session.topics.watch(one.readers[0].name, wake) for one in reads if is_observable(one)]
         if not all(map(is_observable, reads)):
-            watches.append(call_every(max(_LEAST_SECONDS, session.settings.freshness), wake))
+            watches.append(call_every(max(_MIN_SECONDS, session.settings.freshness), wake))
         return combine_watches(*watches)
 
     # What is seen

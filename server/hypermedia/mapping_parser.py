@@ -42,9 +42,9 @@ Node: TypeAlias = NamedNode | BlankNode
 Statements: TypeAlias = Mapping[NamedNode, Sequence[Term]]
 _T = TypeVar("_T")
 
-MOST_TRIPLES = 5_000
+MAX_TRIPLES = 5_000
 """The triples a document may have. To judge so many takes a second or two, seven where all of them are wrong."""
-_MOST_VIOLATIONS = 20
+_MAX_VIOLATIONS = 20
 _LONGEST_READING = 5.0
 """Seconds that the conditions of a document may take to be read."""
 _WHEN = (mapping.writableWhen, mapping.availableWhen, mapping.existsWhen)
@@ -105,9 +105,9 @@ def mapping_of(body: RdfBody, url: str, *, judged: bool = False) -> MappingDocum
     Where it was `judged` by the shape of mappings before, it is not judged by it again: that takes its time.
     """
     triples = tuple(_triples(body))
-    if len(triples) > MOST_TRIPLES:
+    if len(triples) > MAX_TRIPLES:
         raise MappingRefused(
-            Violation("", f"a mapping has at most {MOST_TRIPLES} triples; make several documents of it")
+            Violation("", f"a mapping has at most {MAX_TRIPLES} triples; make several documents of it")
         )
     if strange := next((each for each in triples if Triple in (type(each.subject), type(each.object))), None):
         raise MappingRefused(Violation("", "a mapping has no triple terms", brief(strange)))
@@ -274,7 +274,7 @@ class _Reader:
         """Raise what was noted, if anything was."""
         if self.found:
             violations = sorted(self.found, key=lambda one: (one.path, one.message, one.value or ""))
-            raise MappingRefused(*violations[:_MOST_VIOLATIONS])
+            raise MappingRefused(*violations[:_MAX_VIOLATIONS])
 
     def check_terms(self) -> None:
         """No term of `map:` or of SHACL is misspelt: an unknown one would silently mean nothing."""

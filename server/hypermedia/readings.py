@@ -25,7 +25,7 @@ from rosld.server.robot.topics import LiveTopics
 _CALLS = 2
 """The most calls of one getter at a time: the second is for who needs an answer newer than the first's."""
 _PARAMETER_CALLS = 4
-_MOST = 65536
+_MAX_READINGS = 65536
 
 
 class _Attempt(NamedTuple):
@@ -175,7 +175,7 @@ class Readings:
             topic = first.name if isinstance(first, TopicSource) else None
             self._kept.pop(property.name, None)
             self._kept[property.name] = _Kept(property, topic, view, until, reading)
-            if len(self._kept) > _MOST:
+            if len(self._kept) > _MAX_READINGS:
                 del self._kept[next(iter(self._kept))]
         return reading
 

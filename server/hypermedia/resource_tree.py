@@ -26,7 +26,7 @@ from rosld.server.hypermedia.mappings import (
 )
 
 _P = TypeVar("_P")
-_MOST_AFFECTED = 10_000
+_MAX_AFFECTED = 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +268,7 @@ class ResourceTree:
         """
         found = self._affected.get((kind, name))
         if found is None:
-            if len(self._affected) >= _MOST_AFFECTED:
+            if len(self._affected) >= _MAX_AFFECTED:
                 self._affected.clear()
             found = self._affected[(kind, name)] = self._find_affected(kind, name)
         return found

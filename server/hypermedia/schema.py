@@ -26,7 +26,7 @@ from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, ScalarS
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
 DataSchema: TypeAlias = dict[str, Json]
 
-_MOST = 2000
+_MAX_NODES = 2000
 _DEEPEST = 32
 _SPECIALS: DataSchema = {"type": "string", "enum": ["NaN", "INF", "-INF"]}
 _DIGITS: DataSchema = {"type": "string", "pattern": "^-?[0-9]{16,20}$"}
@@ -65,7 +65,7 @@ class _Schemas:
         self._types = schema.types
         self._bounds = bounds
         self._limit = lifting.inline_limit
-        self._left = _MOST
+        self._left = _MAX_NODES
 
     def fields(self, fields: Iterable[Field], path: tuple[str, ...] = ()) -> DataSchema:
         """An object of fields."""
@@ -100,21 +100,21 @@ class _Schemas:
 
     def _may_be_elided(self, kind: Array) -> bool:
         """Whether it may take more bytes than are written; eight an element is the most of a number."""
-        most = kind.length if kind.length is not None else kind.bound
+        count = kind.length if kind.length is not None else kind.bound
         return (
-            most is None or isinstance(kind.element, Nested) or kind.element.name in STRINGS or most * 8 > self._limit
+            count is None or isinstance(kind.element, Nested) or kind.element.name in STRINGS or count * 8 > self._limit
         )
 
 
 def _octets(kind: Array) -> DataSchema:
     """Octets as base64, four characters for each three octets begun."""
-    most = kind.length if kind.length is not None else kind.bound
+    count = kind.length if kind.length is not None else kind.bound
     return {
         "type": "string",
         "contentEncoding": "base64",
         **_given(
             minLength=None if kind.length is None else (kind.length + 2) // 3 * 4,
-            maxLength=None if most is None else (most + 2) // 3 * 4,
+            maxLength=None if count is None else (count + 2) // 3 * 4,
         ),
     }
 
@@ -128,7 +128,7 @@ def _scalar(kind: Primitive | None, bounds: Bounds) -> DataSchema:
         choices = _choices(bounds.choices)
         return {**_type(kind), "enum": choices} if choices else _type(kind)
     if kind is not None and kind.name in STRINGS:
-        longest = [most for most in (bounds.max_length, kind.bound) if most is not None]
+        longest = [count for count in (bounds.max_length, kind.bound) if count is not None]
         return {
             "type": "string",
             **_given(

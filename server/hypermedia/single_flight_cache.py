@@ -17,7 +17,7 @@ Ask: TypeAlias = Callable[[Sequence[K]], Awaitable[Mapping[K, V]]]
 Room: TypeAlias = "AbstractAsyncContextManager[None]"
 """Where a question waits for its turn, such as a semaphore."""
 
-_MOST = 65536
+_MAX_ENTRIES = 65536
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,5 +123,5 @@ class SingleFlightCache(Generic[K, V]):
                 if key in answers and self._freshness > 0:
                     self._kept.pop(key, None)
                     self._kept[key] = Answer(answers[key], question.begun, until)
-        while len(self._kept) > _MOST:
+        while len(self._kept) > _MAX_ENTRIES:
             del self._kept[next(iter(self._kept))]

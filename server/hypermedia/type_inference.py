@@ -13,7 +13,7 @@ from rosld.adapters.model import Array, Field, MessageSchema, Nested, Primitive,
 from rosld.ontology.literals import STRINGS
 from rosld.server.hypermedia.catalogue import MessageKind, OpenKind, ScalarKind, ValueKind
 
-MOST_ELEMENTS = 64
+MAX_ELEMENTS = 64
 """The most elements that an array of a light response may have, those of arrays within it multiplied."""
 
 _WORDS = frozenset({"message", "status_message"})
@@ -44,7 +44,7 @@ def _is_words(field: Field) -> bool:
 
 def is_light(schema: MessageSchema) -> bool:
     """Whether messages of this type are always small: every array in it is short, and none may grow as it likes."""
-    return _widest(schema, schema.ref.name, {}) <= MOST_ELEMENTS
+    return _widest(schema, schema.ref.name, {}) <= MAX_ELEMENTS
 
 
 def _widest(schema: MessageSchema, name: str, known: dict[str, float]) -> float:

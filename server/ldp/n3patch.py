@@ -15,11 +15,11 @@ from rosld.server.ldp.n3 import Formula, Node, Statement, Variable, read_n3
 from rosld.server.rest.errors import problem_of_body
 
 MEDIA_TYPE = "text/n3"
-MOST_BYTES = 256 * 1024
+MAX_BYTES = 256 * 1024
 """Bytes of a patch; what changes more is put whole."""
-MOST_PATTERNS = 64
+MAX_PATTERNS = 64
 """Patterns with variables in one solid:where."""
-MOST_STEPS = 100_000
+MAX_STEPS = 100_000
 """Steps of looking for what solid:where describes: a hostile one could go on for ever."""
 _SOLID = "http://www.w3.org/ns/solid/terms#"
 _PATCH = NamedNode(f"{_SOLID}InsertDeletePatch")
@@ -65,11 +65,11 @@ class N3Patch:
 def read_patch(data: bytes, base: str) -> N3Patch:
     """The patch in a text/n3 body, its relative IRIs resolved against `base`, literals spelt as they are there.
 
-    Raises Problems: 413 for more than `MOST_BYTES`, 400 for what is no N3, 422 for N3 that is no patch as Solid
+    Raises Problems: 413 for more than `MAX_BYTES`, 400 for what is no N3, 422 for N3 that is no patch as Solid
     Protocol 5.3.1 has it.
     """
-    if len(data) > MOST_BYTES:
-        raise Problem(413, f"A patch has at most {MOST_BYTES} bytes here: put the whole resource instead.")
+    if len(data) > MAX_BYTES:
+        raise Problem(413, f"A patch has at most {MAX_BYTES} bytes here: put the whole resource instead.")
     try:
         document = read_n3(data, base)
     except BodyError as error:
@@ -143,8 +143,8 @@ def _check_variables(patch: N3Patch) -> None:
         for pattern in patterns:
             if stray := sorted(map(str, pattern.variables - known)):
                 raise _malformed(f"The variable {stray[0]} of {_name(place)} does not occur in solid:where")
-    if sum(1 for pattern in patch.where if pattern.variables) > MOST_PATTERNS:
-        raise _malformed(f"solid:where has more than {MOST_PATTERNS} patterns with variables: send several patches")
+    if sum(1 for pattern in patch.where if pattern.variables) > MAX_PATTERNS:
+        raise _malformed(f"solid:where has more than {MAX_PATTERNS} patterns with variables: send several patches")
 
 
 def _malformed(words: str) -> Problem:
@@ -203,7 +203,7 @@ def _match(patch: N3Patch, triples: Sequence[Triple]) -> Bindings:
 
 
 class _Search:
-    """Looks for patterns in triples, by indexes made when they are first needed, within `MOST_STEPS`."""
+    """Looks for patterns in triples, by indexes made when they are first needed, within `MAX_STEPS`."""
 
     def __init__(self, triples: Sequence[Triple]) -> None:
         self._triples = triples
@@ -249,7 +249,7 @@ class _Search:
 
     def _step(self) -> None:
         self._steps += 1
-        if self._steps > MOST_STEPS:
+        if self._steps > MAX_STEPS:
             raise Problem(422, "To find what solid:where describes takes too long: say more of what is to be changed.")
 
 

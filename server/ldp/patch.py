@@ -32,7 +32,7 @@ class Grown(Exception):
 
 
 def updated(
-    data: bytes, before: Iterable[Triple], base: str, most: int | None = None, *, by_value: bool = False
+    data: bytes, before: Iterable[Triple], base: str, limit: int | None = None, *, by_value: bool = False
 ) -> RdfBody:
     """The triples of one resource after a SPARQL Update, whose default graph is that resource's own.
 
@@ -41,7 +41,7 @@ def updated(
     store. Else a literal is only itself.
 
     Raises Problems: 400 for what cannot be parsed, 422 for what reaches beyond the one graph (GRAPH, WITH, USING, LOAD,
-    SERVICE, whole-graph operations). Raises Grown where more than `most` triples come of it.
+    SERVICE, whole-graph operations). Raises Grown where more than `limit` triples come of it.
     """
     checked = check_update_of_one_graph(_text(data))
     rewritten = rewrite_update(checked, base)
@@ -54,7 +54,7 @@ def updated(
         raise Problem(400, "The update is not understood.") from error
     except (OSError, RuntimeError, ValueError) as error:
         raise Problem(422, f"The update cannot be carried out: {error}.") from error
-    if most is not None and len(store) > most:
+    if limit is not None and len(store) > limit:
         raise Grown
     return indexed(store if by_value else map(_as_said, store), base)
 

@@ -9,9 +9,9 @@ from rosld.adapters.model import Sent
 from rosld.server.events.query_params import (
     DEFAULT_RATE,
     EVENT_STREAM,
-    LEAST_RATE,
-    MOST_RATE,
-    MOST_TIMEOUT,
+    MAX_RATE,
+    MAX_TIMEOUT,
+    MIN_RATE,
 )
 from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, TEXT, Schema
 from rosld.server.hypermedia.schema import Json
@@ -69,15 +69,15 @@ PARAMETERS: Mapping[str, Json] = {
     "timeout": {
         "name": "timeout",
         "in": "query",
-        "description": f"With `after`: the most seconds to wait; more than {MOST_TIMEOUT:g} are {MOST_TIMEOUT:g}.",
+        "description": f"With `after`: the most seconds to wait; more than {MAX_TIMEOUT:g} are {MAX_TIMEOUT:g}.",
         "schema": {"type": "number", "minimum": 0},
     },
     "rate": {
         "name": "rate",
         "in": "query",
-        "description": f"Of an event stream: the most events a second, up to {MOST_RATE:g}; {DEFAULT_RATE:g} where it "
+        "description": f"Of an event stream: the most events a second, up to {MAX_RATE:g}; {DEFAULT_RATE:g} where it "
         "is missing.",
-        "schema": {"type": "number", "minimum": LEAST_RATE},
+        "schema": {"type": "number", "minimum": MIN_RATE},
     },
     "If-None-Match": {
         "name": "If-None-Match",

@@ -23,10 +23,10 @@ from rosld.server.resources.namespaces import listed, namespaces
 from rosld.server.rest.path_item import ANY_TYPE, FIELD_READS, FORMAT, PathItem
 from rosld.server.rest.resource import Resource
 
-MOST_SINGLE = 1000
+MAX_SINGLE = 1000
 """Parameters, and resources with their properties and actions, that are described one by one; a template has more."""
-_MOST_QUERIES = 1000
-_OR_ANOTHER = f", or one beyond the {MOST_SINGLE} that are described one by one"
+_MAX_QUERIES = 1000
+_OR_ANOTHER = f", or one beyond the {MAX_SINGLE} that are described one by one"
 _TAGS = {
     "": "entry",
     "sparql": "queries",
@@ -130,11 +130,11 @@ class Paths:
     def _parameters(self) -> Iterator[Path]:
         graph, space = self._listed, self.robot.space
         trees = dict.fromkeys([(), *namespaces(graph, "parameters")])
-        for namespace in islice((each for each in trees if "" not in each), MOST_SINGLE):
+        for namespace in islice((each for each in trees if "" not in each), MAX_SINGLE):
             yield self._path(self._of(space.container("parameters", namespace)))
-        for name in islice((each for each in graph.parameters if "" not in names.segments(each)), MOST_SINGLE):
+        for name in islice((each for each in graph.parameters if "" not in names.segments(each)), MAX_SINGLE):
             yield self._path(self._of(space.parameter(name)))
-        summary = "A parameter that may be made" + ("" if len(graph.parameters) <= MOST_SINGLE else _OR_ANOTHER)
+        summary = "A parameter that may be made" + ("" if len(graph.parameters) <= MAX_SINGLE else _OR_ANOTHER)
         item = self.resolve("/parameters/new").path_item(self.schemas)
         item = replace(item, summary=summary, alike=None)
         yield self._template("/parameters/{name}", "/parameters/new", item=item, name=_NAME)
@@ -143,7 +143,7 @@ class Paths:
 
     def _resources(self) -> Iterator[Path]:
         found = (path for path in self._resource_paths() if not self._leaves_out(path))
-        for path in islice(found, MOST_SINGLE):
+        for path in islice(found, MAX_SINGLE):
             yield self._path(path)
         if (another := next(found, None)) is not None:
             yield self._other_resources(self._path(another))
@@ -201,7 +201,7 @@ class Paths:
     def _queries(self) -> Iterator[Path]:
         """The room of queries and what is below it now; the template tells of those that come and go."""
         yield self._path("/queries/")
-        for url, _ in self.robot.queries.all(most=_MOST_QUERIES):
+        for url, _ in self.robot.queries.all(limit=_MAX_QUERIES):
             yield self._path(self._of(url))
         yield self._template("/queries/{name}", "/queries/any", name="One segment, as in the URL.")
 

@@ -51,7 +51,7 @@ _MANY = 500
 _AT_ONCE = 25
 """Paths that are found before the loop has its turn: some milliseconds."""
 _digest = lru_cache(maxsize=4)(digest)
-_MOST = 8
+_MAX_VARIANTS = 8
 """Sets of rights for which descriptions are kept."""
 
 
@@ -99,7 +99,7 @@ class OpenApiResource(Resource):
         key = (hidden, permissions.rights_key, public.rights_key)
         known = self._of_agents.get(key)
         if known is None or known[0] is not kept:
-            if len(self._of_agents) >= _MOST:
+            if len(self._of_agents) >= _MAX_VARIANTS:
                 self._of_agents.clear()
             made = await asyncio.to_thread(self._made_for, kept, permissions, public)
             known = self._of_agents[key] = (kept, made)

@@ -16,7 +16,7 @@ from rosld.server.storage.packing import unpack
 from rosld.shapes.limits import Limits, read_limits
 
 ROOM = "shapes/"
-MOST_TRIPLES = 5000
+MAX_TRIPLES = 5000
 """Of a document that is kept: all of them are looked at again whenever one changes."""
 _log = logging.getLogger("rosld")
 
@@ -39,8 +39,8 @@ class ActiveLimits:
         Raises ValueError with a sentence where it cannot be used, alone or beside the others.
         """
         graph = tuple(quad.triple for quad in parse(triples, RdfFormat.N_TRIPLES))
-        if len(graph) > MOST_TRIPLES:
-            raise ValueError(f"it has {len(graph)} triples, and {MOST_TRIPLES} are the most: make several of it")
+        if len(graph) > MAX_TRIPLES:
+            raise ValueError(f"it has {len(graph)} triples, and {MAX_TRIPLES} are the most: make several of it")
         try:
             if not Limits.of([graph], self._space):
                 raise ValueError("it limits nothing: there is no shape with a sh:targetNode or a sh:targetClass in it")

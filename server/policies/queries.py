@@ -45,23 +45,23 @@ class Queries:
         if change.path.startswith(ROOM):
             self.version = max(self.version, change.version)
 
-    def kept(self, *, most: int | None = None) -> Iterator[Record]:
-        """What clients keep in the room, in the order in which it was made; the first `most` of it."""
+    def kept(self, *, limit: int | None = None) -> Iterator[Record]:
+        """What clients keep in the room, in the order in which it was made; the first `limit` of it."""
         last = 0
-        while most is None or most > 0:
-            found = self._records.members(ROOM, after=last, most=1000 if most is None else min(most, 1000))
+        while limit is None or limit > 0:
+            found = self._records.members(ROOM, after=last, limit=1000 if limit is None else min(limit, 1000))
             if not found:
                 return
             last = found[-1].number
-            most = None if most is None else most - len(found)
+            limit = None if limit is None else limit - len(found)
             for member in found:
                 record = self._records.get(member.path)
                 if record is not None and record.model is Model.NON_RDF_SOURCE:
                     yield record
 
-    def all(self, *, most: int | None = None) -> Iterator[tuple[str, StoredQuery]]:
+    def all(self, *, limit: int | None = None) -> Iterator[tuple[str, StoredQuery]]:
         """The queries with their URLs, the shipped ones first, then at most so many of those that are kept."""
-        kept = {self._space.base + record.path: self.outline(record) for record in self.kept(most=most)}
+        kept = {self._space.base + record.path: self.outline(record) for record in self.kept(limit=limit)}
         for name, query in self.shipped.items():
             if self._space.query(name) not in kept:
                 yield self._space.query(name), query
@@ -150,8 +150,8 @@ def name_of(path: str) -> str:
 class _Remembered(Generic[_T]):
     """What was made of the bytes of blobs, which never change: that of the last few. In any thread."""
 
-    def __init__(self, most: int) -> None:
-        self._most = most
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
         self._found: OrderedDict[str, _T] = OrderedDict()
 
     def known(self, blob: Blob) -> _T | None:
@@ -163,6 +163,6 @@ class _Remembered(Generic[_T]):
         found = self._found.get(blob.id)
         if found is None:
             found = self._found[blob.id] = make()
-            while len(self._found) > self._most:
+            while len(self._found) > self._limit:
                 self._found.popitem(last=False)
         return found

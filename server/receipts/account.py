@@ -10,7 +10,7 @@ import hashlib
 import time
 from contextvars import ContextVar
 
-_MOST = 100
+_MAX_STEPS = 100
 """Steps and URLs that are noted: a write of thousands of things is not told one by one."""
 
 
@@ -48,9 +48,9 @@ class AuditContext:
         if not self.plan:
             self.plan, self.touched = (does,), touches
             return
-        if does not in self.plan and len(self.plan) < _MOST:
+        if does not in self.plan and len(self.plan) < _MAX_STEPS:
             self.plan = (*self.plan, does)
-        if len(self.touched) < _MOST:
+        if len(self.touched) < _MAX_STEPS:
             self.touched = (*self.touched, *(url for url in touches if url not in self.touched))
 
     def heard(self, matched: int) -> None:

@@ -17,8 +17,8 @@ from rosld.server.auth.agent import Agent
 from rosld.server.http.tokens import PREFIX, redact_tokens
 from rosld.server.receipts.secrets import SCANNED, holds_credentials
 
-_MOST_STEPS = 100
-_LONGEST = 500
+_MAX_STEPS = 100
+_MAX_TEXT = 500
 """Characters of a step, of the words of a refusal, of a media type."""
 _LONGEST_URL = 2000
 _WITHHELD = "(withheld)"
@@ -68,13 +68,13 @@ def receipt_of(asked: AuditEntry, number: int, id: str, excerpt_bytes: int) -> R
         asked.ended_ns,
         asked.method,
         _url(asked.url, _WITHHELD.strip("()") if hides_query else query),
-        None if asked.media_type is None else redact_tokens(asked.media_type)[:_LONGEST],
+        None if asked.media_type is None else redact_tokens(asked.media_type)[:_MAX_TEXT],
         asked.length,
         None if withheld or digest is None else f"sha-256=:{base64.b64encode(digest).decode()}:",
         None if withheld or text is None or not excerpt_bytes else _begin(text, excerpt_bytes),
         withheld or hides_query,
-        tuple(dict.fromkeys(_said(step, withheld) for step in asked.plan[:_MOST_STEPS])),
-        tuple(map(redact_tokens, asked.touched[:_MOST_STEPS])),
+        tuple(dict.fromkeys(_said(step, withheld) for step in asked.plan[:_MAX_STEPS])),
+        tuple(map(redact_tokens, asked.touched[:_MAX_STEPS])),
         asked.matched,
         asked.status,
         None if asked.made is None else redact_tokens(asked.made),
@@ -93,9 +93,9 @@ def _text(body: bytes) -> str | None:
     return None if "\0" in text else text
 
 
-def _begin(text: str, most: int) -> str:
+def _begin(text: str, limit: int) -> str:
     """At most so many bytes of a text."""
-    cut = text.encode()[:most].decode("utf-8", "ignore")
+    cut = text.encode()[:limit].decode("utf-8", "ignore")
     return cut if len(cut) == len(text) else f"{cut}..."
 
 
@@ -103,7 +103,7 @@ def _said(words: str, withheld: bool) -> str:
     """A sentence that may tell a value: not where the value is a secret, or looks like one."""
     if withheld or holds_credentials(words):
         return _WITHHELD
-    return words if len(words) <= _LONGEST else f"{words[:_LONGEST]}..."
+    return words if len(words) <= _MAX_TEXT else f"{words[:_MAX_TEXT]}..."
 
 
 def _url(url: str, query: str) -> str:

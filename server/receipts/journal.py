@@ -64,13 +64,13 @@ class Forgotten(LookupError):
 
 
 class Journal:
-    """Belongs to one loop. `most` receipts are kept for `age` seconds, in memory where there is no folder."""
+    """Belongs to one loop. `limit` receipts are kept for `age` seconds, in memory where there is no folder."""
 
-    def __init__(self, folder: Path | None, *, most: int, age: float, excerpt_bytes: int) -> None:
+    def __init__(self, folder: Path | None, *, limit: int, age: float, excerpt_bytes: int) -> None:
         self.changes = Signal()
         self.version = 1
         """Rises with every receipt that comes or goes; the number of a receipt is the version it came with."""
-        self._most = {False: most, True: max(1, most // _REFUSED_PART)}
+        self._limit = {False: limit, True: max(1, limit // _REFUSED_PART)}
         self._age_ns = int(age * 1e9)
         self._excerpt_bytes = excerpt_bytes
         self._entries: dict[str, Entry] = {}
@@ -157,7 +157,7 @@ class Journal:
         kind = entry.is_refused
         self._entries[entry.id] = entry
         self._in_order[kind].append(entry)
-        if len(self._in_order[kind]) > self._most[kind]:
+        if len(self._in_order[kind]) > self._limit[kind]:
             self._drop(kind)
 
     def _drop(self, kind: bool) -> None:

@@ -126,11 +126,11 @@ class ActivityContainer(Resource):
         keys = [_NEWEST - entry.number for entry in entries]
         after = place.after if isinstance(place.after, int) else 0
         start = next((at for at, key in enumerate(keys) if key > after), len(keys))
-        most = place.most
-        last = last_place(most, len(keys), keys[: -left_on_last(len(keys), most) - 2 : -1])
-        before = keys[max(0, start - most - 1) : start][::-1]
-        page = page_of(self.url, place, keys[start : start + most + 1], before, last)
-        return page, entries[start : start + most]
+        limit = place.limit
+        last = last_place(limit, len(keys), keys[: -left_on_last(len(keys), limit) - 2 : -1])
+        before = keys[max(0, start - limit - 1) : start][::-1]
+        page = page_of(self.url, place, keys[start : start + limit + 1], before, last)
+        return page, entries[start : start + limit]
 
     @property
     def query(self) -> str:

@@ -31,7 +31,7 @@ from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.source import LINES, Source, headers_of
-from rosld.server.events.subscriptions import JSON_LD, MEDIA_TYPES, MOST_BYTES, check_profile, read_subscription
+from rosld.server.events.subscriptions import JSON_LD, MAX_BYTES, MEDIA_TYPES, check_profile, read_subscription
 from rosld.server.events.websocket import Receiver
 from rosld.server.http import negotiation
 from rosld.server.http.body import read_body
@@ -104,7 +104,7 @@ class Notifications:
         """The channel that a request asks for. Raises Problems, and BodyError for what cannot be read."""
         check_profile(exchange.header("content-type"))
         media_type = exchange.media_type
-        data = exchange.to_utf8(await read_body(exchange.request, limit=MOST_BYTES))
+        data = exchange.to_utf8(await read_body(exchange.request, limit=MAX_BYTES))
         wish = read_subscription(data, media_type, service.url, service.type, time.time_ns())
         resource, state = await self._topic(wish.topic, exchange.permissions)
         place = partial(self.place, service.type)

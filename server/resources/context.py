@@ -40,7 +40,7 @@ class Robot(Session):
         self.records = open_records(settings.data, roots=(mappings.ROOM, queries.ROOM, limits.ROOM))
         self.receipts = Journal(
             settings.data,
-            most=settings.receipts_kept,
+            limit=settings.receipts_kept,
             age=settings.receipts_age,
             excerpt_bytes=settings.receipt_excerpt,
         )

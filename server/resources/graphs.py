@@ -46,7 +46,7 @@ from rosld.server.sparql.update.operations import Manage, Modify, Operation, Qua
 
 DATASET_BODIES = ("application/n-quads", "application/trig")
 _DIRECTLY = "The name of a graph is its own URL, so GET, PUT, PATCH and DELETE there do the same."
-_MOST_PARAMETERS = 200
+_MAX_PARAMETERS = 200
 _LONGEST_CACHED = 4096
 
 
@@ -73,7 +73,7 @@ def named(query_string: bytes, base: str) -> Named:
 def _named(query_string: bytes, base: str) -> Named:
     try:
         pairs = parse_qsl(
-            query_string.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=_MOST_PARAMETERS
+            query_string.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=_MAX_PARAMETERS
         )
     except ValueError as error:
         raise Problem(400, f"The query string cannot be read: {error}.") from error

@@ -16,7 +16,7 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Message, MessageSchema, RosError
 from rosld.ontology.body import body_of
-from rosld.ontology.describe_holds import LEAST_OF_HOLDS, MOST_LEASE, MOST_RATE, HoldView, hold_document
+from rosld.ontology.describe_holds import MAX_LEASE, MAX_RATE, MIN_OF_HOLDS, HoldView, hold_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import LoweringError, find_message, lowerer, parse_json
@@ -66,10 +66,10 @@ async def hold_topic(exchange: Exchange, robot: Robot, name: str, find: Find | N
     return Created(resource.url, resource, resource.shown(begun))
 
 
-_POSITIVE: DataSchema = {"type": "number", "minimum": LEAST_OF_HOLDS}
+_POSITIVE: DataSchema = {"type": "number", "minimum": MIN_OF_HOLDS}
 _HOLDING = (
-    UrlParameter("rate", "How many times a second the message is published.", {**_POSITIVE, "maximum": MOST_RATE}),
-    UrlParameter("lease", "The seconds that the hold goes on unrenewed.", {**_POSITIVE, "maximum": MOST_LEASE}),
+    UrlParameter("rate", "How many times a second the message is published.", {**_POSITIVE, "maximum": MAX_RATE}),
+    UrlParameter("lease", "The seconds that the hold goes on unrenewed.", {**_POSITIVE, "maximum": MAX_LEASE}),
     UrlParameter("then", "What is published when the hold ends: zero, none, or the URL of a message."),
 )
 _KEEP = UrlParameter("keep", "Whether the event stream that is asked for keeps the hold.", {"type": "boolean"})
@@ -260,28 +260,28 @@ def require_holder(exchange: Exchange, hold: Hold) -> None:
 
 # What is asked for
 
-_RATES = f"at least {LEAST_OF_HOLDS:f} and at most {MOST_RATE:g} Hz"
-_LEASES = f"at least {LEAST_OF_HOLDS:f} and at most {MOST_LEASE:g} s"
+_RATES = f"at least {MIN_OF_HOLDS:f} and at most {MAX_RATE:g} Hz"
+_LEASES = f"at least {MIN_OF_HOLDS:f} and at most {MAX_LEASE:g} s"
 
 
 def _rate(exchange: Exchange, robot: Robot) -> float | None:
-    rate = _number(exchange, "rate", MOST_RATE, _RATES)
+    rate = _number(exchange, "rate", MAX_RATE, _RATES)
     if rate is not None and rate > robot.limiter.rate:
-        most = f"{robot.limiter.rate:g} messages a second (--max-publish-rate)"
-        raise Problem(400, f"?rate={rate:g}: nothing is published more often than {most} here.")
+        limit = f"{robot.limiter.rate:g} messages a second (--max-publish-rate)"
+        raise Problem(400, f"?rate={rate:g}: nothing is published more often than {limit} here.")
     return rate
 
 
 def _lease(exchange: Exchange) -> float | None:
-    return _number(exchange, "lease", MOST_LEASE, _LEASES)
+    return _number(exchange, "lease", MAX_LEASE, _LEASES)
 
 
-def _number(exchange: Exchange, name: str, most: float, words: str) -> float | None:
+def _number(exchange: Exchange, name: str, limit: float, words: str) -> float | None:
     if name not in exchange.query:
         return None
     given = exchange.query[name]
     value = header_syntax.parse_decimal(given)
-    if value is None or not LEAST_OF_HOLDS <= value <= most:
+    if value is None or not MIN_OF_HOLDS <= value <= limit:
         raise Problem(400, f"?{name}={given[:100]}: it must be {words}.")
     return value
 

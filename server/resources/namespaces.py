@@ -28,7 +28,7 @@ from rosld.server.rest.state import State
 
 Namespaces = Mapping[tuple[str, ...], Members]
 
-MOST_ROWS = 1000
+MAX_ROWS = 1000
 """Rows of a table on the page of a namespace."""
 
 HIDDEN = "hidden=true"
@@ -296,7 +296,7 @@ class NamespaceContainer(Resource):
         return None if self._place is None or members is None else Listing(total=count(members))
 
     def _below(self, known: Mapping[str, object], members: Members | None) -> tuple[list[str], int]:
-        """The names in this namespace that its page lists, in order: at most `MOST_ROWS`; and how many there are."""
+        """The names in this namespace that its page lists, in order: at most `MAX_ROWS`; and how many there are."""
         prefix = "".join(f"/{part}" for part in self.namespace) + "/"
         below = sorted(name for name in known if name.startswith(prefix))
         total = len(below)
@@ -305,7 +305,7 @@ class NamespaceContainer(Resource):
             leaves, inner = set(told.leaves), set(told.namespaces)
             rests = ((name, name[len(prefix) :].partition("/")) for name in below)
             below = [name for name, (part, slash, _) in rests if part in (inner if slash else leaves)]
-        return below[:MOST_ROWS], total
+        return below[:MAX_ROWS], total
 
     def _missing(self) -> Problem:
         """308 where the name is a leaf, else 404."""

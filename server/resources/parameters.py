@@ -58,7 +58,7 @@ from rosld.server.resources.namespaces import (
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.paging import (
-    MOST,
+    MAX_PAGE_SIZE,
     Page,
     Place,
     page_among,
@@ -75,7 +75,7 @@ from rosld.server.runtime.signals import call_every, combine_watches
 from rosld.shapes.parameter import constraint_url, declared_shape, declared_triples
 from rosld.shapes.value import OpenShape
 
-_MOST_SLUG = 100
+_MAX_SLUG = 100
 _TRIPLES_BYTES = 40
 """Bytes of N-Triples, about, that a byte of plain JSON of a tree comes to."""
 _LOOK_AGAIN_SECONDS = 1.0
@@ -417,7 +417,9 @@ class ParameterTree(_Parameters):
             self._sequence,
             (plain, whole),
             lambda: State(
-                partial(parameter_container_document, self.namespace, tree, self.robot.space, MOST, whole=whole),
+                partial(
+                    parameter_container_document, self.namespace, tree, self.robot.space, MAX_PAGE_SIZE, whole=whole
+                ),
                 lambda: plain,
                 digest(plain),
                 weight=_TRIPLES_BYTES * len(plain),
@@ -432,7 +434,7 @@ class ParameterTree(_Parameters):
             self.namespace,
             self._outline(self.namespace),
             self.robot.space,
-            MOST,
+            MAX_PAGE_SIZE,
             whole=with_hidden(self.url) if leaves_out else None,
         )
 
@@ -471,7 +473,9 @@ class ParameterTree(_Parameters):
 
         def make() -> State:
             return State(
-                lambda: page.told_with(parameter_container_document(self.namespace, held, self.robot.space, MOST)),
+                lambda: page.told_with(
+                    parameter_container_document(self.namespace, held, self.robot.space, MAX_PAGE_SIZE)
+                ),
                 lambda: self._plain(held),
                 digest(whole),
                 part=f"p{digest(page.token.encode())}",
@@ -514,9 +518,7 @@ class ParameterTree(_Parameters):
         return await member.put(exchange)
 
     async def _free_name(self, slug: str | None) -> str:
-        kept = "".join(
-            char if char.isalnum() or char == "_" else "_" for char in redact_tokens(slug or "")[:_MOST_SLUG]
-        )
+        kept = "".join(char if char.isalnum() or char == "_" else "_" for char in redact_tokens(slug or "")[:_MAX_SLUG])
         name = names.join((*self.namespace, kept or f"parameter_{secrets.token_hex(3)}"))
         deadline = self.robot.deadline(self.robot.settings.call_deadline)
         taken = await self.robot.adapter.get_parameters([name], deadline=deadline)

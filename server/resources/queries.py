@@ -389,9 +389,9 @@ def _describe(robot: Robot, record: Record) -> State:
 
 async def _require_size(robot: Robot, exchange: Exchange) -> None:
     """Raise a 413 Problem for a text that says that it is longer than a query may be."""
-    most = 4 * robot.queries.bounds.size
-    if exchange.method in ("PUT", "POST") and (parse_content_length(exchange.header("content-length")) or 0) > most:
-        async for _ in exchange.chunks(limit=most):
+    limit = 4 * robot.queries.bounds.size
+    if exchange.method in ("PUT", "POST") and (parse_content_length(exchange.header("content-length")) or 0) > limit:
+        async for _ in exchange.chunks(limit=limit):
             pass
 
 

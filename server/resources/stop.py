@@ -27,7 +27,7 @@ from rosld.server.rest.path_item import Method, PathItem
 from rosld.server.rest.resource import READ, Answer, Resource, Shown
 from rosld.server.rest.state import State
 
-_LONGEST = 500
+_MAX_REASON = 500
 """Characters of a reason."""
 _ABOUT = "It ends every hold, cancels the goals sent from here, does what the mappings say, and refuses all writes."
 
@@ -164,8 +164,8 @@ def _reason(body: bytes) -> str | None:
     if not body.strip():
         return None
     match parse_json(body):
-        case {"reason": str(reason), **others} if not others and len(reason) <= _LONGEST:
+        case {"reason": str(reason), **others} if not others and len(reason) <= _MAX_REASON:
             return redact_tokens(" ".join(reason.split())) or None
         case {**others} if not others:
             return None
-    raise Problem(422, f'The body is empty, or {{"reason": "..."}} with at most {_LONGEST} characters.')
+    raise Problem(422, f'The body is empty, or {{"reason": "..."}} with at most {_MAX_REASON} characters.')

@@ -94,9 +94,9 @@ class LargeDocuments:
             _, (path, _) = files.popitem(last=False)
             path.unlink(missing_ok=True)
 
-    async def excerpt(self, state: State, most: int = EXCERPT) -> Excerpt:
+    async def excerpt(self, state: State, limit: int = EXCERPT) -> Excerpt:
         """The first triples of a large state's document; with those about the document's own subject first."""
-        url, ntriples, total = await self._run(state, partial(first_triples, state.describe, most))
+        url, ntriples, total = await self._run(state, partial(first_triples, state.describe, limit))
         triples = tuple(quad.triple for quad in parse(ntriples, RdfFormat.N_TRIPLES))
         return Excerpt(Document(url, triples), total)
 
@@ -126,8 +126,8 @@ def write_document(describe: Callable[[], Document], media_type: str, path: Path
     return path.write_bytes(serialize(describe(), media_type))
 
 
-def first_triples(describe: Callable[[], Document], most: int) -> tuple[str, bytes, int]:
+def first_triples(describe: Callable[[], Document], limit: int) -> tuple[str, bytes, int]:
     """The URL of a document, its first triples as N-Triples, and how many it has in all."""
     document = describe()
-    triples: list[Triple] = list(itertools.islice(document.triples, most))
+    triples: list[Triple] = list(itertools.islice(document.triples, limit))
     return document.url, pyoxigraph_serialize(triples, format=RdfFormat.N_TRIPLES) or b"", len(document.triples)

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from rosld.server.rest.resource import Resource
 
 _PROBLEM_OFFERS = ("application/problem+json", "application/json", "text/turtle", "application/ld+json", "text/html")
-_MOST_FIELDS = 10_000
+_MAX_FIELDS = 10_000
 _SHORT_PAGE = 300
 """Triples of a page that the loop renders itself: some 8 ms."""
 
@@ -202,7 +202,7 @@ class Pages:
     async def _pairs(self, exchange: Exchange) -> list[tuple[str, str]]:
         try:
             text, codec = (await exchange.octets()).decode("ascii"), exchange.codec
-            return parse_qsl(text, True, encoding=codec, errors="strict", max_num_fields=_MOST_FIELDS)
+            return parse_qsl(text, True, encoding=codec, errors="strict", max_num_fields=_MAX_FIELDS)
         except (UnicodeDecodeError, ValueError) as error:
             raise Problem(400, f"The form cannot be read: {error}.") from error
 

@@ -25,7 +25,7 @@ from rosld.server.http.prefer import Preferences
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
 
-MOST = 1000
+MAX_PAGE_SIZE = 1000
 """Members of one page; a container with more comes in pages."""
 Key: TypeAlias = "int | str"
 """What members are ordered by: numbers, or names as they stand in URLs, those of containers with their slash."""
@@ -36,18 +36,18 @@ _COUNT = re.compile(r"0*([1-9][0-9]{0,8})")
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """The members after the one of number or name `after`, of which a page tells `most`; 0 is before all of them."""
+    """The members after the one of number or name `after`, of which a page tells `limit`; 0 is before all of them."""
 
     after: Key = 0
-    most: int = MOST
+    limit: int = MAX_PAGE_SIZE
 
     @property
     def token(self) -> str:
         """What stands for it in `?page=`."""
-        most = "" if self.most == MOST else str(self.most)
+        limit = "" if self.limit == MAX_PAGE_SIZE else str(self.limit)
         if isinstance(self.after, str):
-            return f"{most}:{self.after}"
-        return f"{self.after}-{most}" if most else str(self.after)
+            return f"{limit}:{self.after}"
+        return f"{self.after}-{limit}" if limit else str(self.after)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,9 +117,9 @@ def page_query(token: str) -> str:
 def read_place(token: str) -> Place:
     """The place among numbered members that `?page=` names; a 404 Problem for what names none."""
     found = _TOKEN.fullmatch(token)
-    if found is None or int(found[2] or 1) > MOST:
+    if found is None or int(found[2] or 1) > MAX_PAGE_SIZE:
         raise _no_page(token)
-    return Place(int(found[1]), int(found[2] or MOST))
+    return Place(int(found[1]), int(found[2] or MAX_PAGE_SIZE))
 
 
 def read_named_place(token: str) -> Place:
@@ -130,9 +130,9 @@ def read_named_place(token: str) -> Place:
         if place.after != 0:
             raise _no_page(token)
         return place
-    if int(found[1] or 1) > MOST:
+    if int(found[1] or 1) > MAX_PAGE_SIZE:
         raise _no_page(token)
-    return Place(found[2], int(found[1] or MOST))
+    return Place(found[2], int(found[1] or MAX_PAGE_SIZE))
 
 
 def _no_page(token: str) -> Problem:
@@ -142,10 +142,10 @@ def _no_page(token: str) -> Problem:
 def page_among(container: str, place: Place, names: Sequence[str]) -> tuple[Page, Sequence[str]]:
     """The page at a place, and what it tells of `names`: those of all members, in order."""
     start = bisect_right(names, place.after) if isinstance(place.after, str) else 0
-    most = place.most
-    found, before = names[start : start + most + 1], names[max(0, start - most - 1) : start]
-    last = last_place(most, len(names), names[: -left_on_last(len(names), most) - 2 : -1])
-    return page_of(container, place, found, before[::-1], last), found[:most]
+    limit = place.limit
+    found, before = names[start : start + limit + 1], names[max(0, start - limit - 1) : start]
+    last = last_place(limit, len(names), names[: -left_on_last(len(names), limit) - 2 : -1])
+    return page_of(container, place, found, before[::-1], last), found[:limit]
 
 
 def page_of(
@@ -157,53 +157,53 @@ def page_of(
     more than a page tells, if there are. So the page before ends where this one begins; where fewer than a page are
     left it is the first one. `last` is where the last page begins, if that is known.
     """
-    next_ = Place(keys[place.most - 1], place.most) if len(keys) > place.most else None
-    prev = Place(before[place.most] if len(before) > place.most else 0, place.most) if before else None
+    next_ = Place(keys[place.limit - 1], place.limit) if len(keys) > place.limit else None
+    prev = Place(before[place.limit] if len(before) > place.limit else 0, place.limit) if before else None
     final = last if next_ is not None else place
     return Page(
         container,
         place.token,
-        Place(0, place.most).token,
+        Place(0, place.limit).token,
         None if prev is None else prev.token,
         None if next_ is None else next_.token,
         None if final is None else final.token,
     )
 
 
-def left_on_last(count: int, most: int) -> int:
+def left_on_last(count: int, limit: int) -> int:
     """How many members the last page tells of `count`: that page to which `next` leads from the first."""
-    return (count - 1) % most + 1 if count else 0
+    return (count - 1) % limit + 1 if count else 0
 
 
-def last_place(most: int, count: int, latest: Sequence[Key]) -> Place:
+def last_place(limit: int, count: int, latest: Sequence[Key]) -> Place:
     """Where the last page begins of `count` members.
 
     `latest` are the keys of the last ones, the last one first: one more than that page tells, if there are.
     """
-    left = left_on_last(count, most)
-    return Place(latest[left] if len(latest) > left else 0, most)
+    left = left_on_last(count, limit)
+    return Place(latest[left] if len(latest) > left else 0, limit)
 
 
-def most_asked(preferences: Preferences) -> int | None:
+def requested_page_size(preferences: Preferences) -> int | None:
     """The members of a page that a request prefers: max-member-count of return=representation, None where there is
-    none, at most `MOST`."""
+    none, at most `MAX_PAGE_SIZE`."""
     if not preferences.representation:
         return None
     parameters = dict(reversed(preferences.named["return"].parameters))
     found = _COUNT.fullmatch(parameters.get("max-member-count", ""))
-    return None if found is None else min(MOST, int(found[1]))
+    return None if found is None else min(MAX_PAGE_SIZE, int(found[1]))
 
 
 def first_page(container: str, count: int, preferences: Preferences, query: str = "") -> Problem | None:
     """The 303 to the first page of a container of `count` members, None where it is told at once.
 
-    It comes in pages where it has more members than `MOST`, or than the request prefers. What its `query` asks for
-    besides (`format=ttl`) is asked of the page.
+    It comes in pages where it has more members than `MAX_PAGE_SIZE`, or than the request prefers. What its `query` asks
+    for besides (`format=ttl`) is asked of the page.
     """
-    most = most_asked(preferences) or MOST
-    if count <= most:
+    limit = requested_page_size(preferences) or MAX_PAGE_SIZE
+    if count <= limit:
         return None
-    first = page_url(container, Place(0, most).token) + (f"&{query}" if query else "")
+    first = page_url(container, Place(0, limit).token) + (f"&{query}" if query else "")
     return Problem(
         303,
         f"Its {count} members come in pages; the first is {first}",

@@ -10,14 +10,14 @@ from urllib.parse import unquote_to_bytes
 
 from rosld.server.http.tokens import redact_tokens
 
-LONGEST = 100
+MAX_LENGTH = 100
 """Characters of a name."""
 _COUNTED = range(2, 10)
 """The numbers that are tried before chance: looking through all the names of a large container would take its time."""
 _SOUNDS = tuple(consonant + vowel for consonant in "bdfghjklmnprstvz" for vowel in "aeiou")
 _RESERVED = re.compile(r"\.meta$", re.IGNORECASE)
 _SUFFIX = re.compile(r"(?:\.[0-9A-Za-z]{1,15})?")
-_READ = LONGEST * 12
+_READ = MAX_LENGTH * 12
 """Characters of a Slug that are read: each of a name's may be four bytes, each percent-encoded."""
 _INVISIBLE = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u3164\uffa0") | {
     chr(code) for span in (range(0x180B, 0x1810), range(0xFE00, 0xFE10), range(0xE0100, 0xE01F0)) for code in span
@@ -50,7 +50,7 @@ def _candidates(stem: str, extension: str) -> Iterator[str]:
 
 def _join(stem: str, added: str, extension: str) -> str:
     """A name of all three, the stem cut short where it is too long; what was cut may have ended well before."""
-    kept = stem[: LONGEST - len(added) - len(extension)].rstrip("-.")
+    kept = stem[: MAX_LENGTH - len(added) - len(extension)].rstrip("-.")
     return unicodedata.normalize("NFC", kept + added + extension)
 
 
@@ -62,7 +62,7 @@ def _readable(slug: str) -> str:
     name = re.sub(r"\.{2,}", ".", name)
     while name and (name[0] in "-." or unicodedata.category(name[0])[0] == "M"):
         name = name[1:]
-    name = unicodedata.normalize("NFC", name)[:LONGEST].rstrip("-.")
+    name = unicodedata.normalize("NFC", name)[:MAX_LENGTH].rstrip("-.")
     return _RESERVED.sub("-meta", name)
 
 

@@ -17,7 +17,7 @@ from rosld.server.runtime.memory import PER_CHARACTER, PROCESS_MEMORY
 if TYPE_CHECKING:
     from rosld.server.hypermedia.views import View
 
-LARGE = 256 * 1024
+LARGE_BYTES = 256 * 1024
 """Bytes of N-Triples from which a document is large: some 2,500 triples, which take 10 ms to be rendered."""
 
 
@@ -39,9 +39,9 @@ class State:
     `view` is what its page is drawn from, where that is more than its RDF. `scope` names what `tag` is unique in, where
     that outlives this run of the server. `part` ends the variant of its ETags where it is only a part of the resource,
     so that the part guards a write as the whole does. `headers` go with every representation.
-    `weight` is about how many bytes of N-Triples it says, where that may be many: from `LARGE` on its representations
-    are made in worker processes, to which `describe` goes as a pickle.
-    A state is kept as long as nothing changes, and its renderings with it.
+    `weight` is about how many bytes of N-Triples it says, where that may be many: from `LARGE_BYTES` on its
+    representations are made in worker processes, to which `describe` goes as a pickle. A state is kept as long as
+    nothing changes, and its renderings with it.
     """
 
     describe: Callable[[], Document]
@@ -61,7 +61,7 @@ class State:
     @property
     def is_large(self) -> bool:
         """Whether its document is not for the loop: what is asked of it is made in a worker process."""
-        return self.weight >= LARGE
+        return self.weight >= LARGE_BYTES
 
     @cached_property
     def document(self) -> Document:

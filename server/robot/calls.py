@@ -73,10 +73,10 @@ class Calls:
     `settled` is told the service whenever a call has ended, before its caller is.
     """
 
-    def __init__(self, adapter: Adapter, settled: Callable[[str], None], *, most: int, age: float) -> None:
+    def __init__(self, adapter: Adapter, settled: Callable[[str], None], *, limit: int, age: float) -> None:
         self._adapter = adapter
         self._settled = settled
-        self._most = most
+        self._limit = limit
         self._age_ns = int(age * 1e9)
         self._calls: OrderedDict[str, Call] = OrderedDict()
         self._gone: OrderedDict[str, None] = OrderedDict()
@@ -133,7 +133,7 @@ class Calls:
         if known is None:
             making = asyncio.get_running_loop().create_task(self.make(service, schema, request, deadline=deadline))
             known = self._keyed[(service, key)] = (digest, making)
-            while len(self._keyed) > self._most:
+            while len(self._keyed) > self._limit:
                 self._keyed.popitem(last=False)
         outcome = await asyncio.shield(known[1])
         return Outcome(self._calls.get(outcome.call.id, outcome.call), outcome.error)
@@ -176,7 +176,7 @@ class Calls:
     def _keep(self, call: Call) -> None:
         self._calls[call.id] = call
         self._revise()
-        while len(self._calls) > self._most:
+        while len(self._calls) > self._limit:
             self._drop(next(iter(self._calls)))
 
     def _revise(self) -> None:

@@ -27,7 +27,7 @@ FOLDS = {
 }
 DEPTH = 128
 """How many messages a publisher may send between two looks without one being lost; looks are made twice a second."""
-MOST_KEYS = 10_000
+MAX_KEYS = 10_000
 
 
 class Folded:
@@ -56,7 +56,7 @@ class Folded:
             key = cast(str, getattr(element, self._fold.key))
             self._elements.pop(key, None)  # the newest goes last
             self._elements[key] = (sample, element)
-        while len(self._elements) > MOST_KEYS:
+        while len(self._elements) > MAX_KEYS:
             self._elements.pop(next(iter(self._elements)))
         self._last = (sample, message)
 

@@ -17,7 +17,7 @@ REMEMBERED = 10_000
 """Goals of which it is remembered that they are gone."""
 _PLAIN = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _NOT_PLAIN = re.compile(r"[^A-Za-z0-9_-]+")
-_LONGEST = 48
+_MAX_ID_LENGTH = 48
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,8 +65,8 @@ class GoalStore:
     and the id of each goal that is another now, `revision` counts them.
     """
 
-    def __init__(self, *, most: int, age: float) -> None:
-        self._most = most
+    def __init__(self, *, limit: int, age: float) -> None:
+        self._limit = limit
         self._age_ns = int(age * 1e9)
         self._goals: OrderedDict[str, Goal] = OrderedDict()
         self._ids: dict[GoalId, str] = {}
@@ -110,7 +110,7 @@ class GoalStore:
         if goal.key is not None:
             self._ids[goal.key] = goal.id
         self._revise(goal)
-        while len(self._goals) > self._most:
+        while len(self._goals) > self._limit:
             ended = (each.id for each in self._goals.values() if each.status.is_final and each.id != goal.id)
             self._drop(next(ended, None) or next(iter(self._goals)))
 
@@ -141,5 +141,5 @@ class GoalStore:
         if _PLAIN.fullmatch(key.id) and key.id not in self._goals and key.id not in self._gone:
             return key.id
         whole = f"{key.action}\0{key.id}".encode("utf-8", "surrogatepass")
-        begin = _NOT_PLAIN.sub("-", key.id)[:_LONGEST].strip("-")
+        begin = _NOT_PLAIN.sub("-", key.id)[:_MAX_ID_LENGTH].strip("-")
         return f"{begin}-{hashlib.blake2b(whole, digest_size=8).hexdigest()}".lstrip("-")

@@ -55,13 +55,13 @@ class Goals:
     """
 
     def __init__(
-        self, adapter: Adapter, schemas: Callable[[str], ActionSchema | None], *, most: int, age: float, idle: float
+        self, adapter: Adapter, schemas: Callable[[str], ActionSchema | None], *, limit: int, age: float, idle: float
     ) -> None:
         """`schemas` gives the schema of an action by the action's name, as far as it is at hand."""
         self._adapter = adapter
         self._schemas = schemas
-        self._most_keys = most
-        self._store = GoalStore(most=most, age=age)
+        self._most_keys = limit
+        self._store = GoalStore(limit=limit, age=age)
         self._follower = GoalFollower(adapter, idle)
         self._keyed: OrderedDict[tuple[str, str], tuple[bytes, asyncio.Task[Sending]]] = OrderedDict()
         self._heard: OrderedDict[GoalId, tuple[GoalEvent, int]] = OrderedDict()

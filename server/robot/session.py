@@ -46,11 +46,15 @@ class Session:
         self.calls = Calls(
             self.adapter,
             lambda service: self.announce_write(Kind.SERVICE, service),
-            most=settings.calls_kept,
+            limit=settings.calls_kept,
             age=settings.calls_age,
         )
         self.goals = Goals(
-            self.adapter, self._action_schema, most=settings.goals_kept, age=settings.goals_age, idle=settings.idle_time
+            self.adapter,
+            self._action_schema,
+            limit=settings.goals_kept,
+            age=settings.goals_age,
+            idle=settings.idle_time,
         )
         self.limiter = PublishLimiter(settings.max_publish_rate)
         self.changes = Signal()

@@ -179,7 +179,7 @@ class Dispatcher:
             return await self._render(resource, state, media_type, variant, permissions)
         found = state.renderings.get(variant)
         if found is None:
-            if len(state.renderings) >= _MOST_RENDERINGS:
+            if len(state.renderings) >= _MAX_RENDERINGS:
                 state.renderings.clear()
             found = state.renderings[variant] = await self._render(resource, state, media_type, variant, permissions)
         return found
@@ -367,13 +367,13 @@ def redacted_state(resource: Resource, state: State, permissions: Permissions) -
         return state
     found = state.redactions.get(permissions.rights_key)
     if found is None:
-        if len(state.redactions) >= _MOST_RENDERINGS:
+        if len(state.redactions) >= _MAX_RENDERINGS:
             state.redactions.clear()
         found = state.redactions[permissions.rights_key] = resource.redact(state, permissions)
     return found
 
 
-_MOST_RENDERINGS = 64
+_MAX_RENDERINGS = 64
 """Representations, and what they are made from, that are kept with a state."""
 _REFUSED_BODIES = frozenset({400, 409, 415, 422})
 _TOLD_ON_THE_PAGE = frozenset({409, 422, 423, 429, 502, 503, 504})

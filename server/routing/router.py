@@ -42,10 +42,10 @@ from rosld.server.sparql.endpoint import QueryService
 from rosld.server.sparql.update.base import Updates
 
 Room: TypeAlias = Callable[[Robot, Location], Resource]
-_MOST = 8192
+_MAX_CACHED = 8192
 _SHORT = 256
 """Characters of a path up to which it is remembered where it leads."""
-_located = lru_cache(_MOST)(locate)
+_located = lru_cache(_MAX_CACHED)(locate)
 _EXAMPLES = 100
 """Kept queries that the page of the endpoint lists."""
 
@@ -151,7 +151,7 @@ def _holding(at: Callable[[str], Resource]) -> Mapping[str, Room]:
 
 def _examples(robot: Robot) -> list[StoredQuery]:
     """Questions to start from: all that come with rosld, and some of those that clients keep."""
-    found = robot.queries.all(most=_EXAMPLES)
+    found = robot.queries.all(limit=_EXAMPLES)
     return [StoredQuery(url, query.name, query.purpose, query.text) for url, query in found]
 
 
@@ -208,7 +208,7 @@ class Router:
                 raise moved(f"{resource.url}?{query}" if query else resource.url)
             if not resource.is_cacheable or not is_spelt:
                 return resource
-            if len(self._kept) >= _MOST:
+            if len(self._kept) >= _MAX_CACHED:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[raw] = resource
         return resource

@@ -15,8 +15,8 @@ class RequestScheduler:
     Belongs to one loop.
     """
 
-    def __init__(self, most: int = MAX_STARTS) -> None:
-        self._most = most
+    def __init__(self, limit: int = MAX_STARTS) -> None:
+        self._limit = limit
         self._begun = 0
         self._waiting: deque[asyncio.Future[None]] = deque()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -26,7 +26,7 @@ class RequestScheduler:
         loop = self._loop = self._loop or asyncio.get_running_loop()  # the latter is a system call before Python 3.12
         if self._begun == 0:
             loop.call_soon(self._next)
-        if self._begun < self._most and not self._waiting:
+        if self._begun < self._limit and not self._waiting:
             self._begun += 1
             return True
         return False
@@ -41,7 +41,7 @@ class RequestScheduler:
 
     def _next(self) -> None:
         self._begun = 0
-        while self._waiting and self._begun < self._most:
+        while self._waiting and self._begun < self._limit:
             turn = self._waiting.popleft()
             if not turn.done():  # who has gone has cancelled it
                 turn.set_result(None)

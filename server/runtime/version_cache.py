@@ -13,7 +13,7 @@ T = TypeVar("T")
 class VersionCache(Generic[T]):
     """Values by URL, each of one version of what it was made of; the oldest go first."""
 
-    most: int = 4096
+    limit: int = 4096
     _entries: dict[str, tuple[Hashable, T]] = field(default_factory=dict)
 
     def find(self, url: str, version: Hashable) -> T | None:
@@ -25,7 +25,7 @@ class VersionCache(Generic[T]):
         """Keep a value; returns it."""
         self._entries.pop(url, None)
         self._entries[url] = (version, value)
-        if len(self._entries) > self.most:
+        if len(self._entries) > self.limit:
             self._entries.pop(next(iter(self._entries)))
         return value
 

@@ -209,15 +209,15 @@ class Connection(HttpToolsProtocol):
 
         Raises Problems, which the parser passes on as its own error.
         """
-        most, is_upgrade = self._bounds.head_bytes, self.parser.should_upgrade()
-        is_large = self._head_size > most or self._block_size > most or len(self.url) > LONGEST_TARGET
+        limit, is_upgrade = self._bounds.head_bytes, self.parser.should_upgrade()
+        is_large = self._head_size > limit or self._block_size > limit or len(self.url) > LONGEST_TARGET
         if is_upgrade or is_large or self._is_coded or self.parser.get_http_version() != "1.1":
             self._check(self._head())
             if is_upgrade and not self._is_handshake:
                 return
         if not self._connections.begin(self) and not self._is_urgent(self._head()):
             raise self._refusal or _FULL
-        self._head_is_open, self._head_size, self._framing, self._is_coded = False, 0, most, False
+        self._head_is_open, self._head_size, self._framing, self._is_coded = False, 0, limit, False
         self._be_patient()
         self.scope["rosld.transport"] = self.transport  # type: ignore[typeddict-unknown-key]
         super().on_headers_complete()

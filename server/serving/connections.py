@@ -21,16 +21,16 @@ class Endable(Protocol):
 
 
 class Connections:
-    """Open connections, at most `most` and a reserve. Belongs to one loop.
+    """Open connections, at most `limit` and a reserve. Belongs to one loop.
 
-    A new one beyond `most` takes the place of the one that has been idle longest: of a connection without a request
+    A new one beyond `limit` takes the place of the one that has been idle longest: of a connection without a request
     under way, or else of a WebSocket that was sent nothing for a minute. Where there is none, it is in the reserve. The
     same holds within the reserve, so that it cannot be filled with connections on which nothing is asked.
     """
 
-    def __init__(self, most: int, reserve: int = RESERVE, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, limit: int, reserve: int = RESERVE, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._most = most
+        self._limit = limit
         self._most_extra = reserve
         self._open: set[Endable] = set()
         self._extra: set[Endable] = set()
@@ -43,7 +43,7 @@ class Connections:
 
     def open(self, connection: Endable, *, is_extra: bool = False) -> bool:
         """Add a connection, into the reserve if need be or if told so. False where the reserve is full, too."""
-        if not is_extra and (len(self._open) < self._most or self._end_longest_idle()):
+        if not is_extra and (len(self._open) < self._limit or self._end_longest_idle()):
             self._open.add(connection)
             self._idle[connection] = None
             return True

@@ -20,7 +20,7 @@ from rosld.server.sparql.syntax.lexer import Kind, place, tokens
 DIRECT = "application/sparql-query"
 UPDATE = "application/sparql-update"
 ACCEPT_POST = f"{DIRECT}, {UPDATE}, {FORM}"
-_MOST_PARAMETERS = 1000
+_MAX_PARAMETERS = 1000
 _LONGEST_CACHED = 4096
 
 
@@ -139,11 +139,11 @@ def _decode(body: bytes, what: str, media_type: MediaType) -> str:
 
 def _parameters(raw: bytes, where: str, codec: str = UTF_8) -> list[tuple[str, str]]:
     try:
-        return parse_qsl(raw.decode("ascii"), True, encoding=codec, errors="strict", max_num_fields=_MOST_PARAMETERS)
+        return parse_qsl(raw.decode("ascii"), True, encoding=codec, errors="strict", max_num_fields=_MAX_PARAMETERS)
     except UnicodeError as error:
         raise Problem(400, f"The {where} is not percent-encoded {codec.upper()}: {error}.") from error
     except ValueError as error:
-        raise Problem(400, f"The {where} has more than {_MOST_PARAMETERS} parameters.") from error
+        raise Problem(400, f"The {where} has more than {_MAX_PARAMETERS} parameters.") from error
 
 
 def _request(parameters: list[tuple[str, str]]) -> QueryRequest:

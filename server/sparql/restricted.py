@@ -24,7 +24,7 @@ from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import Dump, Graphs
 
-_MOST = 8
+_MAX_DATASETS = 8
 """Restricted datasets at a time; the one that was asked longest ago goes first."""
 _PART = 64
 """Graphs that are asked for and judged at a time."""
@@ -48,7 +48,7 @@ class RestrictedDatasets:
                 self._drop(permissions.rights_key)
             names: list[str] = pickle.loads(await self._process.result(Graphs(), limits, until))
             found = self._kept[permissions.rights_key] = _Restricted(self._process, permissions, revision, names)
-            while len(self._kept) > _MOST:
+            while len(self._kept) > _MAX_DATASETS:
                 self._drop(next(iter(self._kept)))
         self._kept.move_to_end(permissions.rights_key)
         async with found.turn:

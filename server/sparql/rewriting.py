@@ -43,7 +43,7 @@ _TOTAL = frozenset(
 """Functions whose results have a total order in the dataset."""
 _PASSING = frozenset(("COALESCE", "SAMPLE"))
 """Functions whose result is one of their arguments."""
-_MOST_INLINE = 32
+_MAX_INLINE = 32
 """Variables that are decoded in SPARQL itself; more would make the text long, and are decoded by a function."""
 
 
@@ -148,7 +148,7 @@ class _Rewriter:
     def _decode(self, variable: str) -> str:
         """A variable as a value to compute with."""
         self._inline += 1
-        if self._inline > _MOST_INLINE:
+        if self._inline > _MAX_INLINE:
             return f"<{VALUE}>({variable})"
         return _DECODED.replace("?", variable)
 

@@ -18,8 +18,8 @@ _UNSEEN = 4 * 1024 * 1024
 """Bytes that are kept for being counted later."""
 
 
-def limited(output: BinaryIO, media_type: str, graph: bool, most: int) -> BinaryIO:
-    """An output that raises Problem 503 (rows) for more than `most` rows, or triples of a `graph`.
+def limited(output: BinaryIO, media_type: str, graph: bool, limit: int) -> BinaryIO:
+    """An output that raises Problem 503 (rows) for more than `limit` rows, or triples of a `graph`.
 
     It is `output` itself for what has no rows that can be counted so: these are for `Count`.
     """
@@ -28,35 +28,35 @@ def limited(output: BinaryIO, media_type: str, graph: bool, most: int) -> Binary
     if media_type not in _COUNTERS:
         return output
     make, shortest = _COUNTERS[media_type]
-    return cast("BinaryIO", _Limited(output, make(), most, min(most * shortest, _UNSEEN)))
+    return cast("BinaryIO", _Limited(output, make(), limit, min(limit * shortest, _UNSEEN)))
 
 
 class Count:
     """Counts what is made one by one; `check` is called before each."""
 
-    def __init__(self, check: Check, most: int) -> None:
+    def __init__(self, check: Check, limit: int) -> None:
         self._check = check
-        self._most = most
-        self._left = most
+        self._limit = limit
+        self._left = limit
 
     def one(self) -> None:
         """Count one more. Raises what `check` raises, and Problem 503 (rows)."""
         self._check()
         self._left -= 1
         if self._left < 0:
-            raise too_many_rows(self._most)
+            raise too_many_rows(self._limit)
 
 
 class _Limited(io.RawIOBase):
     """Counts nothing as long as even the shortest rows would be few enough: most answers are never looked at."""
 
-    def __init__(self, output: BinaryIO, rows: Callable[[bytes], int], most: int, harmless: int) -> None:
+    def __init__(self, output: BinaryIO, rows: Callable[[bytes], int], limit: int, harmless: int) -> None:
         super().__init__()
         self._output = output
         self._harmless = harmless
         self._rows = rows
-        self._most = most
-        self._left = most
+        self._limit = limit
+        self._left = limit
         self._unseen: list[bytes] | None = []
         self._size = 0
 
@@ -78,7 +78,7 @@ class _Limited(io.RawIOBase):
     def _count(self, data: bytes) -> None:
         self._left -= self._rows(data)
         if self._left < 0:
-            raise too_many_rows(self._most)
+            raise too_many_rows(self._limit)
 
 
 class _Marks:

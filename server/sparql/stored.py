@@ -36,8 +36,8 @@ OTHERS = {"format": "in which format the results come", "timeout": "how long the
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _INT64 = range(-(2**63), 2**63)
 _LONGEST_TOLD = 200
-_MOST_PARAMETERS = 50
-_MOST_BOUND = 4 * 1024 * 1024
+_MAX_PARAMETERS = 50
+_MAX_BOUND = 4 * 1024 * 1024
 """Characters of a query with its parameters bound, one of which may stand in many places."""
 _LINE_END = re.compile(r"\r\n?|\n")
 _PLACE = re.compile(r" at (\d+):\d+")
@@ -116,8 +116,8 @@ def _outline(name: str, text: str) -> tuple[StoredQuery, Mapping[str, int]]:
             purpose.append(line)
     if not purpose:
         raise ValueError(f"{name}:1: must begin with a comment that says in plain words what it is for")
-    if len(parameters) > _MOST_PARAMETERS:
-        raise ValueError(f"{name}:{number}: a query has at most {_MOST_PARAMETERS} parameters")
+    if len(parameters) > _MAX_PARAMETERS:
+        raise ValueError(f"{name}:{number}: a query has at most {_MAX_PARAMETERS} parameters")
     return StoredQuery(name, " ".join(purpose), tuple(parameters), text), lines
 
 
@@ -217,7 +217,7 @@ def _with_terms(query: StoredQuery, terms: Mapping[str, str]) -> Iterator[str]:
         is_bound = token.kind is Kind.VARIABLE and token.text[1:] in terms
         text = f" {terms[token.text[1:]]} " if is_bound else token.text
         size += len(text)
-        if size > _MOST_BOUND:
+        if size > _MAX_BOUND:
             raise Problem(413, f"With these values the query {query.name} would be too long: give shorter ones.")
         yield text
 

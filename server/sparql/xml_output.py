@@ -25,12 +25,12 @@ def not_in_xml(words: str) -> Problem:
 
 
 class XmlOutput(io.RawIOBase):
-    """Passes XML on once it is known to be well-formed, or to have more than `most` bytes."""
+    """Passes XML on once it is known to be well-formed, or to have more than `limit` bytes."""
 
-    def __init__(self, output: BinaryIO, most: int) -> None:
+    def __init__(self, output: BinaryIO, limit: int) -> None:
         super().__init__()
         self._output = output
-        self._most = most
+        self._limit = limit
         self._held: list[bytes] | None = []
         self._size = 0
         self._rest = b""
@@ -54,7 +54,7 @@ class XmlOutput(io.RawIOBase):
             return
         self._held.append(piece)
         self._size += len(piece)
-        if self._size > self._most:
+        if self._size > self._limit:
             self.end()
 
     def end(self) -> None:

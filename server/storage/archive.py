@@ -39,7 +39,7 @@ FORMAT = 1
 _ABOUT, _RECORDS, _GONE = "rosld.json", "records.jsonl", "gone.jsonl"
 _COMPRESSION = 4
 _SMALL = 64 * 1024
-_MOST = 1 << 62
+_MAX_NUMBER = 1 << 62
 _PATH = re.compile(r"(?:[A-Za-z0-9._~!$&'()*+,;=:@/-]|%[0-9A-Fa-f]{2})+")
 _IRI = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:[^\x00-\x20<>\"{}|\\^`]*")
 _MEDIA_TYPE = re.compile(r"[\x20-\x7e]{1,1000}")
@@ -250,7 +250,7 @@ def _entry(line: bytes) -> Entry:
     """The entry on a line. Raises what reading something else raises: ValueError, KeyError, TypeError."""
     told = json.loads(line)
     number, created, modified = told["number"], told["created"], told["modified"]
-    if not all(type(value) is int and 0 < value < _MOST for value in (number, created, modified)):
+    if not all(type(value) is int and 0 < value < _MAX_NUMBER for value in (number, created, modified)):
         raise ValueError(f"{told['path']!r} has no sound number or time")
     blob, membership = told.get("blob"), told.get("membership")
     record = Record(
@@ -269,7 +269,7 @@ def _entry(line: bytes) -> Entry:
 
 def _blob(told: Mapping[str, object]) -> Blob:
     size = told["size"]
-    if type(size) is not int or not 0 <= size < _MOST:
+    if type(size) is not int or not 0 <= size < _MAX_NUMBER:
         raise ValueError(f"{size!r} is no size")
     return Blob(_matched(ID, told["id"], "an id"), size, _matched(_MEDIA_TYPE, told["media_type"], "a media type"))
 

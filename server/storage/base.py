@@ -34,19 +34,19 @@ class Records(Protocol):
         """Whether a record of this path was ever removed; one may be there again."""
         ...
 
-    def members(self, path: str, *, after: int = 0, most: int = 1000) -> Sequence[Member]:
+    def members(self, path: str, *, after: int = 0, limit: int = 1000) -> Sequence[Member]:
         """The members of a container in the order of their numbers, those after one of them."""
         ...
 
-    def numbers(self, path: str, *, upto: int | None = None, most: int = 1000) -> Sequence[int]:
+    def numbers(self, path: str, *, upto: int | None = None, limit: int = 1000) -> Sequence[int]:
         """The numbers of the last members of a container, the newest first: of all, or of those up to a number."""
         ...
 
-    def changed(self, after: int, *, most: int = 10_000) -> Sequence[Changed]:
+    def changed(self, after: int, *, limit: int = 10_000) -> Sequence[Changed]:
         """What has changed after a version, each path with its latest version, in the order of versions.
 
         A path comes once, but twice where it was removed and made again. No two changes have one version: after as
-        many as `most`, ask again after the last.
+        many as `limit`, ask again after the last.
         """
         ...
 
@@ -62,8 +62,8 @@ class Records(Protocol):
         """
         ...
 
-    async def receive(self, chunks: AsyncIterator[bytes], media_type: str, *, most: int) -> Blob:
-        """Keep bytes as they come, until a write refers to them. Raises ValueError beyond `most` bytes.
+    async def receive(self, chunks: AsyncIterator[bytes], media_type: str, *, limit: int) -> Blob:
+        """Keep bytes as they come, until a write refers to them. Raises ValueError beyond `limit` bytes.
 
         What no write refers to within ten minutes is thrown away; what was refused in a write may be tried in another.
         """

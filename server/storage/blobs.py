@@ -40,8 +40,8 @@ class Blobs:
         """Where the file of a blob is."""
         return self._folder / id
 
-    async def receive(self, chunks: AsyncIterator[bytes], most: int) -> tuple[str, int]:
-        """Write a new file from what comes; its id and its size. Raises ValueError beyond `most` bytes, StorageError.
+    async def receive(self, chunks: AsyncIterator[bytes], limit: int) -> tuple[str, int]:
+        """Write a new file from what comes; its id and its size. Raises ValueError beyond `limit` bytes, StorageError.
 
         What was written of a file that fails, or that nobody waits for any more, is removed.
         """
@@ -51,7 +51,7 @@ class Blobs:
             with _told():
                 file = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
             try:
-                size = await _fill(file, chunks, most)
+                size = await _fill(file, chunks, limit)
                 await self._settle(file, part, self.path(id))
             finally:
                 os.close(file)
@@ -171,13 +171,13 @@ def _told() -> Iterator[None]:
         raise failure(error) from error
 
 
-async def _fill(file: int, chunks: AsyncIterator[bytes], most: int) -> int:
+async def _fill(file: int, chunks: AsyncIterator[bytes], limit: int) -> int:
     """Write what comes; its size. What `chunks` raises is raised as it is."""
     size, held, waiting = 0, 0, list[bytes]()
     async for chunk in chunks:
         size += len(chunk)
-        if size > most:
-            raise ValueError(f"more than {most} bytes were sent")
+        if size > limit:
+            raise ValueError(f"more than {limit} bytes were sent")
         waiting.append(chunk)
         held += len(chunk)
         if held > _AT_ONCE:

@@ -14,11 +14,11 @@ _EACH = 1024
 class Cache:
     """The same objects come back, until they are dropped or pushed out by others."""
 
-    __slots__ = ("_kept", "_most", "_weight")
+    __slots__ = ("_kept", "_limit", "_weight")
 
-    def __init__(self, most: int = WEIGHT) -> None:
+    def __init__(self, limit: int = WEIGHT) -> None:
         self._kept: OrderedDict[str, Record] = OrderedDict()
-        self._most = most
+        self._limit = limit
         self._weight = 0
 
     def get(self, path: str) -> Record | None:
@@ -34,7 +34,7 @@ class Cache:
         self.drop(record.path)
         self._kept[record.path] = record
         self._weight += _EACH + len(record.triples)
-        while self._weight > self._most:
+        while self._weight > self._limit:
             self._weight -= _EACH + len(self._kept.popitem(last=False)[1].triples)
 
     def drop(self, path: str) -> None:

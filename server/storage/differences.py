@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from rosld.server.storage.record import Difference, Put, Record
 
-MOST = 16 * 1024
+MAX_BYTES = 16 * 1024
 """Bytes of N-Triples in the difference of one write; what changes more is told whole."""
 _WRITES = 64
 """Writes of one record, and records, whose differences are kept: the oldest go first."""

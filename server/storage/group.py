@@ -14,9 +14,9 @@ from typing import Protocol
 from rosld.server.storage.ledger import Applied, Busy
 from rosld.server.storage.record import Conflict, Put, StorageError, Write
 
-MOST = 128
+MAX_JOBS = 128
 """Jobs in one transaction, which the loop does at a stretch."""
-BYTES = 4 * 1024 * 1024
+MAX_BYTES = 4 * 1024 * 1024
 """Bytes in one transaction, beyond its first job."""
 _BUSY_SECONDS = 0.005
 
@@ -149,7 +149,7 @@ class Group:
 
     def _some(self) -> list[Job]:
         jobs, size = list[Job](), 0
-        while self._jobs and len(jobs) < MOST and size < BYTES:
+        while self._jobs and len(jobs) < MAX_JOBS and size < MAX_BYTES:
             jobs.append(self._jobs.popleft())
             size += jobs[-1].size
         return jobs

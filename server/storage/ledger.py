@@ -158,33 +158,33 @@ class RecordTable:
         except sqlite3.Error as error:
             raise failure(error) from error
 
-    def members(self, path: str, after: int, most: int) -> list[Member]:
+    def members(self, path: str, after: int, limit: int) -> list[Member]:
         """Members of a container by number."""
         try:
-            rows = self._execute(_MEMBERS, (path, after, most)).fetchall()
+            rows = self._execute(_MEMBERS, (path, after, limit)).fetchall()
         except sqlite3.Error as error:
             raise failure(error) from error
         return [Member(number, name, _MODELS[model], member) for number, name, model, member in rows]
 
-    def numbers(self, path: str, upto: int | None, most: int) -> list[int]:
+    def numbers(self, path: str, upto: int | None, limit: int) -> list[int]:
         """The numbers of the last members of a container, the newest first."""
         try:
-            rows = self._execute(_NUMBERS, (path, _GREATEST if upto is None else upto, most)).fetchall()
+            rows = self._execute(_NUMBERS, (path, _GREATEST if upto is None else upto, limit)).fetchall()
         except sqlite3.Error as error:
             raise failure(error) from error
         return [row[0] for row in rows]
 
-    def changed(self, after: int, most: int) -> list[Changed]:
+    def changed(self, after: int, limit: int) -> list[Changed]:
         """What has changed after a version."""
         try:
-            rows = self._execute(_CHANGED, (after, most)).fetchall()
+            rows = self._execute(_CHANGED, (after, limit)).fetchall()
         except sqlite3.Error as error:
             raise failure(error) from error
         found = [Changed(path, version, bool(gone)) for path, version, gone in rows]
         if self._withdrawn:
             found += (Changed(path, version, True) for path, version in self._withdrawn.items() if version > after)
             found.sort(key=_version)
-        return found[:most]
+        return found[:limit]
 
     def suspend(self, words: str) -> None:
         """Raise StorageError with these words whatever is asked from now on: the connection is about to be closed."""

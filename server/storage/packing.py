@@ -11,9 +11,9 @@ import zlib
 
 from rosld.server.storage.record import Record
 
-LARGE = 256 * 1024
+LARGE_BYTES = 256 * 1024
 """Bytes of N-Triples from which they are packed: some 2,500 triples, which a parser takes 5 ms for."""
-MOST = 2 * 1024 * 1024 * 1024
+MAX_BYTES = 2 * 1024 * 1024 * 1024
 """Bytes of N-Triples that may be packed at the most."""
 _MARK = b"\x00z1"
 """What packed bytes begin with, and N-Triples never do."""
@@ -24,7 +24,7 @@ _LEVEL = 1
 
 def pack(ntriples: bytes) -> bytes:
     """N-Triples as they are kept: packed where they are large."""
-    if len(ntriples) < LARGE:
+    if len(ntriples) < LARGE_BYTES:
         return ntriples
     return _HEAD.pack(_MARK, len(ntriples)) + zlib.compress(ntriples, _LEVEL)
 
@@ -53,4 +53,4 @@ def size_of(kept: bytes) -> int:
 
 def is_large(record: Record) -> bool:
     """Whether what a record says is too much to be worked on by the loop."""
-    return is_packed(record.triples) or len(record.triples) >= LARGE
+    return is_packed(record.triples) or len(record.triples) >= LARGE_BYTES

@@ -37,9 +37,9 @@ class ReceivedBlobs:
             self._blobs = Blobs(Path(self._temporary.name) / "blobs", durable=False)
         return self._blobs
 
-    async def receive(self, chunks: AsyncIterator[bytes], media_type: str, most: int) -> Blob:
-        """Keep what comes as a blob for a while. Raises ValueError beyond `most` bytes, StorageError."""
-        id, size = await self.folder().receive(chunks, most)
+    async def receive(self, chunks: AsyncIterator[bytes], media_type: str, limit: int) -> Blob:
+        """Keep what comes as a blob for a while. Raises ValueError beyond `limit` bytes, StorageError."""
+        id, size = await self.folder().receive(chunks, limit)
         self.keep((id,))
         return Blob(id, size, media_type)
 

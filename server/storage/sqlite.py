@@ -190,14 +190,14 @@ class SqliteRecords:
     def was_there(self, path: str) -> bool:
         return self._ledger.was_there(path)
 
-    def members(self, path: str, *, after: int = 0, most: int = 1000) -> Sequence[Member]:
-        return self._ledger.members(path, after, most)
+    def members(self, path: str, *, after: int = 0, limit: int = 1000) -> Sequence[Member]:
+        return self._ledger.members(path, after, limit)
 
-    def numbers(self, path: str, *, upto: int | None = None, most: int = 1000) -> Sequence[int]:
-        return self._ledger.numbers(path, upto, most)
+    def numbers(self, path: str, *, upto: int | None = None, limit: int = 1000) -> Sequence[int]:
+        return self._ledger.numbers(path, upto, limit)
 
-    def changed(self, after: int, *, most: int = _CHANGES) -> Sequence[Changed]:
-        return self._ledger.changed(after, most)
+    def changed(self, after: int, *, limit: int = _CHANGES) -> Sequence[Changed]:
+        return self._ledger.changed(after, limit)
 
     def steps(self, record: Record, after: int) -> Sequence[Step] | None:
         return self._differences.steps(record, after)
@@ -341,11 +341,11 @@ class SqliteRecords:
             if isinstance(write, Put) and record is not None:
                 self._differences.note(write, record)
 
-    async def receive(self, chunks: AsyncIterator[bytes], media_type: str, *, most: int) -> Blob:
+    async def receive(self, chunks: AsyncIterator[bytes], media_type: str, *, limit: int) -> Blob:
         if self._closed:
             raise StorageError("The records are closed.")
         self._attach()
-        return await self._received.receive(chunks, media_type, most)
+        return await self._received.receive(chunks, media_type, limit)
 
     def discard(self, blob: Blob) -> None:
         self._received.discard(blob.id)

@@ -64,11 +64,11 @@ class Filler:
         return FLOATS[kind.name] if kind.name in FLOATS else INTEGERS[kind.name]
 
     def array(self, kind: Array) -> st.SearchStrategy[object]:
-        least, most = (0, min(3, kind.bound or 3)) if kind.length is None else (kind.length, kind.length)
+        least, limit = (0, min(3, kind.bound or 3)) if kind.length is None else (kind.length, kind.length)
         element = kind.element
         if isinstance(element, Nested):
-            return st.lists(self.message(element.name), min_size=least, max_size=min(most, max(least, 2)))
-        values = st.lists(self.primitive(element), min_size=least, max_size=most)
+            return st.lists(self.message(element.name), min_size=least, max_size=min(limit, max(least, 2)))
+        values = st.lists(self.primitive(element), min_size=least, max_size=limit)
         if element.name in STRINGS:
             return values
         dtype = DTYPES[element.name]

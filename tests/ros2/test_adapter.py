@@ -12,7 +12,7 @@ from tests.ros2 import distros
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-MOST_SECONDS = 600.0
+MAX_SECONDS = 600.0
 
 pytestmark = pytest.mark.ros2
 
@@ -40,7 +40,7 @@ def run(distro: str, folder: Path, *arguments: str) -> None:
             env=environment,
             capture_output=True,
             text=True,
-            timeout=MOST_SECONDS,
+            timeout=MAX_SECONDS,
             check=False,
         )
     assert report.exists(), done.stdout + done.stderr

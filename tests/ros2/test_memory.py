@@ -14,7 +14,7 @@ from tests.ros2 import distros
 
 HERE = Path(__file__).parent
 BENCH = HERE.parents[1] / "bench" / "ros2_memory.py"
-MOST_MEGABYTES = 4.0
+MAX_MEGABYTES = 4.0
 """Beside 100 topics of 50 Hz these are 60 bytes a message; without a leak it grows by less than one."""
 
 
@@ -45,7 +45,7 @@ def test_growth_is_the_slope_after_the_warm_up_and_noise_is_none() -> None:
 @pytest.mark.ros2
 def test_memory_does_not_grow_while_topics_are_published_and_looked_at() -> None:
     python = distros.require("jazzy").python
-    options = ("--minutes", "0.35", "--every", "1", "--topics", "100", "--most", str(MOST_MEGABYTES))
+    options = ("--minutes", "0.35", "--every", "1", "--topics", "100", "--most", str(MAX_MEGABYTES))
     with distros.free_domain() as domain:
         done = subprocess.run(
             [python, str(BENCH), *options, "--domain", str(domain)],

@@ -36,12 +36,12 @@ class Robot:
 
 
 def keeping(
-    scenario: Callable[[Goals], Awaitable[None]], *, most: int = 100, age: float = 3600.0, schema: Schema = FLY
+    scenario: Callable[[Goals], Awaitable[None]], *, limit: int = 100, age: float = 3600.0, schema: Schema = FLY
 ) -> None:
     async def run() -> None:
         assert isinstance(schema, ActionSchema)
         robot: Any = Robot()
-        goals = Goals(robot, lambda _: schema, most=most, age=age, idle=60.0)
+        goals = Goals(robot, lambda _: schema, limit=limit, age=age, idle=60.0)
         goals.start()
         try:
             await scenario(goals)
@@ -206,7 +206,7 @@ def test_the_oldest_that_has_ended_goes_first_and_is_not_learnt_again() -> None:
         with pytest.raises(KeyError):
             goals.find("d")
 
-    keeping(scenario, most=2)
+    keeping(scenario, limit=2)
 
 
 def test_what_was_not_heard_of_for_long_is_forgotten() -> None:

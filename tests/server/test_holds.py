@@ -38,7 +38,7 @@ class Driven(MadeUp):
         self.told: list[tuple[float, str, Any]] = []
         self.is_gone = False
         self.seconds = 0.0
-        self.at_once = self.most_at_once = 0
+        self.at_once = self.max_at_once = 0
         self.topic(DRIVE, "geometry_msgs/msg/Twist", published=False, heard=True)
         self.topic(STAMPED, "geometry_msgs/msg/TwistStamped", published=False, heard=True)
         self.topic(NAMED, "std_msgs/msg/String", published=False, heard=True)
@@ -50,7 +50,7 @@ class Driven(MadeUp):
         if self.is_gone:
             raise Unreachable("the robot is gone")
         self.at_once += 1
-        self.most_at_once = max(self.most_at_once, self.at_once)
+        self.max_at_once = max(self.max_at_once, self.at_once)
         try:
             await asyncio.sleep(self.seconds)
             published = await super().publish(topic, type, data, latch=latch, deadline=deadline)
@@ -85,7 +85,7 @@ def server(driven: Driven) -> Iterator[httpx.Client]:
 def http(driven: Driven, server: httpx.Client) -> Iterator[httpx.Client]:
     """The robot, which nobody holds and which was told nothing yet."""
     driven.told.clear()
-    driven.is_gone, driven.seconds, driven.most_at_once = False, 0.0, 0
+    driven.is_gone, driven.seconds, driven.max_at_once = False, 0.0, 0
     yield server
     for hold in holds(server):
         server.delete(hold)
@@ -396,8 +396,8 @@ def test_a_hold_goes_on_beside_another_publisher_where_that_is_permitted() -> No
 
 
 def test_holds_that_begin_and_end_in_turn_publish_no_more_often_than_anything_else() -> None:
-    driven, most = Driven(), 20
-    with served(driven, max_publish_rate=float(most)) as http:
+    driven, limit = Driven(), 20
+    with served(driven, max_publish_rate=float(limit)) as http:
         started, answers = time.monotonic(), []
         while time.monotonic() - started < 2:
             answers.append(held(http, rate=1, lease=5))
@@ -406,7 +406,7 @@ def test_holds_that_begin_and_end_in_turn_publish_no_more_often_than_anything_el
         seconds = time.monotonic() - started
         assert {answer.status_code for answer in answers} == {201, 429}
         assert "--max-publish-rate" in answers[-1].text or answers[-1].status_code == 201
-        assert len(driven.on(DRIVE)) <= most + most * seconds + 2
+        assert len(driven.on(DRIVE)) <= limit + limit * seconds + 2
         refused = next(answer for answer in answers if answer.status_code == 429)
         assert int(refused.headers["retry-after"]) >= 1
         assert driven.is_told(STILL), "the message that ends a hold is never refused"
@@ -428,10 +428,10 @@ def test_nothing_queues_up_while_the_robot_is_slow(driven: Driven, http: httpx.C
     driven.seconds = 0.15
     count = len(driven.told)
     driven.until(lambda: len(driven.told) > count + 4, "slow messages")
-    driven.most_at_once = 0
+    driven.max_at_once = 0
     http.patch(hold)
     driven.until(lambda: len(driven.told) > count + 6, "more of them")
-    assert driven.most_at_once == 1
+    assert driven.max_at_once == 1
     driven.seconds = 0.0
     http.delete(hold)
     assert driven.on(DRIVE)[-1] == STILL

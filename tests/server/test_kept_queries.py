@@ -561,9 +561,9 @@ def test_a_query_that_is_none_any_more_is_listed_and_says_why(tmp_path: Path) ->
             yield bad
 
         records = open_records(folder, roots=("queries/",))
-        blob = await records.receive(chunks(), "application/sparql-query", most=1000)  # type: ignore[arg-type]
+        blob = await records.receive(chunks(), "application/sparql-query", limit=1000)  # type: ignore[arg-type]
         await records.write(Put("queries/old", Model.NON_RDF_SOURCE, blob=blob))
-        blob = await records.receive(chunks(), "application/sparql-query", most=1000)  # type: ignore[arg-type]
+        blob = await records.receive(chunks(), "application/sparql-query", limit=1000)  # type: ignore[arg-type]
         await records.write(Put("queries/inventory", Model.NON_RDF_SOURCE, blob=blob))
         await records.close()
 

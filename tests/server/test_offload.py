@@ -28,7 +28,7 @@ def run(work: partial[object], **limits: float) -> object:
     """What comes of work, and that the next work is done whatever came of it."""
 
     async def do() -> object:
-        workers = WorkerPool(most=1, seconds=limits.get("seconds", 60.0), memory=int(limits.get("memory", 4 << 30)))
+        workers = WorkerPool(limit=1, seconds=limits.get("seconds", 60.0), memory=int(limits.get("memory", 4 << 30)))
         try:
             try:
                 return await workers.run(work)

@@ -137,7 +137,7 @@ def test_no_number_of_clients_fills_the_memory() -> None:
 def test_a_client_with_an_open_connection_is_not_forgotten_however_many_others_come(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(rate_limit, "_MOST_KNOWN", 4)
+    monkeypatch.setattr(rate_limit, "_MAX_KNOWN", 4)
     clock = Clock()
     limiter = limiter_for(clock, connections=1)
     limiter.connect(FAR)

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from rosld.adapters.ros1.receive_buffer import MOST, enlarge, permitted
+from rosld.adapters.ros1.receive_buffer import MAX_BYTES, enlarge, permitted
 from rosld.adapters.ros1.tcpros import decode_header, encode_header
 from tests.adapters.ros1.system import RosSystem, running
 from tests.waiting import until
@@ -105,7 +105,7 @@ def test_a_message_longer_than_the_limit_is_not_read_and_the_topic_says_so(
 def held_megabytes() -> int:
     """How much the kernel holds for one connection of ours, in megabytes."""
     with socket.socket() as probe:
-        enlarge(probe, MOST)
+        enlarge(probe, MAX_BYTES)
         granted = probe.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
     return max(granted, permitted(), 2 * MEGABYTE) // MEGABYTE
 

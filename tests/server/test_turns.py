@@ -9,7 +9,7 @@ from rosld.server.runtime.scheduler import RequestScheduler
 
 def test_no_turn_begins_more_than_it_may_and_everybody_has_one_in_order() -> None:
     async def run() -> list[list[int]]:
-        turns, begun = RequestScheduler(most=4), list[list[int]]()
+        turns, begun = RequestScheduler(limit=4), list[list[int]]()
 
         async def ask(number: int) -> None:
             await turns.wait_turn()
@@ -28,7 +28,7 @@ def test_no_turn_begins_more_than_it_may_and_everybody_has_one_in_order() -> Non
 
 def test_who_has_gone_takes_no_turn() -> None:
     async def run() -> bool:
-        turns = RequestScheduler(most=1)
+        turns = RequestScheduler(limit=1)
         first, gone, last = (asyncio.ensure_future(turns.wait_turn()) for _ in range(3))
         await first
         gone.cancel()

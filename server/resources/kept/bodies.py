@@ -17,7 +17,7 @@ from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.representation import all_members, stand_ins
 from rosld.server.resources.kept.stated import (
     CONTAINED,
-    MOST_PATCHED,
+    MAX_PATCHED,
     NOTHING,
     Statements,
     contained,
@@ -76,7 +76,7 @@ async def as_statements(triples: Sequence[Triple], subject: str) -> Statements:
     """
     if isinstance(triples, Statements):
         return triples
-    if len(triples) <= MOST_PATCHED:
+    if len(triples) <= MAX_PATCHED:
         return stated([*triples])
     return await asyncio.to_thread(lambda: looked_through(to_ntriples(triples), subject))
 
@@ -99,7 +99,7 @@ async def received(robot: Robot, exchange: Exchange) -> Blob:
     media_type = exact_media_type(exchange.header("content-type"))
     limit, whole = robot.settings.upload_limit, exchange.received
     chunks = exchange.chunks(limit=limit) if whole is None else one_chunk(whole)
-    return await robot.records.receive(chunks, media_type, most=limit)
+    return await robot.records.receive(chunks, media_type, limit=limit)
 
 
 async def one_chunk(data: bytes) -> AsyncIterator[bytes]:

@@ -123,7 +123,7 @@ class KeptFile(Kept):
             if self.robot.records.get(self.path) is record:
                 raise
             raise Conflict(record.path, "its bytes were replaced meanwhile", Cause.CHANGED) from error
-        return await self.robot.records.receive(one_chunk(data), record.blob.media_type, most=len(data))
+        return await self.robot.records.receive(one_chunk(data), record.blob.media_type, limit=len(data))
 
 
 def merged_json(path: Path, patch: bytes, media_type: str) -> bytes:

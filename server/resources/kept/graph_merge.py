@@ -19,7 +19,7 @@ from rosld.server.storage.describe import to_ntriples
 from rosld.server.storage.packing import size_of, unpack
 
 _N_TRIPLES = "application/n-triples"
-_MOST_UNITED = 4 * 1024 * 1024
+_MAX_UNITED = 4 * 1024 * 1024
 """Bytes of N-Triples that several parts may make a new graph of."""
 
 
@@ -40,8 +40,8 @@ async def unite(robot: Robot, exchange: Exchange, url: str) -> None:
     Raises what `united` raises, and a 413 Problem where that is too large.
     """
     found = await united(robot, exchange, url, url)
-    if size_of(found.kept) > _MOST_UNITED:
-        raise Problem(413, f"The parts say more than {_MOST_UNITED} bytes of N-Triples: PUT one body instead.")
+    if size_of(found.kept) > _MAX_UNITED:
+        raise Problem(413, f"The parts say more than {_MAX_UNITED} bytes of N-Triples: PUT one body instead.")
     exchange.become(exchange.method, _N_TRIPLES, unpack(found.kept))
 
 

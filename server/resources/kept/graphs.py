@@ -129,7 +129,7 @@ class _Search:
         """
         last, now, more = self._after, self._records.version, _MORE
         while True:
-            page = self._records.changed(last, most=_PAGE) if last < now or more else ()
+            page = self._records.changed(last, limit=_PAGE) if last < now or more else ()
             if page:
                 more -= last >= now
                 last = page[-1].version
@@ -222,7 +222,7 @@ class _Search:
         self._replace(container)
         number = 0
         while True:
-            found: Sequence[Member] = self._records.members(path, after=number, most=_MEMBERS)
+            found: Sequence[Member] = self._records.members(path, after=number, limit=_MEMBERS)
             if not found:
                 break
             number = found[-1].number

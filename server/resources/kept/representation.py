@@ -12,7 +12,7 @@ from rosld.server.http.link import render
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.document import kept_document, members_stand_for
 from rosld.server.rest.interaction import model_links
-from rosld.server.rest.paging import MOST, Page, Place, last_place, left_on_last, page_of
+from rosld.server.rest.paging import MAX_PAGE_SIZE, Page, Place, last_place, left_on_last, page_of
 from rosld.server.rest.prefer_container import ALL, Parts
 from rosld.server.rest.state import State
 from rosld.server.storage import Member, Record
@@ -38,7 +38,7 @@ def state_of(robot: Robot, record: Record, parts: Parts = ALL) -> State:
 
     A container that comes in pages is shown without its members: what is done with it does not grow with them.
     """
-    if record.count > MOST:
+    if record.count > MAX_PAGE_SIZE:
         parts = replace(parts, containment=False, membership=False)
     url = robot.space.base + record.path
     return robot.states.get_or_make(
@@ -63,14 +63,14 @@ def page_shown(robot: Robot, record: Record, parts: Parts, place: Place) -> Stat
 
 def page_at(robot: Robot, record: Record, place: Place) -> tuple[Page, Sequence[Member]]:
     """The page of a container at a place, and its members."""
-    records, after, most = robot.records, place.after, place.most
+    records, after, limit = robot.records, place.after, place.limit
     assert isinstance(after, int)
-    found = records.members(record.path, after=after, most=most + 1)
-    before = records.numbers(record.path, upto=after, most=most + 1) if after else ()
-    latest = records.numbers(record.path, most=left_on_last(record.count, most) + 1) if len(found) > most else ()
-    last = last_place(most, record.count, latest)
+    found = records.members(record.path, after=after, limit=limit + 1)
+    before = records.numbers(record.path, upto=after, limit=limit + 1) if after else ()
+    latest = records.numbers(record.path, limit=left_on_last(record.count, limit) + 1) if len(found) > limit else ()
+    last = last_place(limit, record.count, latest)
     page = page_of(robot.space.base + record.path, place, [each.number for each in found], before, last)
-    return page, found[:most]
+    return page, found[:limit]
 
 
 def _lists(parts: Parts) -> bool:

@@ -26,7 +26,7 @@ from rosld.server.resources.kept.graph_merge import united
 from rosld.server.resources.kept.managed import managed_of, require_as_it_is, require_membership
 from rosld.server.resources.kept.representation import state_of
 from rosld.server.resources.kept.stated import (
-    MOST_PATCHED,
+    MAX_PATCHED,
     N3_PATCH,
     Statements,
     merged,
@@ -101,7 +101,7 @@ class SourceResource(Kept):
         data, media_type, url = await exchange.body(), exchange.media_type, self.document_url
 
         def patch(before: Sequence[Triple]) -> Sequence[Triple]:
-            return patch_of(data, media_type, url, MOST_PATCHED)(before)
+            return patch_of(data, media_type, url, MAX_PATCHED)(before)
 
         async def changed(record: Record) -> Write:
             before = state_of(self.robot, record)

@@ -21,7 +21,7 @@ from rosld.server.ldp.patch import updated
 from rosld.server.rest.interaction import member_of
 from rosld.server.storage import Difference, Membership, Model, Record
 from rosld.server.storage.describe import is_managed, may_be_managed, to_ntriples, unmanaged
-from rosld.server.storage.differences import MOST as DIFFERENT
+from rosld.server.storage.differences import MAX_BYTES as DIFFERENT
 from rosld.server.storage.packing import is_packed, pack, unpack
 
 N3_PATCH = "text/n3"
@@ -30,9 +30,9 @@ LIGHT_BYTES = 32 * 1024
 _TINY_BYTES = 4 * 1024
 _LONG = re.compile(rb"""<[^>\s]{512}|"[^"]{512}|'[^']{512}|[^\s,;"'<>\[\](){}]{512}""")
 """What may be said once in a body and be a part of every triple of it: a long IRI or prefix."""
-MOST_CHANGED = 500
+MAX_CHANGED = 500
 """Triples up to which the change of a large document is told as what changed."""
-MOST_PATCHED = 5_000
+MAX_PATCHED = 5_000
 """Triples that may come of a patch on the loop's side; what comes to more is done in a worker process."""
 
 _Term = TypeVar("_Term")
@@ -183,13 +183,13 @@ def _anew(term: _Term, new: dict[BlankNode, BlankNode]) -> _Term | BlankNode:
 
 
 def patch_of(
-    data: bytes, media_type: str, url: str, most: int | None = None
+    data: bytes, media_type: str, url: str, limit: int | None = None
 ) -> Callable[[Sequence[Triple]], list[Triple]]:
-    """What a patch makes of triples. Raises Problems for what is no patch; what is returned, `Grown` beyond `most`."""
+    """What a patch makes of triples. Raises Problems for what is no patch; what is returned, `Grown` beyond `limit`."""
     if media_type == N3_PATCH:
         patch = read_patch(data, url)
         return lambda before: list(applied(patch, before))
-    return lambda before: triples_of(updated(data, before, url, most))
+    return lambda before: triples_of(updated(data, before, url, limit))
 
 
 # In a worker
@@ -225,13 +225,13 @@ def patched(describe: Callable[[], Document], data: bytes, media_type: str, url:
 
 def _noting(before: Sequence[Triple], after: Collection[Triple], found: Statements) -> Statements:
     """Note what changed, where that is little of much."""
-    if found.is_large and abs(len(after) - len(before)) <= MOST_CHANGED:
+    if found.is_large and abs(len(after) - len(before)) <= MAX_CHANGED:
         known = frozenset(before)
         added = [each for each in after if each not in known]
         removed: Collection[Triple] = ()
-        if len(added) <= MOST_CHANGED and len(after) - len(added) < len(known):
+        if len(added) <= MAX_CHANGED and len(after) - len(added) < len(known):
             removed = known.difference(after)
-        if len(added) + len(removed) <= MOST_CHANGED:
+        if len(added) + len(removed) <= MAX_CHANGED:
             found.changed = Changed([*removed], added)
     return found
 

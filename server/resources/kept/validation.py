@@ -20,7 +20,7 @@ from rosld.server.sparql.protocol import DIRECT
 from rosld.server.storage import Model, Put, Remove, Write
 from rosld.server.storage.packing import size_of, unpack
 
-MOST_BYTES = 4 * 1024 * 1024
+MAX_BYTES = 4 * 1024 * 1024
 """Bytes of N-Triples that a mapping, or limits, may say: some 40,000 triples."""
 
 
@@ -147,8 +147,8 @@ class LimitsJudge:
 
 def _unpack(put: Put) -> bytes:
     """The N-Triples that a document says. Raises a 413 Problem for more than is read beside the loop in good time."""
-    if size_of(put.triples) > MOST_BYTES:
-        words = f"A document that is put in force has at most {MOST_BYTES} bytes of N-Triples"
+    if size_of(put.triples) > MAX_BYTES:
+        words = f"A document that is put in force has at most {MAX_BYTES} bytes of N-Triples"
         raise Problem(413, f"{words}, and this one {size_of(put.triples)}: split it into several.")
     return unpack(put.triples)
 

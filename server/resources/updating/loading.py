@@ -16,37 +16,37 @@ from rosld.server.sparql.update.operations import Load, Modify, Operation, QuadT
 
 
 async def loaded(
-    operations: Sequence[Operation], allowed: frozenset[str], *, seconds: float, most: int
+    operations: Sequence[Operation], allowed: frozenset[str], *, seconds: float, limit: int
 ) -> Sequence[Operation]:
-    """The operations with what each LOAD found in its place; each may take `seconds` and find `most` bytes.
+    """The operations with what each LOAD found in its place; each may take `seconds` and find `limit` bytes.
 
     Raises Problems: 403 for a document that is not `allowed`, 422 where no graph is named or no RDF is found, 502 where
     nothing is found; none for LOAD SILENT, which then does nothing.
     """
-    return [await _found(each, allowed, seconds, most) if isinstance(each, Load) else each for each in operations]
+    return [await _found(each, allowed, seconds, limit) if isinstance(each, Load) else each for each in operations]
 
 
-async def _found(load: Load, allowed: frozenset[str], seconds: float, most: int) -> Modify:
+async def _found(load: Load, allowed: frozenset[str], seconds: float, limit: int) -> Modify:
     try:
-        return await _insertion(load, allowed, seconds, most)
+        return await _insertion(load, allowed, seconds, limit)
     except Problem:
         if load.silent:
             return Modify(silent=True)
         raise
 
 
-async def _insertion(load: Load, allowed: frozenset[str], seconds: float, most: int) -> Modify:
+async def _insertion(load: Load, allowed: frozenset[str], seconds: float, limit: int) -> Modify:
     if load.document not in allowed:
         words = "this server asks only what its settings list (--allow-load), by its whole URL"
         raise Problem(403, f"LOAD of <{load.document}> is refused: {words}. Nothing was done.")
     if load.into is None:
         raise Problem(422, "The default graph is the union of all graphs: say INTO GRAPH. Nothing was done.")
-    triples = await asyncio.to_thread(_read, load.document, seconds, most)
+    triples = await asyncio.to_thread(_read, load.document, seconds, limit)
     return Modify(inserts=tuple(_templates(triples, NamedNode(load.into))), silent=load.silent)
 
 
-def _read(document: str, seconds: float, most: int) -> Sequence[Triple]:
-    endpoint = Endpoint(document, seconds=seconds, most=most)
+def _read(document: str, seconds: float, limit: int) -> Sequence[Triple]:
+    endpoint = Endpoint(document, seconds=seconds, limit=limit)
     try:
         answer = endpoint.get(", ".join(MEDIA_TYPES))
         if answer.media_type not in MEDIA_TYPES:

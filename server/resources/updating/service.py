@@ -108,7 +108,7 @@ class Updates:
             operations,
             frozenset(settings.allow_load),
             seconds=settings.query_time_limit,
-            most=settings.body_limit,
+            limit=settings.body_limit,
         )
         async with self._in_line(operations):
             while True:

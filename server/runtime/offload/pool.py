@@ -45,10 +45,10 @@ HAS_PROCESSES = sys.platform != "win32"
 class WorkerPool:
     """Does work in other processes. Belongs to one loop."""
 
-    def __init__(self, most: int = MAX_WORKERS, seconds: float = WORK_SECONDS, memory: int = WORKER_BYTES) -> None:
+    def __init__(self, limit: int = MAX_WORKERS, seconds: float = WORK_SECONDS, memory: int = WORKER_BYTES) -> None:
         self._seconds = seconds
         self._memory = memory
-        self._free = asyncio.Semaphore(most)
+        self._free = asyncio.Semaphore(limit)
         self._waiting = 0
         self._idle: list[_Worker] = []
         self._busy: set[_Worker] = set()

@@ -23,24 +23,24 @@ class Dataset(Protocol):
     """What is stored, as far as it is looked at here."""
 
     def lookup(
-        self, subject: _Node | None, predicate: NamedNode | None, object: _Node | None, most: int
+        self, subject: _Node | None, predicate: NamedNode | None, object: _Node | None, limit: int
     ) -> Sequence[Quad]:
         """At most so many statements with a subject, a predicate, an object (None: any)."""
         ...
 
-    def extent(self, graph: NamedNode, most: int) -> tuple[int, int]:
+    def extent(self, graph: NamedNode, limit: int) -> tuple[int, int]:
         """The number of triples of a graph, at most so many, and about the characters of their literals."""
         ...
 
 
-MOST = 200
+MAX_STATEMENTS = 200
 """Statements that a query may look at that does not take long."""
-_MOST_TEXT = 256 * 1024
+_MAX_TEXT = 256 * 1024
 """Characters of all literals in its solutions."""
-_MOST_PATTERNS = 8
-_MOST_EVALUATED = 10_000
+_MAX_PATTERNS = 8
+_MAX_EVALUATED = 10_000
 """Tokens of a query that does not take long, times the statements that it looks at: what it may compute for them."""
-_MOST_COMBINED = 20_000
+_MAX_COMBINED = 20_000
 """The same, times all combinations of the statements of a graph, of which few meet."""
 _SECONDS = 0.005
 """Of work, for finding out: on a busy machine it may be waited for much longer."""
@@ -93,7 +93,7 @@ def plan(where: Group, words: Sequence[str], tokens: int) -> Plan | None:
     if not _PLAIN.issuperset(words):
         return None
     steps = [*_steps(where)]
-    if None in steps or not 0 < len(steps) <= _MOST_PATTERNS:
+    if None in steps or not 0 < len(steps) <= _MAX_PATTERNS:
         return None
     ordered = _ordered([step for step in steps if step is not None])
     graphs = graphs_around(where) or frozenset()
@@ -187,23 +187,23 @@ def may_take_long(plan: Plan | None, dataset: Dataset) -> bool:
             object = solution.get(step.object) if isinstance(step.object, str) else step.object
             if isinstance(subject, Literal):
                 continue
-            quads = dataset.lookup(subject, step.predicate, object, MOST - looked)
+            quads = dataset.lookup(subject, step.predicate, object, MAX_STATEMENTS - looked)
             looked += len(quads) + 1
-            if looked >= MOST or (time.perf_counter() > until and time.thread_time() - begun > _SECONDS):
+            if looked >= MAX_STATEMENTS or (time.perf_counter() > until and time.thread_time() - begun > _SECONDS):
                 return True
             for quad in quads:
                 following.append(_bound(solution, step, quad))
                 size += len(quad.object.value) if isinstance(quad.object, Literal) else 0
         solutions = following
-    return size * max(1, len(solutions)) > _MOST_TEXT or looked * plan.tokens > _MOST_EVALUATED
+    return size * max(1, len(solutions)) > _MAX_TEXT or looked * plan.tokens > _MAX_EVALUATED
 
 
 def _is_within_a_small_graph(plan: Plan, graph: NamedNode, dataset: Dataset) -> bool:
-    triples, size = dataset.extent(graph, MOST)
-    if triples >= MOST:
+    triples, size = dataset.extent(graph, MAX_STATEMENTS)
+    if triples >= MAX_STATEMENTS:
         return False
     combined = triples**plan.patterns
-    return combined * plan.tokens <= _MOST_COMBINED and size * max(1, triples) <= _MOST_TEXT
+    return combined * plan.tokens <= _MAX_COMBINED and size * max(1, triples) <= _MAX_TEXT
 
 
 def _bound(solution: dict[str, _Node], step: Step, quad: Quad) -> dict[str, _Node]:

@@ -31,7 +31,7 @@ _BEHIND = 5
 """How much nicer than the server it is: whoever moves or stops the robot never waits for a query's processor."""
 OUT_OF_MEMORY = 86
 """How a fork exits that was refused memory."""
-_MOST_WORDS = 4096
+_MAX_WORDS = 4096
 _PR_SET_PDEATHSIG = 1
 
 Do: TypeAlias = Callable[[BinaryIO], None]
@@ -79,7 +79,7 @@ class Fork:
         pid, status = os.waitpid(self.pid, os.WNOHANG)
         if not pid:
             return None
-        words = os.read(self._words, _MOST_WORDS)
+        words = os.read(self._words, _MAX_WORDS)
         os.close(self._words)
         return Ended(status, words.decode("utf-8", "replace"))
 
@@ -160,10 +160,10 @@ def _take_limits(seconds: float, memory: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with suppress(OSError, ValueError):
         pages = int(Path("/proc/self/statm").read_text().split()[0])
-        most, hard = pages * resource.getpagesize() + memory, resource.getrlimit(resource.RLIMIT_AS)[1]
+        limit, hard = pages * resource.getpagesize() + memory, resource.getrlimit(resource.RLIMIT_AS)[1]
         if hard != resource.RLIM_INFINITY:
-            most = min(most, hard)
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+            limit = min(limit, hard)
+        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
 class _Frames(io.RawIOBase):

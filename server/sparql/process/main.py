@@ -21,11 +21,11 @@ from rosld.server.sparql.limits import busy
 from rosld.server.sparql.process.fork import Fork, pickled
 from rosld.server.sparql.process.frames import AtWork, Buffer, Cancel, Change, Drop, Job, Kind, Reply, Tidy, packed
 
-_MOST_BYTES = 1024 * 1024
+_MAX_BYTES = 1024 * 1024
 """Bytes of a result that is not made in a fork."""
 _SECONDS = 2.0
 """What work may take that is not done in a fork: hundreds of times what it takes. It ends this process."""
-_LEAST = 32 * 1024 * 1024
+_MIN_MEMORY = 32 * 1024 * 1024
 """Bytes of memory without which no fork is begun."""
 _M_ARENA_MAX = -8
 _RECEIVED = 256 * 1024
@@ -39,18 +39,18 @@ class _Few(io.BytesIO):
     """Takes some bytes, and raises rather than take many."""
 
     def write(self, data: bytes) -> int:  # type: ignore[override]
-        if self.tell() + len(data) > _MOST_BYTES:
+        if self.tell() + len(data) > _MAX_BYTES:
             raise _TooMuch
         return super().write(data)
 
 
 class Process:
-    """Datasets by number, and what is being done over them. `most` forks work at a time, `waiting` jobs may wait."""
+    """Datasets by number, and what is being done over them. `limit` forks work at a time, `waiting` jobs may wait."""
 
-    def __init__(self, connection: socket.socket, at_work: AtWork, most: int, waiting: int) -> None:
+    def __init__(self, connection: socket.socket, at_work: AtWork, limit: int, waiting: int) -> None:
         self._connection = connection
         self._at_work = at_work
-        self._most = most
+        self._limit = limit
         self._waiting = waiting
         self._stores: dict[int, MemoryStore] = {0: MemoryStore()}
         self._forks: dict[int, Fork] = {}  # by the number of the job
@@ -128,7 +128,7 @@ class Process:
         self._at_work.note(0)
         if is_done:
             return
-        if len(self._forks) < self._most:
+        if len(self._forks) < self._limit:
             self._fork(job)
         elif len(self._queue) < self._waiting:
             self._queue.append(job)
@@ -158,7 +158,7 @@ class Process:
             self._send(Kind.RAISED, job.number, pickled(busy()))
             return
         try:
-            PROCESS_MEMORY.require(_LEAST, "a query")
+            PROCESS_MEMORY.require(_MIN_MEMORY, "a query")
             fork = Fork(lambda output: job.work(store, output), job.seconds, job.memory)
         except (OSError, MemoryError) as error:
             self._send(Kind.RAISED, job.number, pickled(error))
@@ -183,7 +183,7 @@ class Process:
             if ended is not None:
                 del self._forks[number]
                 self._send(Kind.ENDED, number, ended)
-        while self._queue and len(self._forks) < self._most:
+        while self._queue and len(self._forks) < self._limit:
             self._fork(self._queue.popleft())
 
 
@@ -191,9 +191,9 @@ def main() -> None:
     """Arguments: where it notes what it is at, the forks that may be at work at a time, and the jobs that may wait."""
     _prepare()
     connection = socket.socket(fileno=0)
-    descriptor, most, waiting = map(int, sys.argv[-3:])
+    descriptor, limit, waiting = map(int, sys.argv[-3:])
     with suppress(BrokenPipeError, ConnectionResetError):  # the server has gone
-        Process(connection, AtWork(descriptor), most, waiting).run()
+        Process(connection, AtWork(descriptor), limit, waiting).run()
     os._exit(0)  # what it holds need not be taken apart
 
 

@@ -32,15 +32,15 @@ from rosld.server.sparql.process.cost import Plan, may_take_long
 from rosld.server.sparql.update.evaluate import GraphChange, Row, StagingDataset, asks_again, copies, draw, graphs_named
 from rosld.server.sparql.update.operations import Hole, Modify, Operation, QuadTemplate, Where
 
-_MOST_GRAPHS = 8
+_MAX_GRAPHS = 8
 """Graphs of a dataset that is chosen for a query which does not take long."""
-_MOST_ROWS = 1024
+_MAX_ROWS = 1024
 """Rows that every answer has room for which does not take long."""
-_MOST_TRIPLES = 2000
+_MAX_TRIPLES = 2000
 """Triples of a graph that an update may change at once."""
-_MOST_UPDATE = 64 * 1024
+_MAX_UPDATE = 64 * 1024
 """Bytes of an update that does not take long."""
-_MOST_TEMPLATES = 64
+_MAX_TEMPLATES = 64
 """Quads of an operation that are sent as they are."""
 _LASTING = functions(lambda topic: None)
 
@@ -91,25 +91,25 @@ class Query(NamedTuple):
 
     def may_take_long(self, store: MemoryStore) -> bool:
         """Whether it may look at more than some hundred statements."""
-        many = len(self.default_graphs) + len(self.named_graphs) > _MOST_GRAPHS
+        many = len(self.default_graphs) + len(self.named_graphs) > _MAX_GRAPHS
         return many or may_take_long(self.plan, store)
 
 
 class Answer(NamedTuple):
-    """The results of a query in one media type. Problem 503 for more than `most` rows, or triples of a graph."""
+    """The results of a query in one media type. Problem 503 for more than `limit` rows, or triples of a graph."""
 
     query: Query
     media_type: str
-    most: int
+    limit: int
 
     def may_take_long(self, store: MemoryStore) -> bool:
-        return self.most < _MOST_ROWS or self.query.may_take_long(store)
+        return self.limit < _MAX_ROWS or self.query.may_take_long(store)
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         with _reaching_others():
             found = self.query.results(store)
-            limited = rows.limited(output, self.media_type, isinstance(found, QueryTriples), self.most)
-            counted = _unlimited if limited is not output else rows.Count(_unlimited, self.most).one
+            limited = rows.limited(output, self.media_type, isinstance(found, QueryTriples), self.limit)
+            counted = _unlimited if limited is not output else rows.Count(_unlimited, self.limit).one
             results.write(found, self.media_type, limited, counted, self.query.base)
 
 
@@ -117,14 +117,14 @@ class Table(NamedTuple):
     """The first rows of the results of a query: a pickled `results.Table`."""
 
     query: Query
-    most: int
+    limit: int
 
     def may_take_long(self, store: MemoryStore) -> bool:
         return self.query.may_take_long(store)
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         with _reaching_others():
-            output.write(pickle.dumps(results.table(self.query.results(store), self.most, _unlimited)))
+            output.write(pickle.dumps(results.table(self.query.results(store), self.limit, _unlimited)))
 
 
 @contextmanager
@@ -181,12 +181,12 @@ class Draw(NamedTuple):
     update: bytes
 
     def may_take_long(self, store: MemoryStore) -> bool:
-        if len(self.update) > _MOST_UPDATE:
+        if len(self.update) > _MAX_UPDATE:
             return True
         operations, asked = _open(self.update)
         if asks_again(operations) or copies(operations) or any(one.may_take_long(store) for one in asked):
             return True
-        return any(store.count(graph, _MOST_TRIPLES + 1) > _MOST_TRIPLES for graph in graphs_named(operations))
+        return any(store.count(graph, _MAX_TRIPLES + 1) > _MAX_TRIPLES for graph in graphs_named(operations))
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         operations, asked = _open(self.update)
@@ -210,7 +210,7 @@ class _Compact(NamedTuple):
 
 
 def _compact(operation: Operation) -> Operation | _Compact:
-    if not isinstance(operation, Modify) or len(operation.deletes) + len(operation.inserts) <= _MOST_TEMPLATES:
+    if not isinstance(operation, Modify) or len(operation.deletes) + len(operation.inserts) <= _MAX_TEMPLATES:
         return operation
     deletes, inserts = _split(operation.deletes), _split(operation.inserts)
     return _Compact(replace(operation, deletes=deletes[1], inserts=inserts[1]), deletes[0], inserts[0])

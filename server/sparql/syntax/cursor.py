@@ -13,7 +13,7 @@ from rosld.server.sparql.syntax.lexer import Checked, Kind, Token, place, unesca
 from rosld.server.sparql.syntax.tree import TYPE
 from rosld.server.sparql.syntax.words import KEYWORDS
 
-_LONGEST = 40
+_MAX_QUOTED = 40
 
 
 class Span(Protocol):
@@ -197,13 +197,13 @@ class Cursor:
 
 def like(text: str, known: Collection[str], mark: str = "") -> str:
     """A guess at what was meant, in brackets after a blank; nothing where none is near."""
-    found = get_close_matches(text, sorted(known), 1, 0.8) if len(text) <= _LONGEST else []
+    found = get_close_matches(text, sorted(known), 1, 0.8) if len(text) <= _MAX_QUOTED else []
     return f" ({found[0]}{mark}?)" if found else ""
 
 
 def _short(text: str) -> str:
     line = " ".join(text.split())
-    return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 3]}..."
+    return line if len(line) <= _MAX_QUOTED else f"{line[: _MAX_QUOTED - 3]}..."
 
 
 def _is_plain(iri: str) -> bool:

@@ -43,10 +43,8 @@ class ExpressionParser(TripleParser):
     `age` is the IRI of the function whose argument's values must be known: a call of it is a pattern about that.
     """
 
-    def __init__(
-        self, checked: Checked, prefixes: Mapping[str, str], base: str, most_joins: int, age: str = ""
-    ) -> None:
-        super().__init__(checked, prefixes, base, most_joins)
+    def __init__(self, checked: Checked, prefixes: Mapping[str, str], base: str, max_joins: int, age: str = "") -> None:
+        super().__init__(checked, prefixes, base, max_joins)
         self.places: list[Place] = []
         self.functions: set[str] = set()
         self.constants: set[str] = set()
@@ -216,9 +214,9 @@ class ExpressionParser(TripleParser):
                 if not self.take(","):
                     break
             self.expect(")", "or , or an operator")
-        least, most = bounds
-        if not least <= len(found) <= most:
-            wanted = str(least) if least == most else f"{least} to {most}"
+        least, limit = bounds
+        if not least <= len(found) <= limit:
+            wanted = str(least) if least == limit else f"{least} to {limit}"
             self.fail_at(function, f"has {len(found)} arguments and takes {wanted}")
         return tuple(found)
 

@@ -344,16 +344,16 @@ class QueryParser(ExpressionParser):
 
     def _union(self, group: Group) -> None:
         """One group or several alternatives, of which the largest counts."""
-        before, most = self.joins, 0
+        before, limit = self.joins, 0
         while True:
             self.joins = before
             child = self.group(group.graph)
             group.children.append(child)
             group.visible |= child.visible
-            most = max(most, self.joins)
+            limit = max(limit, self.joins)
             if not self.take("UNION"):
                 break
-        self.joins = most
+        self.joins = limit
 
     def _graph(self, group: Group, expected: str = "the IRI of a graph, or a variable") -> Term:
         if self.token.kind is Kind.VARIABLE:

@@ -55,13 +55,13 @@ class TripleParser(Cursor):
     `literals` are those of patterns, templates and data.
     """
 
-    def __init__(self, checked: Checked, prefixes: Mapping[str, str], base: str, most_joins: int) -> None:
+    def __init__(self, checked: Checked, prefixes: Mapping[str, str], base: str, max_joins: int) -> None:
         super().__init__(checked, prefixes, base)
         self.joins = 0
         self.literals: list[Constant] = []
         self.block = 0
         """The basic graph pattern that is read: a label of a blank node holds within one (5.1.1)."""
-        self._most_joins = most_joins
+        self._max_joins = max_joins
         self._fresh = 0
         self._labels: dict[str, int] = {}
 
@@ -73,8 +73,8 @@ class TripleParser(Cursor):
     def join(self) -> None:
         """Count one more to join; Problem 400 where it is one too many."""
         self.joins += 1
-        if self.joins > self._most_joins:
-            raise Problem(400, f"The query joins more than {self._most_joins} patterns: ask it in parts.")
+        if self.joins > self._max_joins:
+            raise Problem(400, f"The query joins more than {self._max_joins} patterns: ask it in parts.")
 
     @property
     def is_at_triples(self) -> bool:

@@ -26,7 +26,7 @@ from rosld.server.sparql.update.operations import (
     Where,
 )
 
-MOST_ROWS = 100_000
+MAX_ROWS = 100_000
 """Solutions that one WHERE may have."""
 
 Row: TypeAlias = "tuple[Term | None, ...]"
@@ -184,8 +184,8 @@ def _modify(operation: Modify, canvas: StagingDataset, ask: Ask) -> None:
 
 def _bounded(rows: Iterable[Row]) -> Iterator[Row]:
     for number, row in enumerate(rows):
-        if number == MOST_ROWS:
-            raise Problem(422, f"A WHERE has more than {MOST_ROWS} solutions, which is the most here: change less.")
+        if number == MAX_ROWS:
+            raise Problem(422, f"A WHERE has more than {MAX_ROWS} solutions, which is the most here: change less.")
         yield row
 
 

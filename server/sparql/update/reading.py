@@ -69,9 +69,9 @@ class UpdateParser(QueryParser):
     """Reads an update from its beginning to its end."""
 
     def __init__(
-        self, checked: Checked, prefixes: Mapping[str, str], base: str, most_joins: int, request: UpdateRequest
+        self, checked: Checked, prefixes: Mapping[str, str], base: str, max_joins: int, request: UpdateRequest
     ) -> None:
-        super().__init__(checked, prefixes, base, most_joins)
+        super().__init__(checked, prefixes, base, max_joins)
         self._request = request
         self._prologue = ""
         self._data_labels: set[str] = set()

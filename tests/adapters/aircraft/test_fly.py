@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.adapters.aircraft.flight import Declined, Flight
-from rosld.adapters.aircraft.fly import MOST_DISTANCE, PACE, Fly, accept, cancel, ended
+from rosld.adapters.aircraft.fly import MAX_DISTANCE, PACE, Fly, accept, cancel, ended
 from rosld.adapters.model import GoalStatus
 
 ON, OFF = Flight(on=True), Flight()
 
 
-@pytest.mark.parametrize("distance", [math.nan, math.inf, -math.inf, -1.0, MOST_DISTANCE + 1])
+@pytest.mark.parametrize("distance", [math.nan, math.inf, -math.inf, -1.0, MAX_DISTANCE + 1])
 def test_no_goal_is_taken_beyond_its_range(distance: float) -> None:
     with pytest.raises(Declined, match="between 0 and 100000"):
         accept(ON, None, "a", distance, 0)
@@ -28,7 +28,7 @@ def test_no_goal_is_taken_while_off_or_underway() -> None:
         accept(ON, Fly("b", 1.0, 0), "a", 1.0, 0)
 
 
-@given(st.floats(0, MOST_DISTANCE), st.lists(st.integers(0, 10**13)))
+@given(st.floats(0, MAX_DISTANCE), st.lists(st.integers(0, 10**13)))
 def test_it_never_flies_back_nor_too_far(distance: float, times: list[int]) -> None:
     fly = accept(ON, None, "a", distance, 0)
     flown = [fly.flown_at(now) for now in sorted(times)]

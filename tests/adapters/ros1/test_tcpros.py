@@ -175,16 +175,16 @@ async def until(true: Callable[[], bool]) -> None:
 class Peer:
     """A publisher's end of a connection whose other end is a receiver."""
 
-    def __init__(self, most: int = MOST) -> None:
+    def __init__(self, limit: int = MOST) -> None:
         self.delivered: list[bytes] = []
-        self._most = most
+        self._limit = limit
 
     async def __aenter__(self) -> Peer:
         here, self._there = socket.socketpair()
         here.setblocking(False)
         self._there.setblocking(False)
         receiving = asyncio.get_running_loop().create_connection(
-            lambda: FrameReceiver(b"", lambda _: self._deliver, self._most), sock=here
+            lambda: FrameReceiver(b"", lambda _: self._deliver, self._limit), sock=here
         )
         self._transport, self.receiver = await receiving
         await self.sends(encode_header({"a": "b"}))
@@ -204,12 +204,12 @@ class Peer:
 
 def test_what_a_peer_only_announces_costs_next_to_nothing_however_many_do() -> None:
     async def attempt() -> int:
-        most = 512 * 1024 * 1024
+        limit = 512 * 1024 * 1024
         tracemalloc.start()
         async with AsyncExitStack() as open_ones:
             for _ in range(8):
-                peer = await open_ones.enter_async_context(Peer(most))
-                await peer.sends(struct.pack("<I", most - 1) + b"x" * 100_000)
+                peer = await open_ones.enter_async_context(Peer(limit))
+                await peer.sends(struct.pack("<I", limit - 1) + b"x" * 100_000)
                 await until(lambda at=peer: at.receiver.received >= 100_000)
             used = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
@@ -238,13 +238,13 @@ def test_a_header_that_is_announced_costs_what_arrives() -> None:
 
 def test_a_message_longer_than_the_limit_ends_the_connection_and_says_the_setting() -> None:
     async def attempt() -> None:
-        most = 1024 * 1024
-        async with Peer(most) as peer:
-            await peer.sends(frame(b"a" * most))
-            await peer.sends(struct.pack("<I", most + 1))
+        limit = 1024 * 1024
+        async with Peer(limit) as peer:
+            await peer.sends(frame(b"a" * limit))
+            await peer.sends(struct.pack("<I", limit + 1))
             await asyncio.wait_for(peer.receiver.closed, 5)
-            assert peer.delivered == [b"a" * most]
-            assert f"{most + 1} bytes" in (peer.receiver.trouble or "")
+            assert peer.delivered == [b"a" * limit]
+            assert f"{limit + 1} bytes" in (peer.receiver.trouble or "")
             assert "--setting message_limit" in (peer.receiver.trouble or "")
 
     asyncio.run(attempt())

@@ -192,8 +192,8 @@ def few(place: Place) -> Place:
     return place
 
 
-def small(most: int) -> dict[str, str]:
-    return {"Prefer": f'return=representation; max-member-count="{most}"'}
+def small(limit: int) -> dict[str, str]:
+    return {"Prefer": f'return=representation; max-member-count="{limit}"'}
 
 
 def test_paging_pages_have_as_many_members_as_a_client_prefers(few: Place) -> None:

@@ -80,11 +80,11 @@ class Flight:
     def turn(self, direction: float) -> None:
         self.direction = self.settable("direction", direction, 360.0)
 
-    def settable(self, what: str, value: float, most: float) -> float:
+    def settable(self, what: str, value: float, limit: float) -> float:
         if not self.on:
             raise Declined(f"the aircraft is off: start it before setting its {what}")
-        if not 0.0 <= value <= most:
-            raise Declined(f"the {what} must be between 0 and {most:g}, not {value:g}")
+        if not 0.0 <= value <= limit:
+            raise Declined(f"the {what} must be between 0 and {limit:g}, not {value:g}")
         return value + 0.0
 
 

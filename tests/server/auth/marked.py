@@ -132,7 +132,7 @@ def markers(said: str, asked: str = "") -> set[str]:
     return {each.lower() for each in MARKER.findall(unquote(said)) + MARKER.findall(said)} - named
 
 
-def everywhere(guarded: Guarded, most: int = 400) -> list[str]:
+def everywhere(guarded: Guarded, limit: int = 400) -> list[str]:
     """The paths of everything that the administrator is led to, and of what is not there."""
     ask = Asking(guarded, ADMIN)
     found: dict[str, None] = {}
@@ -145,7 +145,7 @@ def everywhere(guarded: Guarded, most: int = 400) -> list[str]:
         "/zebranever",
     ]
     waiting += json.loads(ask("GET", "/openapi.json").text)["paths"]
-    while waiting and len(found) < most:
+    while waiting and len(found) < limit:
         path = waiting.pop(0)
         if path in found or "{" in path:
             continue

@@ -58,7 +58,7 @@ async def sent(data: bytes) -> AsyncIterator[bytes]:
 
 
 async def put_file(records: SqliteRecords, path: str, data: bytes) -> Blob:
-    blob = await records.receive(sent(data), "text/x-test; charset=utf-8", most=10**9)
+    blob = await records.receive(sent(data), "text/x-test; charset=utf-8", limit=10**9)
     await records.write(Put(path, Model.NON_RDF_SOURCE, TRIPLES, blob))
     return blob
 
@@ -159,7 +159,7 @@ def test_a_running_server_is_dumped_as_it_was_at_one_moment(tmp_path: Path) -> N
             while not stop.is_set():
                 count += 1
                 number = b"%d" % count
-                blob = await records.receive(sent(number * 1000), "text/plain", most=10**6)
+                blob = await records.receive(sent(number * 1000), "text/plain", limit=10**6)
                 await records.write(
                     Put("data/file", Model.NON_RDF_SOURCE, blob=blob),
                     Put("data/a", Model.RDF_SOURCE, b'<http://a/b> <http://a/b> "%s" .\n' % number),

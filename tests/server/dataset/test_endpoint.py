@@ -80,7 +80,7 @@ def endless(server: Failing, connection: socket.socket, body: bytes) -> bool:
 
 
 def post(url: str, **options: float) -> bytes:
-    endpoint = Endpoint(url, seconds=options.pop("seconds", SECONDS), most=int(options.pop("most", 1_000_000)))
+    endpoint = Endpoint(url, seconds=options.pop("seconds", SECONDS), limit=int(options.pop("limit", 1_000_000)))
     return endpoint.post(ASK, "application/x-www-form-urlencoded", JSON).body
 
 

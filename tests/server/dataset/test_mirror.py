@@ -231,7 +231,7 @@ def test_where_too_much_waits_to_be_kept_apart_everything_is_told_anew(
             await until(lambda: graph(2) in oxigraph.graphs() and mirror.status.lag == 0)
             oxigraph.stop()
             await until(lambda: mirror.status.failure is not None)
-            mirror._pending.most = 10
+            mirror._pending.limit = 10
             source.replace({graph(1): text("new"), graph(2): None})
             for number in range(100, 200):
                 source.replace({graph(number): text(number)})

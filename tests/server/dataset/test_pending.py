@@ -20,14 +20,14 @@ STEPS = st.one_of(
 
 @given(st.lists(STEPS, max_size=40), st.integers(1, 2))
 def test_whatever_fails_the_other_store_ends_up_the_same(
-    steps: list[tuple[str, str, str | frozenset[str]]], most: int
+    steps: list[tuple[str, str, str | frozenset[str]]], limit: int
 ) -> None:
     here: dict[str, set[str]] = {graph: set() for graph in GRAPHS}
     there: dict[str, set[str]] = {graph: set() for graph in GRAPHS}
     pending = Pending()
 
     def tell(kind: str) -> None:
-        taken = pending.take(most)
+        taken = pending.take(limit)
         if taken is None:
             return
         if kind != "fail":
@@ -70,7 +70,7 @@ def test_edits_that_come_to_more_than_may_wait_become_the_whole_graph() -> None:
 
 
 def test_where_more_graphs_wait_than_may_all_are_forgotten_and_that_is_told() -> None:
-    pending = Pending(most=10)
+    pending = Pending(limit=10)
     for number in range(1000):
         pending.note([f"http://h/{number}"])
         assert len(pending) <= 10

@@ -329,7 +329,7 @@ def test_channels_nobody_receives_from_are_forgotten() -> None:
 def test_when_all_places_are_taken_the_longest_idle_gives_way() -> None:
     async def run() -> None:
         one = Set()
-        one.channels = Channels("boot", most=3)
+        one.channels = Channels("boot", limit=3)
         first, second, third = [await one.open() for _ in range(3)]
         async with one.delivering(first, Told()):
             fourth = await one.open()

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from rosld.ontology.body import BodyError
 from rosld.ontology.notifications import CONTEXT, DEFINITIONS, duration
 from rosld.server.events.subscriptions import (
-    LEAST_INTERVAL,
-    MOST_INTERVAL,
+    MAX_INTERVAL,
+    MIN_INTERVAL,
     Subscription,
     check_profile,
     read_subscription,
@@ -102,11 +102,11 @@ def test_all_features_are_read() -> None:
 @given(st.integers(0, 86_399), st.integers(0, 999_999))
 def test_a_rate_is_read_as_it_is_written(seconds: int, micros: int) -> None:
     wanted = seconds + micros / 1_000_000
-    assert read(WISH | {"rate": duration(wanted)}).interval == pytest.approx(max(wanted, LEAST_INTERVAL), abs=1e-6)
+    assert read(WISH | {"rate": duration(wanted)}).interval == pytest.approx(max(wanted, MIN_INTERVAL), abs=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("rate", "seconds"), [("PT1M", 60), ("P1D", MOST_INTERVAL), ("PT1H1M1.5S", 3661.5), ("PT0S", 0.01)]
+    ("rate", "seconds"), [("PT1M", 60), ("P1D", MAX_INTERVAL), ("PT1H1M1.5S", 3661.5), ("PT0S", 0.01)]
 )
 def test_rates_have_all_units_and_a_least(rate: str, seconds: float) -> None:
     assert read(WISH | {"rate": rate}).interval == seconds

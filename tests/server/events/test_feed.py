@@ -138,7 +138,7 @@ def test_a_topic_that_is_watched_stays_subscribed_and_no_longer(opened: Any, rea
 
 
 def test_one_reader_too_many_is_told_to_come_back(opened: Any, reader: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(broadcaster, "MOST_READERS", 2)
+    monkeypatch.setattr(broadcaster, "MAX_READERS", 2)
 
     async def main() -> None:
         async with opened() as app:

@@ -21,7 +21,7 @@ from rosld.server.serving.connection import Bounded, Connection
 
 Seen: TypeAlias = list[tuple[bytes, bytes, bytes]]
 """Method, target and body of each whole request."""
-MOST_TURNS = 200
+MAX_TURNS = 200
 SITE = origin_policy("http://a/", "a", 80)
 
 
@@ -85,7 +85,7 @@ async def read_by_rosld(pieces: list[bytes]) -> tuple[Seen, bool]:
         connection.data_received(piece)
         for _ in range(3):
             await asyncio.sleep(0)
-    for _ in range(MOST_TURNS):
+    for _ in range(MAX_TURNS):
         if not state.tasks:
             break
         await asyncio.sleep(0)

@@ -23,7 +23,7 @@ from rosld.ontology.vocab import av, mapping, rdf, rdfs, sh, xsd
 from rosld.server.hypermedia import mapping_parser
 from rosld.server.hypermedia.mapping import ComplexResource, MappedProperty
 from rosld.server.hypermedia.mapping_parser import (
-    MOST_TRIPLES,
+    MAX_TRIPLES,
     MappingDocument,
     MappingRefused,
     load_mapping,
@@ -546,8 +546,8 @@ def test_a_shape_that_refers_to_itself_is_refused_or_taken_but_ends() -> None:
 
 
 def test_more_triples_than_a_document_may_have_are_refused() -> None:
-    (found,) = refused("".join(f"<#a{number}> <x:y> 1 . " for number in range(MOST_TRIPLES + 1)))
-    assert str(MOST_TRIPLES) in found.message
+    (found,) = refused("".join(f"<#a{number}> <x:y> 1 . " for number in range(MAX_TRIPLES + 1)))
+    assert str(MAX_TRIPLES) in found.message
 
 
 def test_a_triple_term_is_refused() -> None:

@@ -273,7 +273,7 @@ class Fake:
         self.calls: list[str] = []
         self.deadlines: list[float] = []
         self.running = 0
-        self.most_running = 0
+        self.max_running = 0
         self.begun = asyncio.Event()
         self.release = asyncio.Event()
         self.hangs = False
@@ -295,7 +295,7 @@ class Fake:
         self.deadlines.append(deadline)
         turn = len(self.calls)
         self.running += 1
-        self.most_running = max(self.running, self.most_running)
+        self.max_running = max(self.running, self.max_running)
         try:
             self.begun.set()
             if self.hangs:
@@ -565,7 +565,7 @@ def test_readings_anew_of_a_getter_that_hangs_do_not_pile_up() -> None:
         bench.fake.release.set()
         found = [plain(each) for each in await asyncio.gather(*readers)]
         assert found == ["1.0", "2.0", *["3.0"] * 28]
-        assert bench.fake.most_running == 2
+        assert bench.fake.max_running == 2
 
     benched(main)
 

@@ -334,8 +334,8 @@ def drawn(kind: FieldType, schema: MessageSchema) -> st.SearchStrategy[object]:
         if kind.name in RANGES:
             return st.integers(*RANGES[kind.name]) | st.sampled_from(RANGES[kind.name])
         return st.floats(width=32 if kind.name == "float32" else 64)
-    least, most = (kind.length, kind.length) if kind.length is not None else (0, min(3, kind.bound or 3))
-    elements = st.lists(drawn(kind.element, schema), min_size=least, max_size=most)
+    least, limit = (kind.length, kind.length) if kind.length is not None else (0, min(3, kind.bound or 3))
+    elements = st.lists(drawn(kind.element, schema), min_size=least, max_size=limit)
     if isinstance(kind.element, Nested) or kind.element.name in STRINGS:
         return elements
     dtype = DTYPES[kind.element.name]

@@ -42,8 +42,8 @@ def asked(
     )  # fmt: skip
 
 
-def journal(folder: Path | None = None, *, most: int = 100, age: float = 3600.0, excerpt: int = 500) -> Journal:
-    return Journal(folder, most=most, age=age, excerpt_bytes=excerpt)
+def journal(folder: Path | None = None, *, limit: int = 100, age: float = 3600.0, excerpt: int = 500) -> Journal:
+    return Journal(folder, limit=limit, age=age, excerpt_bytes=excerpt)
 
 
 def receipt(*requests: AuditEntry, excerpt: int = 500) -> Receipt:
@@ -115,7 +115,7 @@ def test_credentials_in_the_query_or_in_a_step_are_not_told() -> None:
 
 def test_the_oldest_go_first_and_refusals_push_out_nothing_that_was_done() -> None:
     async def work() -> None:
-        kept = journal(most=10)
+        kept = journal(limit=10)
         done = [kept.note(asked()) for _ in range(12)]
         refused = [kept.note(asked(status=422)) for _ in range(50)]
         assert [entry.id for entry in kept.newest_first()] == [*refused[:-3:-1], *done[:1:-1]]
@@ -159,7 +159,7 @@ def test_an_orderly_end_loses_nothing(tmp_path: Path) -> None:
 
 def test_what_was_noted_is_on_the_disk_soon_and_what_was_forgotten_is_not(tmp_path: Path) -> None:
     async def work() -> None:
-        kept = journal(tmp_path, most=5)
+        kept = journal(tmp_path, limit=5)
         for _ in range(3):
             for _ in range(4):
                 kept.note(asked())
@@ -227,7 +227,7 @@ async def until(holds: Callable[[], bool]) -> None:
 
 def test_the_dataset_is_told_what_came_and_what_went() -> None:
     async def work() -> None:
-        kept = journal(most=3)
+        kept = journal(limit=3)
         graphs = ReceiptGraphs(kept, Space(BASE))
         held: dict[str, str] = {}
         version = 0

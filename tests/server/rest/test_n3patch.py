@@ -11,7 +11,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
 
 from rosld.ontology.vocab import xsd
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.n3patch import MOST_BYTES, MOST_PATTERNS, N3Patch, applied, read_patch
+from rosld.server.ldp.n3patch import MAX_BYTES, MAX_PATTERNS, N3Patch, applied, read_patch
 
 BASE = "http://host/data/kitchen"
 PREFIXES = "@prefix solid: <http://www.w3.org/ns/solid/terms#> . @prefix ex: <http://example.org/> . "
@@ -262,7 +262,7 @@ def test_the_place_of_an_error_is_told() -> None:
 
 def test_a_patch_that_is_too_large_is_refused_unread() -> None:
     with pytest.raises(Problem) as refused:
-        read_patch(b"{" * (MOST_BYTES + 1), BASE)
+        read_patch(b"{" * (MAX_BYTES + 1), BASE)
     assert refused.value.status == 413
 
 
@@ -304,7 +304,7 @@ def test_a_search_without_end_is_given_up() -> None:
 
 
 def test_too_many_patterns_are_refused() -> None:
-    where = " ".join(f"?a{number} ex:a 1 ." for number in range(MOST_PATTERNS + 1))
+    where = " ".join(f"?a{number} ex:a 1 ." for number in range(MAX_PATTERNS + 1))
     assert refusal(f"{PATCH} solid:where {{ {where} }} .").status == 422
 
 

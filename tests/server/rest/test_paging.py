@@ -14,18 +14,18 @@ from rosld.ontology.vocab import ldp, rdf, xhv
 from rosld.server.http import link, prefer
 from rosld.server.http.problem import Problem
 from rosld.server.rest.paging import (
-    MOST,
+    MAX_PAGE_SIZE,
     Page,
     Place,
     first_page,
     last_place,
     left_on_last,
-    most_asked,
     page_among,
     page_of,
     page_url,
     read_named_place,
     read_place,
+    requested_page_size,
 )
 
 ROOT = "http://host/data/"
@@ -71,18 +71,18 @@ def test_every_name_has_a_url_that_leads_back(name: str) -> None:
     assert read_named_place(dict(query)["page"]) == place
 
 
-@given(st.integers(0, 10**18 - 1), st.integers(1, MOST))
-def test_every_place_has_a_token(after: int, most: int) -> None:
-    assert read_place(Place(after, most).token) == Place(after, most)
+@given(st.integers(0, 10**18 - 1), st.integers(1, MAX_PAGE_SIZE))
+def test_every_place_has_a_token(after: int, limit: int) -> None:
+    assert read_place(Place(after, limit).token) == Place(after, limit)
 
 
 def test_a_container_of_few_members_is_told_at_once() -> None:
     assert first_page(ROOT, 0, prefer.NO_PREFERENCES) is None
-    assert first_page(ROOT, MOST, prefer.NO_PREFERENCES) is None
+    assert first_page(ROOT, MAX_PAGE_SIZE, prefer.NO_PREFERENCES) is None
 
 
 def test_a_container_of_many_members_sends_to_its_first_page() -> None:
-    found = first_page(ROOT, MOST + 1, prefer.NO_PREFERENCES)
+    found = first_page(ROOT, MAX_PAGE_SIZE + 1, prefer.NO_PREFERENCES)
     assert found is not None
     assert (found.status, found.headers["Location"]) == (303, f"{ROOT}?page=0")
     assert "Prefer" in found.headers["Vary"]
@@ -100,7 +100,7 @@ def test_who_prefers_small_pages_gets_them() -> None:
     [
         ("return=representation; max-member-count=10", 10),
         ('return=representation; include="x"; max-member-count="0010"', 10),
-        ("return=representation; max-member-count=99999", MOST),
+        ("return=representation; max-member-count=99999", MAX_PAGE_SIZE),
         ("return=representation; max-member-count=7; max-member-count=8", 7),
         ("return=representation; max-member-count=0", None),
         ("return=representation; max-member-count=-1", None),
@@ -112,8 +112,8 @@ def test_who_prefers_small_pages_gets_them() -> None:
         ("", None),
     ],
 )
-def test_the_size_of_pages_is_a_preference_that_may_be_ignored(text: str, most: int | None) -> None:
-    assert most_asked(asked(text)) == most
+def test_the_size_of_pages_is_a_preference_that_may_be_ignored(text: str, limit: int | None) -> None:
+    assert requested_page_size(asked(text)) == limit
 
 
 def test_every_page_but_the_last_has_a_next() -> None:
@@ -140,15 +140,15 @@ def test_the_last_page_is_the_one_that_next_leads_to() -> None:
 
 
 @given(st.sets(st.integers(1, 200), max_size=60), st.integers(1, 12))
-def test_pages_are_walked_backwards_as_forwards(numbers: set[int], most: int) -> None:
+def test_pages_are_walked_backwards_as_forwards(numbers: set[int], limit: int) -> None:
     ordered = sorted(numbers)
 
     def at(token: str) -> tuple[Page, list[int]]:
         place = read_place(token)
-        found = [each for each in ordered if each > place.after][: most + 1]
-        before = [each for each in ordered[::-1] if each <= place.after][: most + 1]
-        last = last_place(most, len(ordered), ordered[::-1][: left_on_last(len(ordered), most) + 1])
-        return page_of(ROOT, place, found, before, last), found[:most]
+        found = [each for each in ordered if each > place.after][: limit + 1]
+        before = [each for each in ordered[::-1] if each <= place.after][: limit + 1]
+        last = last_place(limit, len(ordered), ordered[::-1][: left_on_last(len(ordered), limit) + 1])
+        return page_of(ROOT, place, found, before, last), found[:limit]
 
     def walked(token: str | None, rel: str) -> list[tuple[str, list[int]]]:
         steps = []
@@ -158,7 +158,7 @@ def test_pages_are_walked_backwards_as_forwards(numbers: set[int], most: int) ->
             token = page.next if rel == "next" else page.prev
         return steps
 
-    forwards = walked(Place(0, most).token, "next")
+    forwards = walked(Place(0, limit).token, "next")
     last = at(forwards[0][0])[0].last
     assert last == forwards[-1][0]
     assert walked(last, "prev") == forwards[::-1]
@@ -166,10 +166,10 @@ def test_pages_are_walked_backwards_as_forwards(numbers: set[int], most: int) ->
 
 @given(st.sets(st.text("abc/", min_size=1), max_size=40), st.sets(st.text("abc/", min_size=1)), st.integers(1, 9))
 def test_names_are_walked_both_ways_and_none_is_missed_that_was_there_all_the_while(
-    lasting: set[str], others: set[str], most: int
+    lasting: set[str], others: set[str], limit: int
 ) -> None:
     met: list[str] = []
-    first = Place(0, most)
+    first = Place(0, limit)
     token: str | None = first.token
     there = lasting | others
     while token is not None:
@@ -218,15 +218,15 @@ def test_rdf_says_the_same() -> None:
     st.lists(st.tuples(st.booleans(), st.integers(1, 60)), max_size=8),
 )
 def test_whoever_follows_next_meets_all_that_was_there_all_the_while_once(
-    numbers: set[int], most: int, changes: list[tuple[bool, int]]
+    numbers: set[int], limit: int, changes: list[tuple[bool, int]]
 ) -> None:
     there, lasting, newest = set(numbers), set(numbers), 1000
     met: list[int] = []
-    token: str | None = Place(0, most).token
+    token: str | None = Place(0, limit).token
     while token is not None:
         place = read_place(token)
-        found = sorted(each for each in there if each > place.after)[: most + 1]
-        met += found[:most]
+        found = sorted(each for each in there if each > place.after)[: limit + 1]
+        met += found[:limit]
         token = page_of(ROOT, place, found).next
         if changes:
             is_made, number = changes.pop()

@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from rosld.ontology.urls import decode_segment, encode_segment
-from rosld.server.rest.slug import LONGEST, free_name
+from rosld.server.rest.slug import MAX_LENGTH, free_name
 
 
 def free(_: str) -> bool:
@@ -130,7 +130,7 @@ def test_a_name_is_always_one_safe_segment(slug: str | None, suffix: str, refuse
 
     name = free_name(slug, taken, suffix=suffix)
     assert seen[-1] == name
-    assert 0 < len(name) <= LONGEST
+    assert 0 < len(name) <= MAX_LENGTH
     assert name == unicodedata.normalize("NFC", name)
     assert not name.casefold().endswith(".meta")
     assert name.strip(".")

@@ -21,7 +21,7 @@ from rosld.server.sparql.mentions import Mentions, Noting
 from rosld.server.sparql.needs import Demand, Needs
 from tests.server.sparql.local import LocalStore
 
-MOST_ROWS = 2000
+MAX_ROWS = 2000
 """Of queries with more rows nothing is compared: their joins are cross products."""
 _STATIC = ("nodes", "topics", "services", "parameters", "actions", "bags", "calls", "goals", "stop", "")
 _MESSAGES = 40
@@ -170,7 +170,7 @@ class Comparison:
         for row in found:
             terms = [row[name] for name in names] if isinstance(found, QuerySolutions) else list(row)
             rows.append(" ".join("_:b" if str(term).startswith("_:") else str(term) for term in terms))
-            if len(rows) > MOST_ROWS:
+            if len(rows) > MAX_ROWS:
                 raise TooMany
         return sorted(rows if isinstance(found, QuerySolutions) else set(rows))
 

@@ -13,7 +13,7 @@ from rosld.ontology.vocab import rdf
 Term = NamedNode | BlankNode | Literal | Triple
 
 
-_MOST_PATTERNS = 4
+_MAX_PATTERNS = 4
 """Of a query that nothing ends: the store knows no limit of time."""
 _BEGINNINGS = ("", "_", "0", "__")
 """What the name of a variable may begin with (SPARQL 1.1 Query, 19.8, VARNAME)."""
@@ -39,7 +39,7 @@ class Maker:
     def query(self, seed: int) -> str:
         """A query, the same for the same seed."""
         self._random.seed(seed)
-        self._left = _MOST_PATTERNS
+        self._left = _MAX_PATTERNS
         self._names = {}
         random = self._random
         form = random.random()

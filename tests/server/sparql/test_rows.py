@@ -28,10 +28,10 @@ def written(found: list[tuple[str | None, str | None]], syntax: QueryResultsForm
     return text
 
 
-def passes(text: bytes, media_type: str, most: int, size: int, *, graph: bool = False) -> bool:
+def passes(text: bytes, media_type: str, limit: int, size: int, *, graph: bool = False) -> bool:
     """Whether a text goes by, in chunks of a size, with nothing lost."""
     output = io.BytesIO()
-    counting = limited(output, media_type, graph, most)
+    counting = limited(output, media_type, graph, limit)
     try:
         for at in range(0, len(text), size):
             counting.write(text[at : at + size])

@@ -135,7 +135,7 @@ async def test_what_is_removed_and_made_again_between_two_queries_is_as_it_is_no
     async def chunks() -> Any:
         yield b"x"
 
-    blob = await index.records.receive(chunks(), "text/plain", most=10)
+    blob = await index.records.receive(chunks(), "text/plain", limit=10)
     await index.records.write(Put("data/a", Model.NON_RDF_SOURCE, blob=blob), source("data/b", 1))
     assert await index.differences() == []
     await index.records.write(Remove("data/a"))
@@ -179,7 +179,7 @@ async def test_a_file_is_in_the_dataset_by_its_description_and_goes_with_it(inde
     async def chunks() -> Any:
         yield b"bytes"
 
-    blob = await index.records.receive(chunks(), "image/png", most=10)
+    blob = await index.records.receive(chunks(), "image/png", limit=10)
     await index.records.write(Put("data/f", Model.NON_RDF_SOURCE, blob=blob))
     assert await index.differences() == []
     assert BASE + "data/f.meta" in index.store.graphs()

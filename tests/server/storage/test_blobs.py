@@ -35,8 +35,8 @@ async def chunks(*parts: bytes) -> AsyncIterator[bytes]:
         yield part
 
 
-async def receive(records: SqliteRecords, *parts: bytes, most: int = 10**8) -> Blob:
-    return await records.receive(chunks(*parts), TYPE, most=most)
+async def receive(records: SqliteRecords, *parts: bytes, limit: int = 10**8) -> Blob:
+    return await records.receive(chunks(*parts), TYPE, limit=limit)
 
 
 def files(records: SqliteRecords, blob: Blob) -> list[str]:
@@ -63,11 +63,11 @@ def test_bytes_come_back_as_they_were_sent(records: Opened) -> None:
 def test_more_bytes_than_are_allowed_leave_nothing_behind(records: Opened) -> None:
     async def run() -> None:
         async with records() as kept:
-            blob = await receive(kept, b"12345", b"67890", most=10)
+            blob = await receive(kept, b"12345", b"67890", limit=10)
             with pytest.raises(ValueError, match="more than 10 bytes"):
-                await receive(kept, b"12345", b"678901", most=10)
+                await receive(kept, b"12345", b"678901", limit=10)
             with pytest.raises(ValueError, match="more than 600000 bytes"):
-                await receive(kept, *(b"x" * 100_000 for _ in range(7)), most=600_000)
+                await receive(kept, *(b"x" * 100_000 for _ in range(7)), limit=600_000)
             assert files(kept, blob) == [blob.id]
 
     asyncio.run(run())
@@ -86,8 +86,8 @@ def test_a_sender_that_goes_away_leaves_nothing_behind(records: Opened) -> None:
         async with records() as kept:
             blob = await receive(kept, b"x")
             with pytest.raises(ConnectionResetError):
-                await kept.receive(broken(), TYPE, most=10**8)
-            receiving = asyncio.create_task(kept.receive(endless(), TYPE, most=10**10))
+                await kept.receive(broken(), TYPE, limit=10**8)
+            receiving = asyncio.create_task(kept.receive(endless(), TYPE, limit=10**10))
             while len(files(kept, blob)) == 1:  # noqa: ASYNC110 - a folder tells nobody
                 await asyncio.sleep(0)
             receiving.cancel()

@@ -166,7 +166,7 @@ def test_a_container_counts_and_lists_its_members_in_the_order_they_were_made(re
                 ("data/a", RDF, None),
                 ("data/b/", BASIC, None),
             ]
-            assert kept.members("data/", after=members[0].number, most=1) == [members[1]]
+            assert kept.members("data/", after=members[0].number, limit=1) == [members[1]]
             await put(kept, "data/c", TRIPLE)
             assert kept.members("data/") == members
             assert kept.get("data/") is full
@@ -191,9 +191,9 @@ def test_the_numbers_of_members_are_told_from_the_last_one_on(records: Opened) -
             await put(kept, "data/b/inner")
             found = [one.number for one in kept.members("data/")][::-1]
             assert kept.numbers("data/") == found
-            assert kept.numbers("data/", most=2) == found[:2]
+            assert kept.numbers("data/", limit=2) == found[:2]
             assert kept.numbers("data/", upto=found[1]) == found[1:]
-            assert kept.numbers("data/", upto=found[1] - 1, most=1) == [found[2]]
+            assert kept.numbers("data/", upto=found[1] - 1, limit=1) == [found[2]]
             assert not kept.numbers("data/", upto=0)
             assert not kept.numbers("data/a")
             assert not kept.numbers("nowhere/")
@@ -362,7 +362,7 @@ def test_changes_are_told_once_a_path_in_the_order_of_versions(records: Opened) 
             assert paths(changed) == ["data/c", "data/a", "data/b", "data/"]
             assert [one.gone for one in changed] == [False, False, True, False]
             assert [one.version for one in changed] == sorted({one.version for one in changed})
-            assert kept.changed(start, most=2) == changed[:2]
+            assert kept.changed(start, limit=2) == changed[:2]
             assert kept.changed(changed[1].version) == changed[2:]
             assert kept.changed(kept.version) == []
 
@@ -433,7 +433,7 @@ def test_closing_is_idempotent_and_nothing_is_written_afterwards(records: Opened
             with pytest.raises(StorageError, match="closed"):
                 kept.get("data/")
             with pytest.raises(StorageError, match="closed"):
-                await kept.receive(chunks(b"x"), "text/plain", most=10)
+                await kept.receive(chunks(b"x"), "text/plain", limit=10)
 
     asyncio.run(run())
 

@@ -82,7 +82,7 @@ class Expected:
                 self._check(records, lane, kind)
             self._check_brief(records, lane)
             container = records.get(f"data/{lane}/")
-            assert container is None or container.count == len(records.members(f"data/{lane}/", most=10**6))
+            assert container is None or container.count == len(records.members(f"data/{lane}/", limit=10**6))
 
     def _check(self, records: SqliteRecords, lane: int, kind: str) -> None:
         """Each record is whole, and is what was acknowledged last or what was under way."""
@@ -111,7 +111,7 @@ class Expected:
             for kind in ("brief", "away")
             if (lane, kind) in self.begun
         }
-        there = {one.path for one in records.members(f"data/{lane}/", most=10**6) if "brief" in one.path}
+        there = {one.path for one in records.members(f"data/{lane}/", limit=10**6) if "brief" in one.path}
         assert {path for path in self.brief if path.startswith(f"data/{lane}/")} ^ there <= under_way
         self.brief = {path for path in self.brief if not path.startswith(f"data/{lane}/")} | there
         assert all(records.was_there(path) and records.get(path) is None for path in self.away)

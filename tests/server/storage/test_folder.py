@@ -106,7 +106,7 @@ def test_writes_that_come_while_the_disk_is_at_work_wait_for_it_once_together(
         async with kept() as records:
             first = asyncio.create_task(records.write(Put("data/a", RDF)))
             await asyncio.to_thread(disk.asked.acquire)
-            others = [asyncio.create_task(records.write(Put(f"data/{n}", RDF))) for n in range(group.MOST)]
+            others = [asyncio.create_task(records.write(Put(f"data/{n}", RDF))) for n in range(group.MAX_JOBS)]
             await asyncio.sleep(0)
             disk.let.set()
             await asyncio.gather(first, *others)
@@ -180,7 +180,7 @@ def test_files_that_cannot_grow_refuse_what_does_not_fit_and_go_on(tmp_path: Pat
             with pytest.raises(StorageError):
                 await kept.write(Put("data/b", RDF, bytes(2_000_000)))
             with pytest.raises(StorageError, match="could not be kept") as caught:
-                await kept.receive(chunks(*[bytes(300_000)] * 10), "x/y", most=10**9)
+                await kept.receive(chunks(*[bytes(300_000)] * 10), "x/y", limit=10**9)
             assert caught.value.full
             assert not list((tmp_path / "blobs").iterdir())
             await kept.write(Put("data/c", RDF, b"c"))
@@ -293,7 +293,7 @@ def test_a_container_of_many_members_is_as_quick_as_a_small_one(tmp_path: Path, 
             steps = 0
             await kept.write(Put(f"data/new{number}", RDF, b"x"))
             adding, steps = steps, 0
-            middle = kept.members("data/", after=kept.version // 2, most=10)
+            middle = kept.members("data/", after=kept.version // 2, limit=10)
             assert len(middle) <= 10
             reading = steps
             connection.set_progress_handler(None, 1)

@@ -51,7 +51,7 @@ async def writes(records: SqliteRecords, lane: int, kind: str, number: int) -> l
     if kind == "away":
         return [Remove(names[0])]
     if kind == "file":
-        blob = await records.receive(parts(number), "x/y", most=10**7)
+        blob = await records.receive(parts(number), "x/y", limit=10**7)
         return [Put(names[0], Model.NON_RDF_SOURCE, text(number), blob)]
     return [Put(name, Model.RDF_SOURCE, text(number)) for name in names]
 

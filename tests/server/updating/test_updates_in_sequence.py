@@ -33,7 +33,7 @@ START = {
     GRAPHS[1]: "<urn:b> <urn:p> 2.5 , <urn:a> . _:b <urn:p> <urn:b> .",
     GRAPHS[2]: "<urn:a> <urn:p> 1 . [] <urn:q> true .",
 }
-MOST_BLANK_NODES = 6
+MAX_BLANK_NODES = 6
 TURNS = count()
 
 
@@ -140,7 +140,7 @@ ADD = _same(f"ADD <{GRAPHS[0]}> TO <{GRAPHS[3]}>")
 def canonical(quads: Sequence[Quad]) -> object:
     """A dataset, whatever its blank nodes are called; of very many, which would take for ever, their number."""
     blanks = {term for quad in quads for term in (quad.subject, quad.object) if isinstance(term, BlankNode)}
-    if len(blanks) > MOST_BLANK_NODES:
+    if len(blanks) > MAX_BLANK_NODES:
         return len(blanks), sorted(" ".join(map(_anonymous, quad)) for quad in quads)
     dataset = Dataset(quads)
     dataset.canonicalize(CanonicalizationAlgorithm.UNSTABLE)

@@ -50,7 +50,7 @@ _:three <urn:q> _:three <{GRAPHS[2]}> .
 """
 Graphs = Mapping[str, list[str]]
 """Graphs by their names, as canonical N-Triples; those without triples are left out."""
-MOST_BLANKS = 6
+MAX_BLANKS = 6
 
 
 def canonical(quads: Sequence[Quad]) -> Graphs:
@@ -62,7 +62,7 @@ def canonical(quads: Sequence[Quad]) -> Graphs:
     for graph in GRAPHS:
         triples = [quad.triple for quad in quads if quad.graph_name == NamedNode(graph)]
         blanks = {term for triple in triples for term in (triple.subject, triple.object) if isinstance(term, BlankNode)}
-        if len(blanks) <= MOST_BLANKS:
+        if len(blanks) <= MAX_BLANKS:
             dataset = Dataset(Quad(*triple) for triple in triples)
             dataset.canonicalize(CanonicalizationAlgorithm.UNSTABLE)
             said = [str(quad) for quad in dataset]

@@ -95,11 +95,11 @@ class Aircraft:
     def turn(self, direction):
         self.direction = self.settable("direction", direction, 360.0)
 
-    def settable(self, what, value, most):
+    def settable(self, what, value, limit):
         if not self.on:
             raise Declined(f"the aircraft is off: start it before setting its {what}")
-        if not 0.0 <= value <= most:  # NaN is within nothing
-            raise Declined(f"the {what} must be between 0 and {most:g}, not {value:g}")
+        if not 0.0 <= value <= limit:  # NaN is within nothing
+            raise Declined(f"the {what} must be between 0 and {limit:g}, not {value:g}")
         return value + 0.0
 
 

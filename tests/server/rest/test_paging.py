@@ -96,7 +96,7 @@ def test_who_prefers_small_pages_gets_them() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "most"),
+    ("text", "limit"),
     [
         ("return=representation; max-member-count=10", 10),
         ('return=representation; include="x"; max-member-count="0010"', 10),

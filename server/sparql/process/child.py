@@ -10,8 +10,8 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable
-from itertools import count
+from collections.abc import Callable, Sequence
+from itertools import count, islice
 from typing import cast
 
 from rosld.server.dataset.encoding import NAMESPACE, VARIABLE
@@ -22,6 +22,8 @@ from rosld.server.sparql.process.frames import AtWork, Buffer, Reply, Tidy, pack
 _RECEIVED = 256 * 1024
 _AHEAD = 4 * 1024 * 1024
 """Bytes that may be on their way to the process before others should be made."""
+_AT_ONCE = 64
+"""Frames that are sent by one system call."""
 _START = "import sys; sys.path[:] = sys.argv[1:-3]; from rosld.server.sparql.process.main import main; main()"
 """What the process runs: with the same modules as the server, wherever that found them."""
 
@@ -98,13 +100,9 @@ class Child:
         """Send frames, after all that was sent before. Raises Problem 503 where the process is gone."""
         if self._socket is None:
             raise restarting(1)
-        view = memoryview(data)
         if not self._output:
-            view = view[self._write(view) :]
-            if view:
-                self._loop.add_writer(self._socket, self._flush)
-        if view:
-            self._output.append(view)
+            self._loop.call_soon(self._flush)
+        self._output.append(memoryview(data))
 
     def send_change(self, data: bytes, needed: int) -> None:
         """Send a change for which the process needs so many bytes. Raises as `send`."""
@@ -133,24 +131,31 @@ class Child:
             self._taken = self._taken or self._loop.create_future()
             await asyncio.shield(self._taken)
 
-    def _write(self, view: memoryview) -> int:
-        assert self._socket is not None
-        try:
-            return self._socket.send(view)
-        except (BlockingIOError, InterruptedError):
-            return 0
-        except OSError:  # it is dead, which is noticed by reading
-            return len(view)
-
     def _flush(self) -> None:
-        if self._output:
-            view = self._output.popleft()
-            view = view[self._write(view) :]
-            if view:
-                self._output.appendleft(view)
-        if not self._output and self._socket is not None:
+        """Send what was gathered in a turn of the loop: waking the process costs more than a small query does."""
+        if self._socket is None:
+            return
+        while self._output:
+            sent = self._write(self._socket, [*islice(self._output, _AT_ONCE)])
+            if sent is None:
+                self._loop.add_writer(self._socket, self._flush)
+                break
+            while self._output and sent >= len(self._output[0]):
+                sent -= len(self._output.popleft())
+            if sent:
+                self._output[0] = self._output[0][sent:]
+        else:
             self._loop.remove_writer(self._socket)
         self._tell_taken()
+
+    def _write(self, connection: socket.socket, views: Sequence[memoryview]) -> int | None:
+        """The number of bytes that were sent, None where no more are taken now."""
+        try:
+            return connection.sendmsg(views)
+        except (BlockingIOError, InterruptedError):
+            return None
+        except OSError:  # it is dead, which is noticed by reading
+            return sum(map(len, views))
 
     def _tell_taken(self) -> None:
         taken, self._taken = self._taken, None

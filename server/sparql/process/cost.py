@@ -59,17 +59,18 @@ OPTIONAL and EXISTS may, and nothing that makes more of what goes in, as CONCAT 
 
 
 class Step(NamedTuple):
-    """A triple pattern: constants, or the names of variables."""
+    """A triple pattern: IRIs in angle brackets, which are sent faster than nodes, or the names of variables."""
 
-    subject: NamedNode | str
-    predicate: NamedNode | None
-    object: NamedNode | str | None
+    subject: str
+    predicate: str | None
+    """None for a variable."""
+    object: str | None
     """None for a literal."""
 
     @property
     def names(self) -> set[str]:
         """Its variables."""
-        return {each for each in (self.subject, self.object) if isinstance(each, str)}
+        return {each for each in (self.subject, self.object) if each is not None and not _is_iri(each)}
 
 
 class Plan(NamedTuple):
@@ -81,7 +82,7 @@ class Plan(NamedTuple):
 
     steps: tuple[Step, ...]
     patterns: int
-    graph: NamedNode | None
+    graph: str | None
     tokens: int
 
 
@@ -97,7 +98,7 @@ def plan(where: Group, words: Sequence[str], tokens: int) -> Plan | None:
         return None
     ordered = _ordered([step for step in steps if step is not None])
     graphs = graphs_around(where) or frozenset()
-    graph = NamedNode(next(iter(graphs))) if len(graphs) == 1 else None
+    graph = next(iter(graphs)) if len(graphs) == 1 else None
     return None if ordered is None and graph is None else Plan(ordered or (), len(steps), graph, tokens)
 
 
@@ -116,13 +117,13 @@ def _step(pattern: Pattern) -> Step | None:
     subject, predicates = _slot(pattern.subject), pattern.predicates
     if pattern.repeated or pattern.empty or subject is None or len(predicates or "1") != 1:
         return None
-    predicate = None if predicates is None else NamedNode(next(iter(predicates)))
+    predicate = None if predicates is None else next(iter(predicates))
     return Step(subject, predicate, _slot(pattern.object))
 
 
-def _slot(term: Term) -> NamedNode | str | None:
+def _slot(term: Term) -> str | None:
     if isinstance(term, Iri):
-        return NamedNode(term.value)
+        return f"<{term.value}>"
     return term.name or None if isinstance(term, Variable) else None
 
 
@@ -146,10 +147,14 @@ def _is_anchored(step: Step, known: set[str]) -> bool:
     return subject or (predicate and object and step.object is not None)
 
 
+def _is_iri(slot: str) -> bool:
+    return slot.startswith("<")
+
+
 def _known(step: Step, known: set[str]) -> tuple[bool, bool, bool]:
     """Whether subject, predicate and object are known when it is looked up."""
-    subject = not isinstance(step.subject, str) or step.subject in known
-    object = not isinstance(step.object, str) or step.object in known
+    subject = _is_iri(step.subject) or step.subject in known
+    object = step.object is None or _is_iri(step.object) or step.object in known
     return subject, step.predicate is not None, object
 
 
@@ -173,7 +178,7 @@ def may_take_long(plan: Plan | None, dataset: Dataset) -> bool:
     """
     if plan is None:
         return True
-    if plan.graph is not None and _is_within_a_small_graph(plan, plan.graph, dataset):
+    if plan.graph is not None and _is_within_a_small_graph(plan, NamedNode(plan.graph), dataset):
         return False
     if not plan.steps:
         return True
@@ -182,12 +187,13 @@ def may_take_long(plan: Plan | None, dataset: Dataset) -> bool:
     looked = size = 0
     for step in plan.steps:
         following: list[dict[str, _Node]] = []
+        fixed = _constant(step.subject), step.predicate and NamedNode(step.predicate), _constant(step.object)
         for solution in solutions:
-            subject = solution.get(step.subject) if isinstance(step.subject, str) else step.subject
-            object = solution.get(step.object) if isinstance(step.object, str) else step.object
+            subject = fixed[0] or solution.get(step.subject)
+            object = fixed[2] or (None if step.object is None else solution.get(step.object))
             if isinstance(subject, Literal):
                 continue
-            quads = dataset.lookup(subject, step.predicate, object, MAX_STATEMENTS - looked)
+            quads = dataset.lookup(subject, fixed[1], object, MAX_STATEMENTS - looked)
             looked += len(quads) + 1
             if looked >= MAX_STATEMENTS or (time.perf_counter() > until and time.thread_time() - begun > _SECONDS):
                 return True
@@ -208,8 +214,12 @@ def _is_within_a_small_graph(plan: Plan, graph: NamedNode, dataset: Dataset) -> 
 
 def _bound(solution: dict[str, _Node], step: Step, quad: Quad) -> dict[str, _Node]:
     found = {**solution}
-    if isinstance(step.subject, str):
+    if not _is_iri(step.subject):
         found[step.subject] = quad.subject
-    if isinstance(step.object, str):
+    if step.object is not None and not _is_iri(step.object):
         found[step.object] = quad.object
     return found
+
+
+def _constant(slot: str | None) -> NamedNode | None:
+    return NamedNode(slot[1:-1]) if slot is not None and _is_iri(slot) else None

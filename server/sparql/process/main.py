@@ -27,6 +27,8 @@ _SECONDS = 2.0
 """What work may take that is not done in a fork: hundreds of times what it takes. It ends this process."""
 _MIN_MEMORY = 32 * 1024 * 1024
 """Bytes of memory without which no fork is begun."""
+_MOST_GATHERED = 64 * 1024
+"""Bytes of replies that are gathered."""
 _M_ARENA_MAX = -8
 _RECEIVED = 256 * 1024
 
@@ -56,6 +58,7 @@ class Process:
         self._forks: dict[int, Fork] = {}  # by the number of the job
         self._queue: deque[Job] = deque()
         self._buffer = Buffer()
+        self._replies = bytearray()
 
     def run(self) -> None:
         """Until the server is gone."""
@@ -93,6 +96,7 @@ class Process:
         for message in self._buffer.feed(data):
             match message:
                 case Change():
+                    self._flush()  # it may take a while
                     self._change(message)
                 case Job():
                     self._begin(message)
@@ -104,10 +108,22 @@ class Process:
                     if any(store.is_half_gone for store in self._stores.values()):
                         return False
                     trim()
+        self._flush()
         return bool(data)
 
     def _send(self, kind: Kind, number: int, value: object = None) -> None:
-        self._connection.sendall(packed(Reply(kind, number, value)))
+        self._gather(packed(Reply(kind, number, value)))
+
+    def _gather(self, reply: bytes) -> None:
+        """Reply together with what else came at once: waking the server costs more than a small query does."""
+        self._replies += reply
+        if len(self._replies) > _MOST_GATHERED:
+            self._flush()
+
+    def _flush(self) -> None:
+        if self._replies:
+            self._connection.sendall(self._replies)
+            self._replies.clear()
 
     # --- changes
 
@@ -149,7 +165,7 @@ class Process:
             reply = Reply(Kind.RAISED, job.number, pickled(error))
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0)
-        self._connection.sendall(packed(reply))
+        self._gather(packed(reply))
         return True
 
     def _fork(self, job: Job) -> None:
@@ -164,6 +180,7 @@ class Process:
             self._send(Kind.RAISED, job.number, pickled(error))
             return
         self._forks[job.number] = fork
+        self._flush()
         message = packed(Reply(Kind.FORKED, job.number))
         sent = socket.send_fds(self._connection, [message], [fork.reading])
         self._connection.sendall(message[sent:])
@@ -185,6 +202,7 @@ class Process:
                 self._send(Kind.ENDED, number, ended)
         while self._queue and len(self._forks) < self._limit:
             self._fork(self._queue.popleft())
+        self._flush()
 
 
 def main() -> None:

@@ -59,7 +59,7 @@ OPTIONAL and EXISTS may, and nothing that makes more of what goes in, as CONCAT 
 
 
 class Step(NamedTuple):
-    """A triple pattern: IRIs in angle brackets, which are sent faster than nodes, or the names of variables."""
+    """A triple pattern: IRIs in angle brackets, which are pickled faster than nodes, or the names of variables."""
 
     subject: str
     predicate: str | None
@@ -187,13 +187,14 @@ def may_take_long(plan: Plan | None, dataset: Dataset) -> bool:
     looked = size = 0
     for step in plan.steps:
         following: list[dict[str, _Node]] = []
-        fixed = _constant(step.subject), step.predicate and NamedNode(step.predicate), _constant(step.object)
+        predicate = None if step.predicate is None else NamedNode(step.predicate)
+        fixed_subject, fixed_object = _constant(step.subject), _constant(step.object)
         for solution in solutions:
-            subject = fixed[0] or solution.get(step.subject)
-            object = fixed[2] or (None if step.object is None else solution.get(step.object))
+            subject = fixed_subject or solution.get(step.subject)
+            object = fixed_object or (None if step.object is None else solution.get(step.object))
             if isinstance(subject, Literal):
                 continue
-            quads = dataset.lookup(subject, fixed[1], object, MAX_STATEMENTS - looked)
+            quads = dataset.lookup(subject, predicate, object, MAX_STATEMENTS - looked)
             looked += len(quads) + 1
             if looked >= MAX_STATEMENTS or (time.perf_counter() > until and time.thread_time() - begun > _SECONDS):
                 return True

@@ -36,6 +36,7 @@ def main() -> None:
     \b
     Examples:
       rosld serve aircraft                 an embedded aircraft to try things on
+      rosld serve rover                    an embedded mobile robot: drive it, send it somewhere
       rosld serve run.bag                  a recording, played in a loop
       rosld serve ros1://localhost:11311   a live ROS 1 system
       rosld lift run.bag -o run.nq.gz      a whole recording as RDF
@@ -43,7 +44,7 @@ def main() -> None:
       rosld token add anna --file a.toml   a token for somebody who may use a server with --auth
       rosld dump DIR -o data.tar.gz        a copy of what clients have put; rosld load brings it back
 
-    A SOURCE is `aircraft`, the path of a recording (.bag, .mcap, .db3, a rosbag2 folder), `ros1://HOST:PORT`
+    A SOURCE is `aircraft`, `rover`, the path of a recording (.bag, .mcap, .db3, a rosbag2 folder), `ros1://HOST:PORT`
     (`ros1:` takes ROS_MASTER_URI), or `ros2:?domain=42&namespace=/robot1` (`ros2:` takes ROS_DOMAIN_ID).
     """
 

@@ -1,0 +1,22 @@
+"""A mobile robot in a small world, embedded: `rosld serve rover`.
+
+What `simulation.py` and `topics.py` import needs nothing but numpy, so that a ROS node can run the same robot.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rosld.adapters.base import Adapter, AdapterOptions
+
+
+def adapter(source: str, options: AdapterOptions) -> Adapter:
+    """The adapter of a source such as `rover` or `rover:?battery=0.21`. Raises ValueError for a bad option."""
+    from rosld.adapters.rover.adapter import Rover  # imported late: a ROS node's Python may lack what it needs
+    from rosld.adapters.rover.source import read_source
+
+    return Rover(read_source(source), options)
+
+
+__all__ = ["adapter"]

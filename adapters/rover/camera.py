@@ -1,0 +1,45 @@
+"""The camera: what the rover sees ahead, one ray a column. Pure."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosld.adapters.rover.drive import Motion
+from rosld.adapters.rover.world import WALL_HEIGHT, World
+
+WIDTH = 160
+HEIGHT = 120
+FOCAL_LENGTH = 140.0
+"""In pixels, of both axes: a view of 60 degrees."""
+CENTRE = (WIDTH / 2, HEIGHT / 2)
+MOUNTED_AT = 0.3
+"""Metres above the floor."""
+_NEAREST = 0.05
+_DARK, _LIT = 0.55, 1.0
+_FADING = 0.12
+"""How much darker it becomes with each metre."""
+_CEILING = (214, 224, 232)
+_FLOOR = (116, 112, 106)
+_BESIDE = np.arctan2(CENTRE[0] - 0.5 - np.arange(WIDTH), FOCAL_LENGTH)
+_BELOW = np.arange(HEIGHT)[:, None] + 0.5 - CENTRE[1]
+"""How many pixels the middle of each row is below the horizon."""
+
+
+def image(world: World, motion: Motion, lights: bool) -> NDArray[np.uint8]:
+    """An image of `HEIGHT` rows, `WIDTH` columns and red, green and blue."""
+    hits = world.cast(motion.x, motion.y, motion.heading + _BESIDE)
+    depths = np.maximum(hits.distances * np.cos(_BESIDE), _NEAREST)
+    top, bottom = FOCAL_LENGTH * (MOUNTED_AT - WALL_HEIGHT) / depths, FOCAL_LENGTH * MOUNTED_AT / depths
+    is_wall = (top <= _BELOW) & (bottom >= _BELOW)
+    floor = FOCAL_LENGTH * MOUNTED_AT / np.maximum(_BELOW, 1.0)
+    pixels = np.where((_BELOW > 0)[:, :, None], _FLOOR * _light(floor, lights)[:, :, None], _CEILING)
+    walls = hits.colours * _light(depths, lights)[:, None]
+    seen: NDArray[np.uint8] = np.where(is_wall[:, :, None], walls[None, :, :], pixels).astype(np.uint8)
+    return seen
+
+
+def _light(distances: NDArray[np.float64], lights: bool) -> NDArray[np.float64]:
+    """The share of its colour that is seen of something so far away."""
+    found: NDArray[np.float64] = (_LIT if lights else _DARK) / (1 + _FADING * distances)
+    return found

@@ -1,0 +1,113 @@
+"""The differential drive: from a velocity that is commanded to the motion that follows, step by step. Pure.
+
+The base has no watchdog: it drives on as it was told last until it is told something else.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rosld.adapters.rover.world import World
+
+RADIUS = 0.2
+"""Metres from the middle of the rover to its rim."""
+WHEEL_SEPARATION = 0.32
+BRAKING = 10.0
+"""How fast it brakes, in metres a second squared: from its top speed it stands after a tenth of a second."""
+_TURN_BRAKING = 25.0
+_TURN_FACTOR = 2.0
+"""Radians a second squared for each metre a second squared."""
+
+
+class Velocity(NamedTuple):
+    """Metres a second ahead, and radians a second counterclockwise."""
+
+    speed: float = 0.0
+    turn_rate: float = 0.0
+
+
+STANDSTILL = Velocity()
+
+
+class Limits(NamedTuple):
+    """The fastest that the drive may be, and how soon (metres a second squared)."""
+
+    speed: float
+    turn_rate: float
+    acceleration: float
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Where the rover is, how it moves, how far it has driven, and whether an obstacle holds it up."""
+
+    x: float = 0.0
+    y: float = 0.0
+    heading: float = 0.0
+    velocity: Velocity = STANDSTILL
+    driven: float = 0.0
+    is_bumped: bool = False
+
+
+def wheel_speeds(velocity: Velocity) -> tuple[float, float]:
+    """The speeds of the left and of the right wheel on the ground."""
+    half = velocity.turn_rate * WHEEL_SEPARATION / 2
+    return velocity.speed - half, velocity.speed + half
+
+
+def drive(motion: Motion, command: Velocity, limits: Limits, world: World, seconds: float) -> Motion:
+    """The motion a short time later. An obstacle stops it; it can turn there, and drive away."""
+    speed = _approach(
+        motion.velocity.speed, _clamp(command.speed, limits.speed), limits.acceleration * seconds, BRAKING * seconds
+    )
+    turn_rate = _approach(
+        motion.velocity.turn_rate,
+        _clamp(command.turn_rate, limits.turn_rate),
+        limits.acceleration * _TURN_FACTOR * seconds,
+        _TURN_BRAKING * seconds,
+    )
+    heading = motion.heading + turn_rate * seconds / 2
+    x = motion.x + speed * math.cos(heading) * seconds
+    y = motion.y + speed * math.sin(heading) * seconds
+    is_bumped = bool(speed) and is_closer(world, motion, x, y)
+    if is_bumped:
+        x, y, speed = motion.x, motion.y, 0.0
+    return Motion(
+        x,
+        y,
+        wrapped(motion.heading + turn_rate * seconds),
+        Velocity(speed, turn_rate),
+        motion.driven + abs(speed) * seconds,
+        is_bumped,
+    )
+
+
+def is_closer(world: World, motion: Motion, x: float, y: float) -> bool:
+    """Whether the rover would touch something at a point, and not less than where it is."""
+    clearance = world.clearance(x, y)
+    return clearance < RADIUS and clearance <= world.clearance(motion.x, motion.y)
+
+
+def is_blocked_ahead(world: World, motion: Motion, distance: float) -> bool:
+    """Whether something stands in the way so far ahead."""
+    x, y = motion.x + distance * math.cos(motion.heading), motion.y + distance * math.sin(motion.heading)
+    return is_closer(world, motion, x, y)
+
+
+def wrapped(angle: float) -> float:
+    """An angle between -pi and pi."""
+    return math.remainder(angle, math.tau)
+
+
+def _clamp(value: float, most: float) -> float:
+    return max(-most, min(most, value))
+
+
+def _approach(current: float, wanted: float, gain: float, loss: float) -> float:
+    """A speed on its way to another: at most `gain` faster, or `loss` slower; through zero in two steps."""
+    if current * wanted < 0:
+        wanted = 0.0
+    most = gain if abs(wanted) > abs(current) else loss
+    return wanted if abs(wanted - current) <= most else current + math.copysign(most, wanted - current)

@@ -1,0 +1,318 @@
+"""What the rover says, as the fields of ROS 2's standard messages (common_interfaces, tf2_msgs). Pure.
+
+A message is a dict of all its fields, nested ones too; a time is `{"sec": ..., "nanosec": ...}`, an array of numbers is
+numpy's. Who sends it makes the message of its own ROS of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from rosld.adapters.rover import camera, png, scan
+from rosld.adapters.rover.battery import CAPACITY, CELLS
+from rosld.adapters.rover.drive import Motion, wheel_speeds
+from rosld.adapters.rover.grid import RESOLUTION, grid_of
+from rosld.adapters.rover.navigation import Ended, Journey, Pose, remaining
+from rosld.adapters.rover.settings import NODE, Settings
+from rosld.adapters.rover.simulation import LogLine, Severity, State
+from rosld.adapters.rover.world import World
+
+Fields: TypeAlias = "Mapping[str, object]"
+
+MAP, ODOM, BASE, LASER, CAMERA = "map", "odom", "base_link", "laser", "camera_optical_frame"
+_LASER_AT = (0.0, 0.0, 0.25)
+_CAMERA_AT = (0.15, 0.0, camera.MOUNTED_AT)
+_OPTICAL = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}
+"""A camera looks along z, with x to the right (REP 103)."""
+_GRAVITY = 9.81
+_POSITION_VARIANCE, _HEADING_VARIANCE = 1e-4, 1e-4
+_UNKNOWN = 1e6
+"""The variance of what a robot on the floor does not measure."""
+_ROOM_TEMPERATURE = 25.0
+_CHARGING, _DISCHARGING, _FULL = 1, 2, 4
+_HEALTH_GOOD, _HEALTH_DEAD = 1, 3
+_LITHIUM_ION = 2
+_OK, _WARN, _ERROR = 0, 1, 2
+_LEVELS: Mapping[Severity, int] = {Severity.INFO: 20, Severity.WARN: 30, Severity.ERROR: 40}
+
+
+class View(NamedTuple):
+    """All that a message is made of: the rover at a time, in nanoseconds of the wall's clock."""
+
+    state: State
+    settings: Settings
+    world: World
+    time_ns: int
+
+
+def time_fields(time_ns: int) -> Fields:
+    """builtin_interfaces/Time."""
+    sec, nanosec = divmod(time_ns, 1_000_000_000)
+    return {"sec": sec, "nanosec": nanosec}
+
+
+def pose_stamped(pose: Pose, time_ns: int) -> Fields:
+    """geometry_msgs/PoseStamped on the map."""
+    return {"header": _header(time_ns, MAP), "pose": _pose(pose.x, pose.y, pose.heading)}
+
+
+def odometry(view: View) -> Fields:
+    """nav_msgs/Odometry."""
+    motion = view.state.motion
+    return {
+        "header": _header(view.time_ns, ODOM),
+        "child_frame_id": BASE,
+        "pose": {
+            "pose": _pose(motion.x, motion.y, motion.heading),
+            "covariance": _covariance(_POSITION_VARIANCE, _HEADING_VARIANCE),
+        },
+        "twist": {
+            "twist": {
+                "linear": _vector(motion.velocity.speed, 0.0, 0.0),
+                "angular": _vector(0.0, 0.0, motion.velocity.turn_rate),
+            },
+            "covariance": _covariance(_POSITION_VARIANCE, _HEADING_VARIANCE),
+        },
+    }
+
+
+def transforms(view: View) -> Fields:
+    """tf2_msgs/TFMessage of what moves. Its localisation is perfect: odometry is at home on the map."""
+    motion = view.state.motion
+    return {
+        "transforms": [
+            _transform(view.time_ns, MAP, ODOM, (0.0, 0.0, 0.0), _rotation(0.0)),
+            _transform(view.time_ns, ODOM, BASE, (motion.x, motion.y, 0.0), _rotation(motion.heading)),
+        ]
+    }
+
+
+def fixed_transforms(view: View) -> Fields:
+    """tf2_msgs/TFMessage of what is mounted on the rover."""
+    return {
+        "transforms": [
+            _transform(view.time_ns, BASE, LASER, _LASER_AT, _rotation(0.0)),
+            _transform(view.time_ns, BASE, CAMERA, _CAMERA_AT, _OPTICAL),
+        ]
+    }
+
+
+def laser_scan(view: View) -> Fields:
+    """sensor_msgs/LaserScan."""
+    return {
+        "header": _header(view.time_ns, LASER),
+        "angle_min": scan.FIRST,
+        "angle_max": scan.FIRST + (scan.BEAMS - 1) * scan.INCREMENT,
+        "angle_increment": scan.INCREMENT,
+        "time_increment": 0.0,
+        "scan_time": 1 / view.settings.scan_rate,
+        "range_min": scan.NEAREST,
+        "range_max": scan.FARTHEST,
+        "ranges": scan.scan(view.world, view.state.motion),
+        "intensities": np.empty(0, np.float32),
+    }
+
+
+def raw_image(view: View) -> Fields:
+    """sensor_msgs/Image."""
+    return {
+        "header": _header(view.time_ns, CAMERA),
+        "height": camera.HEIGHT,
+        "width": camera.WIDTH,
+        "encoding": "rgb8",
+        "is_bigendian": 0,
+        "step": 3 * camera.WIDTH,
+        "data": camera.image(view.world, view.state.motion, view.state.has_lights).ravel(),
+    }
+
+
+def compressed_image(view: View) -> Fields:
+    """sensor_msgs/CompressedImage."""
+    file = png.encode(camera.image(view.world, view.state.motion, view.state.has_lights))
+    return {"header": _header(view.time_ns, CAMERA), "format": "png", "data": np.frombuffer(file, np.uint8)}
+
+
+def camera_info(view: View) -> Fields:
+    """sensor_msgs/CameraInfo of a camera without distortion."""
+    focal, (centre_x, centre_y) = camera.FOCAL_LENGTH, camera.CENTRE
+    return {
+        "header": _header(view.time_ns, CAMERA),
+        "height": camera.HEIGHT,
+        "width": camera.WIDTH,
+        "distortion_model": "plumb_bob",
+        "d": np.zeros(5),
+        "k": np.array([focal, 0.0, centre_x, 0.0, focal, centre_y, 0.0, 0.0, 1.0]),
+        "r": np.eye(3).ravel(),
+        "p": np.array([focal, 0.0, centre_x, 0.0, 0.0, focal, centre_y, 0.0, 0.0, 0.0, 1.0, 0.0]),
+        "binning_x": 0,
+        "binning_y": 0,
+        "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
+    }
+
+
+def occupancy_grid(view: View) -> Fields:
+    """nav_msgs/OccupancyGrid."""
+    grid = grid_of(view.world.mapped())
+    return {
+        "header": _header(view.time_ns, MAP),
+        "info": {
+            "map_load_time": time_fields(view.time_ns),
+            "resolution": RESOLUTION,
+            "width": grid.columns,
+            "height": grid.rows,
+            "origin": _pose(grid.left, grid.bottom, 0.0),
+        },
+        "data": grid.occupancy(),
+    }
+
+
+def battery_state(view: View) -> Fields:
+    """sensor_msgs/BatteryState."""
+    battery, is_docked = view.state.battery, view.state.is_docked
+    status = _DISCHARGING if not is_docked else _FULL if battery.level >= 1.0 else _CHARGING
+    return {
+        "header": _header(view.time_ns, BASE),
+        "voltage": CELLS * battery.cell_voltage,
+        "temperature": _ROOM_TEMPERATURE,
+        "current": battery.current,
+        "charge": battery.level * CAPACITY,
+        "capacity": CAPACITY,
+        "design_capacity": CAPACITY,
+        "percentage": battery.level,
+        "power_supply_status": status,
+        "power_supply_health": _HEALTH_DEAD if battery.is_empty else _HEALTH_GOOD,
+        "power_supply_technology": _LITHIUM_ION,
+        "present": True,
+        "cell_voltage": np.full(CELLS, battery.cell_voltage, np.float32),
+        "cell_temperature": np.full(CELLS, _ROOM_TEMPERATURE, np.float32),
+        "location": "base",
+        "serial_number": "R0V3R-1",
+    }
+
+
+def imu(view: View) -> Fields:
+    """sensor_msgs/Imu."""
+    motion = view.state.motion
+    return {
+        "header": _header(view.time_ns, BASE),
+        "orientation": _rotation(motion.heading),
+        "orientation_covariance": _diagonal(_HEADING_VARIANCE, 3),
+        "angular_velocity": _vector(0.0, 0.0, motion.velocity.turn_rate),
+        "angular_velocity_covariance": _diagonal(_HEADING_VARIANCE, 3),
+        "linear_acceleration": _vector(0.0, motion.velocity.speed * motion.velocity.turn_rate, _GRAVITY),
+        "linear_acceleration_covariance": _diagonal(_HEADING_VARIANCE, 3),
+    }
+
+
+def lights(view: View) -> Fields:
+    """std_msgs/Bool: whether the lights are on."""
+    return {"data": view.state.has_lights}
+
+
+def diagnostics(view: View) -> Fields:
+    """diagnostic_msgs/DiagnosticArray: battery, drive, laser and camera."""
+    status = [
+        _battery_status(view),
+        _drive_status(view),
+        _status("laser", _OK, "scanning", {"scans a second": f"{view.settings.scan_rate}"}),
+        _status("camera", _OK, "seeing", {"images a second": f"{view.settings.camera_rate}"}),
+    ]
+    return {"header": _header(view.time_ns, ""), "status": status}
+
+
+def log(line: LogLine, time_ns: int) -> Fields:
+    """rcl_interfaces/Log."""
+    return {
+        "stamp": time_fields(time_ns),
+        "level": _LEVELS[line.severity],
+        "name": NODE.strip("/"),
+        "msg": line.text,
+        "file": "",
+        "function": "",
+        "line": 0,
+    }
+
+
+def navigation_feedback(journey: Journey, motion: Motion, time_ns: int) -> Fields:
+    """rosld_rover/NavigateTo's feedback."""
+    return {
+        "current_pose": pose_stamped(_pose_of(motion), time_ns),
+        "distance_remaining": remaining(journey, motion),
+    }
+
+
+def navigation_result(ended: Ended, motion: Motion, time_ns: int) -> Fields:
+    """rosld_rover/NavigateTo's result."""
+    return {"message": ended.message, "pose": pose_stamped(_pose_of(motion), time_ns)}
+
+
+def _battery_status(view: View) -> Fields:
+    battery, is_low = view.state.battery, view.state.battery.level < view.settings.low_battery
+    level = _ERROR if battery.is_empty else _WARN if is_low and not view.state.is_docked else _OK
+    words = "empty" if battery.is_empty else "charging" if view.state.is_docked else "low" if is_low else "good"
+    values = {"level (%)": f"{100 * battery.level:.1f}", "voltage (V)": f"{CELLS * battery.cell_voltage:.2f}"}
+    return _status("battery", level, words, values)
+
+
+def _drive_status(view: View) -> Fields:
+    motion, command = view.state.motion, view.state.command
+    left, right = wheel_speeds(motion.velocity)
+    level, words = _OK, "driving" if left or right else "standing"
+    if view.state.battery.is_empty:
+        level, words = _ERROR, "no power"
+    elif motion.is_bumped:
+        level, words = _WARN, "held up by an obstacle"
+    values = {
+        "commanded speed (m/s)": f"{command.speed:.2f}",
+        "commanded turn rate (rad/s)": f"{command.turn_rate:.2f}",
+        "left wheel (m/s)": f"{left:.2f}",
+        "right wheel (m/s)": f"{right:.2f}",
+        "driven (m)": f"{motion.driven:.1f}",
+    }
+    return _status("drive", level, words, values)
+
+
+def _status(name: str, level: int, message: str, values: Mapping[str, str]) -> Fields:
+    pairs = [{"key": key, "value": value} for key, value in values.items()]
+    return {"level": level, "name": f"rover: {name}", "message": message, "hardware_id": "R0V3R-1", "values": pairs}
+
+
+def _header(time_ns: int, frame: str) -> Fields:
+    return {"stamp": time_fields(time_ns), "frame_id": frame}
+
+
+def _vector(x: float, y: float, z: float) -> Fields:
+    return {"x": x, "y": y, "z": z}
+
+
+def _rotation(heading: float) -> Fields:
+    return {"x": 0.0, "y": 0.0, "z": math.sin(heading / 2), "w": math.cos(heading / 2)}
+
+
+def _pose(x: float, y: float, heading: float) -> Fields:
+    return {"position": _vector(x, y, 0.0), "orientation": _rotation(heading)}
+
+
+def _pose_of(motion: Motion) -> Pose:
+    return Pose(motion.x, motion.y, motion.heading)
+
+
+def _transform(time_ns: int, parent: str, child: str, at: Sequence[float], rotation: Fields) -> Fields:
+    return {
+        "header": _header(time_ns, parent),
+        "child_frame_id": child,
+        "transform": {"translation": _vector(*at), "rotation": rotation},
+    }
+
+
+def _covariance(position: float, heading: float) -> object:
+    """Row by row, of x, y, z and the rotations about them."""
+    return np.diag([position, position, _UNKNOWN, _UNKNOWN, _UNKNOWN, heading]).ravel()
+
+
+def _diagonal(variance: float, size: int) -> object:
+    return (variance * np.eye(size)).ravel()

@@ -1,0 +1,154 @@
+"""Navigation to a goal: the way that is planned, the velocity that follows it, and how it ends. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+
+from rosld.adapters.rover.drive import (
+    RADIUS,
+    Limits,
+    Motion,
+    Velocity,
+    is_blocked_ahead,
+    wrapped,
+)
+from rosld.adapters.rover.grid import grid_of
+from rosld.adapters.rover.planner import Point, length, way
+from rosld.adapters.rover.world import World
+
+FRAMES = ("map", "odom", "")
+"""The frames in which a goal may be told: there is no drift between the first two, and no word means the map."""
+_THERE = 0.05
+_PASSED = 0.15
+_ALIGNED = 0.03
+_AHEAD = 0.3
+"""Radians beside the heading in which it drives on; it turns first where the way leads elsewhere."""
+_LOOK_AHEAD = 0.25
+_QUATERNION_TOLERANCE = 0.1
+
+
+class Outcome(Enum):
+    """How a goal can end (action_msgs/msg/GoalStatus)."""
+
+    SUCCEEDED = "succeeded"
+    CANCELED = "canceled"
+    ABORTED = "aborted"
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A place and a heading on the map."""
+
+    x: float
+    y: float
+    heading: float
+
+
+@dataclass(frozen=True, slots=True)
+class Journey:
+    """A goal that is pursued: the corners of the way that are still to pass.
+
+    `problem` says why no way leads to the goal, None where one does.
+    """
+
+    id: str
+    goal: Pose
+    corners: tuple[Point, ...]
+    problem: str | None = None
+    is_canceling: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """A goal that has ended, how, and the words for it."""
+
+    id: str
+    outcome: Outcome
+    message: str
+
+
+class Declined(Exception):
+    """A goal that is not taken on; its text says why."""
+
+
+def heading_of(x: float, y: float, z: float, w: float) -> float:
+    """The heading of an orientation. Declined for a quaternion that is no rotation."""
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    if not abs(norm - 1) <= _QUATERNION_TOLERANCE:  # NaN is close to nothing
+        raise Declined(
+            f"the orientation ({x:g}, {y:g}, {z:g}, {w:g}) is no unit quaternion: (0, 0, 0, 1) is straight to the east"
+        )
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def checked_goal(frame: str, x: float, y: float, heading: float) -> Pose:
+    """The goal of these numbers. Declined for another frame, and for what is no number."""
+    if frame not in FRAMES:
+        raise Declined(f"the frame {frame!r} is not known: a goal is told in 'map'")
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise Declined(f"the position ({x:g}, {y:g}) is no place")
+    return Pose(x, y, heading)
+
+
+def depart(id: str, goal: Pose, motion: Motion, world: World) -> Journey:
+    """A goal that is taken on, with the way to it on the map."""
+    known = world.mapped()
+    place = f"({goal.x:g}, {goal.y:g})"
+    if not known.contains(goal.x, goal.y):
+        ends = f"x from {world.left:g} to {world.left + world.width:g}, y from {world.bottom:g} to "
+        problem = f"{place} lies outside the map: {ends}{world.bottom + world.height:g}"
+        return Journey(id, goal, (), problem)
+    if known.clearance(goal.x, goal.y) < RADIUS:
+        return Journey(id, goal, (), f"an obstacle stands at {place}")
+    corners = way(grid_of(known), (motion.x, motion.y), (goal.x, goal.y))
+    return Journey(id, goal, corners, None if corners else f"no free way leads to {place}")
+
+
+def remaining(journey: Journey, motion: Motion) -> float:
+    """Metres of the way that are left."""
+    return length((motion.x, motion.y), journey.corners)
+
+
+def passed(journey: Journey, motion: Motion) -> Journey:
+    """The journey without the corners that have been reached."""
+    corners = journey.corners
+    while len(corners) > 1 and math.dist((motion.x, motion.y), corners[0]) < _PASSED:
+        corners = corners[1:]
+    if corners and math.dist((motion.x, motion.y), corners[-1]) < _THERE:
+        corners = ()
+    return journey if corners is journey.corners else replace(journey, corners=corners)
+
+
+def velocity_towards(journey: Journey, motion: Motion, limits: Limits) -> Velocity:
+    """The velocity to command now: to the next corner, and at the end into the goal's heading."""
+    if not journey.corners:
+        return Velocity(0.0, _turn(wrapped(journey.goal.heading - motion.heading), limits))
+    (x, y), rest = journey.corners[0], remaining(journey, motion)
+    aside = wrapped(math.atan2(y - motion.y, x - motion.x) - motion.heading)
+    if abs(aside) > _AHEAD:
+        return Velocity(0.0, _turn(aside, limits))
+    return Velocity(min(limits.speed, 0.05 + 1.2 * rest) * math.cos(aside), _turn(aside, limits))
+
+
+def end_of(journey: Journey, motion: Motion, world: World, is_empty: bool) -> Ended | None:
+    """How the goal has ended, None while it is pursued. The map does not have every obstacle."""
+    if journey.is_canceling:
+        return Ended(journey.id, Outcome.CANCELED, "canceled")
+    if is_empty:
+        return Ended(journey.id, Outcome.ABORTED, "the battery is empty")
+    if journey.problem is not None:
+        return Ended(journey.id, Outcome.ABORTED, journey.problem)
+    if not journey.corners:
+        turned = abs(wrapped(journey.goal.heading - motion.heading)) < _ALIGNED
+        return Ended(journey.id, Outcome.SUCCEEDED, "arrived") if turned else None
+    distance = min(_LOOK_AHEAD, math.dist((motion.x, motion.y), journey.corners[0]))
+    if motion.velocity.speed > 0 and (motion.is_bumped or is_blocked_ahead(world, motion, distance)):
+        place = f"({motion.x:.2f}, {motion.y:.2f})"
+        return Ended(journey.id, Outcome.ABORTED, f"an obstacle that is not on the map blocks the way ahead of {place}")
+    return None
+
+
+def _turn(angle: float, limits: Limits) -> float:
+    return max(-limits.turn_rate, min(limits.turn_rate, 3.0 * angle))

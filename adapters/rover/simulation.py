@@ -1,0 +1,246 @@
+"""The simulation: all that the rover is at a time, and what becomes of it step by step and when it is told something.
+
+`State` and what is done to it are pure, so that no clock is needed to test them; a `Simulation` is a state that a clock
+moves on. Time goes in steps of 10 ms: the same commands at the same steps lead to the same state.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import NamedTuple
+
+from rosld.adapters.rover.battery import Battery, used
+from rosld.adapters.rover.drive import RADIUS, STANDSTILL, Motion, Velocity, drive, is_blocked_ahead
+from rosld.adapters.rover.navigation import (
+    Ended,
+    Journey,
+    Outcome,
+    Pose,
+    depart,
+    end_of,
+    passed,
+    velocity_towards,
+)
+from rosld.adapters.rover.settings import DEFAULTS, Settings, Value, settings_of
+from rosld.adapters.rover.world import World, small_world
+
+STEP = 0.01
+"""Seconds of a step."""
+MOST_STEPS = 1000
+"""The most steps that are caught up with at once: a machine that was asleep is not to be busy with what it missed."""
+DOCK = (-4.3, -3.3)
+"""Where the rover is charged."""
+_DOCK_REACH = 0.6
+_STOP_DISTANCE = 0.2
+
+
+class Severity(Enum):
+    """How much a line of the log matters."""
+
+    INFO = "info"
+    WARN = "warn"
+    ERROR = "error"
+
+
+class LogLine(NamedTuple):
+    """Something that happened."""
+
+    severity: Severity
+    text: str
+
+
+class Answer(NamedTuple):
+    """What a service says: whether it was done, and in words."""
+
+    success: bool
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """How the rover begins: how full its battery is, where it stands, and how many times faster its time passes."""
+
+    battery: float = 1.0
+    pose: Pose = field(default_factory=lambda: Pose(0.0, 0.0, 0.0))
+    rate: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """The rover: its motion, what it is commanded, its battery and lights, and the goal that it pursues.
+
+    `ended` are goals that have ended since they were last asked for.
+    """
+
+    motion: Motion = field(default_factory=Motion)
+    command: Velocity = STANDSTILL
+    battery: Battery = field(default_factory=Battery)
+    has_lights: bool = False
+    is_docked: bool = False
+    journey: Journey | None = None
+    ended: tuple[Ended, ...] = ()
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether nothing but the battery changes until the rover is told something."""
+        moves = self.command != STANDSTILL and not self.battery.is_empty
+        return not moves and self.motion.velocity == STANDSTILL and self.journey is None
+
+
+def step(state: State, settings: Settings, world: World) -> State:
+    """The state a step later."""
+    motion, command, journey, ended = state.motion, state.command, state.journey, state.ended
+    if journey is not None:
+        journey = passed(journey, motion)
+        command = velocity_towards(journey, motion, settings.limits)
+        if (end := end_of(journey, motion, world, state.battery.is_empty)) is not None:
+            journey, command, ended = None, STANDSTILL, (*ended, end)
+    motion = drive(motion, _driven(state, command, settings, world), settings.limits, world, STEP)
+    is_docked = state.is_docked and motion.velocity.speed == 0
+    battery = used(state.battery, motion.velocity, state.has_lights, is_docked, STEP)
+    return State(motion, command, battery, state.has_lights, is_docked, journey, ended)
+
+
+def _driven(state: State, command: Velocity, settings: Settings, world: World) -> Velocity:
+    """What of a command the base carries out: nothing without power, and not ahead where it is to stop by itself."""
+    if state.battery.is_empty:
+        return STANDSTILL
+    if settings.stop_before_obstacles and command.speed:
+        distance = math.copysign(_STOP_DISTANCE, command.speed)
+        if is_blocked_ahead(world, state.motion, distance):
+            return command._replace(speed=0.0)
+    return command
+
+
+def rest(state: State, seconds: float) -> State:
+    """The state after a while in which the rover was at rest."""
+    battery = used(state.battery, STANDSTILL, state.has_lights, state.is_docked, seconds)
+    return replace(state, battery=battery)
+
+
+def changes(before: State, after: State, settings: Settings) -> tuple[LogLine, ...]:
+    """What the log tells of the way from a state to a later one."""
+    lines: list[LogLine] = []
+    if after.motion.is_bumped and not before.motion.is_bumped:
+        lines.append(LogLine(Severity.WARN, f"an obstacle stops the rover at {_place(after.motion)}"))
+    if after.battery.is_empty and not before.battery.is_empty:
+        lines.append(LogLine(Severity.ERROR, "the battery is empty: the motors are off"))
+    elif after.battery.level < settings.low_battery <= before.battery.level:
+        lines.append(LogLine(Severity.WARN, f"the battery is low: {after.battery.level:.0%}"))
+    if before.is_docked and not after.is_docked:
+        lines.append(LogLine(Severity.INFO, "the rover left the dock"))
+    for end in after.ended[len(before.ended) :]:
+        severity = Severity.ERROR if end.outcome is Outcome.ABORTED else Severity.INFO
+        lines.append(LogLine(severity, f"goal {end.outcome.value}: {end.message}"))
+    return tuple(lines)
+
+
+class Simulation:
+    """The rover in its world as time goes by.
+
+    Times are seconds of any monotonic clock; whatever is told to the rover happens at the time that is given with it.
+    """
+
+    def __init__(self, start: Start, now: float) -> None:
+        self.world = small_world()
+        self.state = initial_state(start, self.world)
+        self.settings = settings_of(DEFAULTS)
+        self._rate = start.rate
+        self._now = now
+        self._lines: list[LogLine] = []
+
+    def advance(self, now: float) -> None:
+        """Bring the rover to a time; nothing happens for one that has been."""
+        steps = int((now - self._now) * self._rate / STEP)
+        if steps <= 0:
+            return
+        self._now += steps * STEP / self._rate
+        if self.state.is_at_rest:
+            self._become(rest(self.state, steps * STEP))
+            return
+        state = self.state
+        for _ in range(min(steps, MOST_STEPS)):
+            state = step(state, self.settings, self.world)
+        self._become(state)
+
+    def command(self, velocity: Velocity, now: float) -> None:
+        """Drive so from now on. While a goal is pursued, navigation commands the base anew in its next step."""
+        self.advance(now)
+        if not all(map(math.isfinite, velocity)):
+            self._lines.append(LogLine(Severity.ERROR, f"a velocity of {tuple(velocity)} is no command"))
+            return
+        self.state = replace(self.state, command=velocity)
+
+    def switch_lights(self, on: bool, now: float) -> Answer:
+        """Switch the lights."""
+        self.advance(now)
+        self.state = replace(self.state, has_lights=on)
+        return Answer(True, f"the lights are {'on' if on else 'off'}")
+
+    def dock(self, now: float) -> Answer:
+        """Begin to charge, where the rover stands at its dock."""
+        self.advance(now)
+        motion = self.state.motion
+        distance = math.dist((motion.x, motion.y), DOCK)
+        if distance > _DOCK_REACH:
+            return Answer(False, f"the dock is {distance:.1f} m away: navigate to ({DOCK[0]:g}, {DOCK[1]:g}) first")
+        if not self.state.is_at_rest:
+            return Answer(False, "the rover still moves: stop it first")
+        self._become(replace(self.state, is_docked=True))
+        return Answer(True, "charging")
+
+    def navigate(self, id: str, goal: Pose, now: float) -> None:
+        """Pursue a goal; it takes the place of one that is pursued, which is aborted."""
+        self.advance(now)
+        state = self.state
+        if state.journey is not None:
+            end = Ended(state.journey.id, Outcome.ABORTED, "another goal took its place")
+            self._become(replace(state, ended=(*state.ended, end)))
+        self.state = replace(self.state, journey=depart(id, goal, self.state.motion, self.world))
+        self._lines.append(LogLine(Severity.INFO, f"navigating to ({goal.x:g}, {goal.y:g})"))
+
+    def cancel(self, id: str, now: float) -> bool:
+        """Give a goal up, in the next step; False where it is not pursued."""
+        self.advance(now)
+        journey = self.state.journey
+        if journey is None or journey.id != id:
+            return False
+        self.state = replace(self.state, journey=replace(journey, is_canceling=True))
+        return True
+
+    def configure(self, values: Mapping[str, Value], now: float) -> None:
+        """Have the parameters these values, which are all of them and have been checked."""
+        self.advance(now)
+        self.settings = settings_of(values)
+
+    def take_ended(self) -> tuple[Ended, ...]:
+        """The goals that have ended since this was last asked for."""
+        ended = self.state.ended
+        if ended:
+            self.state = replace(self.state, ended=())
+        return ended
+
+    def take_log(self) -> tuple[LogLine, ...]:
+        """What happened since this was last asked for."""
+        lines = tuple(self._lines)
+        self._lines.clear()
+        return lines
+
+    def _become(self, state: State) -> None:
+        self._lines += changes(self.state, state, self.settings)
+        self.state = state
+
+
+def initial_state(start: Start, world: World) -> State:
+    """The state at the beginning. Raises ValueError where something stands in the place of the rover."""
+    x, y = start.pose.x, start.pose.y
+    if not world.contains(x, y) or world.clearance(x, y) < RADIUS:
+        raise ValueError(f"the rover cannot start at ({x:g}, {y:g}): something stands within {RADIUS:g} m")
+    return State(Motion(x, y, start.pose.heading), battery=Battery(start.battery))
+
+
+def _place(motion: Motion) -> str:
+    return f"({motion.x:.2f}, {motion.y:.2f})"

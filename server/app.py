@@ -170,7 +170,7 @@ def query_service(
         settings.query_queue,
     )
     restricted = RestrictedDatasets(process, lambda: IdentityKey(robot.graph))
-    return QueryService(process, synchroniser, analyser, robot.ages, limits, restricted, unread)
+    return QueryService(process, synchroniser, analyser, robot.message_ages, limits, restricted, unread)
 
 
 class Application:

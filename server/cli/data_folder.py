@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rosld.server.storage.blobs import sync_folder
-from rosld.server.storage.lock import Lock
+from rosld.server.storage.lock import FileLock
 
 NAME = "base-url"
 LOCK = "lock"
@@ -25,7 +25,7 @@ def hold(folder: Path) -> Iterator[None]:
     a process that died left behind is no obstacle: a child of it lets go as soon as it comes to run.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    lock = Lock(folder / LOCK)
+    lock = FileLock(folder / LOCK)
     try:
         if not _taken(lock):
             raise ValueError(
@@ -39,9 +39,9 @@ def hold(folder: Path) -> Iterator[None]:
         lock.close()
 
 
-def _taken(lock: Lock) -> bool:
+def _taken(lock: FileLock) -> bool:
     end = time.monotonic() + _MOMENT
-    while not lock.take():
+    while not lock.acquire():
         if time.monotonic() > end:
             return False
         time.sleep(0.02)

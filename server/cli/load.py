@@ -11,12 +11,12 @@ import click
 from rosld.server.cli import data_folder
 from rosld.server.cli.failure import Failure, user_errors
 from rosld.server.settings import canonical_base
-from rosld.server.storage.archive import Unpacking
+from rosld.server.storage.archive import ArchiveReader
 from rosld.server.storage.blobs import Blobs
 from rosld.server.storage.record import StorageError
-from rosld.server.storage.sqlite import BLOBS, LOOK_SECONDS
+from rosld.server.storage.sqlite import BLOBS, CHECK_SECONDS
 
-NOTICED_SECONDS = 4 * LOOK_SECONDS
+NOTICED_SECONDS = 4 * CHECK_SECONDS
 """Seconds after which a server that runs on the folder reads the new records, and no file of the old ones."""
 
 
@@ -26,7 +26,7 @@ def load(archive: Path, folder: Path, base: str | None) -> None:
     `base` is what its IRIs shall begin with; a folder that is there knows it, else it is the dump's own.
     """
     with user_errors(), archive.open("rb") as file:
-        unpacking = Unpacking(file)
+        unpacking = ArchiveReader(file)
         owner = data_folder.owner(folder)
         to = base or owner or canonical_base(unpacking.base)
         if to != unpacking.base and base is None:
@@ -36,7 +36,7 @@ def load(archive: Path, folder: Path, base: str | None) -> None:
             )
         data_folder.claim(folder, to)
         try:
-            packed, freed = unpacking.into(folder, to)
+            packed, freed = unpacking.restore_into(folder, to)
         except BaseException as error:
             if owner is None:
                 data_folder.disown(folder)

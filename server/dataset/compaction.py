@@ -34,7 +34,7 @@ class GarbageEstimate:
         return self._walked > _STEPS * size or self._lost > _MAX_GARBAGE_RATIO * size
 
     @property
-    def is_half_gone(self) -> bool:
+    def is_mostly_garbage(self) -> bool:
         """Whether a new store would take less than half the memory."""
         return self._lost > max(self._size, _FREE)
 

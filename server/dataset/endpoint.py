@@ -24,11 +24,11 @@ class StoreError(Exception):
     """The store did not do what it was asked: its words say why, in a sentence."""
 
 
-class Unreachable(StoreError):
+class StoreUnreachable(StoreError):
     """No answer came, or none that could be understood: whether the request was carried out is not known."""
 
 
-class Refused(StoreError):
+class StoreRefused(StoreError):
     """The endpoint answered that it did not do it; `status` is that of HTTP."""
 
     def __init__(self, sentence: str, status: int) -> None:
@@ -106,11 +106,11 @@ class Endpoint:
         if waited is not None:
             _shut(waited)
 
-    def _unreachable(self, error: Exception) -> Unreachable:
+    def _unreachable(self, error: Exception) -> StoreUnreachable:
         self._drop()
         if isinstance(error, TimeoutError):
-            return Unreachable(f"{self.url} did not answer within {self.seconds:g} s.")
-        return Unreachable(f"{self.url} gave no answer: {_words(str(error) or type(error).__name__)}.")
+            return StoreUnreachable(f"{self.url} did not answer within {self.seconds:g} s.")
+        return StoreUnreachable(f"{self.url} gave no answer: {_words(str(error) or type(error).__name__)}.")
 
     def _exchange(self, method: str, body: bytes | None, headers: dict[str, str]) -> Response:
         connection = self._connection or self._connect()
@@ -126,7 +126,7 @@ class Endpoint:
                 raise HTTPException("the answer broke off")
             if len(read) > self._limit:
                 self._drop()
-                raise Unreachable(f"{self.url} answers with more than {self._limit} bytes.")
+                raise StoreUnreachable(f"{self.url} answers with more than {self._limit} bytes.")
             if answer.will_close or not answer.isclosed():
                 self._drop()
         return Response(media_type, read, stated)
@@ -140,7 +140,7 @@ class Endpoint:
         connection.sock.settimeout(self.seconds)
         return connection
 
-    def _refused(self, answer: HTTPResponse) -> Refused:
+    def _refused(self, answer: HTTPResponse) -> StoreRefused:
         """What it answered in one line. The connection is kept only where no more comes on it."""
         words = _words(answer.read(16 * _WORDS).decode("utf-8", "replace"))
         if answer.will_close or not answer.isclosed():
@@ -150,7 +150,7 @@ class Endpoint:
             said = f"{self.url} redirects to {location}, where nothing is sent: name the URL that answers itself."
         else:
             said = f"{self.url} answers {answer.status}: {words or _words(answer.reason)}"
-        return Refused(said, answer.status)
+        return StoreRefused(said, answer.status)
 
     def _drop(self) -> None:
         connection, self._connection, self._socket = self._connection, None, None

@@ -70,9 +70,9 @@ class MemoryStore:
         return self._version
 
     @property
-    def is_half_gone(self) -> bool:
+    def is_mostly_garbage(self) -> bool:
         """Whether the same graphs in a new store would take less than half the memory."""
-        return self._wear.is_half_gone
+        return self._wear.is_mostly_garbage
 
     @property
     def dataset(self) -> Store:
@@ -101,9 +101,9 @@ class MemoryStore:
         self._version = next(self._versions)
         if self._wear.is_due and self._renewal is None:
             self._renewal = _Renewal(self._store)
-        self.renew()
+        self.compact_step()
 
-    def replace_all(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> list[tuple[str, str]]:
+    def replace_valid(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> list[tuple[str, str]]:
         """As `replace`, but a graph that cannot be stored hides no other: it is left out. These graphs, and why."""
         try:
             self.replace(graphs, edits)
@@ -125,7 +125,7 @@ class MemoryStore:
             except ValueError as error:
                 yield edit.graph, str(error)
 
-    def renew(self) -> bool:
+    def compact_step(self) -> bool:
         """Copy a slice of this store to the one that takes its place; whether there is more to copy."""
         if self._renewal is None:
             return False

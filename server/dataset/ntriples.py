@@ -12,7 +12,7 @@ from rosld.server.dataset.base import Edit
 _LABEL = re.compile(r'"(?:[^"\\]|\\.)*"|<[^>]*>|_:([^\s.<"]+(?:\.+[^\s.<"]+)*)')
 
 
-def checked(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> tuple[dict[str, str | None], list[Edit]]:
+def check_changes(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> tuple[dict[str, str | None], list[Edit]]:
     """The same change, read and written anew: N-Triples and nothing else, no label of a blank node in two texts.
 
     ValueError names the first graph whose text is no N-Triples, or whose IRI is none.
@@ -37,7 +37,7 @@ def _again(name: str, text: str) -> str:
     return written.decode()
 
 
-def parts(text: str, size: int) -> Iterator[str]:
+def split_parts(text: str, size: int) -> Iterator[str]:
     """The lines in parts of at most about `size` characters; what shares a blank node stays in one part.
 
     A label means another node in another request, so triples that hang together by blank nodes are never parted: such a

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeAlias
 
 from rosld.server.dataset.base import Edit
 
-FREE = 100_000
+INITIAL_LIMIT = 100_000
 """Graphs that may wait beyond those that the dataset has."""
 _EDITS = 256 * 1024
 """Characters of edits from which on their graph is told whole instead."""
@@ -21,20 +21,20 @@ Entry: TypeAlias = tuple[Edit, ...] | None
 """The edits of a graph in their order; None: the whole of it is to be told as it is by then, or that it is gone."""
 
 
-class Taken(NamedTuple):
+class PendingBatch(NamedTuple):
     """Entries on their way, and the moment (`time.monotonic`) of the oldest change among them."""
 
     entries: Mapping[str, Entry]
     since: float
 
 
-class Pending:
+class PendingChanges:
     """Graphs that wait to be told, in the order of their changes. Thread-safe.
 
     Where more wait than there may, all are forgotten, and `overflowed` says that everything is to be told anew.
     """
 
-    def __init__(self, limit: int = FREE) -> None:
+    def __init__(self, limit: int = INITIAL_LIMIT) -> None:
         self.limit = limit
         self.overflowed = False
         self._entries: dict[str, Entry] = {}
@@ -50,7 +50,7 @@ class Pending:
         """No later than the oldest change that waits; None where none does."""
         return self._since
 
-    def note(self, graphs: Iterable[str], edits: Sequence[Edit] = ()) -> None:
+    def add(self, graphs: Iterable[str], edits: Sequence[Edit] = ()) -> None:
         """These graphs were replaced, and then these edits done."""
         with self._lock:
             for graph in graphs:
@@ -64,34 +64,34 @@ class Pending:
                 self._forget()
                 self.overflowed = True
 
-    def begin_anew(self) -> None:
+    def clear(self) -> None:
         """Forget what waits: everything is about to be noted. What changes meanwhile is noted as ever."""
         with self._lock:
             self._forget()
             self.overflowed = False
 
-    def note_all(self, graphs: Collection[str]) -> None:
+    def replace_all(self, graphs: Collection[str]) -> None:
         """These graphs, however many they are, and what was noted besides, are all that is to be told."""
         with self._lock:
-            self.limit = FREE + len(graphs)
+            self.limit = INITIAL_LIMIT + len(graphs)
             for graph in graphs:
                 self._put(graph, None)
             if self._entries and self._since is None:
                 self._since = time.monotonic()
 
-    def take(self, limit: int) -> Taken | None:
+    def take(self, limit: int) -> PendingBatch | None:
         """The first of what waits, which waits no more; None where nothing does."""
         with self._lock:
             if not self._entries or self._since is None:
                 return None
-            taken = Taken({graph: self._entries[graph] for graph in islice(self._entries, limit)}, self._since)
+            taken = PendingBatch({graph: self._entries[graph] for graph in islice(self._entries, limit)}, self._since)
             for graph in taken.entries:
                 self._size -= _size(self._entries.pop(graph))
             if not self._entries:
                 self._since = None
             return taken
 
-    def give_back(self, taken: Taken) -> None:
+    def give_back(self, taken: PendingBatch) -> None:
         """It was not told after all: it waits again, before what came since."""
         with self._lock:
             if self.overflowed:

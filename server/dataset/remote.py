@@ -10,9 +10,9 @@ from urllib.parse import urlencode
 import pyoxigraph
 
 from rosld.server.dataset.base import Edit, Function, QueryError, Results
-from rosld.server.dataset.endpoint import Endpoint, Refused, Response, StoreError, Unreachable
-from rosld.server.dataset.ntriples import checked
-from rosld.server.dataset.update import operations
+from rosld.server.dataset.endpoint import Endpoint, Response, StoreError, StoreRefused, StoreUnreachable
+from rosld.server.dataset.ntriples import check_changes
+from rosld.server.dataset.update import update_text
 
 _JSON = "application/sparql-results+json"
 _GRAPH = "application/n-triples"
@@ -52,7 +52,7 @@ class RemoteStore:
         """How many connections were made: while it is the same, the same servers have answered."""
         return self._query.connections + self._update.connections
 
-    def hurry(self, seconds: float) -> None:
+    def set_timeout(self, seconds: float) -> None:
         """Requests from now on take no longer than so many seconds."""
         self._query.seconds = self._update.seconds = seconds
 
@@ -62,9 +62,9 @@ class RemoteStore:
         self._update.interrupt()
 
     def graphs(self) -> Collection[str]:
-        return self.graphs_below("")
+        return self.graphs_with_prefix("")
 
-    def graphs_below(self, beginning: str) -> list[str]:
+    def graphs_with_prefix(self, beginning: str) -> list[str]:
         """The IRIs of the named graphs that begin so."""
         pattern = f"FILTER(STRSTARTS(STR(?g), {pyoxigraph.Literal(beginning)}))" if beginning else ""
         found = self.query(f"SELECT DISTINCT ?g {{ GRAPH ?g {{ ?s ?p ?o }} {pattern} }}")
@@ -74,7 +74,7 @@ class RemoteStore:
     def replace(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
         if not graphs and not edits:
             return
-        update = "\n".join(operations(*checked(graphs, edits)))
+        update = "\n".join(update_text(*check_changes(graphs, edits)))
         with self._changing:
             self._update.post(update.encode(), _UPDATE, "*/*;q=0.1")
             self._version = next(self._versions)
@@ -98,7 +98,7 @@ class RemoteStore:
             form.append(("union-default-graph", "true"))
         try:
             answer = self._query.post(urlencode(form).encode(), _FORM, f"{_JSON}, {_GRAPH};q=0.9")
-        except Refused as error:
+        except StoreRefused as error:
             if error.status == 400:
                 raise QueryError(str(error)) from error
             raise
@@ -118,8 +118,8 @@ class RemoteStore:
                 graph.load(answer.body, pyoxigraph.RdfFormat.N_TRIPLES)
                 return graph.query("CONSTRUCT WHERE { ?s ?p ?o }")
         except (SyntaxError, ValueError, OSError) as error:
-            raise Unreachable(f"{self.url} answers with malformed results: {error}.") from error
-        raise Unreachable(f"{self.url} answers with {answer.media_type or 'no media type'} instead of results.")
+            raise StoreUnreachable(f"{self.url} answers with malformed results: {error}.") from error
+        raise StoreUnreachable(f"{self.url} answers with {answer.media_type or 'no media type'} instead of results.")
 
 
 def _parse(body: bytes) -> Results:

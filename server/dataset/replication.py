@@ -26,9 +26,9 @@ from pyoxigraph import Literal, NamedNode, QuerySolutions
 from rosld.ontology.triples import moment as instant
 from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.dataset.base import Edit
-from rosld.server.dataset.endpoint import Refused, StoreError
-from rosld.server.dataset.ntriples import parts
-from rosld.server.dataset.pending import Pending, Taken
+from rosld.server.dataset.endpoint import StoreError, StoreRefused
+from rosld.server.dataset.ntriples import split_parts
+from rosld.server.dataset.pending import PendingBatch, PendingChanges
 from rosld.server.dataset.remote import RemoteStore
 from rosld.server.dataset.replica_state import ReplicaState
 
@@ -63,7 +63,7 @@ class GraphOwnership(Protocol):
         ...
 
     @property
-    def seal(self) -> str:
+    def heartbeat_graph(self) -> str:
         """The IRI of the graph that says who told what last: what it is about, too."""
         ...
 
@@ -71,12 +71,12 @@ class GraphOwnership(Protocol):
         """Whether a graph whose IRI begins so was told by this server or an earlier run of it."""
         ...
 
-    def passing(self) -> Collection[str]:
+    def transient_graphs(self) -> Collection[str]:
         """The graphs that are true only while this server runs. Called on the loop."""
         ...
 
 
-class Source(Protocol):
+class ReplicationSource(Protocol):
     """The dataset that is told. `graphs` and `ntriples` are called in any thread, and raise StoreError."""
 
     def watch(self, told: Callable[[Collection[str], Sequence[Edit]], None], begun: Callable[[], None]) -> None:
@@ -93,7 +93,7 @@ class Source(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class ReplicationStatus:
     """How far a mirror is. `lag` is the age, in seconds, of the oldest change that is not there yet; 0 for none.
 
     `failure` says why the store cannot be told now, None where it can. `pending` graphs wait, `refused` ones were not
@@ -105,7 +105,7 @@ class Status:
     pending: int
     refused: int
     failure: str | None
-    told_ns: int | None
+    updated_ns: int | None
 
 
 class _Part(NamedTuple):
@@ -129,7 +129,7 @@ class Mirror:
 
     def __init__(
         self,
-        source: Source,
+        source: ReplicationSource,
         target: RemoteStore,
         territory: GraphOwnership,
         refresh: Callable[[], Awaitable[None]],
@@ -145,7 +145,7 @@ class Mirror:
         self._interval = interval
         self._run_name = run_name
         self._first_pause = first_pause
-        self._pending = Pending()
+        self._pending = PendingChanges()
         self._told = ReplicaState()
         self._refused: dict[str, float] = {}
         self._on_its_way: float | None = None
@@ -160,18 +160,20 @@ class Mirror:
         self._ending = False
         self._unrefreshed = False
         self._round: asyncio.Future[bool] | None = None
-        source.watch(self._pending.note, self._forget)
+        source.watch(self._pending.add, self._forget)
 
     def _forget(self) -> None:
         """The dataset begins anew: what goes is not told any more, so everything is."""
         self._whole = False
 
     @property
-    def status(self) -> Status:
+    def status(self) -> ReplicationStatus:
         """How far it is; from any thread."""
         oldest = [moment for moment in (self._on_its_way, self._pending.since) if moment is not None]
         lag = time.monotonic() - min(oldest) if oldest else 0.0
-        return Status(self._target.url, lag, len(self._pending), len(self._refused), self._failure, self._told_ns)
+        return ReplicationStatus(
+            self._target.url, lag, len(self._pending), len(self._refused), self._failure, self._told_ns
+        )
 
     async def run(self) -> None:
         """Tell the other store what changes, for ever: to be cancelled."""
@@ -202,8 +204,8 @@ class Mirror:
             self._target.interrupt()
             await asyncio.wait([self._round], timeout=_LAST / 3)
         if self._failure is None and self._told_ns is not None and (self._round is None or self._round.done()):
-            self._target.hurry(_LAST)
-            gone = [_Part(graph, None, ()) for graph in self._territory.passing()]
+            self._target.set_timeout(_LAST)
+            gone = [_Part(graph, None, ()) for graph in self._territory.transient_graphs()]
             ended = _in_thread(lambda: self._seal(ros.Stale, gone))
             await asyncio.wait([ended], timeout=_LAST)
             if not ended.done() or ended.exception() is not None:
@@ -246,7 +248,7 @@ class Mirror:
         if not self._whole or self._seen != self._target.connections:
             self._look()
         now = time.monotonic()
-        self._pending.note([graph for graph, again in self._refused.items() if again <= now])
+        self._pending.add([graph for graph, again in self._refused.items() if again <= now])
         taken = self._pending.take(_ROUND)
         if taken is None:
             self._tell(())
@@ -273,19 +275,19 @@ class Mirror:
 
     def _begin_anew(self) -> None:
         self._whole, self._confirmed, self._renewed = False, False, time.monotonic()
-        self._pending.begin_anew()
-        there = [name for name in self._target.graphs_below(self._territory.base) if self._is_subject(name)]
-        self._pending.note_all(dict.fromkeys((*there, *self._source.graphs())))
+        self._pending.clear()
+        there = [name for name in self._target.graphs_with_prefix(self._territory.base) if self._is_subject(name)]
+        self._pending.replace_all(dict.fromkeys((*there, *self._source.graphs())))
         self._refused.clear()
         self._told.clear()
         self._seal(ros.Live)
         self._whole = True
 
     def _is_subject(self, graph: str) -> bool:
-        return graph != self._territory.seal and self._territory.is_ours(graph)
+        return graph != self._territory.heartbeat_graph and self._territory.is_ours(graph)
 
     def _is_sealed(self) -> bool:
-        seal = NamedNode(self._territory.seal)
+        seal = NamedNode(self._territory.heartbeat_graph)
         found = self._target.query(f"SELECT ?p ?o {{ GRAPH {seal} {{ {seal} ?p ?o }} }}")
         assert isinstance(found, QuerySolutions)
         said = [(row["p"], row["o"]) for row in found]
@@ -295,7 +297,7 @@ class Mirror:
 
     def _seal(self, state: NamedNode, batch: Sequence[_Part] = ()) -> None:
         """Tell these graphs, and the seal whole."""
-        seal = NamedNode(self._territory.seal)
+        seal = NamedNode(self._territory.heartbeat_graph)
         said = ((rdf.type, ros.Mirror), (ros.revision, Literal(self._run_name)), (ros.state, state))
         moment = self._moment()
         text = "".join(f"{seal} {predicate} {value} .\n" for predicate, value in said) + moment
@@ -304,9 +306,9 @@ class Mirror:
         self._moments = [moment]
 
     def _moment(self) -> str:
-        return f"{NamedNode(self._territory.seal)} {dcterms.modified} {instant(time.time_ns())} .\n"
+        return f"{NamedNode(self._territory.heartbeat_graph)} {dcterms.modified} {instant(time.time_ns())} .\n"
 
-    def _tell_all(self, taken: Taken, now: float) -> None:
+    def _tell_all(self, taken: PendingBatch, now: float) -> None:
         left = _REFUSALS
         batch: list[_Part] = []
         size = 0
@@ -321,7 +323,7 @@ class Mirror:
         else:
             self._tell(())
 
-    def _parts(self, taken: Taken, now: float) -> Iterator[_Part]:
+    def _parts(self, taken: PendingBatch, now: float) -> Iterator[_Part]:
         for graph, edits in taken.entries.items():
             again = self._refused.get(graph)
             if again is not None and again > now:
@@ -340,7 +342,7 @@ class Mirror:
                 if difference.added or difference.removed:
                     yield _Part(graph, None, (difference,))
                 continue
-            first, *others = parts(text, _REQUEST)
+            first, *others = split_parts(text, _REQUEST)
             yield _Part(graph, first, ())
             yield from (_Part(graph, None, (Edit(graph, added=other),)) for other in others)
 
@@ -353,7 +355,7 @@ class Mirror:
             return left
         try:
             self._tell(batch)
-        except Refused as error:
+        except StoreRefused as error:
             if error.status not in _CONTENT or left <= 0:
                 raise
             self._tell(())  # an endpoint that does not even take this is at fault itself: it raises
@@ -366,7 +368,7 @@ class Mirror:
             self._refused.pop(part.graph, None)
         return left
 
-    def _leave_out(self, graph: str, error: Refused) -> None:
+    def _leave_out(self, graph: str, error: StoreRefused) -> None:
         """A graph that cannot be told is better not there than as it was once."""
         if graph not in self._refused:
             _log.error("%s is left out of the store: %s", graph, error)
@@ -379,7 +381,7 @@ class Mirror:
         if len(self._moments) > _MOMENTS:
             self._whole = False  # too much is unknown
         moment = self._moment()
-        sealing = Edit(self._territory.seal, moment, "".join(self._moments))
+        sealing = Edit(self._territory.heartbeat_graph, moment, "".join(self._moments))
         self._moments.append(moment)
         graphs = {part.graph: part.text for part in batch if not part.edits}
         self._replace(graphs, [*(edit for part in batch for edit in part.edits), sealing])
@@ -389,7 +391,7 @@ class Mirror:
         try:
             self._target.replace(graphs, edits)
         except ValueError as error:
-            raise Refused(f"It cannot be told: {error}.", 422) from error
+            raise StoreRefused(f"It cannot be told: {error}.", 422) from error
         self._told_ns = time.time_ns()
 
 

@@ -9,7 +9,7 @@ from pyoxigraph import NamedNode
 from rosld.server.dataset.base import Edit
 
 
-def operations(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> Iterator[str]:
+def update_text(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> Iterator[str]:
     """One DROP and one INSERT DATA a graph: parsed faster than one INSERT DATA for all. ValueError for a bad IRI."""
     for name, ntriples in graphs.items():
         iri = str(NamedNode(name))

@@ -85,7 +85,7 @@ class AffordanceService(Generic[T]):
         self._states = states
         self._limits = limits
         self.conventions = conventions_of(session.settings)
-        session.listen_to_writes(self._on_write)
+        session.add_write_listener(self._on_write)
         self._kept: tuple[Graph, int, MappingSet, ResourceTree] | None = None
         self._making: asyncio.Lock = asyncio.Lock()
         self._turns: dict[str, asyncio.Lock] = {}
@@ -142,7 +142,7 @@ class AffordanceService(Generic[T]):
 
         async def find(ref: TypeRef) -> Schema | None:
             with contextlib.suppress(RosError, asyncio.TimeoutError):
-                return await schemas.find(ref)
+                return await schemas.get(ref)
             return None
 
         with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
@@ -151,7 +151,7 @@ class AffordanceService(Generic[T]):
     def _schema_at_hand(self, ref: TypeRef) -> Schema | None:
         """The schema of a type, if it was learnt before; by its name alone where no hash is known of it."""
         schemas = self._session.schemas
-        return schemas.at_hand(ref) or (schemas.named(ref.name) if ref.hash is None else None)
+        return schemas.find_cached(ref) or (schemas.find_cached_by_name(ref.name) if ref.hash is None else None)
 
     def _action_at_hand(self, ref: TypeRef | None) -> ActionSchema | None:
         found = None if ref is None else self._schema_at_hand(ref)

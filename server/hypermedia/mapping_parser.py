@@ -32,7 +32,7 @@ from rosld.server.hypermedia.mapping import (
     MappedLink,
     MappedProperty,
 )
-from rosld.server.robot.stop import MappedStop
+from rosld.server.robot.stop import StopCommand
 from rosld.shapes.constraints import compiled
 from rosld.shapes.mapping import misfits
 from rosld.shapes.reading import ShapesGraph
@@ -228,7 +228,7 @@ class _Reader:
             self.when(node, mapping.availableWhen),
         )
 
-    def stop(self, node: Term, path: str) -> MappedStop:
+    def stop(self, node: Term, path: str) -> StopCommand:
         """One thing that stops the robot; the names in it are made full ones."""
         service, topic = self.text(node, mapping.call), self.text(node, mapping.publish)
         if bool(service) == bool(topic):
@@ -240,7 +240,7 @@ class _Reader:
             is_object = False
         if not is_object:
             self.wrong(node, "map:content is the JSON of a message: an object, such as {}", content, mapping.content)
-        return MappedStop(_full(service, path) if service else None, _full(topic, path) if topic else None, content)
+        return StopCommand(_full(service, path) if service else None, _full(topic, path) if topic else None, content)
 
     def when(self, node: Term, predicate: NamedNode) -> tuple[Condition, ...]:
         """The conditions that a node names."""

@@ -46,7 +46,7 @@ from rosld.server.hypermedia.value import (
     part_of,
     scalar_field,
 )
-from rosld.server.robot.calls import Unreadable
+from rosld.server.robot.calls import UnreadableResponse
 from rosld.server.robot.publication import Publication, publish
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import denied_reason, parameter_denied_reason
@@ -245,7 +245,7 @@ async def _call(session: Session, setter: Setter, request: bytes) -> None:
     try:
         message = response.codec.decode(answer, session.adapter.capabilities.encoding)
     except ValueError as error:
-        raise Unreadable(f"the answer of {setter.name} cannot be read: {error}", sent=Sent.YES) from error
+        raise UnreadableResponse(f"the answer of {setter.name} cannot be read: {error}", sent=Sent.YES) from error
     words = declined(response, message)
     if words is not None:
         sentence = f"{setter.name} refused the value" + (f": {words}" if words else "")

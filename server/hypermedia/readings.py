@@ -19,7 +19,7 @@ from rosld.server.hypermedia.single_flight_cache import Ask, Room, SingleFlightC
 from rosld.server.hypermedia.sources import NOTHING, ReadResult, Seen, Sources, decoded, late
 from rosld.server.hypermedia.value import Reading
 from rosld.server.robot.schemas import Schemas
-from rosld.server.robot.topic_view import View
+from rosld.server.robot.topic_view import TopicView
 from rosld.server.robot.topics import LiveTopics
 
 _CALLS = 2
@@ -49,7 +49,7 @@ class _Kept:
 
     property: Property
     topic: str | None
-    view: View | None
+    view: TopicView | None
     until: float
     reading: Reading
 
@@ -87,7 +87,7 @@ class Readings:
             if kept.property != property:
                 return None
             kept.property = property  # of another catalogue, but the same
-        if kept.topic is not None and self._topics.peek(kept.topic) is not kept.view:
+        if kept.topic is not None and self._topics.find_view(kept.topic) is not kept.view:
             return None
         if kept.until != inf and kept.until <= asyncio.get_running_loop().time():
             return None
@@ -139,7 +139,7 @@ class Readings:
 
     async def _one(self, property: Property, attempt: _Attempt) -> Reading:
         """A property read from its sources in turn, until one has a value."""
-        view: View | None = None
+        view: TopicView | None = None
         results: list[_Result] = []
         for reader in property.readers:
             if isinstance(reader, TopicSource):
@@ -163,7 +163,7 @@ class Readings:
             for one in properties
         }
 
-    def _keep(self, property: Property, view: View | None, results: Sequence[_Result]) -> Reading:
+    def _keep(self, property: Property, view: TopicView | None, results: Sequence[_Result]) -> Reading:
         """The reading that sources come to: the value of the last, or the failures of all."""
         found = results[-1].found if results else NOTHING
         until = min((one.until for one in results), default=inf) if found.value is None else results[-1].until
@@ -181,12 +181,12 @@ class Readings:
 
     # The sources
 
-    async def _look(self, topic: str, attempt: _Attempt) -> tuple[View | None, _Result]:
+    async def _look(self, topic: str, attempt: _Attempt) -> tuple[TopicView | None, _Result]:
         """The latest message of a topic, and the view that it is in (None where there is no message)."""
-        view = self._topics.peek(topic)
-        if view is None and topic in self._silent and self._topics.last_seen(topic) is not None:
+        view = self._topics.find_view(topic)
+        if view is None and topic in self._silent and self._topics.last_view(topic) is not None:
             return None, self._for_now(NOTHING)  # it was waited for once
-        schema = self._schemas.at_hand(view.newest.schema) if view is not None and view.newest is not None else None
+        schema = self._schemas.find_cached(view.newest.schema) if view is not None and view.newest is not None else None
         failure = None
         if not isinstance(schema, MessageSchema):
             (question,) = self._looks.ask((topic,), self._seen, nullcontext())

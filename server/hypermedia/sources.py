@@ -14,7 +14,7 @@ from rosld.ontology.parameters import parameter_json
 from rosld.server.hypermedia.catalogue import Getter
 from rosld.server.hypermedia.value import MessageValue, StoredValue, Value, declined
 from rosld.server.robot.schemas import Schemas
-from rosld.server.robot.topic_view import View
+from rosld.server.robot.topic_view import TopicView
 from rosld.server.robot.topics import LiveTopics
 
 _log = logging.getLogger("rosld.hypermedia")
@@ -34,7 +34,7 @@ NOTHING = ReadResult(None, None, None)
 class Seen(NamedTuple):
     """What came of a look at a topic: its view, and the schema of the newest message or why that is not known."""
 
-    view: View
+    view: TopicView
     schema: MessageSchema | None = None
     failure: str | None = None
 
@@ -64,9 +64,9 @@ class Sources:
 
     async def look(self, topic: str) -> Seen:
         """A look at a topic: waits a moment for its first message."""
-        view = View()
+        view = TopicView()
         try:
-            view = await self._topics.look(topic)
+            view = await self._topics.read(topic)
             newest = view.newest
             return Seen(view) if newest is None else Seen(view, await self._schemas.message(newest.schema))
         except Exception as error:

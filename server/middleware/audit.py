@@ -40,6 +40,6 @@ class Audit:
         """
         if exchange.agent == ANONYMOUS:
             if status in ABSENT:
-                exchange.account.only_reads()
+                exchange.account.mark_read_only()
         elif enforcement.is_write(exchange.method, enforcement.location_of(exchange.request.scope, self._space)):
             exchange.account.begin()

@@ -11,7 +11,7 @@ from starlette.types import Scope
 
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import prov
-from rosld.server.receipts.entry import AuditEntry, excerpt_of
+from rosld.server.receipts.entry import AuditEntry, excerpt
 from rosld.server.receipts.journal import Journal
 from rosld.server.rest.exchange import Exchange
 
@@ -30,11 +30,11 @@ class Recorder:
     def note(self, exchange: Exchange, scope: Scope, response: Response) -> Header:
         """Note a write, and say where its receipt is (a Link field). `scope` is the request as it came."""
         account, body = exchange.account, exchange.received
-        kept, digest = (None, None) if body is None else excerpt_of(body)
+        kept, digest = (None, None) if body is None else excerpt(body)
         length = account.length if body is None else len(body)
         if account.sent is not None:
             digest = account.sent.digest()
-        id = self._journal.note(
+        id = self._journal.add(
             AuditEntry(
                 exchange.agent,
                 account.started_ns,

@@ -184,7 +184,7 @@ async def _learn_types(robot: Robot) -> None:
 
     async def find(ref: TypeRef) -> None:
         try:
-            await robot.schemas.find(ref)
+            await robot.schemas.get(ref)
         except (RosError, asyncio.TimeoutError):
             pass
 
@@ -195,4 +195,4 @@ async def _learn_types(robot: Robot) -> None:
 
 
 def _known_type(robot: Robot, ref: TypeRef) -> RosType | None:
-    return robot.schemas.at_hand(ref) or robot.schemas.named(ref.name)
+    return robot.schemas.find_cached(ref) or robot.schemas.find_cached_by_name(ref.name)

@@ -47,7 +47,7 @@ async def keep_mappings(mappings: Mappings, records: Records, settings: Settings
     begun = set()
     for document in mappings.given:
         path = document.url[len(space.base) :]
-        if records.was_there(path):
+        if records.is_tombstone(path):
             mappings.remove(document.url)
         elif records.get(path) is None or document.url in named:
             await records.write(Put(path, Model.RDF_SOURCE, to_ntriples(document.triples)))

@@ -17,7 +17,7 @@ from rosld.server.http import media
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.stored import StoredQuery, outline, read, shipped
 from rosld.server.sparql.syntax.lexer import Bounds
-from rosld.server.storage import Blob, Changed, Model, Record, Records
+from rosld.server.storage import Blob, Model, Record, RecordChange, Records
 
 ROOM = "queries/"
 _KEPT = 256
@@ -40,7 +40,7 @@ class Queries:
         self._outlines: _Remembered[StoredQuery] = _Remembered(_KEPT)
         self._checked: _Remembered[StoredQuery | str] = _Remembered(_KEPT)
 
-    def changed(self, change: Changed) -> None:
+    def changed(self, change: RecordChange) -> None:
         """A record has changed."""
         if change.path.startswith(ROOM):
             self.version = max(self.version, change.version)

@@ -37,13 +37,13 @@ class AuditContext:
     def begin(self) -> None:
         """The request is understood as a write: from now on it leaves a receipt, whatever becomes of it."""
         self.is_write = True
-        under_way.set(self)
+        current_audit.set(self)
 
-    def only_reads(self) -> None:
+    def mark_read_only(self) -> None:
         """It turned out to change nothing, whatever it says: a query, a dry run."""
         self.is_write = False
 
-    def plans(self, does: str, *touches: str) -> None:
+    def add_step(self, does: str, *touches: str) -> None:
         """A step of what the write comes to, and the URLs of what it touches. One that is told already is no other."""
         if not self.plan:
             self.plan, self.touched = (does,), touches
@@ -53,15 +53,15 @@ class AuditContext:
         if len(self.touched) < _MAX_STEPS:
             self.touched = (*self.touched, *(url for url in touches if url not in self.touched))
 
-    def heard(self, matched: int) -> None:
+    def add_receivers(self, matched: int) -> None:
         """A message went to so many subscribers."""
         self.matched = matched + (self.matched or 0)
 
-    def refused(self, words: str) -> None:
+    def set_refusal(self, words: str) -> None:
         """Why it was not done."""
         self.refusal = words
 
-    def passes(self, chunk: bytes) -> None:
+    def hash_chunk(self, chunk: bytes) -> None:
         """A piece of a body that is not kept whole."""
         if self.sent is None:
             self.sent = hashlib.sha256()
@@ -69,12 +69,12 @@ class AuditContext:
         self.length += len(chunk)
 
 
-under_way: ContextVar[AuditContext | None] = ContextVar("under_way", default=None)
+current_audit: ContextVar[AuditContext | None] = ContextVar("under_way", default=None)
 """The account of the write that this task is carrying out; None where it carries out none."""
 
 
 def record_step(does: str, *touches: str) -> None:
     """Record a step of the write that is under way, as `AuditContext.plans` does."""
-    account = under_way.get()
+    account = current_audit.get()
     if account is not None:
-        account.plans(does, *touches)
+        account.add_step(does, *touches)

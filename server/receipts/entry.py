@@ -43,42 +43,42 @@ class AuditEntry(NamedTuple):
     touched: tuple[str, ...]
     matched: int | None
     status: int
-    made: str | None
+    created: str | None
     words: str | None
 
 
-def excerpt_of(body: bytes) -> tuple[bytes, bytes | None]:
+def excerpt(body: bytes) -> tuple[bytes, bytes | None]:
     """What is held of a body, and its digest where that is not all of it."""
     return (body, None) if len(body) <= SCANNED else (body[:SCANNED], hashlib.sha256(body).digest())
 
 
-def receipt_of(asked: AuditEntry, number: int, id: str, excerpt_bytes: int) -> Receipt:
+def receipt_of(entry: AuditEntry, number: int, id: str, excerpt_bytes: int) -> Receipt:
     """The receipt, with nothing in it that looks like a secret: where one is, what it came to is withheld as well."""
-    query = asked.query.decode("latin-1")
+    query = entry.query.decode("latin-1")
     hides_query = bool(query) and holds_credentials(query)
-    text = _text(asked.body) if asked.body else None
-    withheld = bool(asked.body) and (holds_credentials(asked.url) or (text is not None and holds_credentials(text)))
-    digest = asked.digest if withheld or asked.digest or not asked.body else hashlib.sha256(asked.body).digest()
+    text = _text(entry.body) if entry.body else None
+    withheld = bool(entry.body) and (holds_credentials(entry.url) or (text is not None and holds_credentials(text)))
+    digest = entry.digest if withheld or entry.digest or not entry.body else hashlib.sha256(entry.body).digest()
     return Receipt(
         number,
         id,
-        asked.agent.name,
-        asked.agent.webid,
-        asked.started_ns,
-        asked.ended_ns,
-        asked.method,
-        _url(asked.url, _WITHHELD.strip("()") if hides_query else query),
-        None if asked.media_type is None else redact_tokens(asked.media_type)[:_MAX_TEXT],
-        asked.length,
+        entry.agent.name,
+        entry.agent.webid,
+        entry.started_ns,
+        entry.ended_ns,
+        entry.method,
+        _url(entry.url, _WITHHELD.strip("()") if hides_query else query),
+        None if entry.media_type is None else redact_tokens(entry.media_type)[:_MAX_TEXT],
+        entry.length,
         None if withheld or digest is None else f"sha-256=:{base64.b64encode(digest).decode()}:",
         None if withheld or text is None or not excerpt_bytes else _begin(text, excerpt_bytes),
         withheld or hides_query,
-        tuple(dict.fromkeys(_said(step, withheld) for step in asked.plan[:_MAX_STEPS])),
-        tuple(map(redact_tokens, asked.touched[:_MAX_STEPS])),
-        asked.matched,
-        asked.status,
-        None if asked.made is None else redact_tokens(asked.made),
-        None if asked.words is None else _said(asked.words, withheld),
+        tuple(dict.fromkeys(_said(step, withheld) for step in entry.plan[:_MAX_STEPS])),
+        tuple(map(redact_tokens, entry.touched[:_MAX_STEPS])),
+        entry.matched,
+        entry.status,
+        None if entry.created is None else redact_tokens(entry.created),
+        None if entry.words is None else _said(entry.words, withheld),
     )
 
 

@@ -30,7 +30,7 @@ _REFUSED_PART = 5
 """One in so many of those kept may be of a write that was refused: no flood of these pushes out what was done."""
 
 
-class Entry:
+class JournalEntry:
     """One write in the journal; its receipt is made when it is first asked for, in any thread."""
 
     __slots__ = ("_asked", "_excerpt_bytes", "_receipt", "ended_ns", "id", "is_refused", "number")
@@ -59,7 +59,7 @@ class Entry:
         return receipt
 
 
-class Forgotten(LookupError):
+class NoSuchReceipt(LookupError):
     """There is no receipt of this id, or no more."""
 
 
@@ -73,24 +73,24 @@ class Journal:
         self._limit = {False: limit, True: max(1, limit // _REFUSED_PART)}
         self._age_ns = int(age * 1e9)
         self._excerpt_bytes = excerpt_bytes
-        self._entries: dict[str, Entry] = {}
-        self._in_order: dict[bool, deque[Entry]] = {False: deque(), True: deque()}
-        self._dropped: Callable[[Entry], None] = lambda entry: None
+        self._entries: dict[str, JournalEntry] = {}
+        self._in_order: dict[bool, deque[JournalEntry]] = {False: deque(), True: deque()}
+        self._dropped: Callable[[JournalEntry], None] = lambda entry: None
         self._disk = None if folder is None else SqliteLog(folder)
-        self._unwritten: dict[int, Entry] = {}
+        self._unwritten: dict[int, JournalEntry] = {}
         self._gone: list[int] = []
         self._turn: asyncio.TimerHandle | None = None
         self._writing: asyncio.Task[None] | None = None
         self._look: asyncio.TimerHandle | None = None
         if self._disk is not None:
             for receipt in self._disk.load():
-                self._keep(Entry(receipt.number, receipt.id, None, 0, receipt))
+                self._keep(JournalEntry(receipt.number, receipt.id, None, 0, receipt))
                 self.version = max(self.version, receipt.number)
             if not self._disk.is_open:  # numbers that none of those on the disk has
                 self.version = time.time_ns() // 1000
 
     @property
-    def trouble(self) -> str | None:
+    def failure(self) -> str | None:
         """Why receipts are not on the disk for now, in a sentence for people; None where they are."""
         return None if self._disk is None else self._disk.problem
 
@@ -98,10 +98,10 @@ class Journal:
         """Look now and then at what has become too old."""
         self._look_again()
 
-    def note(self, asked: AuditEntry) -> str:
+    def add(self, asked: AuditEntry) -> str:
         """Keep a write; the id of its receipt. It is written to the disk soon, and by `close` at the latest."""
         self.version += 1
-        entry = Entry(self.version, new_identifier(), asked, self._excerpt_bytes, None)
+        entry = JournalEntry(self.version, new_identifier(), asked, self._excerpt_bytes, None)
         self._keep(entry)
         if self._disk is not None:
             self._unwritten[entry.number] = entry
@@ -109,31 +109,31 @@ class Journal:
         self.changes.emit()
         return entry.id
 
-    def find(self, id: str) -> Entry:
+    def find(self, id: str) -> JournalEntry:
         """A write by the id of its receipt. Raises Forgotten."""
         try:
             return self._entries[id]
         except KeyError as error:
-            raise Forgotten(id) from error
+            raise NoSuchReceipt(id) from error
 
     def __len__(self) -> int:
         return len(self._entries)
 
-    def newest_first(self) -> Iterator[Entry]:
+    def newest_first(self) -> Iterator[JournalEntry]:
         """All of them."""
         done, refused = (reversed(entries) for entries in self._in_order.values())
         return heapq.merge(done, refused, key=lambda entry: -entry.number)
 
-    def after(self, number: int) -> Sequence[Entry]:
+    def after(self, number: int) -> Sequence[JournalEntry]:
         """Those that came after a number, the oldest first."""
-        found: list[Entry] = []
+        found: list[JournalEntry] = []
         for entry in self.newest_first():
             if entry.number <= number:
                 break
             found.append(entry)
         return found[::-1]
 
-    def watch_dropped(self, told: Callable[[Entry], None]) -> None:
+    def on_dropped(self, told: Callable[[JournalEntry], None]) -> None:
         """Call `told` with each that is forgotten from now on."""
         self._dropped = told
 
@@ -153,7 +153,7 @@ class Journal:
 
     # Keeping
 
-    def _keep(self, entry: Entry) -> None:
+    def _keep(self, entry: JournalEntry) -> None:
         kind = entry.is_refused
         self._entries[entry.id] = entry
         self._in_order[kind].append(entry)
@@ -195,7 +195,7 @@ class Journal:
         try:
             await self._write(disk)
         except sqlite3.Error as error:
-            disk.failed(error)
+            disk.report_failure(error)
             pause = _RETRY_SECONDS
         finally:
             self._writing = None

@@ -39,7 +39,7 @@ class SqliteLog:
         try:
             self._connection = self._open()
         except sqlite3.OperationalError as error:  # a full disk, as a rule: no reason not to serve
-            self.failed(error)
+            self.report_failure(error)
         except sqlite3.Error as error:
             words = f"{self._path} cannot be used as the database of receipts: {error}"
             raise ValueError(f"{words}. Move it away to begin a new one") from error
@@ -50,7 +50,7 @@ class SqliteLog:
         """Whether what it holds can be read."""
         return self._connection is not None
 
-    def failed(self, error: sqlite3.Error) -> None:
+    def report_failure(self, error: sqlite3.Error) -> None:
         """Tell that receipts cannot be written, once."""
         problem = f"Receipts cannot be written to the disk ({error}), and are kept in memory until they can."
         if problem != self.problem:

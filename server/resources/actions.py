@@ -43,9 +43,9 @@ from rosld.server.rest.formats import JSON, RDF_BODIES
 from rosld.server.rest.path_item import DEFAULTS, Method, PathItem
 from rosld.server.rest.resource import READ, Answer, Created, Resource
 from rosld.server.rest.state import State
-from rosld.server.robot.calls import Gone, KeyReused
+from rosld.server.robot.calls import Gone, IdempotencyKeyReused
 from rosld.server.robot.goal_store import Goal
-from rosld.server.robot.goals import Sending
+from rosld.server.robot.goals import GoalSubmission
 from rosld.server.robot.write_policy import resources_only_reason
 
 _READ_ONLY = "This server is read-only."
@@ -110,13 +110,13 @@ class ActionResource(Resource):
 
     def shown(self) -> State:
         """What it is like, as far as its goals are known."""
-        goals = tuple(goal.id for goal in self.robot.goals.of(self.name))
+        goals = tuple(goal.id for goal in self.robot.goals.of_action(self.name))
         version = (IdentityKey(self.action), goals, self.methods(), self.robot.graph.revision)
         return self.robot.states.get_or_make(self.url, version, lambda: State(self.document))
 
     def document(self) -> Document:
         """The RDF of this action."""
-        goals = [goal.id for goal in self.robot.goals.of(self.name)]
+        goals = [goal.id for goal in self.robot.goals.of_action(self.name)]
         return action_document(
             self.action, self.robot.space, self.robot.graph, goals, takes_goals="POST" in self.methods()
         )
@@ -159,15 +159,17 @@ class ActionResource(Resource):
         resource = GoalResource(robot, sending.goal.id)
         return Created(resource.url, resource, resource.shown(sending.goal))
 
-    async def _sent(self, exchange: Exchange, schema: ActionSchema, message: Message) -> Sending:
+    async def _sent(self, exchange: Exchange, schema: ActionSchema, message: Message) -> GoalSubmission:
         """What became of a goal that was sent, once only for each Idempotency-Key."""
         goals, deadline = self.robot.goals, self.robot.deadline(self.robot.settings.call_deadline)
         key = exchange.header("idempotency-key")
         if key is None:
             return await goals.send(self.name, schema, message, deadline=deadline)
         try:
-            return await goals.once(key, self.name, schema, message, await exchange.body(), deadline=deadline)
-        except KeyReused as error:
+            return await goals.send_idempotent(
+                key, self.name, schema, message, await exchange.body(), deadline=deadline
+            )
+        except IdempotencyKeyReused as error:
             raise Problem(422, f"The Idempotency-Key {key!r} came before with another goal.") from error
 
     async def _schema(self) -> ActionSchema:
@@ -244,13 +246,13 @@ class GoalResource(Resource):
 
     async def state(self) -> State:
         goal = self.goal
-        if not goal.own and not goal.status.is_final:
+        if not goal.is_own and not goal.status.is_final:
             await follow_action(self.robot, goal.action)
         return self.shown(self.goal)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         goal = self.goal
-        if not goal.own and not goal.status.is_final:
+        if not goal.is_own and not goal.status.is_final:
             await follow_action(self.robot, goal.action)
         return self.robot.goals.watch(goal.action, wake, self.id)
 
@@ -321,7 +323,7 @@ async def follow_action(robot: Robot, action: str) -> None:
         return
     try:
         await robot.schemas.action(found.type)
-        await robot.goals.look(action, deadline=robot.deadline(robot.settings.first_value_wait))
+        await robot.goals.follow(action, deadline=robot.deadline(robot.settings.first_value_wait))
     except (RosError, asyncio.TimeoutError):
         pass  # its goals cannot be read now; what is known is told
 
@@ -335,7 +337,7 @@ def _goal_schema(schemas: MessageSchemas, schema: ActionSchema | None) -> DataSc
     return {"type": "object", "properties": {**words, **told}}
 
 
-def _failure(robot: Robot, action: str, sending: Sending) -> Problem | None:
+def _failure(robot: Robot, action: str, sending: GoalSubmission) -> Problem | None:
     """The Problem of a goal that was not taken, with the URL of the goal where it was rejected."""
     error = sending.error
     if error is None:
@@ -361,7 +363,7 @@ def _view(goal: Goal, *, cancelable: bool) -> GoalView:
         goal.action,
         None if goal.key is None else goal.key.id,
         goal.status,
-        goal.own,
+        goal.is_own,
         goal.created_ns,
         (schema.goal, goal.goal) if schema and goal.goal is not None else None,
         (schema.feedback, told.message, Envelope(told.received_ns, told.count)) if schema and told else None,

@@ -19,7 +19,7 @@ from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.receipts.journal import Entry, Forgotten
+from rosld.server.receipts.journal import JournalEntry, NoSuchReceipt
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
@@ -62,7 +62,7 @@ class ActivityResource(Resource):
     async def state(self) -> State:
         try:
             entry = self.robot.receipts.find(self.id)
-        except Forgotten as error:
+        except NoSuchReceipt as error:
             kept = self.robot.settings.receipts_kept
             sentence = f"There is no receipt {self.id}: it never was, or it is older than the {kept} that are kept."
             raise Problem(404, sentence) from error
@@ -117,10 +117,10 @@ class ActivityContainer(Resource):
 
         return self.robot.states.get_or_make(page.url, version, make)
 
-    def _document(self, entries: list[Entry]) -> Document:
+    def _document(self, entries: list[JournalEntry]) -> Document:
         return container_document(self.url, (self.robot.space.activity(entry.id) for entry in entries), TITLE)
 
-    def _page(self, place: Place) -> tuple[Page, list[Entry]]:
+    def _page(self, place: Place) -> tuple[Page, list[JournalEntry]]:
         """A page, and what it tells of."""
         entries = list(self.robot.receipts.newest_first())
         keys = [_NEWEST - entry.number for entry in entries]
@@ -171,7 +171,7 @@ class NewestActivity(Resource):
         return self.robot.receipts.changes.watch(wake)
 
 
-def _shown(robot: Robot, entry: Entry) -> State:
+def _shown(robot: Robot, entry: JournalEntry) -> State:
     receipt = entry.receipt
     return State(lambda: activity_document(receipt, robot.space), lambda: _json(receipt), receipt.id)
 

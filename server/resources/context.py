@@ -23,7 +23,7 @@ from rosld.server.runtime.signals import Signal
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
 from rosld.server.sparql.syntax.lexer import Bounds
-from rosld.server.storage import Changed
+from rosld.server.storage import RecordChange
 from rosld.server.storage.sqlite import open_records
 from rosld.shapes.limits import Limits
 
@@ -79,7 +79,7 @@ class Robot(Session):
     @property
     def storage_problems(self) -> tuple[str, ...]:
         """Why not everything can be stored just now, in sentences; none where it can."""
-        found = (self.records.trouble, self.receipts.trouble)
+        found = (self.records.failure, self.receipts.failure)
         return tuple(problem for problem in found if problem is not None)
 
     @property
@@ -102,14 +102,14 @@ class Robot(Session):
         """Give everything back to the robot; idempotent."""
         self.holds.close("rosld ended")
         await self.workers.close()
-        await self.holds.closed()
-        await self.stops.ended()
+        await self.holds.wait_closed()
+        await self.stops.wait_ended()
         await self.receipts.close()
         await self.readings.stop()
         await self.close()
         await self.records.close()
 
-    def _kept(self, changes: Sequence[Changed]) -> None:
+    def _kept(self, changes: Sequence[RecordChange]) -> None:
         for each in changes:
             self.queries.changed(each)
             self.kept_changes.emit(each.path)

@@ -37,7 +37,7 @@ from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES
 from rosld.server.rest.path_item import DEFAULTS, FORMAT, Method, PathItem, UrlParameter
 from rosld.server.rest.resource import READ, Answer, Created, Resource
 from rosld.server.rest.state import State
-from rosld.server.robot.holds import Command, Hold, HoldEnded, command, new
+from rosld.server.robot.holds import HeldMessage, Hold, HoldEnded, held_message, new_hold
 
 LEASE = 1.0
 """Seconds, where none are asked for."""
@@ -60,8 +60,8 @@ async def hold_topic(exchange: Exchange, robot: Robot, name: str, find: Find | N
     then, then_asked = await _then(
         exchange.query.get("then"), robot, publishing, asked, _readable(robot, find, exchange)
     )
-    exchange.account.plans(f"hold {name} at {rate:g} Hz, unrenewed for {lease:g} s", robot.space.topic(name))
-    begun = await robot.holds.begin(new(name, exchange.agent, rate, lease, asked, then, then_asked))
+    exchange.account.add_step(f"hold {name} at {rate:g} Hz, unrenewed for {lease:g} s", robot.space.topic(name))
+    begun = await robot.holds.start(new_hold(name, exchange.agent, rate, lease, asked, then, then_asked))
     resource = HoldResource(robot, begun.id, find)
     return Created(resource.url, resource, resource.shown(begun))
 
@@ -162,10 +162,10 @@ class HoldResource(Resource):
             hold.lease,
             hold.until_ns,
             hold.created_ns,
-            (hold.command.schema, hold.command.message),
-            None if hold.then is None else (hold.then.schema, hold.then.message),
-            hold.then_asked,
-            hold.trouble,
+            (hold.message.schema, hold.message.message),
+            None if hold.release_message is None else (hold.release_message.schema, hold.release_message.message),
+            hold.release_requested,
+            hold.last_error,
             changeable=not self.robot.settings.read_only,
         )
         return hold_document(view, self.robot.space, self.robot.lifting)
@@ -179,10 +179,10 @@ class HoldResource(Resource):
             "rate": hold.rate,
             "lease": hold.lease,
             "kept": hold.until_ns is None,
-            "then": hold.then_asked,
-            "trouble": hold.trouble,
+            "then": hold.release_requested,
+            "trouble": hold.last_error,
         }
-        message = lifter(hold.command.schema, self.robot.lifting).json(hold.command.message, self.url)
+        message = lifter(hold.message.schema, self.robot.lifting).json(hold.message.message, self.url)
         return orjson.dumps(told)[:-1] + b',"message":' + message + b"}"
 
     async def forms(self) -> Sequence[Form]:
@@ -201,7 +201,7 @@ class HoldResource(Resource):
     @contextlib.contextmanager
     def _kept(self, exchange: Exchange, lease: float) -> Iterator[float]:
         _notice_silence(exchange, lease)
-        with self.robot.holds.kept(self.id):
+        with self.robot.holds.keep_alive(self.id):
             yield lease / 2
 
     async def patch(self, exchange: Exchange) -> Answer:
@@ -210,31 +210,31 @@ class HoldResource(Resource):
         robot.interlock.require_open()
         publishing = Publishing(robot, hold.topic)
         asked = await self._changed(exchange, publishing, hold)
-        then, then_asked = hold.then, hold.then_asked
-        if "then" in exchange.query or (asked is not hold.command and then_asked == ZERO):
+        then, then_asked = hold.release_message, hold.release_requested
+        if "then" in exchange.query or (asked is not hold.message and then_asked == ZERO):
             words = exchange.query.get("then", then_asked)
             then, then_asked = await _then(words, robot, publishing, asked, _readable(robot, self._find, exchange))
         changed = replace(
             self.hold,
-            command=asked,
+            message=asked,
             rate=_rate(exchange, robot) or hold.rate,
             lease=_lease(exchange) or hold.lease,
-            then=then,
-            then_asked=then_asked,
+            release_message=then,
+            release_requested=then_asked,
         )
         what = f"hold {hold.topic} at {changed.rate:g} Hz, unrenewed for {changed.lease:g} s"
-        exchange.account.plans(what, robot.space.topic(hold.topic))
-        robot.holds.change(self.id, changed)
+        exchange.account.add_step(what, robot.space.topic(hold.topic))
+        robot.holds.renew(self.id, changed)
         return Response(status_code=204)
 
-    async def _changed(self, exchange: Exchange, publishing: Publishing, hold: Hold) -> Command:
+    async def _changed(self, exchange: Exchange, publishing: Publishing, hold: Hold) -> HeldMessage:
         """The command after the change that a body asks for."""
         data = await exchange.body()
         if not data.strip():
-            return hold.command
-        schema = hold.command.schema
+            return hold.message
+        schema = hold.message.schema
         if exchange.media_type == MERGE_PATCH:
-            present = lifter(schema, self.robot.lifting.unelided).json(hold.command.message, self.url)
+            present = lifter(schema, self.robot.lifting.unelided).json(hold.message.message, self.url)
             patched = merge_patch(parse_json(present), parse_json(data))
             message = lowerer(schema, self.robot.lifting).from_json(patched)
         else:
@@ -245,7 +245,7 @@ class HoldResource(Resource):
     async def delete(self, exchange: Exchange) -> Answer:
         require_holder(exchange, self.hold)
         topic = self.hold.topic
-        exchange.account.plans(f"end the hold of {topic}", self.robot.space.topic(topic))
+        exchange.account.add_step(f"end the hold of {topic}", self.robot.space.topic(topic))
         ended = self.robot.holds.end(self.id, f"{exchange.agent.name} ended it")
         if ended is not None:
             await ended
@@ -300,8 +300,8 @@ def _readable(robot: Robot, find: Find | None, exchange: Exchange) -> Find | Non
 
 
 async def _then(
-    asked: str | None, robot: Robot, publishing: Publishing, held: Command, find: Find | None
-) -> tuple[Command | None, str]:
+    asked: str | None, robot: Robot, publishing: Publishing, held: HeldMessage, find: Find | None
+) -> tuple[HeldMessage | None, str]:
     """What is published when the hold ends, and how that was asked for: within the limits, ready to be sent."""
     schema = held.schema
     words = asked or (ZERO if schema.ref.name in TWISTS else NONE)
@@ -342,9 +342,9 @@ async def _message_at(url: str, robot: Robot, schema: MessageSchema, find: Find 
     return lowerer(schema, robot.lifting).from_graph(body, root, document)
 
 
-def _command(robot: Robot, schema: MessageSchema, message: Message, *, restamp: bool) -> Command:
+def _command(robot: Robot, schema: MessageSchema, message: Message, *, restamp: bool) -> HeldMessage:
     encoding, clock = robot.adapter.capabilities.encoding, not robot.graph.simulated_time
-    return command(schema, message, encoding, restamp=restamp, clock=clock)
+    return held_message(schema, message, encoding, restamp=restamp, clock=clock)
 
 
 def _notice_silence(exchange: Exchange, seconds: float) -> None:

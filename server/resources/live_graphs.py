@@ -213,13 +213,13 @@ class Dataset:
         found: set[str] = set()
         for ref in topic.types:
             found.add(ref.name)
-            schema = self._robot.schemas.at_hand(ref) or self._robot.schemas.named(ref.name)
+            schema = self._robot.schemas.find_cached(ref) or self._robot.schemas.find_cached_by_name(ref.name)
             if isinstance(schema, MessageSchema):
                 found.update(schema.types)
         return frozenset(found)
 
     def _is_known(self, type: str) -> bool:
-        return self._robot.schemas.named(type) is not None
+        return self._robot.schemas.find_cached_by_name(type) is not None
 
     def _named(self, documents: frozenset[str]) -> Iterator[Resource]:
         """What is in the dataset only where it is named.
@@ -270,7 +270,7 @@ class Dataset:
     async def _first(self, topic: TopicResource) -> None:
         """Have the first value of a topic come; what fails is seen again when it is shown."""
         with contextlib.suppress(Problem, RosError):
-            await self._robot.topics.look(topic.name)
+            await self._robot.topics.read(topic.name)
 
     async def _parameters(
         self, resources: Sequence[ParameterResource | ParameterTree], deadline: float
@@ -292,7 +292,7 @@ class Dataset:
 
         Where something must be fetched first (the type of a message), they are all looked at again.
         """
-        known = self._robot.topics.known
+        known = self._robot.topics.current_view
         for _ in range(_TURNS):
             turns: list[None] = []
             asyncio.get_running_loop().call_soon(turns.append, None)
@@ -320,7 +320,7 @@ class Dataset:
             describe = partial(node_document, view, space, simulated_time=simulated)
             yield _described(space.node(name), (view, simulated), describe)
         for topic in graph.topics.values():
-            hold = robot.holds.on(topic.name)
+            hold = robot.holds.find_by_topic(topic.name)
             can = "POST" in TopicResource(robot, topic.name).methods()
             yield _described(
                 space.topic(topic.name),
@@ -331,7 +331,7 @@ class Dataset:
             yield _described(space.service(service.name), service, partial(service_document, service, space, graph))
         for name, action in graph.actions.items():
             one = ActionResource(robot, name)
-            goals = tuple(goal.id for goal in robot.goals.of(name))
+            goals = tuple(goal.id for goal in robot.goals.of_action(name))
             yield _described(one.url, (action, goals, one.methods()), one.document)
         for parameter in graph.parameters.values():
             url = space.parameter(parameter.name)

@@ -45,7 +45,7 @@ from rosld.server.rest.path_item import DEFAULTS, FIELD, FIELD_READS, FORMAT, Me
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import ABSENT, READ, Answer, Resource, Shown, moved
 from rosld.server.rest.state import State
-from rosld.server.robot.calls import Outcome
+from rosld.server.robot.calls import CallOutcome
 
 _INVOKES = "Invokes the action; what is shown then is the resource that it belongs to."
 _SENDS_A_GOAL = "Sends a goal, which is what is made; 409 where it is rejected."
@@ -335,7 +335,7 @@ class MemberResource(Resource):
             require_offered(self.robot, plan, await seen_anew(self.robot, layout, plan.reads))
             return await action.send(exchange, schema, goal)
 
-    async def _after(self, path: str, outcome: Outcome) -> Shown:
+    async def _after(self, path: str, outcome: CallOutcome) -> Shown:
         """The complex resource as it is after an action; the one above where the action has ended its own."""
         call = Link(self.robot.space.call(outcome.call.id), ros.Call.value)
         while True:

@@ -11,7 +11,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, about, double, integer, moment, text
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import dcterms, rdf, ros
-from rosld.server.dataset.replication import Mirror, Status
+from rosld.server.dataset.replication import Mirror, ReplicationStatus
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
@@ -50,7 +50,7 @@ def mirror_room(mirror: Mirror | None) -> Mapping[str, Callable[[Robot, Location
     return {} if mirror is None else {ROOM: room}
 
 
-def mirror_document(url: str, status: Status) -> Document:
+def mirror_document(url: str, status: ReplicationStatus) -> Document:
     """A mirror described. It is stale, with the reason, while its store cannot be told anything."""
     return Document(
         url,
@@ -65,13 +65,13 @@ def mirror_document(url: str, status: Status) -> Document:
                 (ros.lag, double(round(status.lag, 3))),
                 (ros.pending, integer(status.pending)),
                 (ros.refused, integer(status.refused)),
-                (dcterms.modified, moment(status.told_ns)),
+                (dcterms.modified, moment(status.updated_ns)),
             )
         ),
     )
 
 
-def _plain(status: Status) -> bytes:
+def _plain(status: ReplicationStatus) -> bytes:
     return orjson.dumps(
         {
             "store": status.url,

@@ -112,7 +112,7 @@ class _Graphs:
 
     def __init__(self, base: str, rooms: Collection[str], synchroniser: Synchroniser) -> None:
         self.base = base
-        self.seal = base + ROOM
+        self.heartbeat_graph = base + ROOM
         self._rooms = frozenset(rooms)
         self._synchroniser = synchroniser
 
@@ -121,7 +121,7 @@ class _Graphs:
         room = path.partition("/")[0].partition("?")[0].partition("#")[0]
         return len(path) < len(graph) and room in self._rooms
 
-    def passing(self) -> Collection[str]:
+    def transient_graphs(self) -> Collection[str]:
         return self._synchroniser.held
 
 
@@ -145,7 +145,7 @@ class _Reading:
             pass
 
     def _topics(self) -> Needs:
-        urls = frozenset(map(self._robot.space.topic, self._robot.topics.kept()))
+        urls = frozenset(map(self._robot.space.topic, self._robot.topics.always_subscribed()))
         return Needs((Demand(graphs=urls),)) if urls else Needs()
 
     def _parameters(self) -> Needs:

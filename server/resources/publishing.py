@@ -89,7 +89,7 @@ class Publishing:
 
     async def plan_patch(self, exchange: Exchange, description: Sequence[Triple]) -> Publish:
         """What a PATCH of the latest message asks to be published; `description` is said of the topic beside it."""
-        view = await self.robot.topics.look(self.name)
+        view = await self.robot.topics.read(self.name)
         if view.newest is None:
             raise Problem(409, f"{self.name} has no message yet that a PATCH could change; PUT one.")
         data = await exchange.body()

@@ -11,7 +11,7 @@ from rosld.server.resources.context import Robot
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
-from rosld.server.robot.calls import KeyReused, Outcome
+from rosld.server.robot.calls import CallOutcome, IdempotencyKeyReused
 
 
 async def request_in(exchange: Exchange, robot: Robot, schema: ServiceSchema, url: str) -> Message:
@@ -32,19 +32,23 @@ async def message_in(exchange: Exchange, robot: Robot, schema: MessageSchema, ur
     return lowering.from_graph(body, root, url)
 
 
-async def called(exchange: Exchange, robot: Robot, service: str, schema: ServiceSchema, request: Message) -> Outcome:
+async def called(
+    exchange: Exchange, robot: Robot, service: str, schema: ServiceSchema, request: Message
+) -> CallOutcome:
     """What became of a call of a service, once only for each Idempotency-Key."""
     deadline = robot.deadline(robot.settings.call_deadline)
     key = exchange.header("idempotency-key")
     if key is None:
-        return await robot.calls.make(service, schema, request, deadline=deadline)
+        return await robot.calls.call(service, schema, request, deadline=deadline)
     try:
-        return await robot.calls.once(key, service, schema, request, await exchange.body(), deadline=deadline)
-    except KeyReused as error:
+        return await robot.calls.call_idempotent(
+            key, service, schema, request, await exchange.body(), deadline=deadline
+        )
+    except IdempotencyKeyReused as error:
         raise Problem(422, f"The Idempotency-Key {key!r} came before with another request.") from error
 
 
-def failure(robot: Robot, outcome: Outcome) -> Problem | None:
+def failure(robot: Robot, outcome: CallOutcome) -> Problem | None:
     """The Problem of a call that did not succeed, with the URL of the call; None where an answer came."""
     error = outcome.error
     if error is None:
@@ -60,7 +64,7 @@ def failure(robot: Robot, outcome: Outcome) -> Problem | None:
     return problem
 
 
-def declined_by(robot: Robot, outcome: Outcome) -> Problem | None:
+def declined_by(robot: Robot, outcome: CallOutcome) -> Problem | None:
     """The Problem of a call whose answer says `bool success` false: a refusal in the robot's words."""
     call = outcome.call
     if call.response is None:

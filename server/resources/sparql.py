@@ -313,7 +313,7 @@ class SparqlResource(Resource):
         query_string = exchange.request.scope["query_string"]
         asked = posted(query_string, exchange.header("content-type"), body)
         if isinstance(asked, QueryRequest):
-            exchange.account.only_reads()
+            exchange.account.mark_read_only()
             return await self._answer(asked, wished(exchange), exchange)
         return await self._updated(asked, exchange)
 
@@ -322,7 +322,7 @@ class SparqlResource(Resource):
             raise self._no_updates()
         dry_run, permissions = exchange.flag("dry-run"), exchange.permissions
         if dry_run:
-            exchange.account.only_reads()
+            exchange.account.mark_read_only()
         return await self._updates.answer(request, dry_run=dry_run, accept=wished(exchange), permissions=permissions)
 
     async def _answer(self, request: QueryRequest, accept: str | None, exchange: Exchange) -> Response:

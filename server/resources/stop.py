@@ -99,8 +99,11 @@ class StopResource(Resource):
         stop_state = stops.stop_state
         return stop_document(
             self.robot.space,
-            [StepView(step.does, ros.terms()[step.fate.value], step.words, step.touches) for step in stops.steps],
-            by=None if stop_state is None else stop_state.by,
+            [
+                StepView(step.description, ros.terms()[step.status.value], step.words, step.affects)
+                for step in stops.steps
+            ],
+            by=None if stop_state is None else stop_state.stopped_by,
             since_ns=None if stop_state is None else stop_state.since_ns,
             reason=None if stop_state is None else stop_state.reason,
             usable=may_stop(self.robot) is None,
@@ -115,14 +118,14 @@ class StopResource(Resource):
         stop_state = stops.stop_state
         since = None if stop_state is None else moment(stop_state.since_ns)
         steps = [
-            {"does": step.does, "state": step.fate.value, "words": step.words}
+            {"does": step.description, "state": step.status.value, "words": step.words}
             for step in stops.steps
-            if all(map(permissions.may_read, step.touches))
+            if all(map(permissions.may_read, step.affects))
         ]
         return orjson.dumps(
             {
                 "stopped": stop_state is not None,
-                "by": None if stop_state is None else stop_state.by,
+                "by": None if stop_state is None else stop_state.stopped_by,
                 "since": None if since is None else since.value,
                 "reason": None if stop_state is None else stop_state.reason,
                 "steps": steps,
@@ -144,7 +147,7 @@ class StopResource(Resource):
     async def post(self, exchange: Exchange) -> Answer:
         require_right(exchange, self.robot)
         reason = _reason(await exchange.octets())  # a stop is not refused for its charset
-        exchange.account.plans("stop the robot", self.url)
+        exchange.account.add_step("stop the robot", self.url)
         await self.robot.stops.stop(exchange.agent, reason)
         return Shown(self, self.shown())
 
@@ -154,8 +157,8 @@ class StopResource(Resource):
             raise Problem(
                 409, "The robot is still being stopped; release it when that is done.", headers={"Retry-After": "1"}
             )
-        exchange.account.plans("let writes pass again", self.url)
-        self.robot.stops.lift(exchange.agent)
+        exchange.account.add_step("let writes pass again", self.url)
+        self.robot.stops.release(exchange.agent)
         return Response(status_code=204)
 
 

@@ -34,7 +34,7 @@ from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.publication import publish
-from rosld.server.robot.topic_view import View
+from rosld.server.robot.topic_view import TopicView
 from rosld.server.robot.write_policy import RESERVED, denied_reason, resources_only_reason
 from rosld.server.runtime.signals import combine_watches
 
@@ -152,23 +152,23 @@ class TopicResource(Resource):
 
     async def state(self) -> State:
         robot = self.robot
-        view = robot.topics.peek(self.name)
+        view = robot.topics.find_view(self.name)
         if view is None:
             if self.name not in robot.graph.topics:
                 raise self._missing()
-            view = await robot.topics.look(self.name)
+            view = await robot.topics.read(self.name)
         return await self.shown(view)
 
     def _missing(self) -> Problem:
         """Why nothing can be read where there is no topic of this name (now)."""
         return moved_to_namespace(self.robot, "topics", self.name) or Problem(404, f"There is no topic {self.name}.")
 
-    async def shown(self, view: View) -> State:
+    async def shown(self, view: TopicView) -> State:
         """The state with these values; at once where the types of their messages are at hand."""
         robot = self.robot
         graph = robot.graph
         topic = graph.topics.get(self.name) or Topic(self.name)
-        hold, methods = robot.holds.on(self.name), self.methods()
+        hold, methods = robot.holds.find_by_topic(self.name), self.methods()
         version = (IdentityKey(topic), IdentityKey(view), graph.simulated_time, hold and hold.id, "POST" in methods)
         known = robot.states.find(self.url, version)
         if known is None:
@@ -180,7 +180,7 @@ class TopicResource(Resource):
         holds = self.robot.holds.changes.watch(wake, lambda about: about == self.name)
         return combine_watches(await self.robot.topics.watch(self.name, wake), self.robot.changes.watch(wake), holds)
 
-    def _state(self, topic: Topic, view: View, decoded: Sequence[Decoded]) -> State:
+    def _state(self, topic: Topic, view: TopicView, decoded: Sequence[Decoded]) -> State:
         newest = decoded[-1] if decoded else None
 
         def plain() -> bytes:
@@ -190,17 +190,17 @@ class TopicResource(Resource):
                 raise Problem(406, f"The messages of {self.name} cannot be read: {newest.reason}.")
             return lifter(newest.schema, self.robot.lifting).json(newest.message, self.url)
 
-        hold, can = self.robot.holds.on(self.name), "POST" in self.methods()
-        said = f"{topic!r}{view.identity()}{hold and hold.id}{can}{[one.reason for one in decoded]}"
+        hold, can = self.robot.holds.find_by_topic(self.name), "POST" in self.methods()
+        said = f"{topic!r}{view.version_key()}{hold and hold.id}{can}{[one.reason for one in decoded]}"
         token = digest(said.encode("utf-8", "replace"))
         recorded = bool(self.robot.adapter.recordings)  # a recording's times are of the past: no Age (RFC 9111 5.1)
         received = view.newest.received_ns if view.newest and not recorded else None
         return State(lambda: self._document(topic, view, decoded), plain, token, received)
 
-    def _document(self, topic: Topic, view: View, decoded: Sequence[Decoded]) -> Document:
+    def _document(self, topic: Topic, view: TopicView, decoded: Sequence[Decoded]) -> Document:
         robot = self.robot
         found = [lifted(robot, one) for one in decoded if one.message is not None]
-        hold = robot.holds.on(self.name)
+        hold = robot.holds.find_by_topic(self.name)
         reason = next((one.reason for one in decoded if one.reason), topic.unreadable)
         return topic_document(
             topic, robot.space, robot.graph, view.rate, found, unreadable=reason,
@@ -227,7 +227,7 @@ class TopicResource(Resource):
 
     async def _latest_json(self) -> Json:
         """The latest message as plain JSON, None where there is none that can be read."""
-        view = self.robot.topics.peek(self.name)
+        view = self.robot.topics.find_view(self.name)
         if view is None or view.newest is None:
             return None
         decoded = await decode(self.robot, view.newest)
@@ -241,7 +241,7 @@ class TopicResource(Resource):
             return None
         if self.topic is None:
             raise self._missing()
-        view = await self.robot.topics.look(self.name, insist=True)
+        view = await self.robot.topics.read(self.name, wait_for_publisher=True)
         if view.newest is None:
             raise Problem(404, f"{self.name} has no message yet, so no field {exchange.query['field']!r}.")
         return await field_response(self.robot, view.newest, exchange.query["field"])

@@ -173,11 +173,11 @@ async def schema_of(robot: Robot, ref: TypeRef) -> Schema:
     """The schema of a type or of one of the messages of a service or an action; raises UnknownType."""
     base, _, end = ref.name.rpartition("_")
     if any(part in ref.name and end in ends for part, ends in _HALVES.items()):
-        whole = await robot.schemas.find(TypeRef(base, ref.hash))
+        whole = await robot.schemas.get(TypeRef(base, ref.hash))
         for half in halves_of(whole):
             if half.ref.name == ref.name:
                 return half
-    return await robot.schemas.find(ref)
+    return await robot.schemas.get(ref)
 
 
 _HALVES = {"/srv/": ("Request", "Response"), "/action/": ("Goal", "Result", "Feedback")}

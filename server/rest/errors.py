@@ -33,7 +33,11 @@ def problem_of(error: RosError) -> Problem:
     match error:
         case Stopped(stop_state=stop_state):
             since = moment(stop_state.since_ns)
-            extra |= {"stoppedBy": stop_state.by, "since": since.value if since else None, "reason": stop_state.reason}
+            extra |= {
+                "stoppedBy": stop_state.stopped_by,
+                "since": since.value if since else None,
+                "reason": stop_state.reason,
+            }
             about = () if stop_state.url is None else (stop_state.url,)
         case TopicHeld(holder=holder):
             extra |= {"holder": holder.name, "hold": holder.hold}

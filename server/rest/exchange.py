@@ -159,7 +159,7 @@ class Exchange:
     async def chunks(self, *, limit: int) -> AsyncIterator[bytes]:
         """The body as it comes, for a write that streams; raises the Problems of `body`."""
         async for chunk in read_chunks(self, limit=limit, timeout=self._body_seconds):
-            self.account.passes(chunk)
+            self.account.hash_chunk(chunk)
             yield chunk
 
     def flag(self, name: str) -> bool:

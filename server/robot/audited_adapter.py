@@ -8,7 +8,7 @@ from functools import lru_cache
 from rosld.adapters.base import Adapter, Capabilities, Published, Recording, Sink, Subscription, Watch
 from rosld.adapters.model import GoalId, Graph, Operation, ParameterValue, Ref, Sample, Schema, TypeRef
 from rosld.ontology.urls import Space
-from rosld.server.receipts.account import record_step, under_way
+from rosld.server.receipts.account import current_audit, record_step
 from rosld.server.robot.interlock import WriteInterlock
 
 
@@ -32,29 +32,29 @@ class AuditedAdapter:
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
     ) -> Published:
         """`Adapter.publish`; raises TopicHeld while somebody holds the topic."""
-        audit = under_way.get()
+        audit = current_audit.get()
         if audit is not None:
-            audit.plans(f"publish a {type.name} on {topic}", self._topic_url(topic))
+            audit.add_step(f"publish a {type.name} on {topic}", self._topic_url(topic))
         self._interlock.require_free(topic)
         self.published.add(topic)
         published = await self._interlock.run(
             lambda: self.inner.publish(topic, type, data, latch=latch, deadline=deadline)
         )
         if audit is not None:
-            audit.heard(published.matched)
+            audit.add_receivers(published.matched)
         return published
 
-    async def publish_held(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
+    async def publish_for_hold(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
         """`Adapter.publish` for the hold of the topic."""
         self.published.add(topic)
         return await self._interlock.run(lambda: self.inner.publish(topic, type, data, deadline=deadline))
 
-    async def publish_at_last(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
+    async def publish_always(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
         """`Adapter.publish`, also while the robot is stopped: for what ends a hold, or stops the robot."""
         self.published.add(topic)
         return await self._interlock.run_always(self.inner.publish(topic, type, data, deadline=deadline))
 
-    async def call_at_last(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+    async def call_always(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """`Adapter.call`, also while the robot is stopped: for what stops it."""
         return await self._interlock.run_always(self.inner.call(service, type, request, deadline=deadline))
 

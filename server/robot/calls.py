@@ -43,18 +43,18 @@ class Call:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class CallOutcome:
     """A call as it stands when its caller is answered, and the error where it did not succeed."""
 
     call: Call
     error: RosError | None
 
 
-class Unreadable(RosError):
+class UnreadableResponse(RosError):
     """The node answered with bytes that are no response of the service's type."""
 
 
-class KeyReused(ValueError):
+class IdempotencyKeyReused(ValueError):
     """An Idempotency-Key came again with another request."""
 
 
@@ -73,15 +73,15 @@ class Calls:
     `settled` is told the service whenever a call has ended, before its caller is.
     """
 
-    def __init__(self, adapter: Adapter, settled: Callable[[str], None], *, limit: int, age: float) -> None:
+    def __init__(self, adapter: Adapter, on_ended: Callable[[str], None], *, limit: int, age: float) -> None:
         self._adapter = adapter
-        self._settled = settled
+        self._settled = on_ended
         self._limit = limit
         self._age_ns = int(age * 1e9)
         self._calls: OrderedDict[str, Call] = OrderedDict()
         self._gone: OrderedDict[str, None] = OrderedDict()
         self._running: set[asyncio.Task[RosError | None]] = set()
-        self._keyed: OrderedDict[tuple[str, str], tuple[bytes, asyncio.Task[Outcome]]] = OrderedDict()
+        self._keyed: OrderedDict[tuple[str, str], tuple[bytes, asyncio.Task[CallOutcome]]] = OrderedDict()
         self.revision = 0
         self.changes = Signal()
 
@@ -102,7 +102,7 @@ class Calls:
         self.find(id)
         self._drop(id)
 
-    async def make(self, service: str, schema: ServiceSchema, request: Message, *, deadline: float) -> Outcome:
+    async def call(self, service: str, schema: ServiceSchema, request: Message, *, deadline: float) -> CallOutcome:
         """Call and wait until `deadline`; the call goes on after that, and after its caller has gone.
 
         Raises ValueError where the request cannot be encoded: then nothing was sent.
@@ -116,27 +116,27 @@ class Calls:
         settled.add_done_callback(self._running.discard)
         done, _ = await asyncio.wait({settled}, timeout=max(0.0, deadline - loop.time()))
         if done:
-            return Outcome(self._calls.get(call.id, call), settled.result())
+            return CallOutcome(self._calls.get(call.id, call), settled.result())
         self._replace(call, CallState.UNKNOWN)
         self._settled(service)
         late = TimedOut(f"{service} has not answered yet; see the call for what becomes of it.", sent=Sent.YES)
-        return Outcome(self._calls.get(call.id, call), late)
+        return CallOutcome(self._calls.get(call.id, call), late)
 
-    async def once(
+    async def call_idempotent(
         self, key: str, service: str, schema: ServiceSchema, request: Message, body: bytes, *, deadline: float
-    ) -> Outcome:
+    ) -> CallOutcome:
         """As `make`, but a second call with the same key gets the first's outcome; KeyReused where it differs."""
         digest = hashlib.blake2b(body).digest()
         known = self._keyed.get((service, key))
         if known is not None and known[0] != digest:
-            raise KeyReused(key)
+            raise IdempotencyKeyReused(key)
         if known is None:
-            making = asyncio.get_running_loop().create_task(self.make(service, schema, request, deadline=deadline))
+            making = asyncio.get_running_loop().create_task(self.call(service, schema, request, deadline=deadline))
             known = self._keyed[(service, key)] = (digest, making)
             while len(self._keyed) > self._limit:
                 self._keyed.popitem(last=False)
         outcome = await asyncio.shield(known[1])
-        return Outcome(self._calls.get(outcome.call.id, outcome.call), outcome.error)
+        return CallOutcome(self._calls.get(outcome.call.id, outcome.call), outcome.error)
 
     async def stop(self) -> None:
         """Wait for nothing more: calls that still run are left to the robot."""
@@ -160,7 +160,7 @@ class Calls:
             return error
         except ValueError as error:
             self._replace(call, CallState.UNKNOWN, words=f"the answer cannot be read: {error}")
-            return Unreadable(f"the answer of {call.service} cannot be read: {error}", sent=Sent.YES)
+            return UnreadableResponse(f"the answer of {call.service} cannot be read: {error}", sent=Sent.YES)
         failed = getattr(response, "success", True) is False
         words = getattr(response, "message", None) if failed else None
         self._replace(call, CallState.FAILED if failed else CallState.SUCCEEDED, response, words or None)

@@ -25,12 +25,12 @@ FOLDS = {
     "tf/msg/tfMessage": Fold("transforms", "child_frame_id"),
     "diagnostic_msgs/msg/DiagnosticArray": Fold("status", "name"),
 }
-DEPTH = 128
+QUEUE_DEPTH = 128
 """How many messages a publisher may send between two looks without one being lost; looks are made twice a second."""
 MAX_KEYS = 10_000
 
 
-class Folded:
+class FoldedTopic:
     """The elements seen so far on one topic: the newest of each key, each in the message that brought it."""
 
     def __init__(self, fold: Fold) -> None:
@@ -71,7 +71,7 @@ class Folded:
         return newest._replace(data=schema.codec.encode(whole, newest.encoding))
 
 
-def decoder(schema: MessageSchema) -> Callable[[Sample], Message]:
+def decoder_of(schema: MessageSchema) -> Callable[[Sample], Message]:
     """Decodes samples of one schema."""
     codec = schema.codec
 

@@ -35,7 +35,7 @@ class GoalFollower:
         for action in list(self._followed):
             self._unfollow(action)
 
-    async def look(self, action: str, *, deadline: float) -> bool:
+    async def follow(self, action: str, *, deadline: float) -> bool:
         """Have all goals of an action told from now on; whether they are. The first look waits."""
         following = self._followed.get(action)
         if following is None:
@@ -50,7 +50,7 @@ class GoalFollower:
             return False
         return True
 
-    def keep_followed(self, action: str, watch: Watch) -> Watch:
+    def keep_following(self, action: str, watch: Watch) -> Watch:
         """The watch, with its action followed, if it is, until it is closed."""
         return _GoalWatch(self._followed.get(action), watch)
 

@@ -13,7 +13,7 @@ from rosld.adapters.model import ActionSchema, GoalId, GoalStatus, Message
 from rosld.server.robot.calls import Gone
 from rosld.server.runtime.signals import Signal
 
-REMEMBERED = 10_000
+MAX_REMEMBERED = 10_000
 """Goals of which it is remembered that they are gone."""
 _PLAIN = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _NOT_PLAIN = re.compile(r"[^A-Za-z0-9_-]+")
@@ -21,7 +21,7 @@ _MAX_ID_LENGTH = 48
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Told:
+class Feedback:
     """A message that a server of an action sent, and when it came."""
 
     message: Message
@@ -41,16 +41,16 @@ class Goal:
     action: str
     key: GoalId | None
     created_ns: int
-    heard_ns: int
+    updated_ns: int
     status: GoalStatus
     schema: ActionSchema | None = None
     goal: Message | None = None
-    feedback: Told | None = None
+    feedback: Feedback | None = None
     result: Message | None = None
     ended_ns: int | None = None
     words: str | None = None
     unreadable: str | None = None
-    own: bool = False
+    is_own: bool = False
 
     @property
     def is_cancelable(self) -> bool:
@@ -120,7 +120,7 @@ class GoalStore:
             self._ids.pop(goal.key, None)
             self._dropped.add(goal.key)
         self._gone[id] = goal.key
-        while len(self._gone) > REMEMBERED:
+        while len(self._gone) > MAX_REMEMBERED:
             _, key = self._gone.popitem(last=False)
             if key is not None:
                 self._dropped.discard(key)
@@ -128,7 +128,7 @@ class GoalStore:
 
     def _forget_old(self) -> None:
         horizon = time.time_ns() - self._age_ns
-        for goal in [each for each in self._goals.values() if each.heard_ns < horizon]:
+        for goal in [each for each in self._goals.values() if each.updated_ns < horizon]:
             self._drop(goal.id)
 
     def _revise(self, goal: Goal) -> None:

@@ -24,9 +24,9 @@ from rosld.adapters.model import (
     Refused,
     RosError,
 )
-from rosld.server.robot.calls import KeyReused
+from rosld.server.robot.calls import IdempotencyKeyReused
 from rosld.server.robot.goal_following import GoalFollower
-from rosld.server.robot.goal_store import REMEMBERED, Goal, GoalStore, Told
+from rosld.server.robot.goal_store import MAX_REMEMBERED, Feedback, Goal, GoalStore
 from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.signals import Signal
 
@@ -40,7 +40,7 @@ _FIELDS = tuple(field.name for field in fields(Goal))
 
 
 @dataclass(frozen=True, slots=True)
-class Sending:
+class GoalSubmission:
     """A goal as it stands when its sender is answered, and the error where it was not taken."""
 
     goal: Goal | None
@@ -63,7 +63,7 @@ class Goals:
         self._most_keys = limit
         self._store = GoalStore(limit=limit, age=age)
         self._follower = GoalFollower(adapter, idle)
-        self._keyed: OrderedDict[tuple[str, str], tuple[bytes, asyncio.Task[Sending]]] = OrderedDict()
+        self._keyed: OrderedDict[tuple[str, str], tuple[bytes, asyncio.Task[GoalSubmission]]] = OrderedDict()
         self._heard: OrderedDict[GoalId, tuple[GoalEvent, int]] = OrderedDict()
         self._lock = threading.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -84,7 +84,7 @@ class Goals:
         """The goals kept, oldest first."""
         return self._store.all()
 
-    def of(self, action: str) -> Sequence[Goal]:
+    def of_action(self, action: str) -> Sequence[Goal]:
         """The goals kept of one action, oldest first."""
         return [goal for goal in self.all() if goal.action == action]
 
@@ -98,7 +98,7 @@ class Goals:
 
     # Sending and canceling
 
-    async def send(self, action: str, schema: ActionSchema, message: Message, *, deadline: float) -> Sending:
+    async def send(self, action: str, schema: ActionSchema, message: Message, *, deadline: float) -> GoalSubmission:
         """Send a goal; the one that was rejected is kept as well. Raises ValueError where it cannot be encoded."""
         data = schema.goal.codec.encode(message, self._adapter.capabilities.encoding)
         now = time.time_ns()
@@ -106,36 +106,38 @@ class Goals:
             key = await self._adapter.send_goal(action, schema.ref, data, deadline=deadline)
         except RosError as error:
             if not isinstance(error, Refused):
-                return Sending(None, error)
+                return GoalSubmission(None, error)
             words = error.words or error.sentence
             goal = Goal(
                 new_identifier(), action, None, now, now, GoalStatus.REJECTED, schema, message, words=words,
-                ended_ns=time.time_ns(), own=True,
+                ended_ns=time.time_ns(), is_own=True,
             )  # fmt: skip
             self._store.keep(goal)
-            return Sending(goal, error)
+            return GoalSubmission(goal, error)
         self._drain()
         known = self._store.of_key(key)
         if known is None:
             known = Goal(self._store.new_id(key), action, key, now, now, GoalStatus.ACCEPTED)
-        self._store.keep(replace(known, schema=schema, goal=message, created_ns=min(now, known.created_ns), own=True))
-        return Sending(self._store.get(known.id), None)
+        self._store.keep(
+            replace(known, schema=schema, goal=message, created_ns=min(now, known.created_ns), is_own=True)
+        )
+        return GoalSubmission(self._store.get(known.id), None)
 
-    async def once(
+    async def send_idempotent(
         self, key: str, action: str, schema: ActionSchema, message: Message, body: bytes, *, deadline: float
-    ) -> Sending:
+    ) -> GoalSubmission:
         """As `send`, but a second goal with the same key is the first; KeyReused where it differs."""
         digest = hashlib.blake2b(body).digest()
         known = self._keyed.get((action, key))
         if known is not None and known[0] != digest:
-            raise KeyReused(key)
+            raise IdempotencyKeyReused(key)
         if known is None:
             sending = asyncio.get_running_loop().create_task(self.send(action, schema, message, deadline=deadline))
             known = self._keyed[(action, key)] = (digest, sending)
             while len(self._keyed) > self._most_keys:
                 self._keyed.popitem(last=False)
         sent = await asyncio.shield(known[1])
-        return sent if sent.goal is None else Sending(self._store.get(sent.goal.id) or sent.goal, sent.error)
+        return sent if sent.goal is None else GoalSubmission(self._store.get(sent.goal.id) or sent.goal, sent.error)
 
     async def cancel(self, goal: Goal, *, deadline: float) -> None:
         """Ask for a goal to be canceled; raises what the adapter raises."""
@@ -144,13 +146,13 @@ class Goals:
 
     # Hearing of goals
 
-    def hear(self, key: GoalId, event: GoalEvent) -> None:
+    def on_event(self, key: GoalId, event: GoalEvent) -> None:
         """Take what became known of a goal; from any thread. What nobody has taken yet is told together."""
         with self._lock:
             before = self._heard.get(key)
             count = (1 if event.feedback is not None else 0) + (before[1] if before else 0)
             self._heard[key] = (event if before is None else _merge(before[0], event), count)
-            while len(self._heard) > REMEMBERED:
+            while len(self._heard) > MAX_REMEMBERED:
                 self._heard.popitem(last=False)
             is_first = len(self._heard) == 1 and before is None
         if is_first and self._loop is not None and not self._loop.is_closed():
@@ -185,14 +187,14 @@ class Goals:
         if event.status is not None and (_rank(event.status) >= _rank(status) and not _is_settled(status)):
             status = event.status
         schema = goal.schema or self._schemas(goal.action)
-        changed = replace(goal, status=status, schema=schema, own=goal.own or event.own)
+        changed = replace(goal, status=status, schema=schema, is_own=goal.is_own or event.own)
         if event.words is not None and (status is event.status or event.status is None):
             changed = replace(changed, words=event.words or None)
         if schema is not None:
             changed = self._with_messages(changed, schema, event, count)
         if status is not goal.status and status.is_final:
             changed = replace(changed, ended_ns=event.received_ns)
-        return goal if _is_same(goal, changed) else replace(changed, heard_ns=max(goal.heard_ns, event.received_ns))
+        return goal if _is_same(goal, changed) else replace(changed, updated_ns=max(goal.updated_ns, event.received_ns))
 
     def _with_messages(self, goal: Goal, schema: ActionSchema, event: GoalEvent, count: int) -> Goal:
         encoding = self._adapter.capabilities.encoding
@@ -202,7 +204,7 @@ class Goals:
             if event.feedback is not None:
                 before = goal.feedback.count if goal.feedback else 0
                 message = _decode(schema.feedback, event.feedback, encoding)
-                goal = replace(goal, feedback=Told(message, event.received_ns, before + max(1, count)))
+                goal = replace(goal, feedback=Feedback(message, event.received_ns, before + max(1, count)))
             if event.result is not None and goal.result is None:
                 goal = replace(goal, result=_decode(schema.result, event.result, encoding))
         except ValueError as error:
@@ -211,15 +213,15 @@ class Goals:
 
     # Looking at what others do
 
-    async def look(self, action: str, *, deadline: float) -> None:
+    async def follow(self, action: str, *, deadline: float) -> None:
         """Hear of all goals of an action from now on, until nobody has looked for a while. The first look waits."""
-        if await self._follower.look(action, deadline=deadline):
+        if await self._follower.follow(action, deadline=deadline):
             self._drain()
 
     def watch(self, action: str, wake: Callable[[], None], id: str | None = None) -> Watch:
         """Call `wake` when something became known of a goal of an action, or of one goal; it is followed meanwhile."""
         wanted = {action} if id is None else {id}
-        return self._follower.keep_followed(action, self.changes.watch(wake, lambda about: about in wanted))
+        return self._follower.keep_following(action, self.changes.watch(wake, lambda about: about in wanted))
 
     def start(self) -> None:
         """Begin; needs a running loop."""

@@ -37,7 +37,7 @@ _log = logging.getLogger("rosld")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Command:
+class HeldMessage:
     """A message that is published, its bytes ready unless each time they are stamped with the time of that moment."""
 
     schema: MessageSchema
@@ -45,21 +45,23 @@ class Command:
     data: bytes
     is_stamped: bool = False
 
-    def at(self, now_ns: int, encoding: Encoding) -> bytes:
+    def encode_at(self, now_ns: int, encoding: Encoding) -> bytes:
         """The bytes to publish at a time, in nanoseconds after the epoch."""
         if not self.is_stamped:
             return self.data
         return self.schema.codec.encode(stamped(self.schema, self.message, now_ns), encoding)
 
 
-def command(schema: MessageSchema, message: Message, encoding: Encoding, *, restamp: bool, clock: bool) -> Command:
+def held_message(
+    schema: MessageSchema, message: Message, encoding: Encoding, *, restamp: bool, clock: bool
+) -> HeldMessage:
     """The command of a message. Raises ValueError where it cannot be encoded.
 
     Its header gets the time of each publish where it has none or `restamp`; never without a `clock`, because under
     simulated time the time of the wall means nothing.
     """
     is_stamped = clock and (restamp or is_unstamped(schema, message))
-    return Command(schema, message, schema.codec.encode(message, encoding), is_stamped)
+    return HeldMessage(schema, message, schema.codec.encode(message, encoding), is_stamped)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,12 +77,12 @@ class Hold:
     holder: Agent
     rate: float
     lease: float
-    command: Command
-    then: Command | None
-    then_asked: str
+    message: HeldMessage
+    release_message: HeldMessage | None
+    release_requested: str
     created_ns: int
     until_ns: int | None
-    trouble: str | None = None
+    last_error: str | None = None
 
 
 class HoldEnded(LookupError):
@@ -103,7 +105,7 @@ class Holds:
         """The holds, oldest first."""
         return [each.hold for each in self._running.values()]
 
-    def on(self, topic: str) -> Hold | None:
+    def find_by_topic(self, topic: str) -> Hold | None:
         """The hold on a topic, None where nobody holds it."""
         return next((each.hold for each in self._running.values() if each.hold.topic == topic), None)
 
@@ -113,7 +115,7 @@ class Holds:
             raise HoldEnded(self._ended[id])
         return self._running[id].hold
 
-    async def begin(self, hold: Hold) -> Hold:
+    async def start(self, hold: Hold) -> Hold:
         """Publish the message for the first time, and go on with it. `hold` is one that `new` made.
 
         Raises TopicHeld, Stopped, a 429 Problem where the topic is published to too often, and what the adapter raises:
@@ -140,27 +142,27 @@ class Holds:
             session.announce_write(Kind.TOPIC, hold.topic)
         self._running[hold.id] = running
         running.begin()
-        self.revise(hold)
+        self.on_changed(hold)
         self.end_refused()
         return running.hold
 
-    def change(self, id: str, changed: Hold) -> Hold:
+    def renew(self, id: str, changed: Hold) -> Hold:
         """Renew the lease, and go on as `changed` says. Raises as `find`."""
         self.find(id)
         running = self._running[id]
         running.change(changed)
-        self.revise(running.hold)
+        self.on_changed(running.hold)
         return running.hold
 
     @contextlib.contextmanager
-    def kept(self, id: str) -> Iterator[None]:
+    def keep_alive(self, id: str) -> Iterator[None]:
         """Within it the lease does not end; the hold, if it has not ended, ends with the last of those who keep it."""
         running = self._running.get(id)
         if running is None:
             yield
             return
         running.keep()
-        self.revise(running.hold)
+        self.on_changed(running.hold)
         try:
             yield
         finally:
@@ -191,11 +193,11 @@ class Holds:
         self._closed = why
         self.end_all(why)
 
-    async def closed(self) -> None:
+    async def wait_closed(self) -> None:
         """Returns when all that `close` ended has ended."""
         await asyncio.gather(*(task for _, task in self.end_all("rosld ended")), return_exceptions=True)
 
-    def ended(self, hold: Hold, why: str) -> None:
+    def on_ended(self, hold: Hold, why: str) -> None:
         """A hold has published its last: forget it, but why."""
         self._running.pop(hold.id, None)
         self._session.interlock.held.pop(hold.topic, None)
@@ -203,21 +205,38 @@ class Holds:
         while len(self._ended) > _REMEMBERED:
             self._ended.popitem(last=False)
         self._session.announce_write(Kind.TOPIC, hold.topic)
-        self.revise(hold)
+        self.on_changed(hold)
 
-    def revise(self, hold: Hold) -> None:
+    def on_changed(self, hold: Hold) -> None:
         """Something about a hold is another than before."""
         self.revision += 1
         self.changes.emit(hold.id)
         self.changes.emit(hold.topic)
 
 
-def new(
-    topic: str, holder: Agent, rate: float, lease: float, asked: Command, then: Command | None, then_asked: str
+def new_hold(
+    topic: str,
+    holder: Agent,
+    rate: float,
+    lease: float,
+    message: HeldMessage,
+    release_message: HeldMessage | None,
+    release_requested: str,
 ) -> Hold:
     """A hold that has not begun."""
     now = time.time_ns()
-    return Hold(new_identifier(), topic, holder, rate, lease, asked, then, then_asked, now, now + int(lease * 1e9))
+    return Hold(
+        new_identifier(),
+        topic,
+        holder,
+        rate,
+        lease,
+        message,
+        release_message,
+        release_requested,
+        now,
+        now + int(lease * 1e9),
+    )
 
 
 class _Running:
@@ -237,19 +256,19 @@ class _Running:
     async def publish(self, deadline: float) -> None:
         """Publish the message once. Raises what the gate and the adapter raise."""
         hold, encoding = self.hold, self._session.adapter.capabilities.encoding
-        data = hold.command.at(time.time_ns(), encoding)
-        await self._session.adapter.publish_held(hold.topic, hold.command.schema.ref, data, deadline=deadline)
+        data = hold.message.encode_at(time.time_ns(), encoding)
+        await self._session.adapter.publish_for_hold(hold.topic, hold.message.schema.ref, data, deadline=deadline)
 
     def begin(self) -> None:
         """Go on from the first publish, which is done."""
         now = self._loop.time()
-        self._schedule = Schedule(1 / self.hold.rate, now, now + self.hold.lease, beat=1)
+        self._schedule = Schedule(1 / self.hold.rate, now, now + self.hold.lease, tick=1)
         self._renew()
 
     def change(self, changed: Hold) -> None:
         """Go on as another hold of the same id says, and renew the lease. The next message comes when it was due."""
-        self.hold = replace(changed, trouble=self.hold.trouble)
-        self._schedule = self._schedule.every(1 / changed.rate)
+        self.hold = replace(changed, last_error=self.hold.last_error)
+        self._schedule = self._schedule.with_period(1 / changed.rate)
         self._renew()
 
     def keep(self) -> None:
@@ -267,7 +286,7 @@ class _Running:
         expires = math.inf if self._keepers else self._loop.time() + lease
         until = None if self._keepers else time.time_ns() + int(lease * 1e9)
         self.hold = replace(self.hold, until_ns=until)
-        self._schedule = self._schedule.renewed(expires)
+        self._schedule = self._schedule.with_lease(expires)
         self._tick()
 
     def _tick(self) -> None:
@@ -300,9 +319,9 @@ class _Running:
         except Exception:
             _log.exception("the message of a hold on %s was not published", self.hold.topic)
             trouble = "The server failed to publish; its log says more."
-        if trouble != self.hold.trouble:
-            self.hold = replace(self.hold, trouble=trouble)
-            self._holds.revise(self.hold)
+        if trouble != self.hold.last_error:
+            self.hold = replace(self.hold, last_error=trouble)
+            self._holds.on_changed(self.hold)
 
     def end(self, why: str) -> asyncio.Task[None]:
         """Publish no more but the last message. Idempotent."""
@@ -318,10 +337,10 @@ class _Running:
         try:
             await self._say_last(why)
         finally:
-            self._holds.ended(self.hold, why)
+            self._holds.on_ended(self.hold, why)
 
     async def _say_last(self, why: str) -> None:
-        then, topic = self.hold.then, self.hold.topic
+        then, topic = self.hold.release_message, self.hold.topic
         if then is None:
             return
         encoding = self._session.adapter.capabilities.encoding
@@ -331,8 +350,8 @@ class _Running:
         deadline = self._loop.time() + _LAST_SECONDS
         while True:
             try:
-                data = then.at(time.time_ns(), encoding)
-                await self._session.adapter.publish_at_last(topic, then.schema.ref, data, deadline=deadline)
+                data = then.encode_at(time.time_ns(), encoding)
+                await self._session.adapter.publish_always(topic, then.schema.ref, data, deadline=deadline)
                 return
             except (RosError, ValueError) as error:
                 if self._loop.time() + _AGAIN_SECONDS >= deadline:

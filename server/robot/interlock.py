@@ -20,7 +20,7 @@ class StopState:
     `url` is where that may be read.
     """
 
-    by: str
+    stopped_by: str
     since_ns: int
     reason: str | None = None
     url: str | None = None
@@ -30,7 +30,7 @@ class StopState:
         """Who stopped the robot, when and why, in a sentence."""
         why = f": {self.reason}" if self.reason else ""
         moment = datetime.fromtimestamp(self.since_ns / 1e9, timezone.utc)
-        return f"The robot was stopped by {self.by} at {moment:%Y-%m-%d %H:%M:%S} UTC{why}"
+        return f"The robot was stopped by {self.stopped_by} at {moment:%Y-%m-%d %H:%M:%S} UTC{why}"
 
 
 class Stopped(RosError):

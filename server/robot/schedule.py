@@ -39,12 +39,12 @@ class Schedule:
     period: float
     origin: float
     expires: float
-    beat: int = 0
+    tick: int = 0
 
     @property
     def due(self) -> float:
         """When the message is due next."""
-        return self._at(self.beat)
+        return self._at(self.tick)
 
     def _at(self, beat: int) -> float:
         return self.origin + beat * self.period
@@ -55,19 +55,19 @@ class Schedule:
             return LeaseExpired()
         if now < self.due:
             return Wait(min(self.due, self.expires))
-        beat = max(self.beat, int((now - self.origin) / self.period)) + 1
+        beat = max(self.tick, int((now - self.origin) / self.period)) + 1
         while self._at(beat) <= now:  # what was rounded away
             beat += 1
-        return Publish(replace(self, beat=beat))
+        return Publish(replace(self, tick=beat))
 
-    def renewed(self, expires: float) -> Schedule:
+    def with_lease(self, expires: float) -> Schedule:
         """The same until another time: when messages are due does not change."""
         return replace(self, expires=expires)
 
-    def every(self, period: float) -> Schedule:
+    def with_period(self, period: float) -> Schedule:
         """The same in another period, counted from the time that came last."""
         if period == self.period:
             return self
-        if self.beat == 0:
+        if self.tick == 0:
             return replace(self, period=period)
-        return replace(self, period=period, origin=self._at(self.beat - 1), beat=1)
+        return replace(self, period=period, origin=self._at(self.tick - 1), tick=1)

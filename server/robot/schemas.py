@@ -10,9 +10,9 @@ from rosld.server.runtime.loop_time import loop_time
 class Schemas:
     """The schemas of one adapter, kept by name and hash. A reference without a hash is asked for anew each time."""
 
-    def __init__(self, adapter: Adapter, patience: float = 5.0) -> None:
+    def __init__(self, adapter: Adapter, timeout: float = 5.0) -> None:
         self._adapter = adapter
-        self._patience = patience
+        self._patience = timeout
         self._known: dict[TypeRef, Schema] = {}
         self._named: dict[str, Schema] = {}
 
@@ -25,15 +25,15 @@ class Schemas:
         """The schemas at hand, each once."""
         return list({id(schema): schema for schema in self._known.values()}.values())
 
-    def at_hand(self, ref: TypeRef) -> Schema | None:
+    def find_cached(self, ref: TypeRef) -> Schema | None:
         """The schema if it was asked for before, without asking."""
         return self._known.get(ref)
 
-    def named(self, name: str) -> Schema | None:
+    def find_cached_by_name(self, name: str) -> Schema | None:
         """A schema at hand of this name, whatever its hash."""
         return self._named.get(name)
 
-    async def find(self, ref: TypeRef) -> Schema:
+    async def get(self, ref: TypeRef) -> Schema:
         """The schema of a type; raises UnknownType (and Unreachable, TimedOut of adapters that must ask)."""
         if (known := self._known.get(ref)) is not None:
             return known
@@ -46,21 +46,21 @@ class Schemas:
 
     async def message(self, ref: TypeRef) -> MessageSchema:
         """The schema of a message type; raises UnknownType also where the name is another kind's."""
-        schema = await self.find(ref)
+        schema = await self.get(ref)
         if not isinstance(schema, MessageSchema):
             raise UnknownType(f"{ref.name} is no message type, which is needed here")
         return schema
 
     async def service(self, ref: TypeRef) -> ServiceSchema:
         """The schema of a service type; raises UnknownType also where the name is another kind's."""
-        schema = await self.find(ref)
+        schema = await self.get(ref)
         if not isinstance(schema, ServiceSchema):
             raise UnknownType(f"{ref.name} is no service type, which is needed here")
         return schema
 
     async def action(self, ref: TypeRef) -> ActionSchema:
         """The schema of an action type; raises UnknownType also where the name is another kind's."""
-        schema = await self.find(ref)
+        schema = await self.get(ref)
         if not isinstance(schema, ActionSchema):
             raise UnknownType(f"{ref.name} is no action type, which is needed here")
         return schema

@@ -76,25 +76,25 @@ class Session:
         master = self.graph.master
         return master.uri.partition("//")[2].rstrip("/") if master else self.adapter.capabilities.system
 
-    def seconds_since(self, url: str) -> float | None:
+    def message_age(self, url: str) -> float | None:
         """How long ago the newest message of the topic at `url` was received, None where none was; from any thread."""
         location = self.space.location(url)
         if location is None or location.kind != "topics":
             return None
-        view = self.topics.last_seen(location.name)
+        view = self.topics.last_view(location.name)
         newest = None if view is None else view.newest
         return None if newest is None else self.adapter.age_ns(newest) / 1e9
 
-    def ages(self) -> Mapping[str, float]:
+    def message_ages(self) -> Mapping[str, float]:
         """The seconds since the newest message of each topic that has one, by the URLs of the topics."""
         urls = map(self.space.topic, self.topics.subscribed())
-        return {url: age for url in urls if (age := self.seconds_since(url)) is not None}
+        return {url: age for url in urls if (age := self.message_age(url)) is not None}
 
     def is_resources_only(self, name: str) -> bool:
         """Whether a topic, service or parameter is written under /resources/ only."""
         return any(fnmatchcase(name, glob) for glob in self.settings.resources_only)
 
-    def listen_to_writes(self, listener: Callable[[Kind, str], None]) -> None:
+    def add_write_listener(self, listener: Callable[[Kind, str], None]) -> None:
         """Have it called with each topic, service or parameter that was written to, as `announce_write` says."""
         self._write_listeners.append(listener)
 
@@ -128,11 +128,11 @@ class Session:
 
     def graph_changed(self, graph: Graph) -> None:
         """`Sink`: look at what the graph now holds."""
-        self._follower.call_soon(self._follower.look)
+        self._follower.call_soon(self._follower.on_graph_changed)
 
     def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
         """`Sink`: what became known of a goal."""
-        self.goals.hear(goal, event)
+        self.goals.on_event(goal, event)
 
     def parameter_changed(self, name: str) -> None:
         """`Sink`: tell those who watch it. Whoever asks reads it anew in any case."""
@@ -143,7 +143,7 @@ class Session:
         action = self.graph.actions.get(name)
         if action is None or action.type is None:
             return None
-        found = self.schemas.at_hand(action.type) or self.schemas.named(action.type.name)
+        found = self.schemas.find_cached(action.type) or self.schemas.find_cached_by_name(action.type.name)
         return found if isinstance(found, ActionSchema) else None
 
 
@@ -166,7 +166,7 @@ class GraphFollower:
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(callback)
 
-    def look(self) -> None:
+    def on_graph_changed(self) -> None:
         """Look at the graph, which may have changed."""
         self._changed.set()
         self._session.changes.emit()
@@ -188,10 +188,10 @@ class GraphFollower:
             await self._changed.wait()
             self._changed.clear()
             graph = self._session.graph
-            await self._session.topics.eager(graph)
+            await self._session.topics.subscribe_eager(graph)
             for ref in used_types(graph):
                 with contextlib.suppress(RosError, asyncio.TimeoutError):
-                    await self._session.schemas.find(ref)
+                    await self._session.schemas.get(ref)
 
 
 def used_types(graph: Graph) -> list[TypeRef]:

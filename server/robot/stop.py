@@ -31,17 +31,17 @@ class StepStatus(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class StopStep:
     """One thing that stops the robot: what it does in words, the URLs of what it is about, what became of it, why."""
 
-    does: str
-    touches: tuple[str, ...] = ()
-    fate: StepStatus = StepStatus.PLANNED
+    description: str
+    affects: tuple[str, ...] = ()
+    status: StepStatus = StepStatus.PLANNED
     words: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class MappedStop:
+class StopCommand:
     """What stops the robot: a `service` to call, or a `topic` to publish on, and the JSON of what it is told.
 
     What the JSON leaves out is ROS's default.
@@ -58,11 +58,11 @@ class SoftwareStop:
     `mapped` tells the steps that mappings ask for, each with the IRI of the complex resource that does.
     """
 
-    def __init__(self, session: Session, holds: Holds, mapped: Callable[[], Iterable[tuple[MappedStop, str]]]) -> None:
+    def __init__(self, session: Session, holds: Holds, mapped: Callable[[], Iterable[tuple[StopCommand, str]]]) -> None:
         self._session = session
         self._holds = holds
         self._mapped = mapped
-        self._steps: dict[str, Step] = {}
+        self._steps: dict[str, StopStep] = {}
         self._running: set[asyncio.Task[None]] = set()
         self.revision = 0
         self.changes = Signal()
@@ -83,11 +83,11 @@ class SoftwareStop:
         return bool(self._running)
 
     @property
-    def steps(self) -> tuple[Step, ...]:
+    def steps(self) -> tuple[StopStep, ...]:
         """What the stop did, or would do now."""
         if self.stop_state is not None:
             return tuple(self._steps.values())
-        return tuple(Step(_words(each), self._touched(each, iri)) for each, iri in self._mapped())
+        return tuple(StopStep(_words(each), self._touched(each, iri)) for each, iri in self._mapped())
 
     async def stop(self, by: Agent, reason: str | None) -> None:
         """Stop the robot, or do so again: who stopped it first is who stopped it.
@@ -114,7 +114,7 @@ class SoftwareStop:
         while self._running and session.deadline(0) < deadline:
             await asyncio.wait(self._running, timeout=deadline - session.deadline(0))
 
-    def lift(self, by: Agent) -> None:
+    def release(self, by: Agent) -> None:
         """Let writes pass again; nothing happens where the robot is not stopped."""
         if self.stop_state is None:
             return
@@ -124,7 +124,7 @@ class SoftwareStop:
         self._revise()
         self._session.changes.emit()
 
-    def _touched(self, mapped: MappedStop, iri: str) -> tuple[str, ...]:
+    def _touched(self, mapped: StopCommand, iri: str) -> tuple[str, ...]:
         """The URLs of what a step of a mapping is about: what it calls or publishes on, and the mapping."""
         space = self._session.space
         if mapped.service is not None:
@@ -133,10 +133,10 @@ class SoftwareStop:
         return space.topic(mapped.topic), iri
 
     def _goals(self) -> list[Goal]:
-        return [goal for goal in self._session.goals.all() if goal.own and goal.is_cancelable]
+        return [goal for goal in self._session.goals.all() if goal.is_own and goal.is_cancelable]
 
     def _begin(self, does: str, work: Awaitable[None], *touches: str) -> None:
-        self._steps[does] = Step(does, touches, StepStatus.RUNNING)
+        self._steps[does] = StopStep(does, touches, StepStatus.RUNNING)
         task = asyncio.ensure_future(self._followed(does, work))
         self._running.add(task)
         task.add_done_callback(self._over)
@@ -156,10 +156,10 @@ class SoftwareStop:
             fate, words = StepStatus.FAILED, "the server failed; its log says more"
             _log.exception("while the robot was stopped: %s", does, exc_info=error)
         if does in self._steps:
-            self._steps[does] = replace(self._steps[does], fate=fate, words=words)
+            self._steps[does] = replace(self._steps[does], status=fate, words=words)
             self._revise()
 
-    async def _carried_out(self, mapped: MappedStop, deadline: float) -> None:
+    async def _carried_out(self, mapped: StopCommand, deadline: float) -> None:
         """Call or publish what a mapping names, past the gate."""
         session, encoding = self._session, self._session.adapter.capabilities.encoding
         if mapped.service is not None:
@@ -168,7 +168,7 @@ class SoftwareStop:
                 raise ValueError(f"there is no service {mapped.service} that can be called")
             called = await session.schemas.service(service.type)
             request = called.request.codec.encode(self._message(called.request, mapped), encoding)
-            answer = await session.adapter.call_at_last(mapped.service, called.ref, request, deadline=deadline)
+            answer = await session.adapter.call_always(mapped.service, called.ref, request, deadline=deadline)
             response = called.response.codec.decode(answer, encoding)
             if getattr(response, "success", True) is False:
                 raise ValueError(str(getattr(response, "message", "") or "it answered that it did not succeed"))
@@ -179,22 +179,22 @@ class SoftwareStop:
             raise ValueError(f"there is no topic {mapped.topic} that can be published to")
         schema = await session.schemas.message(topic.type)
         data = schema.codec.encode(self._message(schema, mapped), encoding)
-        await session.adapter.publish_at_last(mapped.topic, schema.ref, data, deadline=deadline)
+        await session.adapter.publish_always(mapped.topic, schema.ref, data, deadline=deadline)
 
-    def _message(self, schema: MessageSchema, mapped: MappedStop) -> Message:
+    def _message(self, schema: MessageSchema, mapped: StopCommand) -> Message:
         return lowerer(schema, self._session.lifting).from_json(parse_json(mapped.content.encode()), defaults=True)
 
     def _revise(self) -> None:
         self.revision += 1
         self.changes.emit()
 
-    async def ended(self) -> None:
+    async def wait_ended(self) -> None:
         """Returns when nothing of a stop is under way."""
         if self._running:
             await asyncio.wait(self._running)
 
 
-def _words(mapped: MappedStop) -> str:
+def _words(mapped: StopCommand) -> str:
     does = f"call {mapped.service}" if mapped.service is not None else f"publish on {mapped.topic}"
     return does if mapped.content == "{}" else f"{does} with {mapped.content}"
 

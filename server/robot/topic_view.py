@@ -10,7 +10,7 @@ from rosld.adapters.model import Sample
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class TopicView:
     """The samples of a topic as of one look: the newest of each publisher, and how often they come.
 
     `samples` is in order of receipt, the newest last; of a folded topic (`/tf`) it is one, made of all that came.
@@ -25,7 +25,7 @@ class View:
         """The newest sample of all."""
         return self.samples[-1] if self.samples else None
 
-    def identity(self) -> str:
+    def version_key(self) -> str:
         """A short text that differs whenever samples or rate do."""
         digest = hashlib.blake2b(digest_size=9)
         for sample in self.samples:
@@ -34,7 +34,7 @@ class View:
         return digest.hexdigest()
 
 
-NOTHING = View()
+EMPTY_VIEW = TopicView()
 """Nothing was seen."""
 
 
@@ -54,7 +54,7 @@ _SPAN_NS = 5_000_000_000
 
 
 @dataclass(slots=True)
-class Rates:
+class RateEstimator:
     """Message rates, computed from sequence numbers as samples are taken: nothing is done per message."""
 
     _anchors: dict[str, _Anchor] = field(default_factory=dict)

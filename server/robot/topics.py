@@ -10,9 +10,9 @@ from fnmatch import fnmatchcase
 
 from rosld.adapters.base import Adapter, Subscription, Watch
 from rosld.adapters.model import Endpoint, Graph, Message, MessageSchema, RosError, Sample
-from rosld.server.robot.fold import DEPTH, FOLDS, Folded, decoder
+from rosld.server.robot.fold import FOLDS, QUEUE_DEPTH, FoldedTopic, decoder_of
 from rosld.server.robot.schemas import Schemas
-from rosld.server.robot.topic_view import NOTHING, Rates, View
+from rosld.server.robot.topic_view import EMPTY_VIEW, RateEstimator, TopicView
 from rosld.server.runtime.loop_time import loop_time
 
 _SWEEP = 0.5
@@ -44,10 +44,10 @@ class _Look:
     looked_at: float
     eager: bool = False
     watches: int = 0
-    folded: Folded | None = None
-    rates: Rates = field(default_factory=Rates)
+    folded: FoldedTopic | None = None
+    rates: RateEstimator = field(default_factory=RateEstimator)
     latest: Sequence[Sample] | None = None
-    view: View = field(default_factory=View)
+    view: TopicView = field(default_factory=TopicView)
     awaited: tuple[Endpoint, ...] = ()
     insisted: bool = False
 
@@ -105,13 +105,13 @@ class LiveTopics:
         """The topics subscribed to now."""
         return list(self._looks)
 
-    def kept(self) -> Sequence[str]:
+    def always_subscribed(self) -> Sequence[str]:
         """The topics that stay subscribed to whether anybody looks or not, as far as they have a value."""
         there = self._adapter.graph.topics
         looks = [(topic, look) for topic, look in self._looks.items() if look.is_kept and topic in there]
         return [topic for topic, look in looks if look.subscription.latest()]
 
-    def peek(self, topic: str) -> View | None:
+    def find_view(self, topic: str) -> TopicView | None:
         """The view of a topic if it is there, subscribed to and has a value: at once, asking nobody."""
         look = self._looks.get(topic)
         if look is None or topic not in self._adapter.graph.topics:
@@ -120,11 +120,11 @@ class LiveTopics:
         view = self._refresh(look)
         return view if view.samples else None
 
-    def known(self, topic: str) -> View:
+    def current_view(self, topic: str) -> TopicView:
         """The view as of now, without values where none has come: at once, asking nobody."""
-        return self.peek(topic) or self.last_seen(topic) or NOTHING
+        return self.find_view(topic) or self.last_view(topic) or EMPTY_VIEW
 
-    def last_seen(self, topic: str) -> View | None:
+    def last_view(self, topic: str) -> TopicView | None:
         """The view as somebody saw it last; from any thread."""
         look = self._looks.get(topic)
         return None if look is None or topic not in self._adapter.graph.topics else look.view
@@ -138,23 +138,23 @@ class LiveTopics:
             return look is not None
         return not look.subscription.latest() and set(self._publishers(topic)) <= set(look.awaited)
 
-    async def look(self, topic: str, *, insist: bool = False) -> View:
+    async def read(self, topic: str, *, wait_for_publisher: bool = False) -> TopicView:
         """The view of a topic, subscribing if need be and then waiting a moment where somebody publishes it.
 
         The same publishers are waited for once: a topic that is silent holds nobody up again. Who insists waits once
         also where nobody publishes yet. A topic that is not there is neither subscribed to nor waited for.
         """
-        view = self.peek(topic)
+        view = self.find_view(topic)
         if view is not None:
             return view
         if topic not in self._adapter.graph.topics:
-            return NOTHING
+            return EMPTY_VIEW
         look = await self._open(topic)
         await self._know_types(look)
         view = self._refresh(look)
         publishers = self._publishers(topic)
-        is_new = insist and not look.insisted
-        look.insisted |= insist
+        is_new = wait_for_publisher and not look.insisted
+        look.insisted |= wait_for_publisher
         if not view.samples and (is_new or not set(publishers) <= set(look.awaited)):
             await self._wait(look, self._settings.first_value)
             await self._know_types(look)
@@ -167,7 +167,7 @@ class LiveTopics:
         look = await self._open(topic)
         return _TopicWatch(look, look.subscription.watch(wake))
 
-    async def eager(self, graph: Graph) -> None:
+    async def subscribe_eager(self, graph: Graph) -> None:
         """Subscribe to what the eager globs match in this graph."""
         for topic in graph.topics:
             if topic not in self._looks and any(fnmatchcase(topic, glob) for glob in self._settings.eager):
@@ -192,9 +192,9 @@ class LiveTopics:
         entry = self._adapter.graph.topics.get(topic)
         names = {ref.name for ref in entry.types} if entry else set()
         fold = next((FOLDS[name] for name in names if name in FOLDS), None)
-        subscription = await self._adapter.subscribe(topic, depth=DEPTH if fold else 1)
+        subscription = await self._adapter.subscribe(topic, depth=QUEUE_DEPTH if fold else 1)
         now = loop_time()
-        return _Look(subscription, now, folded=Folded(fold) if fold else None)
+        return _Look(subscription, now, folded=FoldedTopic(fold) if fold else None)
 
     async def _know_types(self, look: _Look) -> None:
         """See that the schemas needed to fold are at hand."""
@@ -202,7 +202,7 @@ class LiveTopics:
             return
         for ref in {sample.schema for sample in look.subscription.latest()}:
             with contextlib.suppress(RosError):
-                await self._schemas.find(ref)
+                await self._schemas.get(ref)
 
     async def _wait(self, look: _Look, seconds: float) -> None:
         """Until a sample is there, at most `seconds`."""
@@ -215,39 +215,39 @@ class LiveTopics:
         finally:
             watch.close()
 
-    def _refresh(self, look: _Look) -> View:
+    def _refresh(self, look: _Look) -> TopicView:
         latest = look.subscription.latest()
         if latest is look.latest:
             return look.view
         if look.folded is None:
             samples = tuple(latest)
-            look.view = View(samples, look.rates.observe(samples))
+            look.view = TopicView(samples, look.rates.observe(samples))
         else:
             self._fold(look, look.folded, latest)
         look.latest = latest
         return look.view
 
-    def _fold(self, look: _Look, folded: Folded, latest: Sequence[Sample]) -> None:
+    def _fold(self, look: _Look, folded: FoldedTopic, latest: Sequence[Sample]) -> None:
         ordered = tuple(latest)
         try:
             if not folded.take(ordered, self._decode):
                 return
             whole = folded.sample(self._schema_at_hand(ordered[-1]))
         except (ValueError, LookupError):
-            look.view = View(ordered[-1:], 0.0)  # what cannot be folded is shown as it came
+            look.view = TopicView(ordered[-1:], 0.0)  # what cannot be folded is shown as it came
             return
         newest = {sample.publisher: sample for sample in ordered}
         rate = look.rates.observe(list(newest.values()))
-        look.view = View((whole,) if whole is not None else (), rate)
+        look.view = TopicView((whole,) if whole is not None else (), rate)
 
     def _schema_at_hand(self, sample: Sample) -> MessageSchema:
-        schema = self._schemas.at_hand(sample.schema)
+        schema = self._schemas.find_cached(sample.schema)
         if not isinstance(schema, MessageSchema):
             raise LookupError(sample.schema.name)
         return schema
 
     def _decode(self, sample: Sample) -> Message:
-        return decoder(self._schema_at_hand(sample))(sample)
+        return decoder_of(self._schema_at_hand(sample))(sample)
 
     def _keep_within_budget(self) -> None:
         """Make room for one more."""

@@ -261,7 +261,7 @@ class Dispatcher:
                     raise
                 raise FormRefused(form, exchange.typed, problem) from error
         except FormRefused as refusal:
-            exchange.account.refused(refusal.problem.detail)
+            exchange.account.set_refusal(refusal.problem.detail)
             return await self.pages.refused(resource, refusal, exchange.permissions)
         if isinstance(answer, Response) and answer.status_code == 202 and form.method != "DELETE":
             return await self.pages.told(

@@ -11,7 +11,7 @@ from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ldp
 from rosld.server.dataset import Edit
-from rosld.server.receipts.journal import Entry, Journal
+from rosld.server.receipts.journal import Journal, JournalEntry
 from rosld.server.sparql.change_source import Changes
 
 TITLE = "Activity"
@@ -30,7 +30,7 @@ class ReceiptGraphs:
         self._container = space.container("activity")
         self._told = 0
         self._gone: list[tuple[int, str]] = []
-        journal.watch_dropped(self._dropped)
+        journal.on_dropped(self._dropped)
 
     @property
     def version(self) -> int:
@@ -51,7 +51,7 @@ class ReceiptGraphs:
         gone = [id for version, id in self._gone if version > after]
         yield from self._parts(self._journal.after(after), gone)
 
-    def _parts(self, fresh: Sequence[Entry], gone: Sequence[str]) -> Iterator[Changes]:
+    def _parts(self, fresh: Sequence[JournalEntry], gone: Sequence[str]) -> Iterator[Changes]:
         if gone:
             urls = [self._space.activity(id) for id in gone]
             edit = Edit(self._container, removed="".join(map(self._line, urls)))
@@ -65,10 +65,10 @@ class ReceiptGraphs:
     def _line(self, url: str) -> str:
         return f"<{self._container}> {ldp.contains} <{url}> .\n"
 
-    def _dropped(self, entry: Entry) -> None:
+    def _dropped(self, entry: JournalEntry) -> None:
         if entry.number <= self._told:
             self._gone.append((self._journal.version, entry.id))
 
 
-def _text(entry: Entry, space: Space) -> str:
+def _text(entry: JournalEntry, space: Space) -> str:
     return serialize(activity_document(entry.receipt, space), Syntax.N_TRIPLES).decode()

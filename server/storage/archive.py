@@ -30,8 +30,8 @@ import pyoxigraph
 
 from rosld.server.storage import packing
 from rosld.server.storage.blobs import ID, Blobs
-from rosld.server.storage.ledger import Busy, Entry, RecordTable, failure
-from rosld.server.storage.paths import check, container_of
+from rosld.server.storage.ledger import DatabaseBusy, NumberedRecord, RecordTable, storage_error
+from rosld.server.storage.paths import check_write, container_of
 from rosld.server.storage.record import NO_MEMBER, Blob, Membership, Model, Put, Record, StorageError
 from rosld.server.storage.sqlite import BLOBS, DATABASE, connect
 
@@ -45,21 +45,21 @@ _IRI = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:[^\x00-\x20<>\"{}|\\^`]*")
 _MEDIA_TYPE = re.compile(r"[\x20-\x7e]{1,1000}")
 
 
-class Packed(NamedTuple):
+class ArchiveCounts(NamedTuple):
     """How much an archive holds."""
 
     records: int
     blobs: int
 
 
-def pack(folder: Path, file: IO[bytes], base: str) -> Packed:
+def pack(folder: Path, file: IO[bytes], base: str) -> ArchiveCounts:
     """Write the records of a folder, whether a server runs on it or not. Raises ValueError, OSError, StorageError."""
     if not (folder / DATABASE).is_file():
         raise ValueError(f"{folder} holds no records ({DATABASE} is missing)")
     blobs = Blobs(folder / BLOBS, durable=True)
     with (
         contextlib.closing(blobs),
-        blobs.still(),
+        blobs.hold_files(),
         tempfile.TemporaryFile() as records,
         tempfile.TemporaryFile() as gone,
     ):
@@ -82,24 +82,24 @@ def pack(folder: Path, file: IO[bytes], base: str) -> Packed:
             for id in ids:
                 with blobs.path(id).open("rb") as blob:
                     _add(tar, f"blobs/{id}", blob)
-    return Packed(count, len(ids))
+    return ArchiveCounts(count, len(ids))
 
 
-def _snapshot(folder: Path, gone: IO[bytes]) -> Iterator[Entry]:
+def _snapshot(folder: Path, gone: IO[bytes]) -> Iterator[NumberedRecord]:
     """All entries as they are at one moment; at the end the paths of what is gone then are in `gone`."""
     try:
         with contextlib.closing(connect(folder)) as connection:
             ledger = RecordTable(connection)
             connection.execute("BEGIN")
-            yield from ledger.entries()
-            for path in ledger.gone():
+            yield from ledger.all_records()
+            for path in ledger.tombstones():
                 gone.write(_line(path))
             connection.execute("ROLLBACK")
     except sqlite3.Error as error:
-        raise failure(error) from error
+        raise storage_error(error) from error
 
 
-class Unpacking:
+class ArchiveReader:
     """An archive that is read from its beginning: first `base` is known, then `into` does it."""
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -119,7 +119,7 @@ class Unpacking:
         self.base: str = about["base"]
         """The base URL that the records belong to."""
 
-    def into(self, folder: Path, base: str) -> tuple[Packed, list[str]]:
+    def restore_into(self, folder: Path, base: str) -> tuple[ArchiveCounts, list[str]]:
         """Put what the archive holds in place of all records of a folder, in one transaction.
 
         Where the base is another one every IRI is rewritten. A server may run on the folder: it notices. Returns the
@@ -130,7 +130,7 @@ class Unpacking:
         new = dict[str, str]()
         with (
             contextlib.closing(blobs),
-            blobs.still(),
+            blobs.hold_files(),
             contextlib.closing(connect(folder)) as connection,
             tempfile.TemporaryFile() as records,
         ):
@@ -144,7 +144,7 @@ class Unpacking:
                 for id in new.values():
                     blobs.discard(id)
                 raise
-        return Packed(count, len(new)), freed
+        return ArchiveCounts(count, len(new)), freed
 
     def _checked(self, records: IO[bytes]) -> tuple[int, dict[str, int], list[str]]:
         """Copies and checks the records: how many, the sizes of blobs by id, the paths that are gone."""
@@ -185,11 +185,11 @@ class _Moved:
         self._old, self._new = old, new
         self._token = re.compile(rb'"(?:[^"\\]|\\.)*"|<' + re.escape(old.encode()))
 
-    def entry(self, entry: Entry) -> Entry:
+    def entry(self, entry: NumberedRecord) -> NumberedRecord:
         record, blob = entry.record, entry.record.blob
         if blob is not None:
             record = replace(record, blob=replace(blob, id=self._blobs[blob.id]))
-        return Entry(entry.number, record if self._old == self._new else self._rewritten(record))
+        return NumberedRecord(entry.number, record if self._old == self._new else self._rewritten(record))
 
     def _rewritten(self, record: Record) -> Record:
         membership = record.membership
@@ -210,7 +210,7 @@ class _Moved:
         return self._new + iri[len(self._old) :] if iri.startswith(self._old) else iri
 
 
-def _replace_all(connection: sqlite3.Connection, entries: Iterable[Entry], gone: Iterable[str]) -> list[str]:
+def _replace_all(connection: sqlite3.Connection, entries: Iterable[NumberedRecord], gone: Iterable[str]) -> list[str]:
     """Put entries in place of all records; the blobs set free."""
     connection.execute("PRAGMA synchronous = FULL")
     ledger = RecordTable(connection)
@@ -219,15 +219,15 @@ def _replace_all(connection: sqlite3.Connection, entries: Iterable[Entry], gone:
         freed = ledger.restore(entries, gone, time.time_ns())
         ledger.commit()
     except sqlite3.Error as error:
-        raise failure(error) from error
-    except Busy as error:
+        raise storage_error(error) from error
+    except DatabaseBusy as error:
         raise StorageError("Something else is writing to these records for too long: try again.") from error
     finally:
         ledger.rollback()
     return freed
 
 
-def _entry_json(entry: Entry) -> dict[str, object]:
+def _entry_json(entry: NumberedRecord) -> dict[str, object]:
     record = entry.record
     told: dict[str, object] = {
         "number": entry.number,
@@ -246,7 +246,7 @@ def _entry_json(entry: Entry) -> dict[str, object]:
     return told
 
 
-def _entry(line: bytes) -> Entry:
+def _entry(line: bytes) -> NumberedRecord:
     """The entry on a line. Raises what reading something else raises: ValueError, KeyError, TypeError."""
     told = json.loads(line)
     number, created, modified = told["number"], told["created"], told["modified"]
@@ -264,7 +264,7 @@ def _entry(line: bytes) -> Entry:
         None if membership is None else _membership(membership),
         None if told.get("member") is None else _member(told["member"]),
     )
-    return Entry(number, record)
+    return NumberedRecord(number, record)
 
 
 def _blob(told: Mapping[str, object]) -> Blob:
@@ -290,7 +290,7 @@ def _membership(told: Mapping[str, object]) -> Membership:
 
 def _check(record: Record, sizes: dict[str, int]) -> None:
     """Raises ValueError for a record that cannot be; notes the size of its blob."""
-    check(Put(record.path, record.model, blob=record.blob, membership=record.membership))
+    check_write(Put(record.path, record.model, blob=record.blob, membership=record.membership))
     if not container_of(record.path) and record.model is not Model.BASIC_CONTAINER:
         raise ValueError(f"{record.path} is in no container")
     try:

@@ -6,8 +6,8 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from rosld.server.storage.differences import Step
-from rosld.server.storage.record import Blob, Changed, Member, Record, Write
+from rosld.server.storage.differences import RecordWrite
+from rosld.server.storage.record import Blob, Member, Record, RecordChange, Write
 
 
 class Records(Protocol):
@@ -30,7 +30,7 @@ class Records(Protocol):
         """A record. The very same object comes back while nothing of it changes (and it is asked for now and then)."""
         ...
 
-    def was_there(self, path: str) -> bool:
+    def is_tombstone(self, path: str) -> bool:
         """Whether a record of this path was ever removed; one may be there again."""
         ...
 
@@ -38,11 +38,11 @@ class Records(Protocol):
         """The members of a container in the order of their numbers, those after one of them."""
         ...
 
-    def numbers(self, path: str, *, upto: int | None = None, limit: int = 1000) -> Sequence[int]:
+    def last_member_numbers(self, path: str, *, up_to: int | None = None, limit: int = 1000) -> Sequence[int]:
         """The numbers of the last members of a container, the newest first: of all, or of those up to a number."""
         ...
 
-    def changed(self, after: int, *, limit: int = 10_000) -> Sequence[Changed]:
+    def changes_since(self, after: int, *, limit: int = 10_000) -> Sequence[RecordChange]:
         """What has changed after a version, each path with its latest version, in the order of versions.
 
         A path comes once, but twice where it was removed and made again. No two changes have one version: after as
@@ -50,7 +50,7 @@ class Records(Protocol):
         """
         ...
 
-    def steps(self, record: Record, after: int) -> Sequence[Step] | None:
+    def writes_since(self, record: Record, after: int) -> Sequence[RecordWrite] | None:
         """The writes that made a record what it is from what it was at a version; None where they are not known."""
         ...
 
@@ -77,7 +77,7 @@ class Records(Protocol):
         """The file that holds a blob. Raises FileNotFoundError for one that is no more."""
         ...
 
-    def watch(self, wake: Callable[[Sequence[Changed]], None]) -> Callable[[], None]:
+    def watch(self, wake: Callable[[Sequence[RecordChange]], None]) -> Callable[[], None]:
         """Call `wake` on the loop after each write with what it changed; the function that ends it.
 
         Changes by `rosld load` are told too, within a second.

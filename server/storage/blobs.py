@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from rosld.server.storage.lock import Lock
+from rosld.server.storage.lock import FileLock
 from rosld.server.storage.record import StorageError
 
 ID = re.compile(r"[0-9a-f]{32}")
@@ -34,7 +34,7 @@ class Blobs:
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
         self._durable = durable
-        self._lock = Lock(folder.parent / f"{folder.name}.lock") if durable else None
+        self._lock = FileLock(folder.parent / f"{folder.name}.lock") if durable else None
 
     def path(self, id: str) -> Path:
         """Where the file of a blob is."""
@@ -96,7 +96,7 @@ class Blobs:
 
     def remove(self, ids: Collection[str]) -> bool:
         """Remove files, unless somebody keeps them still; whether that was so."""
-        with self.unless_still() as free:
+        with self.try_removal_lock() as free:
             if free:
                 for id in ids:
                     _unlink(self.path(id))
@@ -108,7 +108,7 @@ class Blobs:
 
     def sweep(self, used: Callable[[], Collection[str]]) -> None:
         """Remove what an earlier process left behind: all files but those `used` tells of."""
-        with self.unless_still() as free:
+        with self.try_removal_lock() as free:
             if free:
                 keep = used()
                 for path in self._folder.iterdir():
@@ -116,29 +116,29 @@ class Blobs:
                         _unlink(path)
 
     @contextmanager
-    def unless_still(self) -> Iterator[bool]:
+    def try_removal_lock(self) -> Iterator[bool]:
         """Within it no other process reads or replaces all records, where it yields True."""
         if self._lock is None:
             yield True
             return
-        free = self._lock.take()
+        free = self._lock.acquire()
         try:
             yield free
         finally:
             if free:
-                self._lock.give_back()
+                self._lock.release()
 
     @contextmanager
-    def still(self) -> Iterator[None]:
+    def hold_files(self) -> Iterator[None]:
         """Within it no process removes a file. Waits while one does."""
         if self._lock is None:
             yield
             return
-        self._lock.take(shared=True, wait=True)
+        self._lock.acquire(shared=True, wait=True)
         try:
             yield
         finally:
-            self._lock.give_back()
+            self._lock.release()
 
     def close(self) -> None:
         """Let go of the folder."""
@@ -155,7 +155,7 @@ def sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-def failure(error: OSError) -> StorageError:
+def storage_error(error: OSError) -> StorageError:
     """What a failed write of a file means."""
     full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
     words = error.strerror or str(error)
@@ -168,7 +168,7 @@ def _told() -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise failure(error) from error
+        raise storage_error(error) from error
 
 
 async def _fill(file: int, chunks: AsyncIterator[bytes], limit: int) -> int:

@@ -6,17 +6,17 @@ from collections import OrderedDict
 
 from rosld.server.storage.record import Record
 
-WEIGHT = 64 * 1024 * 1024
+MAX_WEIGHT = 64 * 1024 * 1024
 _EACH = 1024
 """About what a record takes beside its triples, in bytes."""
 
 
-class Cache:
+class RecordCache:
     """The same objects come back, until they are dropped or pushed out by others."""
 
     __slots__ = ("_kept", "_limit", "_weight")
 
-    def __init__(self, limit: int = WEIGHT) -> None:
+    def __init__(self, limit: int = MAX_WEIGHT) -> None:
         self._kept: OrderedDict[str, Record] = OrderedDict()
         self._limit = limit
         self._weight = 0
@@ -29,7 +29,7 @@ class Cache:
             kept.move_to_end(path)
         return found
 
-    def keep(self, record: Record) -> None:
+    def put(self, record: Record) -> None:
         """Keep this one from now on."""
         self.drop(record.path)
         self._kept[record.path] = record

@@ -13,7 +13,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import Statement, about, each, integer, moment, text
 from rosld.ontology.vocab import dcterms, ldp, rdf, ros
 from rosld.server.storage.models import rdf_types
-from rosld.server.storage.packing import beginning, unpack
+from rosld.server.storage.packing import unpack, unpack_prefix
 from rosld.server.storage.record import Model, Record
 
 MEMBERSHIP = frozenset(
@@ -22,11 +22,11 @@ MEMBERSHIP = frozenset(
 """What a container says its membership triples are made of: a client says it once, the server from then on."""
 TIMES = (dcterms.created, dcterms.modified)
 _SPELT_TIMES = tuple(f"{predicate} ".encode() for predicate in TIMES)
-OF_FILES = frozenset({dcterms.format, ros.length})
+FILE_PROPERTIES = frozenset({dcterms.format, ros.length})
 """What the server says of the bytes of a non-RDF source."""
 META = ".meta"
 """What the URL of a non-RDF source's description ends in."""
-LONGEST_TIME = 1000
+MAX_TIME_BYTES = 1000
 """Bytes of a line that says when a resource was created or modified, beside its URL."""
 
 
@@ -37,8 +37,8 @@ def record_document(record: Record, url: str, members: Sequence[str], membership
     """
     document = url + META if record.model is Model.NON_RDF_SOURCE else url
     contained = about(NamedNode(url), *each(ldp.contains, map(NamedNode, members))) if members else ()
-    times = said_times(record, url)
-    said = parsed(_beside(times, record))
+    times = client_times(record, url)
+    said = parse_ntriples(_beside(times, record))
     return Document(document, (*_managed(record, url, times), *contained, *said, *membership))
 
 
@@ -47,22 +47,22 @@ def managed_triples(record: Record, url: str) -> tuple[Triple, ...]:
 
     It was created when its first writer says; and modified then, too, for as long as nobody has written to it here.
     """
-    return _managed(record, url, said_times(record, url))
+    return _managed(record, url, client_times(record, url))
 
 
-def _managed(record: Record, url: str, said: SaidTimes) -> tuple[Triple, ...]:
+def _managed(record: Record, url: str, said: ClientTimes) -> tuple[Triple, ...]:
     times = said.created + (said.modified if _is_new(record) else b"")
     created = () if said.created else ((dcterms.created, moment(record.created_ns)),)
     modified = () if said.modified and _is_new(record) else ((dcterms.modified, moment(record.modified_ns)),)
     classes = ((rdf.type, each) for each in rdf_types(record.model))
-    return (*about(NamedNode(url), *classes, *created, *modified, *_of_file(record)), *parsed(times))
+    return (*about(NamedNode(url), *classes, *created, *modified, *_of_file(record)), *parse_ntriples(times))
 
 
 def _is_new(record: Record) -> bool:
     return record.created_ns == record.modified_ns
 
 
-class SaidTimes(NamedTuple):
+class ClientTimes(NamedTuple):
     """When a resource was created and modified as its first writer says: lines of N-Triples, empty where it does not.
 
     What a record says begins with them.
@@ -72,12 +72,12 @@ class SaidTimes(NamedTuple):
     modified: bytes
 
 
-_UNSAID = SaidTimes(b"", b"")
+_UNSAID = ClientTimes(b"", b"")
 
 
-def said_times(record: Record, url: str) -> SaidTimes:
+def client_times(record: Record, url: str) -> ClientTimes:
     """What the first writer of a record said of its times."""
-    left = beginning(record.triples, len(TIMES) * (len(url) + LONGEST_TIME))
+    left = unpack_prefix(record.triples, len(TIMES) * (len(url) + MAX_TIME_BYTES))
     subject, lines = f"<{url}> ".encode(), []
     if not left.startswith(subject):
         return _UNSAID
@@ -85,24 +85,24 @@ def said_times(record: Record, url: str) -> SaidTimes:
         is_said = left.startswith(subject + predicate)
         line, left = (left[: left.index(b"\n") + 1], left[left.index(b"\n") + 1 :]) if is_said else (b"", left)
         lines.append(line)
-    return SaidTimes(*lines)
+    return ClientTimes(*lines)
 
 
-def said_beside_times(record: Record, url: str) -> bytes:
+def client_ntriples(record: Record, url: str) -> bytes:
     """All else that clients say of a resource, as N-Triples."""
-    return _beside(said_times(record, url), record)
+    return _beside(client_times(record, url), record)
 
 
-def _beside(times: SaidTimes, record: Record) -> bytes:
+def _beside(times: ClientTimes, record: Record) -> bytes:
     return unpack(record.triples)[sum(map(len, times)) :]
 
 
 def without_statements(record: Record, url: str) -> Record:
     """A record of which clients say nothing but its times."""
-    return replace(record, triples=b"".join(said_times(record, url)))
+    return replace(record, triples=b"".join(client_times(record, url)))
 
 
-def parsed(ntriples: bytes) -> tuple[Triple, ...]:
+def parse_ntriples(ntriples: bytes) -> tuple[Triple, ...]:
     """Triples spelt as they are, each once."""
     quads = parse(ntriples, RdfFormat.N_TRIPLES) if ntriples else ()
     return tuple(dict.fromkeys(quad.triple for quad in quads))
@@ -114,7 +114,7 @@ def _of_file(record: Record) -> Iterable[Statement]:
     return ((dcterms.format, text(record.blob.media_type)), (ros.length, integer(record.blob.size)))
 
 
-def unmanaged(triples: Iterable[Triple], url: str, model: Model) -> list[Triple]:
+def remove_managed(triples: Iterable[Triple], url: str, model: Model) -> list[Triple]:
     """The triples that are not the server's to say of what is at `url`."""
     subject = NamedNode(url)
     return [each for each in triples if each.subject != subject or not is_managed(each.predicate, each.object, model)]
@@ -124,7 +124,7 @@ def is_managed(predicate: NamedNode, value: object, model: Model | None = None) 
     """Whether what is said by a predicate is the server's to say, of a resource of this model or of any (None)."""
     if predicate == rdf.type:
         return value in _CLASSES
-    if predicate in OF_FILES:
+    if predicate in FILE_PROPERTIES:
         return model in (None, Model.NON_RDF_SOURCE)
     if predicate in MEMBERSHIP:
         return model in (None, Model.DIRECT_CONTAINER, Model.INDIRECT_CONTAINER)
@@ -132,7 +132,7 @@ def is_managed(predicate: NamedNode, value: object, model: Model | None = None) 
 
 
 _CLASSES = frozenset(each for model in Model for each in rdf_types(model))
-_SIGNS = (f"<{ldp.iri}", *map(str, TIMES), *map(str, OF_FILES))
+_SIGNS = (f"<{ldp.iri}", *map(str, TIMES), *map(str, FILE_PROPERTIES))
 _SIGN = re.compile("|".join(map(re.escape, _SIGNS)).encode())
 
 

@@ -15,7 +15,7 @@ _WRITES = 64
 """Writes of one record, and records, whose differences are kept: the oldest go first."""
 
 
-class Step(NamedTuple):
+class RecordWrite(NamedTuple):
     """One write of a record: what it was before and after, of what clients say only its times, and what changed."""
 
     before: Record
@@ -23,13 +23,13 @@ class Step(NamedTuple):
     difference: Difference
 
 
-class Differences:
+class RecentWrites:
     """The differences of the last writes."""
 
     def __init__(self) -> None:
-        self._steps: OrderedDict[str, list[Step]] = OrderedDict()
+        self._steps: OrderedDict[str, list[RecordWrite]] = OrderedDict()
 
-    def note(self, put: Put, record: Record) -> None:
+    def add(self, put: Put, record: Record) -> None:
         """This write has made this record."""
         difference = put.difference
         if difference is None or put.expected != difference.before.version:
@@ -39,13 +39,13 @@ class Differences:
         steps = self._steps.setdefault(record.path, [])
         if steps and steps[-1].after.version != before.version:
             steps.clear()
-        steps.append(Step(before, after, difference))
+        steps.append(RecordWrite(before, after, difference))
         del steps[:-_WRITES]
         self._steps.move_to_end(record.path)
         if len(self._steps) > _WRITES:
             self._steps.popitem(last=False)
 
-    def steps(self, record: Record, after: int) -> Sequence[Step] | None:
+    def since(self, record: Record, after: int) -> Sequence[RecordWrite] | None:
         """The writes that made a record what it is from what it was at a version; None where they are not known."""
         steps = [each for each in self._steps.get(record.path, ()) if each.after.version > after]
         if not steps or steps[0].before.version > after or steps[-1].after.version != record.version:

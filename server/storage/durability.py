@@ -15,11 +15,11 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from rosld.server.storage.blobs import Blobs, failure
+from rosld.server.storage.blobs import Blobs, storage_error
 from rosld.server.storage.ledger import is_full
-from rosld.server.storage.log import carry_over, close_as_it_is
+from rosld.server.storage.log import checkpoint, close_without_checkpoint
 from rosld.server.storage.record import StorageError
-from rosld.server.storage.reserve import Reserve
+from rosld.server.storage.reserve import DiskReserve
 from rosld.server.storage.synced_log import SyncedLog
 
 _log = logging.getLogger("rosld")
@@ -35,7 +35,7 @@ _BUSY_SECONDS = 0.05
 class Durability:
     """Belongs to one loop. `database` is open elsewhere, with a log that was just carried over."""
 
-    def __init__(self, database: Path, blobs: Blobs, reserve: Reserve) -> None:
+    def __init__(self, database: Path, blobs: Blobs, reserve: DiskReserve) -> None:
         self._log = SyncedLog(database)
         self.failure: StorageError | None = None
         """Why nothing can be acknowledged before `reopen` was successful."""
@@ -54,7 +54,7 @@ class Durability:
         self._thread = threading.Thread(target=self._work, name="records", daemon=True)
         self._thread.start()
 
-    def reached(self, freed: list[str]) -> asyncio.Future[None]:
+    def wait_synced(self, freed: list[str]) -> asyncio.Future[None]:
         """Done when everything written until now is on the disk; then these blobs are removed. Raises StorageError."""
         future = asyncio.get_running_loop().create_future()
         self._log.note_written()
@@ -75,7 +75,7 @@ class Durability:
         """Let go of the files: the database is not open any more. Idempotent."""
         self._log.close()
 
-    def make_room(self, *, last: bool) -> None:
+    def free_space(self, *, last: bool) -> None:
         """Where the disk is full: give back what the log takes, and if it is the `last` resort what is set aside."""
         with self._at_work:
             self._is_short = True
@@ -83,7 +83,7 @@ class Durability:
             if last:
                 self._reserve.release()
 
-    def works(self) -> bool:
+    def can_sync(self) -> bool:
         """Whether the disk syncs again; it says nothing of what it failed to sync before."""
         with self._at_work:
             try:
@@ -98,34 +98,34 @@ class Durability:
         `connection` must be the only one of this process; the one returned may be read in any case. Raises ValueError
         where there is none.
         """
-        with self._at_work, self._blobs.unless_still() as alone:
+        with self._at_work, self._blobs.try_removal_lock() as alone:
             if not alone:
                 self.failure = StorageError(
                     f"{self.failure} The log is opened anew when `rosld dump` or load has ended."
                 )
                 return connection
             try:
-                close_as_it_is(self._database, connection)
+                close_without_checkpoint(self._database, connection)
             except sqlite3.Error as error:
                 return self._not_reopened(error, connection)
             wrong: Exception | None = None
             try:
-                self._log.cut_back()
+                self._log.truncate()
             except OSError as error:
                 wrong = error
             connection = connect()
             self._log.open()
             if wrong is not None:
                 return self._not_reopened(wrong, connection)
-            if lost := self._log.lost_frames():
+            if lost := self._log.count_lost_frames():
                 _log.critical("the disk has lost the last %d pages that it had taken: what they held is gone", lost)
             try:
-                if not carried_over(connection, self._reserve):
+                if not checkpoint_with_reserve(connection, self._reserve):
                     raise sqlite3.OperationalError("something else reads the database")
             except sqlite3.Error as error:
-                if not self._log.is_cut or not is_full(error):  # what was not cut off is on the disk
+                if not self._log.needs_truncation or not is_full(error):  # what was not cut off is on the disk
                     return self._not_reopened(error, connection)
-            self._log.begin_anew()
+            self._log.mark_all_synced()
             self.failure = None
             return connection
 
@@ -157,7 +157,7 @@ class Durability:
             self._log.sync()
         except OSError as error:
             _log.error("the log of records could not be synced, and is opened anew: %s", error)
-            self.failure = failure(error)
+            self.failure = storage_error(error)
             return self.failure
         return None
 
@@ -187,15 +187,15 @@ class Durability:
         self._carry_at = self._log.size() + LOG_BYTES
 
 
-def carried_over(connection: sqlite3.Connection, reserve: Reserve) -> bool:
+def checkpoint_with_reserve(connection: sqlite3.Connection, reserve: DiskReserve) -> bool:
     """Carry the log over; where the disk is full at the expense of what is set aside. Raises sqlite3.Error."""
     try:
-        return carry_over(connection)
+        return checkpoint(connection)
     except sqlite3.Error:
         if not reserve.is_full:
             raise
         reserve.release()
-        return carry_over(connection)
+        return checkpoint(connection)
     finally:
         reserve.fill()
 

@@ -11,17 +11,17 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Protocol
 
-from rosld.server.storage.ledger import Applied, Busy
+from rosld.server.storage.ledger import DatabaseBusy, Effects
 from rosld.server.storage.record import Conflict, Put, StorageError, Write
 
-MAX_JOBS = 128
+MAX_BATCHES = 128
 """Jobs in one transaction, which the loop does at a stretch."""
 MAX_BYTES = 4 * 1024 * 1024
 """Bytes in one transaction, beyond its first job."""
 _BUSY_SECONDS = 0.005
 
 
-class Job:
+class WriteBatch:
     """Writes that belong together, and the ids of the received blobs they refer to."""
 
     __slots__ = ("done", "received", "size", "writes")
@@ -30,20 +30,20 @@ class Job:
         self.writes = writes
         self.received = received
         self.size = sum(len(write.triples) for write in writes if isinstance(write, Put))
-        self.done: asyncio.Future[Applied] | None = None
+        self.done: asyncio.Future[Effects] | None = None
 
 
-class Storage(Protocol):
+class BatchStorage(Protocol):
     """What does jobs."""
 
-    def transact(self, jobs: Sequence[Job]) -> Sequence[Applied | Conflict]:
+    def transact(self, jobs: Sequence[WriteBatch]) -> Sequence[Effects | Conflict]:
         """Do jobs in one transaction: what came of each.
 
         Raises Busy where another process writes, and anything else with nothing done.
         """
         ...
 
-    async def reach(self, applied: Sequence[Applied]) -> None:
+    async def wait_durable(self, applied: Sequence[Effects]) -> None:
         """Wait until what was done is durable. Raises StorageError where it is not, and was undone if possible."""
         ...
 
@@ -51,22 +51,22 @@ class Storage(Protocol):
         """See to it that writes can be made durable. Raises StorageError where they cannot."""
         ...
 
-    async def make_room(self, job: Job) -> None:
+    async def free_space(self, job: WriteBatch) -> None:
         """Make what room there can be for a job that found the disk full."""
         ...
 
 
-class Group:
+class GroupCommit:
     """Belongs to one loop."""
 
-    def __init__(self, storage: Storage) -> None:
+    def __init__(self, storage: BatchStorage) -> None:
         self._storage = storage
-        self._jobs: deque[Job] = deque()
+        self._jobs: deque[WriteBatch] = deque()
         self._idle = asyncio.Event()
         self._idle.set()
         self._work: asyncio.Task[None] | None = None
 
-    async def do(self, job: Job) -> Applied:
+    async def commit(self, job: WriteBatch) -> Effects:
         """Do a job and wait until it is durable. It is done even if nobody waits any more."""
         loop = asyncio.get_running_loop()
         job.done = loop.create_future()
@@ -76,13 +76,13 @@ class Group:
             self._work = loop.create_task(self._do_all())  # begins together with others that come at once
         return await job.done
 
-    def stir(self) -> None:
+    def recover(self) -> None:
         """Recover, if there is something to recover from, although nobody writes."""
         if self._idle.is_set():
             self._idle.clear()
             self._work = asyncio.get_running_loop().create_task(self._do_all())
 
-    async def idle(self) -> None:
+    async def wait_idle(self) -> None:
         """Wait until every job is done."""
         await self._idle.wait()
 
@@ -101,13 +101,13 @@ class Group:
         finally:
             self._idle.set()
 
-    async def _round(self, jobs: Sequence[Job]) -> None:
+    async def _round(self, jobs: Sequence[WriteBatch]) -> None:
         """Do jobs, then wait for the disk."""
-        written, short, busy = list[tuple[Job, Applied]](), list[Job](), list[Job]()
+        written, short, busy = list[tuple[WriteBatch, Effects]](), list[WriteBatch](), list[WriteBatch]()
         for job, outcome in zip(jobs, self._outcomes(jobs), strict=True):
-            if isinstance(outcome, Applied):
+            if isinstance(outcome, Effects):
                 written.append((job, outcome))
-            elif isinstance(outcome, Busy):
+            elif isinstance(outcome, DatabaseBusy):
                 busy.append(job)
             elif isinstance(outcome, StorageError) and outcome.full:
                 short.append(job)
@@ -120,55 +120,55 @@ class Group:
         if busy and not written:
             await asyncio.sleep(_BUSY_SECONDS)
 
-    async def _in_new_room(self, job: Job) -> None:
+    async def _in_new_room(self, job: WriteBatch) -> None:
         """Try once more what found the disk full."""
         try:
             await self._storage.recover()
         except StorageError as error:
             _settle(job, error)
             return
-        await self._storage.make_room(job)
+        await self._storage.free_space(job)
         outcome = self._outcomes((job,))[0]
-        if isinstance(outcome, Applied):
+        if isinstance(outcome, Effects):
             await self._reach([(job, outcome)])
-        elif isinstance(outcome, Busy):
+        elif isinstance(outcome, DatabaseBusy):
             self._jobs.append(job)
         else:
             _settle(job, outcome)
 
-    async def _reach(self, written: Sequence[tuple[Job, Applied]]) -> None:
+    async def _reach(self, written: Sequence[tuple[WriteBatch, Effects]]) -> None:
         if not written:
             return
         error: StorageError | None = None
         try:
-            await self._storage.reach([applied for _, applied in written])
+            await self._storage.wait_durable([applied for _, applied in written])
         except StorageError as failed:
             error = failed
         for job, applied in written:
             _settle(job, applied if error is None else error)
 
-    def _some(self) -> list[Job]:
-        jobs, size = list[Job](), 0
-        while self._jobs and len(jobs) < MAX_JOBS and size < MAX_BYTES:
+    def _some(self) -> list[WriteBatch]:
+        jobs, size = list[WriteBatch](), 0
+        while self._jobs and len(jobs) < MAX_BATCHES and size < MAX_BYTES:
             jobs.append(self._jobs.popleft())
             size += jobs[-1].size
         return jobs
 
-    def _outcomes(self, jobs: Sequence[Job]) -> Sequence[Applied | Exception]:
+    def _outcomes(self, jobs: Sequence[WriteBatch]) -> Sequence[Effects | Exception]:
         """What came of each job. Where the transaction fails each is tried alone: one is too large for the disk."""
         try:
             return self._storage.transact(jobs)
         except Exception as error:
-            if len(jobs) == 1 or isinstance(error, Busy):
+            if len(jobs) == 1 or isinstance(error, DatabaseBusy):
                 return [error] * len(jobs)
         return [self._outcomes((job,))[0] for job in jobs]
 
 
-def _settle(job: Job, outcome: Applied | BaseException) -> None:
+def _settle(job: WriteBatch, outcome: Effects | BaseException) -> None:
     """Tell whoever waits for the job, if somebody still does."""
     if job.done is None or job.done.done():
         return
-    if isinstance(outcome, Applied):
+    if isinstance(outcome, Effects):
         job.done.set_result(outcome)
     else:
         job.done.set_exception(outcome)

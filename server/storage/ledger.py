@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 from rosld.server.storage.paths import container_of
 from rosld.server.storage.record import (
     Blob,
-    Cause,
-    Changed,
     Conflict,
+    ConflictCause,
     Member,
     Membership,
     Model,
     Put,
     Record,
+    RecordChange,
     Remove,
     StorageError,
     Write,
@@ -60,11 +60,11 @@ _UPDATE = """UPDATE record SET version = ?, modified = ?, member = ?, blob = ?, 
 _REWRITE = "UPDATE record SET version = ?, modified = ?, triples = ? WHERE path = ? AND version = ?"
 
 
-class Busy(Exception):
+class DatabaseBusy(Exception):
     """Another process is writing just now."""
 
 
-class Present(NamedTuple):
+class CurrentRow(NamedTuple):
     """What a write must know of a record that is there; the last three are None of what is no container."""
 
     id: int
@@ -80,14 +80,14 @@ class Present(NamedTuple):
     members: int | None
 
 
-class Entry(NamedTuple):
+class NumberedRecord(NamedTuple):
     """A record with its number among the members of its container, by which entries are ordered."""
 
     number: int
     record: Record
 
 
-class Listed(NamedTuple):
+class MemberList(NamedTuple):
     """How the list of a container is after a write."""
 
     version: int
@@ -95,30 +95,30 @@ class Listed(NamedTuple):
     members: int
 
 
-class Applied:
+class Effects:
     """What the writes of a transaction have done so far."""
 
-    __slots__ = ("freed", "gone", "lists", "records", "unused")
+    __slots__ = ("freed", "lists", "records", "removed", "unused")
 
     def __init__(self, received: Sequence[str] = ()) -> None:
         self.records: dict[str, Record] = {}
         """The records that were written, as they are now."""
-        self.gone: dict[str, int] = {}
+        self.removed: dict[str, int] = {}
         """The version at which a path was removed."""
-        self.lists: dict[str, Listed] = {}
+        self.lists: dict[str, MemberList] = {}
         """The lists that changed, of containers that are there."""
         self.freed: list[str] = []
         """The blobs that nothing refers to any more."""
         self.unused = set(received)
         """The blobs that were received and wait for their record."""
 
-    def changed(self) -> list[Changed]:
+    def changes(self) -> list[RecordChange]:
         """Each path once, with its latest version, in the order of versions."""
         found = {path: listed.version for path, listed in self.lists.items()}
         for path, record in self.records.items():
             found[path] = max(record.version, found.get(path, 0))
-        changed = [Changed(path, version, False) for path, version in found.items()]
-        changed += [Changed(path, version, True) for path, version in self.gone.items()]
+        changed = [RecordChange(path, version, False) for path, version in found.items()]
+        changed += [RecordChange(path, version, True) for path, version in self.removed.items()]
         return sorted(changed, key=_version)
 
 
@@ -148,41 +148,41 @@ class RecordTable:
         try:
             row = self._execute(_RECORD, (path,)).fetchone()
         except sqlite3.Error as error:
-            raise failure(error) from error
+            raise storage_error(error) from error
         return None if row is None else _record(path, row)
 
-    def was_there(self, path: str) -> bool:
+    def is_tombstone(self, path: str) -> bool:
         """Whether it was removed."""
         try:
             return self._execute("SELECT 1 FROM gone WHERE path = ?", (path,)).fetchone() is not None
         except sqlite3.Error as error:
-            raise failure(error) from error
+            raise storage_error(error) from error
 
     def members(self, path: str, after: int, limit: int) -> list[Member]:
         """Members of a container by number."""
         try:
             rows = self._execute(_MEMBERS, (path, after, limit)).fetchall()
         except sqlite3.Error as error:
-            raise failure(error) from error
+            raise storage_error(error) from error
         return [Member(number, name, _MODELS[model], member) for number, name, model, member in rows]
 
-    def numbers(self, path: str, upto: int | None, limit: int) -> list[int]:
+    def last_member_numbers(self, path: str, up_to: int | None, limit: int) -> list[int]:
         """The numbers of the last members of a container, the newest first."""
         try:
-            rows = self._execute(_NUMBERS, (path, _GREATEST if upto is None else upto, limit)).fetchall()
+            rows = self._execute(_NUMBERS, (path, _GREATEST if up_to is None else up_to, limit)).fetchall()
         except sqlite3.Error as error:
-            raise failure(error) from error
+            raise storage_error(error) from error
         return [row[0] for row in rows]
 
-    def changed(self, after: int, limit: int) -> list[Changed]:
+    def changes_since(self, after: int, limit: int) -> list[RecordChange]:
         """What has changed after a version."""
         try:
             rows = self._execute(_CHANGED, (after, limit)).fetchall()
         except sqlite3.Error as error:
-            raise failure(error) from error
-        found = [Changed(path, version, bool(gone)) for path, version, gone in rows]
+            raise storage_error(error) from error
+        found = [RecordChange(path, version, bool(gone)) for path, version, gone in rows]
         if self._withdrawn:
-            found += (Changed(path, version, True) for path, version in self._withdrawn.items() if version > after)
+            found += (RecordChange(path, version, True) for path, version in self._withdrawn.items() if version > after)
             found.sort(key=_version)
         return found[:limit]
 
@@ -194,7 +194,7 @@ class RecordTable:
 
         self._execute = refuse
 
-    def succeed(self, former: RecordTable, undone: Iterable[str]) -> None:
+    def take_over(self, former: RecordTable, undone: Iterable[str]) -> None:
         """Take the place of a former ledger, some of whose writes were not kept: these have changed once more.
 
         Versions go on from its own, so that none stands for two states. Raises what a write raises.
@@ -209,23 +209,23 @@ class RecordTable:
                     self._withdrawn[path] = self._next
             self.commit()
         except sqlite3.Error as error:
-            raise failure(error) from error
+            raise storage_error(error) from error
         finally:
             self.rollback()
 
-    def blobs(self) -> set[str]:
+    def blob_ids(self) -> set[str]:
         """The ids of all blobs that records refer to."""
         return {row[0] for row in self._execute("SELECT blob FROM record WHERE blob IS NOT NULL")}
 
-    def entries(self) -> Iterator[Entry]:
+    def all_records(self) -> Iterator[NumberedRecord]:
         """All records, containers before their members."""
-        return (Entry(row[0], _record(row[1], row[2:])) for row in self._execute(_ENTRIES))
+        return (NumberedRecord(row[0], _record(row[1], row[2:])) for row in self._execute(_ENTRIES))
 
-    def gone(self) -> Iterator[str]:
+    def tombstones(self) -> Iterator[str]:
         """The paths of all records that were removed."""
         return (row[0] for row in self._execute("SELECT path FROM gone ORDER BY path"))
 
-    def foreign(self) -> bool:
+    def changed_elsewhere(self) -> bool:
         """Whether another process has changed something since this was asked last."""
         seen, self._seen = self._seen, self._data_version()
         if seen == self._seen:
@@ -237,10 +237,10 @@ class RecordTable:
         """Begin to write; whether another process has changed something meanwhile. Raises Busy while one writes."""
         try:
             self._execute("BEGIN IMMEDIATE")
-            foreign = self.foreign()
+            foreign = self.changed_elsewhere()
         except sqlite3.Error as error:
             self.rollback()
-            raise failure(error) from error
+            raise storage_error(error) from error
         self._next = self.version
         return foreign
 
@@ -249,7 +249,7 @@ class RecordTable:
         try:
             self._execute("COMMIT")
         except sqlite3.Error as error:
-            raise failure(error) from error
+            raise storage_error(error) from error
         self.version = self._next
 
     def rollback(self) -> None:
@@ -257,17 +257,17 @@ class RecordTable:
         if self._connection.in_transaction:
             self._execute("ROLLBACK")
 
-    def root(self, path: str, now: int) -> None:
+    def create_root(self, path: str, now: int) -> None:
         """Make a container that is in no other, unless it is there; between `begin` and `commit`."""
         if self._present(path) is None:
             self._insert(Put(path, Model.BASIC_CONTAINER), 0, now)
 
-    def attempt(self, writes: Sequence[Write], received: Sequence[str], now: int) -> Applied | Conflict:
+    def apply(self, writes: Sequence[Write], received: Sequence[str], now: int) -> Effects | Conflict:
         """Do these writes between `begin` and `commit`, all or none: what they did, or why they cannot be done.
 
         `received` are blobs that no record refers to yet. After a StorageError nothing but `rollback` is possible.
         """
-        applied, several, version = Applied(received), len(writes) > 1, self._next
+        applied, several, version = Effects(received), len(writes) > 1, self._next
         try:
             if several:
                 self._execute("SAVEPOINT attempt")
@@ -283,10 +283,10 @@ class RecordTable:
                 if several and self._connection.in_transaction:
                     self._execute("RELEASE attempt")
         except sqlite3.Error as error:
-            raise failure(error) from error
+            raise storage_error(error) from error
         return applied
 
-    def alone(self, put: Put, now: int) -> Record | None:
+    def apply_single(self, put: Put, now: int) -> Record | None:
         """Do a write that is one statement, and so a transaction by itself; None, with nothing done, where it is more.
 
         Neither between `begin` and `commit`, nor where another process may write.
@@ -295,17 +295,17 @@ class RecordTable:
         try:
             record = self._rewritten(put, now)
         except sqlite3.Error as error:
-            raise failure(error) from error
+            raise storage_error(error) from error
         self.version = self._next
         return record
 
-    def restore(self, entries: Iterable[Entry], gone: Iterable[str], now: int) -> list[str]:
+    def restore(self, entries: Iterable[NumberedRecord], gone: Iterable[str], now: int) -> list[str]:
         """Put these in place of all records, with new versions, between `begin` and `commit`; the blobs set free.
 
         Records that are there and not among them are removed; those among them come back even where they were removed.
         Entries come as `entries` tells them. Raises ValueError where a container is missing.
         """
-        freed = list(self.blobs())
+        freed = list(self.blob_ids())
         before = [row[0] for row in self._execute("SELECT path FROM record ORDER BY id")]
         self._execute("DELETE FROM record")
         self._execute("DELETE FROM list")
@@ -339,7 +339,7 @@ class RecordTable:
                 self._execute("INSERT OR IGNORE INTO gone VALUES (?, ?)", (path, self._next))
         return freed
 
-    def _apply(self, write: Write, applied: Applied, now: int) -> None:
+    def _apply(self, write: Write, applied: Effects, now: int) -> None:
         """Do one write; where it raises Conflict, not even in part."""
         if isinstance(write, Put):
             self._put(write, applied, now)
@@ -352,11 +352,11 @@ class RecordTable:
     def _latest(self) -> int:
         return int(self._execute(_LATEST).fetchone()[0])
 
-    def _present(self, path: str) -> Present | None:
+    def _present(self, path: str) -> CurrentRow | None:
         row = self._execute(_PRESENT, (path,)).fetchone()
-        return None if row is None else Present(*row)
+        return None if row is None else CurrentRow(*row)
 
-    def _put(self, put: Put, applied: Applied, now: int) -> None:
+    def _put(self, put: Put, applied: Effects, now: int) -> None:
         rewritten = self._rewritten(put, now)
         if rewritten is not None:
             applied.records[put.path] = rewritten
@@ -364,7 +364,7 @@ class RecordTable:
         present = self._present(put.path)
         if present is None:
             self._make(put, applied, now)
-        elif not put.unless_there:
+        elif not put.only_if_absent:
             self._replace(put, present, applied, now)
 
     def _rewritten(self, put: Put, now: int) -> Record | None:
@@ -381,22 +381,22 @@ class RecordTable:
         self._next = version
         return Record(path, known.model, version, known.created_ns, modified, triples, member=known.member)
 
-    def _make(self, put: Put, applied: Applied, now: int) -> None:
+    def _make(self, put: Put, applied: Effects, now: int) -> None:
         path = put.path
-        if (put.unused or put.expected) and self.was_there(path):
-            raise Conflict(path, "it was deleted", Cause.GONE)
+        if (put.unused or put.expected) and self.is_tombstone(path):
+            raise Conflict(path, "it was deleted", ConflictCause.GONE)
         if put.expected:
-            raise Conflict(path, f"it is not there, and so not in version {put.expected}", Cause.MISSING)
+            raise Conflict(path, f"it is not there, and so not in version {put.expected}", ConflictCause.MISSING)
         above = container_of(path)
         container = self._present(above)
         if container is None:
             words = f"its container {above} is not there" if above else "no resource can be made beside the roots"
-            raise Conflict(path, words, Cause.CONTAINER)
+            raise Conflict(path, words, ConflictCause.CONTAINER)
         other = path[:-1] if path.endswith("/") else path + "/"
         if self._execute("SELECT 1 FROM record WHERE path = ?", (other,)).fetchone() is not None:
-            raise Conflict(path, f"there is {other} already, and a name means one thing", Cause.NAME)
+            raise Conflict(path, f"there is {other} already, and a name means one thing", ConflictCause.NAME)
         _take(put, None, applied)
-        applied.gone.pop(path, None)
+        applied.removed.pop(path, None)
         applied.records[path] = self._insert(put, container.id, now)
         self._list(above, container, applied, now, 1)
 
@@ -413,12 +413,12 @@ class RecordTable:
         head = (number, record.path, container, record.model.value, version, record.created_ns, record.modified_ns)
         self._execute(_INSERT, (*head, record.member, *_texts(record.blob, record.membership), record.triples))
 
-    def _replace(self, put: Put, present: Present, applied: Applied, now: int) -> None:
+    def _replace(self, put: Put, present: CurrentRow, applied: Effects, now: int) -> None:
         path, blob, triples = put.path, put.blob, put.triples
         _expect(put, present)
         if put.model.value != present.model:
             words = f"it is a {present.model}, and cannot become a {put.model.value}"
-            raise Conflict(path, words, Cause.MODEL)
+            raise Conflict(path, words, ConflictCause.MODEL)
         _take(put, present.blob, applied)
         member = present.member if put.member is None else put.member
         now = max(now, present.modified)
@@ -444,22 +444,22 @@ class RecordTable:
             if container is not None:
                 self._list(above, container, applied, now, 0)
 
-    def _remove(self, remove: Remove, applied: Applied, now: int) -> None:
+    def _remove(self, remove: Remove, applied: Effects, now: int) -> None:
         path = remove.path
         present = self._present(path)
         if present is None:
             gone = self._execute("SELECT 1 FROM gone WHERE path = ?", (path,)).fetchone() is not None
             raise (
-                Conflict(path, "it was deleted", Cause.GONE)
+                Conflict(path, "it was deleted", ConflictCause.GONE)
                 if gone
-                else Conflict(path, "it is not there", Cause.MISSING)
+                else Conflict(path, "it is not there", ConflictCause.MISSING)
             )
         _expect(remove, present)
         if not present.container:
-            raise Conflict(path, "it is always there and cannot be deleted", Cause.ROOT)
+            raise Conflict(path, "it is always there and cannot be deleted", ConflictCause.ROOT)
         if present.members:
             words = f"it is not empty: delete its {present.members} members first"
-            raise Conflict(path, words, Cause.NOT_EMPTY)
+            raise Conflict(path, words, ConflictCause.NOT_EMPTY)
         self._next = version = self._next + 1
         self._execute("DELETE FROM record WHERE id = ?", (present.id,))
         if present.members is not None:
@@ -467,7 +467,7 @@ class RecordTable:
         self._execute("INSERT OR REPLACE INTO gone VALUES (?, ?)", (path, version))
         applied.records.pop(path, None)
         applied.lists.pop(path, None)
-        applied.gone[path] = version
+        applied.removed[path] = version
         if present.blob is not None:
             applied.freed.append(present.blob)
         above = container_of(path)
@@ -475,20 +475,20 @@ class RecordTable:
         if container is not None:
             self._list(above, container, applied, now, -1)
 
-    def _list(self, path: str, container: Present, applied: Applied, now: int, more: int) -> None:
+    def _list(self, path: str, container: CurrentRow, applied: Effects, now: int, more: int) -> None:
         """The list of a container changes: so many members more."""
         self._next = version = self._next + 1
-        listed = Listed(version, max(now, container.list_modified or 0), (container.members or 0) + more)
+        listed = MemberList(version, max(now, container.list_modified or 0), (container.members or 0) + more)
         self._execute(
             "UPDATE list SET version = ?, modified = ?, count = ? WHERE container = ?", (*listed, container.id)
         )
         applied.lists[path] = listed
         record = applied.records.get(path)
         if record is not None:
-            applied.records[path] = relisted(record, listed)
+            applied.records[path] = with_list(record, listed)
 
 
-def relisted(record: Record, listed: Listed) -> Record:
+def with_list(record: Record, listed: MemberList) -> Record:
     """A container after its list has changed."""
     return Record(
         record.path,
@@ -505,11 +505,11 @@ def relisted(record: Record, listed: Listed) -> Record:
     )
 
 
-def failure(error: sqlite3.Error) -> Exception:
+def storage_error(error: sqlite3.Error) -> Exception:
     """What SQLite's error means: Busy, or a StorageError with its words."""
     words = str(error)
     if "locked" in words or "busy" in words:
-        return Busy(words)
+        return DatabaseBusy(words)
     if is_full(error):
         return StorageError(f"There is no space left to keep this: {words}.", full=True)
     return StorageError(f"The database of records failed: {words}.")
@@ -520,28 +520,28 @@ def is_full(error: Exception) -> bool:
     return "full" in str(error)
 
 
-def _version(changed: Changed) -> int:
+def _version(changed: RecordChange) -> int:
     return changed.version
 
 
-def _expect(write: Write, present: Present) -> None:
+def _expect(write: Write, present: CurrentRow) -> None:
     """Raises Conflict where the record has not the version that the write expects."""
     if write.expected is None or write.expected == present.version:
         return
     if write.expected == 0:
-        raise Conflict(write.path, "it is there already", Cause.THERE)
+        raise Conflict(write.path, "it is there already", ConflictCause.THERE)
     words = f"it has changed: it is in version {present.version}, not {write.expected}"
-    raise Conflict(write.path, words, Cause.CHANGED)
+    raise Conflict(write.path, words, ConflictCause.CHANGED)
 
 
-def _take(put: Put, present: str | None, applied: Applied) -> None:
+def _take(put: Put, present: str | None, applied: Effects) -> None:
     """The blob of a write becomes its record's; the one it had is set free. Raises Conflict for a blob of others."""
     id = None if put.blob is None else put.blob.id
     if id == present:
         return
     if id is not None:
         if id not in applied.unused:
-            raise Conflict(put.path, "the bytes sent for it are not kept any more: send them again", Cause.BLOB)
+            raise Conflict(put.path, "the bytes sent for it are not kept any more: send them again", ConflictCause.BLOB)
         applied.unused.discard(id)
     if present is not None:
         applied.freed.append(present)

@@ -11,14 +11,14 @@ if sys.platform != "win32":
     import fcntl
 
 
-class Lock:
+class FileLock:
     """An open file that may be locked. Where the system has no flock (Windows), it always is."""
 
     def __init__(self, path: Path) -> None:
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         _open.add(self)
 
-    def take(self, *, shared: bool = False, wait: bool = False) -> bool:
+    def acquire(self, *, shared: bool = False, wait: bool = False) -> bool:
         """Lock it, against all others or with others who share; whether that was possible."""
         if sys.platform == "win32":
             return True
@@ -29,7 +29,7 @@ class Lock:
             return False
         return True
 
-    def give_back(self) -> None:
+    def release(self) -> None:
         """Unlock it."""
         if sys.platform != "win32":
             fcntl.flock(self._file, fcntl.LOCK_UN)
@@ -50,7 +50,7 @@ class Lock:
             os.close(file)
 
 
-_open: weakref.WeakSet[Lock] = weakref.WeakSet()
+_open: weakref.WeakSet[FileLock] = weakref.WeakSet()
 
 
 def _close_all() -> None:

@@ -22,7 +22,7 @@ _INDEX = struct.Struct("=14xHI12x8s")
 """The page size, the last frame and the salt, in the header of the log's index (-shm)."""
 
 
-class Reach(NamedTuple):
+class LogExtent(NamedTuple):
     """How far a log reaches: so many frames of pages of so many bytes. The salt is another one in each new log."""
 
     page: int
@@ -35,7 +35,7 @@ class Reach(NamedTuple):
         return _HEADER + self.frames * (_FRAME_HEADER + self.page) if self.frames else 0
 
 
-class Log:
+class WriteAheadLog:
     """The files of the log of a database that is open elsewhere in this process.
 
     Closed only while no connection of this process is open: with the file go the locks that SQLite has on it.
@@ -49,9 +49,9 @@ class Log:
         """The log's file."""
         return self._log
 
-    def reach(self) -> Reach:
+    def extent(self) -> LogExtent:
         """How far it reaches now; for whoever knows that nobody is writing."""
-        return Reach(*_INDEX.unpack(os.pread(self._index, _INDEX.size, 0)))
+        return LogExtent(*_INDEX.unpack(os.pread(self._index, _INDEX.size, 0)))
 
     def size(self) -> int:
         """Bytes that the file has."""
@@ -64,7 +64,7 @@ class Log:
             os.close(file)
 
 
-def close_as_it_is(database: Path, connection: sqlite3.Connection) -> None:
+def close_without_checkpoint(database: Path, connection: sqlite3.Connection) -> None:
     """Close the last connection of a database without carrying its log over. Idempotent.
 
     SQLite carries over when the last connection is closed, unless that one may only read. Raises sqlite3.Error.
@@ -75,15 +75,15 @@ def close_as_it_is(database: Path, connection: sqlite3.Connection) -> None:
         connection.close()
 
 
-def cut(database: Path, kept: Reach) -> None:
+def truncate(database: Path, extent: LogExtent) -> None:
     """Cut the log of a database that nobody has open after `kept`, durably. Raises OSError.
 
     Where the log has begun anew since, all of the old one is in the database, and of the new one nothing is kept.
     """
     file = os.open(f"{database}-wal", os.O_RDWR | os.O_CLOEXEC)
     try:
-        same = os.pread(file, _HEADER, 0)[16:24] == kept.salt
-        os.ftruncate(file, min(os.fstat(file).st_size, kept.size if same else 0))
+        same = os.pread(file, _HEADER, 0)[16:24] == extent.salt
+        os.ftruncate(file, min(os.fstat(file).st_size, extent.size if same else 0))
         os.fsync(file)
         if hasattr(os, "posix_fadvise"):
             os.posix_fadvise(file, 0, 0, os.POSIX_FADV_DONTNEED)  # what is read next comes from the disk
@@ -91,7 +91,7 @@ def cut(database: Path, kept: Reach) -> None:
         os.close(file)
 
 
-def carry_over(connection: sqlite3.Connection) -> bool:
+def checkpoint(connection: sqlite3.Connection) -> bool:
     """Carry the log over into the database, have both on the disk, and let the log begin anew; whether that was done.
 
     False where somebody else reads or writes. Raises sqlite3.Error.

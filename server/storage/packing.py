@@ -34,7 +34,7 @@ def unpack(kept: bytes) -> bytes:
     return zlib.decompress(memoryview(kept)[_HEAD.size :], bufsize=size_of(kept)) if is_packed(kept) else kept
 
 
-def beginning(kept: bytes, size: int) -> bytes:
+def unpack_prefix(kept: bytes, size: int) -> bytes:
     """The first `size` bytes of the N-Triples that are kept so, whose rest is not unpacked."""
     if not is_packed(kept):
         return kept[:size]

@@ -12,7 +12,7 @@ def container_of(path: str) -> str:
     return path[: path.rfind("/", 0, -1) + 1]
 
 
-def check(write: Write) -> None:
+def check_write(write: Write) -> None:
     """Raises ValueError for a write that makes no sense whatever is there."""
     path = write.path
     if not path or path[0] == "/" or "//" in path:

@@ -48,7 +48,7 @@ class ReceivedBlobs:
         loop = asyncio.get_running_loop()
         self._timers.update({id: loop.call_later(self._keep_seconds, self.discard, id) for id in ids})
 
-    def take(self, ids: Iterable[str]) -> list[str]:
+    def claim(self, ids: Iterable[str]) -> list[str]:
         """Discard these no more, for a write refers to them; which of them were waiting for that."""
         taken = []
         for id in ids:

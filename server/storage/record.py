@@ -119,7 +119,7 @@ class Put:
     membership: Membership | None = None
     member: str | None = None
     expected: int | None = None
-    unless_there: bool = False
+    only_if_absent: bool = False
     unused: bool = False
     difference: Difference | None = None
 
@@ -135,7 +135,7 @@ class Remove:
 Write: TypeAlias = Put | Remove
 
 
-class Cause(Enum):
+class ConflictCause(Enum):
     """Why a write cannot be done as things are."""
 
     THERE = "there"
@@ -163,7 +163,7 @@ class Cause(Enum):
 class Conflict(Exception):
     """A write that cannot be done as things are; nothing of its batch was done. `path` is whose."""
 
-    def __init__(self, path: str, words: str, cause: Cause) -> None:
+    def __init__(self, path: str, words: str, cause: ConflictCause) -> None:
         super().__init__(f"{path}: {words}")
         self.path = path
         self.words = words
@@ -179,9 +179,9 @@ class StorageError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Changed:
+class RecordChange:
     """A path whose record, or whose list of members, changed after some version; `gone`: it is no more."""
 
     path: str
     version: int
-    gone: bool
+    is_removed: bool

@@ -13,7 +13,7 @@ LOW = 1024 * 1024
 """Bytes left on the disk at which it is taken for full."""
 
 
-class Reserve:
+class DiskReserve:
     """A file in a folder that holds nothing but its place."""
 
     def __init__(self, folder: Path) -> None:
@@ -49,7 +49,7 @@ class Reserve:
             self._path.unlink()
 
 
-def free(folder: Path) -> int:
+def free_bytes(folder: Path) -> int:
     """Bytes that may still be written to the disk of a folder. Raises OSError."""
     found = os.statvfs(folder)
     return found.f_bavail * found.f_frsize

@@ -44,19 +44,19 @@ CREATE INDEX gone_version ON gone (version);
 """
 
 
-def prepare(connection: sqlite3.Connection, name: str) -> None:
+def prepare_tables(connection: sqlite3.Connection, name: str) -> None:
     """Make the tables where there are none, in one transaction. Raises ValueError for a database that is not ours.
 
     `name` is what an error calls it.
     """
     connection.execute("BEGIN IMMEDIATE")
     try:
-        found = number(connection, "user_version")
+        found = read_pragma(connection, "user_version")
         if found == 0:
             if connection.execute("SELECT 1 FROM sqlite_master").fetchone() is not None:
                 raise ValueError(f"{name} is a database of something else: take another folder")
             _make(connection)
-        elif number(connection, "application_id") != APPLICATION:
+        elif read_pragma(connection, "application_id") != APPLICATION:
             raise ValueError(f"{name} is a database of something else: take another folder")
         elif found > FORMAT:
             raise ValueError(
@@ -68,7 +68,7 @@ def prepare(connection: sqlite3.Connection, name: str) -> None:
             connection.execute("ROLLBACK")
 
 
-def number(connection: sqlite3.Connection, pragma: str) -> int:
+def read_pragma(connection: sqlite3.Connection, pragma: str) -> int:
     """The number that a pragma answers."""
     return int(connection.execute(f"PRAGMA {pragma}").fetchone()[0])
 

@@ -15,27 +15,27 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 
 from rosld.server.storage.blobs import Blobs, sync_folder
-from rosld.server.storage.cache import Cache
-from rosld.server.storage.differences import Differences, Step
-from rosld.server.storage.durability import Durability, carried_over
-from rosld.server.storage.group import Group, Job
-from rosld.server.storage.ledger import Applied, Busy, RecordTable, is_full, relisted
-from rosld.server.storage.log import close_as_it_is
-from rosld.server.storage.paths import check
+from rosld.server.storage.cache import RecordCache
+from rosld.server.storage.differences import RecentWrites, RecordWrite
+from rosld.server.storage.durability import Durability, checkpoint_with_reserve
+from rosld.server.storage.group import GroupCommit, WriteBatch
+from rosld.server.storage.ledger import DatabaseBusy, Effects, RecordTable, is_full, with_list
+from rosld.server.storage.log import close_without_checkpoint
+from rosld.server.storage.paths import check_write
 from rosld.server.storage.received import ReceivedBlobs
 from rosld.server.storage.record import (
     Blob,
-    Changed,
     Conflict,
     Member,
     Put,
     Record,
+    RecordChange,
     Remove,
     StorageError,
     Write,
 )
-from rosld.server.storage.reserve import LOW, Reserve, free
-from rosld.server.storage.schema import number, prepare
+from rosld.server.storage.reserve import LOW, DiskReserve, free_bytes
+from rosld.server.storage.schema import prepare_tables, read_pragma
 
 _log = logging.getLogger("rosld")
 
@@ -44,7 +44,7 @@ BLOBS = "blobs"
 ROOT = "data/"
 KEEP_SECONDS = 600.0
 """How long received bytes are kept that no write refers to."""
-LOOK_SECONDS = 0.5
+CHECK_SECONDS = 0.5
 """Between two looks at whether another process has changed the records."""
 _OPEN_SECONDS = 10.0
 _CHANGES = 10_000
@@ -70,10 +70,10 @@ def connect(folder: Path | None) -> sqlite3.Connection:
     try:
         for pragma in ("journal_mode = WAL", "synchronous = NORMAL", "wal_autocheckpoint = 0", "temp_store = MEMORY"):
             connection.execute(f"PRAGMA {pragma}").fetchall()
-        prepare(connection, path)
+        prepare_tables(connection, path)
     except sqlite3.DatabaseError as error:
         connection.close()
-        raise ValueError(unusable(path, error)) from error
+        raise ValueError(unusable_reason(path, error)) from error
     except BaseException:
         connection.close()
         raise
@@ -85,14 +85,14 @@ def _connect_where_full(folder: Path) -> sqlite3.Connection:
     try:
         return connect(folder)
     except ValueError:
-        reserve = Reserve(folder)
-        if not reserve.is_full or free(folder) >= LOW:
+        reserve = DiskReserve(folder)
+        if not reserve.is_full or free_bytes(folder) >= LOW:
             raise
         reserve.release()
         return connect(folder)
 
 
-def unusable(path: str, error: Exception) -> str:
+def unusable_reason(path: str, error: Exception) -> str:
     """What to tell of a database that cannot be opened."""
     words = f"{path} cannot be used as the database of records: {error}"
     broken = any(word in str(error) for word in ("malformed", "not a database", "corrupt"))
@@ -104,12 +104,12 @@ class SqliteRecords:
 
     def __init__(self, folder: Path | None, roots: Sequence[str], keep_seconds: float) -> None:
         self._received = ReceivedBlobs(keep_seconds)
-        self._cache = Cache()
-        self._differences = Differences()
-        self._watchers: dict[object, Callable[[Sequence[Changed]], None]] = {}
+        self._cache = RecordCache()
+        self._differences = RecentWrites()
+        self._watchers: dict[object, Callable[[Sequence[RecordChange]], None]] = {}
         self._look: asyncio.TimerHandle | None = None
         self._durability: Durability | None = None
-        self._group: Group | None = None
+        self._group: GroupCommit | None = None
         self._undone: set[str] = set()
         self._closed = False
         self._place = folder
@@ -121,9 +121,9 @@ class SqliteRecords:
             self._make_roots(roots)
             if folder is not None:
                 self._keep_in(folder)
-        except (sqlite3.DatabaseError, StorageError, Busy) as error:
+        except (sqlite3.DatabaseError, StorageError, DatabaseBusy) as error:
             self._connection.close()
-            raise ValueError(unusable(str(folder), error)) from error
+            raise ValueError(unusable_reason(str(folder), error)) from error
         except BaseException:
             self._connection.close()
             raise
@@ -132,27 +132,27 @@ class SqliteRecords:
     def _make_roots(self, roots: Sequence[str]) -> None:
         self._ledger.begin()
         for root in roots:
-            self._ledger.root(root, time.time_ns())
+            self._ledger.create_root(root, time.time_ns())
         self._ledger.commit()
 
     def _keep_in(self, folder: Path) -> None:
         self._connection.execute("PRAGMA busy_timeout = 0")  # from now on the loop waits, not SQLite
         blobs = Blobs(folder / BLOBS, durable=True)
-        blobs.sweep(self._ledger.blobs)
+        blobs.sweep(self._ledger.blob_ids)
         self._received.use(blobs)
         sync_folder(folder)
-        reserve = Reserve(folder)
+        reserve = DiskReserve(folder)
         try:
             # What a process that was killed had written may not be on the disk, whatever a sync of the log says now.
-            carried_over(self._connection, reserve)
+            checkpoint_with_reserve(self._connection, reserve)
         except sqlite3.Error as error:
             if not is_full(error):
                 raise
             _log.warning("the log of records cannot be carried over: %s", error)
         self._durability = Durability(folder / DATABASE, blobs, reserve)
-        self._group = Group(self)
-        if self.trouble is not None:
-            _log.warning("%s", self.trouble)
+        self._group = GroupCommit(self)
+        if self.failure is not None:
+            _log.warning("%s", self.failure)
 
     @property
     def identity(self) -> str:
@@ -163,13 +163,13 @@ class SqliteRecords:
         return self._ledger.version
 
     @property
-    def trouble(self) -> str | None:
+    def failure(self) -> str | None:
         """Why not everything can be kept just now, in a sentence for people; None where it can."""
         if self._durability is None or self._place is None:
             return None
         if self._durability.failure is not None:
             return str(self._durability.failure)
-        left = free(self._place)
+        left = free_bytes(self._place)
         words = f"The disk that holds the data is full, {left} bytes are left: delete what is not needed."
         return words if left < LOW else None
 
@@ -179,42 +179,42 @@ class SqliteRecords:
             self._attach()
             found = self._ledger.find(path)
             if found is not None:
-                self._cache.keep(found)
+                self._cache.put(found)
         return found
 
-    def forget(self) -> None:
+    def clear_cache(self) -> None:
         """Read everything anew from now on."""
         self._cache.clear()
         self._differences.clear()
 
-    def was_there(self, path: str) -> bool:
-        return self._ledger.was_there(path)
+    def is_tombstone(self, path: str) -> bool:
+        return self._ledger.is_tombstone(path)
 
     def members(self, path: str, *, after: int = 0, limit: int = 1000) -> Sequence[Member]:
         return self._ledger.members(path, after, limit)
 
-    def numbers(self, path: str, *, upto: int | None = None, limit: int = 1000) -> Sequence[int]:
-        return self._ledger.numbers(path, upto, limit)
+    def last_member_numbers(self, path: str, *, up_to: int | None = None, limit: int = 1000) -> Sequence[int]:
+        return self._ledger.last_member_numbers(path, up_to, limit)
 
-    def changed(self, after: int, *, limit: int = _CHANGES) -> Sequence[Changed]:
-        return self._ledger.changed(after, limit)
+    def changes_since(self, after: int, *, limit: int = _CHANGES) -> Sequence[RecordChange]:
+        return self._ledger.changes_since(after, limit)
 
-    def steps(self, record: Record, after: int) -> Sequence[Step] | None:
-        return self._differences.steps(record, after)
+    def writes_since(self, record: Record, after: int) -> Sequence[RecordWrite] | None:
+        return self._differences.since(record, after)
 
     async def write(self, *writes: Write) -> Sequence[Record | None]:
         if self._closed:
             raise StorageError("The records are closed.")
         for write in writes:
-            check(write)
+            check_write(write)
         if self._group is None and len(writes) == 1:
             record = self._rewritten(writes[0])
             if record is not None:
                 return [record]
         self._attach()
-        job = Job(writes, self._received.take(_blob_ids(writes)))
+        job = WriteBatch(writes, self._received.claim(_blob_ids(writes)))
         if self._group is not None:
-            applied = await self._group.do(job)
+            applied = await self._group.commit(job)
         else:
             outcome = self.transact((job,))[0]
             if isinstance(outcome, Conflict):
@@ -226,25 +226,25 @@ class SqliteRecords:
 
     def _rewritten(self, write: Write) -> Record | None:
         """In memory, where nobody else writes: a write that needs no transaction around it; None where it does."""
-        record = self._ledger.alone(write, time.time_ns()) if isinstance(write, Put) else None
+        record = self._ledger.apply_single(write, time.time_ns()) if isinstance(write, Put) else None
         if isinstance(write, Put) and record is not None:
-            self._cache.keep(record)
-            self._differences.note(write, record)
+            self._cache.put(record)
+            self._differences.add(write, record)
             self._told = record.version
-            self._wake([Changed(record.path, record.version, False)])
+            self._wake([RecordChange(record.path, record.version, False)])
         return record
 
-    def transact(self, jobs: Sequence[Job]) -> Sequence[Applied | Conflict]:
+    def transact(self, jobs: Sequence[WriteBatch]) -> Sequence[Effects | Conflict]:
         """Do jobs in one transaction: what came of each. Raises Busy, StorageError, with none of them done."""
         try:
             outcomes = self._commit(jobs)
         except BaseException as error:
-            if not isinstance(error, Busy):
+            if not isinstance(error, DatabaseBusy):
                 for job in jobs:
                     self._received.keep(job.received)
             raise
         for job, outcome in zip(jobs, outcomes, strict=True):
-            if isinstance(outcome, Applied):
+            if isinstance(outcome, Effects):
                 self._received.keep(outcome.unused)
                 self._renew(outcome)
                 self._note(job.writes, outcome)
@@ -253,28 +253,28 @@ class SqliteRecords:
                 self._received.keep(job.received)
         return outcomes
 
-    def _commit(self, jobs: Sequence[Job]) -> Sequence[Applied | Conflict]:
+    def _commit(self, jobs: Sequence[WriteBatch]) -> Sequence[Effects | Conflict]:
         ledger = self._ledger
         foreign = ledger.begin()
         try:
             if foreign:
                 self._notice()
             now = time.time_ns()
-            outcomes = [ledger.attempt(job.writes, job.received, now) for job in jobs]
+            outcomes = [ledger.apply(job.writes, job.received, now) for job in jobs]
             ledger.commit()
         except BaseException:
             ledger.rollback()
             raise
         return outcomes
 
-    async def reach(self, applied: Sequence[Applied]) -> None:
+    async def wait_durable(self, applied: Sequence[Effects]) -> None:
         """Wait until what was done is durable. Raises StorageError where it is not, and was undone if possible."""
         assert self._durability is not None
         try:
-            await self._durability.reached([id for each in applied for id in each.freed])
+            await self._durability.wait_synced([id for each in applied for id in each.freed])
         except StorageError:
             for each in applied:
-                self._undone.update(each.records, each.gone, each.lists)
+                self._undone.update(each.records, each.removed, each.lists)
                 self._received.keep(record.blob.id for record in each.records.values() if record.blob is not None)
             await self._reopen()
             raise
@@ -282,7 +282,7 @@ class SqliteRecords:
     async def recover(self) -> None:
         """See to it that writes can be made durable. Raises StorageError where they cannot."""
         assert self._durability is not None
-        if self._durability.failure is not None and await asyncio.to_thread(self._durability.works):
+        if self._durability.failure is not None and await asyncio.to_thread(self._durability.can_sync):
             await self._reopen()
         if self._durability.failure is not None:
             raise self._durability.failure
@@ -292,7 +292,7 @@ class SqliteRecords:
         assert self._durability is not None
         former = self._ledger
         former.suspend("its log is being opened anew, try again")
-        self.forget()
+        self.clear_cache()
         try:
             self._connection = await asyncio.to_thread(
                 self._durability.reopen, self._connection, lambda: connect(self._place)
@@ -304,42 +304,42 @@ class SqliteRecords:
         self._ledger = RecordTable(self._connection, self._cache.get)
         undone = () if self._durability.failure is not None else tuple(self._undone)
         try:
-            self._ledger.succeed(former, undone)
-        except (StorageError, Busy) as error:
+            self._ledger.take_over(former, undone)
+        except (StorageError, DatabaseBusy) as error:
             _log.error("what was not kept may still be found by queries: %s", error)
         self._undone.difference_update(undone)
         self._notice()
 
-    async def make_room(self, job: Job) -> None:
+    async def free_space(self, job: WriteBatch) -> None:
         """Make what room there can be for a job that found the disk full.
 
         What is set aside is for what deletes, and for what fits into the place of what was deleted.
         """
         assert self._durability is not None
-        pages, size = (number(self._connection, name) for name in ("freelist_count", "page_size"))
+        pages, size = (read_pragma(self._connection, name) for name in ("freelist_count", "page_size"))
         fits = job.size + job.size // 8 + _SPARE_PAGES * size <= pages * size
         last = fits or all(isinstance(write, Remove) for write in job.writes)
-        await asyncio.to_thread(self._durability.make_room, last=last)
+        await asyncio.to_thread(self._durability.free_space, last=last)
 
-    def _renew(self, applied: Applied) -> None:
+    def _renew(self, applied: Effects) -> None:
         """Bring the cache up to date."""
         cache = self._cache
         for record in applied.records.values():
-            cache.keep(record)
-        for path in applied.gone:
+            cache.put(record)
+        for path in applied.removed:
             cache.drop(path)
         for path, listed in applied.lists.items():
             if path not in applied.records:
                 container = cache.get(path)
                 if container is not None:
-                    cache.keep(relisted(container, listed))
+                    cache.put(with_list(container, listed))
 
-    def _note(self, writes: Sequence[Write], applied: Applied) -> None:
+    def _note(self, writes: Sequence[Write], applied: Effects) -> None:
         """Note what the writes changed of records."""
         for write in writes:
             record = applied.records.get(write.path)
             if isinstance(write, Put) and record is not None:
-                self._differences.note(write, record)
+                self._differences.add(write, record)
 
     async def receive(self, chunks: AsyncIterator[bytes], media_type: str, *, limit: int) -> Blob:
         if self._closed:
@@ -355,7 +355,7 @@ class SqliteRecords:
         path.stat()
         return path
 
-    def watch(self, wake: Callable[[Sequence[Changed]], None]) -> Callable[[], None]:
+    def watch(self, wake: Callable[[Sequence[RecordChange]], None]) -> Callable[[], None]:
         self._attach()
         watcher = object()
         self._watchers[watcher] = wake
@@ -365,12 +365,12 @@ class SqliteRecords:
 
         return end
 
-    def _tell(self, applied: Applied) -> None:
+    def _tell(self, applied: Effects) -> None:
         self._told = max(self._told, self._ledger.version)
         if self._watchers:
-            self._wake(applied.changed())
+            self._wake(applied.changes())
 
-    def _wake(self, changed: Sequence[Changed]) -> None:
+    def _wake(self, changed: Sequence[RecordChange]) -> None:
         for wake in tuple(self._watchers.values()):
             try:
                 wake(changed)
@@ -384,22 +384,22 @@ class SqliteRecords:
                 loop = asyncio.get_running_loop()
             except RuntimeError:
                 return  # not on a loop yet
-            self._look = loop.call_later(LOOK_SECONDS, self._look_again)
+            self._look = loop.call_later(CHECK_SECONDS, self._look_again)
 
     def _look_again(self) -> None:
-        self._look = asyncio.get_running_loop().call_later(LOOK_SECONDS, self._look_again)
+        self._look = asyncio.get_running_loop().call_later(CHECK_SECONDS, self._look_again)
         try:
             if self._durability is not None and self._durability.failure is not None and self._group is not None:
-                self._group.stir()
-            elif self._ledger.foreign():
+                self._group.recover()
+            elif self._ledger.changed_elsewhere():
                 self._notice()
         except (sqlite3.Error, StorageError) as error:
             _log.error("the records cannot be read: %s", error)
 
     def _notice(self) -> None:
         """Another process has changed something: forget what was read, tell what has changed."""
-        self.forget()
-        while changed := self._ledger.changed(self._told, _CHANGES):
+        self.clear_cache()
+        while changed := self._ledger.changes_since(self._told, _CHANGES):
             self._told = changed[-1].version
             self._wake(changed)
 
@@ -409,7 +409,7 @@ class SqliteRecords:
             self._connection.close()
             return
         try:
-            close_as_it_is(self._place / DATABASE, self._connection)
+            close_without_checkpoint(self._place / DATABASE, self._connection)
         except sqlite3.Error as error:
             _log.error("the log of records may hold what was refused: %s", error)
 
@@ -421,7 +421,7 @@ class SqliteRecords:
         if self._look is not None:
             self._look.cancel()
         if self._group is not None:
-            await self._group.idle()
+            await self._group.wait_idle()
         if self._durability is not None:
             await self._durability.close()
         await asyncio.to_thread(self._close_connection)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from rosld.server.storage.log import Log, Reach, cut
+from rosld.server.storage.log import LogExtent, WriteAheadLog, truncate
 
 _sync = getattr(os, "fdatasync", os.fsync)
 
@@ -15,18 +15,18 @@ class SyncedLog:
 
     def __init__(self, database: Path) -> None:
         self._database = database
-        self._log = Log(database)
-        self._synced = self._written = self._log.reach()
-        self._cut: Reach | None = None
+        self._log = WriteAheadLog(database)
+        self._synced = self._written = self._log.extent()
+        self._cut: LogExtent | None = None
 
     @property
-    def is_cut(self) -> bool:
+    def needs_truncation(self) -> bool:
         """Whether a failed sync has left something to cut off, or it was cut off."""
         return self._cut is not None
 
     def note_written(self) -> None:
         """Remember that the log reaches as far as it does now; for whoever has just written."""
-        self._written = self._log.reach()
+        self._written = self._log.extent()
 
     def sync(self) -> None:
         """Wait until what was noted is on the disk. Raises OSError; what is to be cut off is remembered then."""
@@ -35,7 +35,7 @@ class SyncedLog:
             self.flush()
         except OSError:
             # Where another process has written as well nothing is cut off: that would be lost too.
-            self._cut = self._synced if self._log.reach() == written else None
+            self._cut = self._synced if self._log.extent() == written else None
             raise
         self._synced = written
 
@@ -47,24 +47,24 @@ class SyncedLog:
         """Bytes that the log has."""
         return self._log.size()
 
-    def cut_back(self) -> None:
+    def truncate(self) -> None:
         """Close the files, and cut off what is not known to be on the disk. Raises OSError."""
         self._log.close()
         if self._cut is not None:
-            cut(self._database, self._cut)
+            truncate(self._database, self._cut)
 
     def open(self) -> None:
         """Open the files of the log again."""
-        self._log = Log(self._database)
+        self._log = WriteAheadLog(self._database)
 
-    def lost_frames(self) -> int:
+    def count_lost_frames(self) -> int:
         """Count the pages that the disk had taken and has lost all the same."""
-        found, kept = self._log.reach(), self._cut
+        found, kept = self._log.extent(), self._cut
         return max(0, kept.frames - found.frames) if kept is not None and found.salt == kept.salt else 0
 
-    def begin_anew(self) -> None:
+    def mark_all_synced(self) -> None:
         """Take everything in the log for synced; for whoever has just carried it over."""
-        self._synced = self._written = self._log.reach()
+        self._synced = self._written = self._log.extent()
         self._cut = None
 
     def close(self) -> None:

@@ -21,7 +21,7 @@ from rosld.adapters.model import ActionSchema, Encoding, GoalEvent, GoalId, Goal
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.urls import locate
 from rosld.server.robot.calls import Gone
-from rosld.server.robot.goal_store import Goal, Told
+from rosld.server.robot.goal_store import Feedback, Goal
 from rosld.server.robot.goals import Goals
 
 FLY = TypeLibrary(ros_version=1).find(TypeRef("rosld_aircraft/action/Fly"))
@@ -53,10 +53,10 @@ def keeping(
 
 async def hear(goals: Goals, id: str, *events: GoalEvent, action: str = "/fly") -> Goal:
     for event in events:
-        goals.hear(GoalId(action, id), event)
+        goals.on_event(GoalId(action, id), event)
         await asyncio.sleep(0)
         await asyncio.sleep(0)
-    return goals.of(action)[-1]
+    return goals.of_action(action)[-1]
 
 
 def status(one: GoalStatus, at: int | None = None, **more: Any) -> GoalEvent:
@@ -96,7 +96,7 @@ def test_feedback_faster_than_the_loop_is_told_as_one_and_counted() -> None:
 
         def tell() -> None:
             for number in range(1000):
-                goals.hear(GoalId("/fly", "a"), status(GoalStatus.EXECUTING, feedback=flown(number)))
+                goals.on_event(GoalId("/fly", "a"), status(GoalStatus.EXECUTING, feedback=flown(number)))
 
         thread = threading.Thread(target=tell)
         thread.start()
@@ -132,8 +132,8 @@ def test_feedback_with_arrays_is_told_again_and_again_and_wakes_only_for_what_is
 def test_what_fails_to_be_taken_of_one_goal_keeps_nothing_of_the_others_back(caplog: pytest.LogCaptureFixture) -> None:
     async def scenario(goals: Goals) -> None:
         hostile: Any = object()
-        goals.hear(GoalId("/fly", "bad"), status(hostile))
-        goals.hear(GoalId("/fly", "good"), status(GoalStatus.EXECUTING))
+        goals.on_event(GoalId("/fly", "bad"), status(hostile))
+        goals.on_event(GoalId("/fly", "good"), status(GoalStatus.EXECUTING))
         await asyncio.sleep(0)
         await asyncio.sleep(0)
         assert goals.find("good").status is GoalStatus.EXECUTING
@@ -149,7 +149,7 @@ def test_records_that_hold_messages_are_compared_by_identity() -> None:
         for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             if "__main__" not in found.name:
                 holding += [each for each in vars(importlib.import_module(found.name)).values() if _holds_message(each)]
-    assert {Goal, Told} <= set(holding)
+    assert {Goal, Feedback} <= set(holding)
     assert [each for each in set(holding) if each.__eq__ is not object.__eq__] == []
 
 
@@ -211,7 +211,7 @@ def test_the_oldest_that_has_ended_goes_first_and_is_not_learnt_again() -> None:
 
 def test_what_was_not_heard_of_for_long_is_forgotten() -> None:
     async def scenario(goals: Goals) -> None:
-        goals.hear(GoalId("/fly", "a"), status(GoalStatus.SUCCEEDED, at=1))
+        goals.on_event(GoalId("/fly", "a"), status(GoalStatus.SUCCEEDED, at=1))
         await asyncio.sleep(0)
         await asyncio.sleep(0)
         with pytest.raises(Gone):

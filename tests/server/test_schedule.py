@@ -25,7 +25,7 @@ def run(schedule: Schedule, delays: list[float]) -> list[tuple[float, int]]:
                 assert until > now
                 now = until + delay
             case Publish(after=after):
-                published.append((now, after.beat - 1))
+                published.append((now, after.tick - 1))
                 assert after.due > now
                 schedule = after
                 now = after.due + delay
@@ -74,8 +74,8 @@ def test_nothing_is_published_when_the_lease_is_over(
 
 @given(periods, origins, st.floats(0.0, 100.0))
 def test_renewing_the_lease_does_not_move_a_beat(period: float, origin: float, more: float) -> None:
-    schedule = Schedule(period, origin, origin + 1.0, beat=3)
-    assert schedule.renewed(origin + more).due == schedule.due
+    schedule = Schedule(period, origin, origin + 1.0, tick=3)
+    assert schedule.with_lease(origin + more).due == schedule.due
 
 
 @given(periods, periods, origins, st.integers(1, 1000))
@@ -84,6 +84,6 @@ def test_another_rate_counts_from_the_beat_that_came_last(
 ) -> None:
     schedule = Schedule(period, origin, math.inf, beat)
     last = origin + (beat - 1) * period
-    changed = schedule.every(other)
+    changed = schedule.with_period(other)
     assert changed.due == pytest.approx(last + other)
-    assert schedule.every(period) == schedule
+    assert schedule.with_period(period) == schedule

@@ -17,7 +17,7 @@ from rosld.server.resources.kept.validation import judge_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.rest.resource import READ, Answer, Resource, moved
-from rosld.server.storage import Cause, Conflict, Record, Remove, Write
+from rosld.server.storage import Conflict, ConflictCause, Record, Remove, Write
 
 ANYTHING = "*/*"
 
@@ -85,7 +85,7 @@ class Kept(Resource):
                 await kept_together(self.robot, [await make(self.there())])
                 return
             except Conflict as error:
-                if error.cause is not Cause.CHANGED or exchange.is_conditional:
+                if error.cause is not ConflictCause.CHANGED or exchange.is_conditional:
                     raise conflict_problem(self.robot, error) from error
                 if time.monotonic() > until:
                     words = f"{self.url} was changed by others all the time for {patience:g} s; nothing was done."
@@ -103,13 +103,13 @@ class Kept(Resource):
 
 def conflict_problem(robot: Robot, error: Conflict) -> Problem:
     """The Problem of a write that cannot be done as things are."""
-    status = {Cause.GONE: 410, Cause.CHANGED: 412, Cause.MISSING: 404}.get(error.cause, 409)
+    status = {ConflictCause.GONE: 410, ConflictCause.CHANGED: 412, ConflictCause.MISSING: 404}.get(error.cause, 409)
     return Problem(status, f"{robot.space.base}{error.path}: {error.words}.")
 
 
 def missing(robot: Robot, path: str) -> Problem:
     """410 where something was removed and not made again, 308 to a container, else 404."""
-    if robot.records.was_there(path):
+    if robot.records.is_tombstone(path):
         return Problem(410, f"/{path} was deleted; PUT makes it again.")
     other = path[:-1] if path.endswith("/") else path + "/"
     if robot.records.get(other) is not None:

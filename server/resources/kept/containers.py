@@ -24,7 +24,7 @@ from rosld.server.rest.prefer_container import ALL, Parts, select_parts
 from rosld.server.rest.resource import Answer, Created, Resource
 from rosld.server.rest.slug import free_name
 from rosld.server.rest.state import State
-from rosld.server.storage import Blob, Cause, Conflict, Model
+from rosld.server.storage import Blob, Conflict, ConflictCause, Model
 from rosld.server.storage.describe import META
 
 _SUMMARIES = {"data/": "Data that clients keep", "mappings/": "Mapping documents"}
@@ -96,7 +96,7 @@ class ContainerResource(SourceResource):
         """Whether a member of this name, not yet encoded, is there or ever was (LDP 5.2.3.11)."""
         records = self.robot.records
         paths = (self.path + encode_segment(name), f"{self.path}{encode_segment(name)}/")
-        return any(records.get(path) is not None or records.was_there(path) for path in paths)
+        return any(records.get(path) is not None or records.is_tombstone(path) for path in paths)
 
     async def post(self, exchange: Exchange) -> Answer:
         """A member, named by Slug where that is free (LDP 5.2.3)."""
@@ -126,7 +126,7 @@ def resource_of(robot: Robot, path: str, model: Model) -> Kept:
     return ContainerResource(robot, path) if model.is_container else SourceResource(robot, path)
 
 
-_NAMED_MEANWHILE = frozenset({Cause.THERE, Cause.NAME, Cause.GONE})
+_NAMED_MEANWHILE = frozenset({ConflictCause.THERE, ConflictCause.NAME, ConflictCause.GONE})
 """Why a name that was free is not any more: another one is looked for."""
 
 

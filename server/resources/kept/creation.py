@@ -79,7 +79,7 @@ def _ways_to(robot: Robot, path: str) -> list[Put]:
     found: list[Put] = []
     above = container_of(path)
     while above and robot.records.get(above) is None:
-        found.insert(0, Put(above, Model.BASIC_CONTAINER, unless_there=True))
+        found.insert(0, Put(above, Model.BASIC_CONTAINER, only_if_absent=True))
         above = container_of(above)
     return found
 

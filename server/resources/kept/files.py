@@ -29,7 +29,7 @@ from rosld.server.rest.interaction import model_links
 from rosld.server.rest.resource import Answer
 from rosld.server.rest.resource_headers import standing_headers
 from rosld.server.rest.state import State
-from rosld.server.storage import Blob, Cause, Conflict, Model, Put, Record, Write
+from rosld.server.storage import Blob, Conflict, ConflictCause, Model, Put, Record, Write
 from rosld.server.storage.describe import META
 
 
@@ -122,7 +122,7 @@ class KeptFile(Kept):
         except FileNotFoundError as error:
             if self.robot.records.get(self.path) is record:
                 raise
-            raise Conflict(record.path, "its bytes were replaced meanwhile", Cause.CHANGED) from error
+            raise Conflict(record.path, "its bytes were replaced meanwhile", ConflictCause.CHANGED) from error
         return await self.robot.records.receive(one_chunk(data), record.blob.media_type, limit=len(data))
 
 

@@ -18,8 +18,8 @@ from rosld.ontology.vocab import dcterms, ldp
 from rosld.server.dataset import Edit
 from rosld.server.rest.interaction import declared, stand_ins
 from rosld.server.sparql.change_source import Changes
-from rosld.server.storage import Changed, Member, Membership, Model, Record, Records, Step
-from rosld.server.storage.describe import META, managed_triples, record_document, said_beside_times, without_statements
+from rosld.server.storage import Member, Membership, Model, Record, RecordChange, Records, RecordWrite
+from rosld.server.storage.describe import META, client_ntriples, managed_triples, record_document, without_statements
 from rosld.server.storage.packing import size_of
 from rosld.server.storage.paths import container_of
 
@@ -129,7 +129,7 @@ class _Search:
         """
         last, now, more = self._after, self._records.version, _MORE
         while True:
-            page = self._records.changed(last, limit=_PAGE) if last < now or more else ()
+            page = self._records.changes_since(last, limit=_PAGE) if last < now or more else ()
             if page:
                 more -= last >= now
                 last = page[-1].version
@@ -148,15 +148,15 @@ class _Search:
         self._graphs, self._edits, self._size = {}, [], 0
         return part
 
-    def _look(self, changed: Changed) -> None:
+    def _look(self, changed: RecordChange) -> None:
         path = changed.path
         if path in self._elsewhere:
             return
-        record = None if changed.gone else self._records.get(path)
+        record = None if changed.is_removed else self._records.get(path)
         if record is None:
             self._drop(path)
         elif not record.model.is_container:
-            steps = self._records.steps(record, self._after)
+            steps = self._records.writes_since(record, self._after)
             if steps is None or self._said(record):
                 self._replace(record)
             else:
@@ -182,7 +182,7 @@ class _Search:
         )
         self._size += size_of(record.triples) + _OVERHEAD
 
-    def _step(self, path: str, steps: Sequence[Step]) -> None:
+    def _step(self, path: str, steps: Sequence[RecordWrite]) -> None:
         """Do what writes did, one after the other: that is no harm to a graph in which some of it is done."""
         url = self._base + path
         for step in steps:
@@ -262,7 +262,7 @@ def _text(record: Record, url: str, said: Said) -> str:
     """What it says, its members aside. What clients say stands as it is kept, which spares reading it."""
     membership = declared(record.membership, url) if record.membership is not None else ()
     managed = record_document(without_statements(record, url), url, (), (*membership, *said(record)))
-    return serialize(managed, Syntax.N_TRIPLES).decode() + said_beside_times(record, url).decode()
+    return serialize(managed, Syntax.N_TRIPLES).decode() + client_ntriples(record, url).decode()
 
 
 def _managed_lines(record: Record, url: str) -> frozenset[str]:

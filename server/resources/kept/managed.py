@@ -12,13 +12,13 @@ from rosld.server.http.problem import Problem
 from rosld.server.rest.interaction import declared
 from rosld.server.storage import Membership, Model, Record
 from rosld.server.storage.describe import (
-    LONGEST_TIME,
+    MAX_TIME_BYTES,
     MEMBERSHIP,
     TIMES,
+    client_times,
     is_managed,
     managed_triples,
-    parsed,
-    said_times,
+    parse_ntriples,
     to_ntriples,
 )
 from rosld.server.storage.models import rdf_types
@@ -48,7 +48,7 @@ def first_times(managed: Sequence[Triple]) -> bytes:
         said = list(dict.fromkeys(each for each in managed if each.predicate == predicate))
         if len(said) > 1 or not all(isinstance(each.object, Literal) for each in said):
             raise Problem(409, f"{predicate.value} of a resource is one literal, such as a date.")
-        if said and len(str(said[0].object).encode()) > LONGEST_TIME - 100:
+        if said and len(str(said[0].object).encode()) > MAX_TIME_BYTES - 100:
             raise Problem(409, f"{predicate.value} is longer than any date: say it shorter.")
         found += said
     return to_ntriples(found)
@@ -72,7 +72,7 @@ def require_as_it_is(managed: Sequence[Triple], record: Record, url: str) -> Non
     A time of modification that it had at any time since it was made passes: it is an earlier state that is put back.
     Members and membership are judged by themselves.
     """
-    present, first = managed_triples(record, url), parsed(b"".join(said_times(record, url)))
+    present, first = managed_triples(record, url), parse_ntriples(b"".join(client_times(record, url)))
     for each in managed:
         if each.predicate == ldp.contains or each.predicate in MEMBERSHIP or each in present or each in first:
             continue

@@ -66,8 +66,12 @@ def page_at(robot: Robot, record: Record, place: Place) -> tuple[Page, Sequence[
     records, after, limit = robot.records, place.after, place.limit
     assert isinstance(after, int)
     found = records.members(record.path, after=after, limit=limit + 1)
-    before = records.numbers(record.path, upto=after, limit=limit + 1) if after else ()
-    latest = records.numbers(record.path, limit=left_on_last(record.count, limit) + 1) if len(found) > limit else ()
+    before = records.last_member_numbers(record.path, up_to=after, limit=limit + 1) if after else ()
+    latest = (
+        records.last_member_numbers(record.path, limit=left_on_last(record.count, limit) + 1)
+        if len(found) > limit
+        else ()
+    )
     last = last_place(limit, record.count, latest)
     page = page_of(robot.space.base + record.path, place, [each.number for each in found], before, last)
     return page, found[:limit]

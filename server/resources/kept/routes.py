@@ -33,7 +33,7 @@ from rosld.server.rest.plan import StorageWrite
 from rosld.server.rest.resource import ABSENT, READ, Answer, Created, Resource, moved
 from rosld.server.rest.resource_headers import standing_headers
 from rosld.server.rest.state import State
-from rosld.server.storage import Blob, Cause, Conflict, Model
+from rosld.server.storage import Blob, Conflict, ConflictCause, Model
 from rosld.server.storage.describe import META
 
 _PATCHES = (SPARQL_UPDATE, N3_PATCH)
@@ -146,7 +146,7 @@ class AbsentResource(Kept):
         try:
             return await creation(self.robot, self.path, model, exchange, blob)
         except Conflict as error:
-            if error.path != self.path or error.cause is not Cause.THERE:
+            if error.path != self.path or error.cause is not ConflictCause.THERE:
                 raise conflict_problem(self.robot, error) from error
         if exchange.is_conditional:
             raise Problem(412, f"{self.url} was made by another request meanwhile; nothing was done.")
@@ -164,7 +164,7 @@ class AbsentResource(Kept):
         try:
             record = (await kept_together(self.robot, await making(self.robot, self.path, self._plain_model, said)))[-1]
         except Conflict as error:
-            if error.path != self.path or error.cause is not Cause.THERE or exchange.is_conditional:
+            if error.path != self.path or error.cause is not ConflictCause.THERE or exchange.is_conditional:
                 raise conflict_problem(self.robot, error) from error
             return await self._patch_there(exchange)
         assert record is not None
@@ -192,7 +192,7 @@ class AbsentResource(Kept):
 def missing_description(robot: Robot, path: str) -> Problem:
     """410 where the description went with its file (LDP 5.2.5.2), else 404: it comes with a file and not otherwise."""
     file = path.removesuffix(META)
-    if robot.records.was_there(file):
+    if robot.records.is_tombstone(file):
         return Problem(410, f"/{file} was deleted, and its description with it.")
     return Problem(
         404, f"/{path} would describe a file at /{file}, and there is none: PUT the file, and it comes along."

@@ -42,7 +42,7 @@ from rosld.server.rest.prepared import no_content
 from rosld.server.rest.resource import Answer
 from rosld.server.rest.state import State, require_memory
 from rosld.server.storage import NO_MEMBER, Model, Put, Record, Remove, Write
-from rosld.server.storage.describe import META, said_times
+from rosld.server.storage.describe import META, client_times
 from rosld.server.storage.paths import container_of
 
 __all__ = ["N3_PATCH", "DescriptionResource", "SourceResource"]
@@ -153,7 +153,7 @@ class SourceResource(Kept):
         url = self._subject
         stated = await as_statements(triples, url)
         managed = managed_of(stated.managed, url, record.model)
-        times = b"".join(said_times(record, url))
+        times = b"".join(client_times(record, url))
         if record.membership is not None or managed or times:
             new = [each for each in managed if each not in said] if said else managed
             if new:

@@ -20,7 +20,7 @@ from rosld.server.ldp.n3patch import applied, read_patch
 from rosld.server.ldp.patch import updated
 from rosld.server.rest.interaction import member_of
 from rosld.server.storage import Difference, Membership, Model, Record
-from rosld.server.storage.describe import is_managed, may_be_managed, to_ntriples, unmanaged
+from rosld.server.storage.describe import is_managed, may_be_managed, remove_managed, to_ntriples
 from rosld.server.storage.differences import MAX_BYTES as DIFFERENT
 from rosld.server.storage.packing import is_packed, pack, unpack
 
@@ -92,7 +92,7 @@ class Statements(Sequence[Triple]):
         if self.changed is None or before.model is not Model.RDF_SOURCE:
             return None
         triples = [*self.changed.removed, *self.changed.added]
-        if any(_has_blank(each) for each in triples) or len(unmanaged(triples, url, before.model)) < len(triples):
+        if any(_has_blank(each) for each in triples) or len(remove_managed(triples, url, before.model)) < len(triples):
             return None
         removed, added = map(to_ntriples, self.changed)
         return Difference(before, times, removed, added) if len(removed) + len(added) <= DIFFERENT else None
@@ -241,7 +241,7 @@ def own(kept: Statements, subject: str, model: Model, servers: frozenset[Triple]
 
     It begins with `times`, which its first writer said.
     """
-    return pack(times + to_ntriples([each for each in unmanaged(kept, subject, model) if each not in servers]))
+    return pack(times + to_ntriples([each for each in remove_managed(kept, subject, model) if each not in servers]))
 
 
 def stand_in(membership: Membership, kept: Statements, url: str) -> str:

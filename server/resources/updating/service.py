@@ -35,7 +35,7 @@ from rosld.server.sparql.update.evaluate import GraphChange, graphs_named
 from rosld.server.sparql.update.executor import Delta, UpdateEvaluator
 from rosld.server.sparql.update.operations import Manage, Operation, Verb
 from rosld.server.sparql.update.reading import read_update
-from rosld.server.storage import Cause, Conflict, Write
+from rosld.server.storage import Conflict, ConflictCause, Write
 
 ATTEMPTS = 4
 """Times that an update is drawn where what it is drawn over changes before it is carried out."""
@@ -43,7 +43,7 @@ _LIVE = ("topics", "parameters", "resources")
 """The rooms whose graphs hold values that change by themselves."""
 _PATIENCE = 1.0
 """Seconds that an update lets others of the same graphs go first."""
-_CHANGED = frozenset({Cause.CHANGED, Cause.THERE, Cause.MISSING})
+_CHANGED = frozenset({ConflictCause.CHANGED, ConflictCause.THERE, ConflictCause.MISSING})
 """Why what an update was drawn over is no longer so."""
 _INLINE = 16 * 1024
 """Characters of an update up to which it is read on the loop."""

@@ -85,7 +85,7 @@ class Process:
                 os.kill(fork.pid, signal.SIGKILL)
 
     def _renew(self) -> bool:
-        return sum(store.renew() for store in self._stores.values()) > 0
+        return sum(store.compact_step() for store in self._stores.values()) > 0
 
     def _receive(self) -> bool:
         """Do what has come; False where nothing comes any more, or another process is to go on."""
@@ -105,7 +105,7 @@ class Process:
                 case Drop(dataset):
                     self._stores.pop(dataset, None)
                 case Tidy():
-                    if any(store.is_half_gone for store in self._stores.values()):
+                    if any(store.is_mostly_garbage for store in self._stores.values()):
                         return False
                     trim()
         self._flush()
@@ -131,7 +131,7 @@ class Process:
         store = self._stores.get(change.dataset)
         if store is None:
             store = self._stores[change.dataset] = MemoryStore()
-        for refused in store.replace_all(change.graphs, change.edits):
+        for refused in store.replace_valid(change.graphs, change.edits):
             self._send(Kind.REFUSED, change.dataset, refused)
         self._at_work.note_change()
 

@@ -8,7 +8,7 @@ from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.vocab import ldp, rdf
 from rosld.server.storage import Model
-from rosld.server.storage.describe import META, unmanaged
+from rosld.server.storage.describe import META, remove_managed
 from rosld.server.storage.models import rdf_types
 
 
@@ -20,7 +20,7 @@ def unmanaged_triples(graph: str, triples: Sequence[Triple]) -> list[Triple]:
     subject = NamedNode(graph.removesuffix(META))
     own = [each for each in triples if each.subject == subject]
     membership = set(_membership_triples(own, triples))
-    return [each for each in unmanaged(triples, subject.value, _model(own)) if each not in membership]
+    return [each for each in remove_managed(triples, subject.value, _model(own)) if each not in membership]
 
 
 def _model(own: Sequence[Triple]) -> Model:

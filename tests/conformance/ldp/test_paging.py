@@ -15,7 +15,7 @@ from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.vocab import ldp
 from rosld.server.storage import Model, Put, Record, Remove, Write
-from rosld.server.storage.ledger import Entry, RecordTable
+from rosld.server.storage.ledger import NumberedRecord, RecordTable
 from rosld.server.storage.sqlite import connect
 
 if TYPE_CHECKING:
@@ -27,12 +27,16 @@ PAGE = 1000
 STATES = "https://www.w3.org/ns/solid/notifications-context/v1"
 
 
-def entries() -> Iterator[Entry]:
+def entries() -> Iterator[NumberedRecord]:
     """`/data/many/` of 100,000 members, `/data/few/` of one, `/data/empty/` of none, as `rosld load` brings them in."""
     containers = ("data/", "data/many/", "data/few/", "data/empty/")
-    yield from (Entry(number, record(path, Model.BASIC_CONTAINER)) for number, path in enumerate(containers, 1))
-    yield Entry(5, record("data/few/m0", Model.RDF_SOURCE))
-    yield from (Entry(number + 6, record(f"data/many/m{number}", Model.RDF_SOURCE)) for number in range(MEMBERS))
+    yield from (
+        NumberedRecord(number, record(path, Model.BASIC_CONTAINER)) for number, path in enumerate(containers, 1)
+    )
+    yield NumberedRecord(5, record("data/few/m0", Model.RDF_SOURCE))
+    yield from (
+        NumberedRecord(number + 6, record(f"data/many/m{number}", Model.RDF_SOURCE)) for number in range(MEMBERS)
+    )
 
 
 def record(path: str, model: Model) -> Record:
@@ -67,7 +71,7 @@ def steps(filled: Path) -> Callable[[Write], int]:
         try:
             taken[0] = 0
             connection.set_progress_handler(count, 1)
-            assert not isinstance(ledger.attempt([write], [], time.time_ns()), Exception)
+            assert not isinstance(ledger.apply([write], [], time.time_ns()), Exception)
             connection.set_progress_handler(None, 1)
             return taken[0]
         finally:

@@ -17,11 +17,11 @@ from rosld.server.cli.data_folder import claim, hold, owner
 from rosld.server.cli.main import main
 from rosld.server.storage import (
     Blob,
-    Changed,
     Membership,
     Model,
     Put,
     Record,
+    RecordChange,
     Remove,
     SqliteRecords,
     open_records,
@@ -78,7 +78,7 @@ async def fill(records: SqliteRecords) -> None:
 
 def told(records: SqliteRecords) -> dict[str, tuple[object, ...]]:
     """Everything of all records but their versions and the ids of their blobs."""
-    return {one.path: _told(records, records.get(one.path)) for one in records.changed(0)}
+    return {one.path: _told(records, records.get(one.path)) for one in records.changes_since(0)}
 
 
 def _told(records: SqliteRecords, record: Record | None) -> tuple[object, ...]:
@@ -199,7 +199,7 @@ def test_a_running_server_goes_on_with_what_is_loaded(tmp_path: Path) -> None:
             await asyncio.to_thread(done, "dump", folder, "-o", tmp_path / "d.tar.gz")
             await records.write(Remove("data/a"), Put("data/later", Model.RDF_SOURCE))
             old = await put_file(records, "data/c/file", b"new")
-            version, changes, noticed = records.version, list[Changed](), asyncio.Event()
+            version, changes, noticed = records.version, list[RecordChange](), asyncio.Event()
 
             def wake(changed: object) -> None:
                 changes.extend(changed)  # type: ignore[arg-type]
@@ -210,8 +210,8 @@ def test_a_running_server_goes_on_with_what_is_loaded(tmp_path: Path) -> None:
             await asyncio.wait_for(noticed.wait(), 60)
             assert records.file(old).read_bytes() == b"new"  # for whoever has just begun to read
             assert told(records) == before | {"data/later": ()}
-            assert not records.was_there("data/a")
-            assert {one.path: one.gone for one in changes} | {"data/old": True} == {
+            assert not records.is_tombstone("data/a")
+            assert {one.path: one.is_removed for one in changes} | {"data/old": True} == {
                 path: not before.get(path) for path in told(records)
             }
             assert min(one.version for one in changes) > version
@@ -222,7 +222,7 @@ def test_a_running_server_goes_on_with_what_is_loaded(tmp_path: Path) -> None:
             (record,) = await records.write(Put("data/a", Model.RDF_SOURCE))
             assert record is not None
             assert record.version > loaded
-            assert records.was_there("data/later")
+            assert records.is_tombstone("data/later")
             await records.close()
 
     asyncio.run(serve())
@@ -251,7 +251,7 @@ def test_a_load_at_full_speed_loses_no_acknowledged_write_after_it(tmp_path: Pat
         container = records.get("data/")
         assert container is not None
         assert container.count == 2000
-        records.forget()
+        records.clear_cache()
         assert records.get("data/") == container
         await records.close()
 

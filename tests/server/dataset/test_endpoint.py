@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import pytest
 
-from rosld.server.dataset.endpoint import Endpoint, Refused, StoreError, Unreachable
+from rosld.server.dataset.endpoint import Endpoint, StoreError, StoreRefused, StoreUnreachable
 from rosld.server.dataset.remote import RemoteStore
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def post(url: str, **options: float) -> bytes:
 def test_an_endpoint_that_speaks_no_http_to_the_end_is_unreachable_in_time(behave: Behaviour, failing: Start) -> None:
     server = failing(behave)
     begun = time.monotonic()
-    with pytest.raises(Unreachable) as error:
+    with pytest.raises(StoreUnreachable) as error:
         post(server.url)
     assert time.monotonic() - begun < 5 * SECONDS
     assert server.url in str(error.value)
@@ -114,7 +114,7 @@ def test_where_nobody_listens_the_endpoint_is_unreachable(failing: Start) -> Non
     server = failing(closed)
     server.close()
     url = server.url
-    with pytest.raises(Unreachable, match=url):
+    with pytest.raises(StoreUnreachable, match=url):
         post(url)
 
 
@@ -123,7 +123,7 @@ def test_a_refusal_is_told_with_its_status_and_one_line_of_its_words(failing: St
         return server.answer(connection, "503 Busy", b"come\r\nback \x1b[31mlater" + b"x" * 100_000)
 
     server = failing(refusing)
-    with pytest.raises(Refused, match="503: come back") as error:
+    with pytest.raises(StoreRefused, match="503: come back") as error:
         post(server.url)
     assert error.value.status == 503
     assert len(str(error.value)) < 500
@@ -139,7 +139,7 @@ def test_redirects_are_not_followed(status: int, failing: Start) -> None:
         return server.answer(connection, f"{status} Elsewhere", b"", "text/plain", f"Location: {other.url}")
 
     other = failing(answering)
-    with pytest.raises(Refused, match="redirects to"):
+    with pytest.raises(StoreRefused, match="redirects to"):
         post(failing(redirecting).url)
     assert other.bodies == []
 
@@ -160,7 +160,7 @@ def test_credentials_are_sent_and_not_told(failing: Start) -> None:
         return server.answer(connection, "401 Unauthorized", b"who are you?")
 
     server = failing(refusing)
-    with pytest.raises(Refused, match="401") as error:
+    with pytest.raises(StoreRefused, match="401") as error:
         Endpoint(server.url, "Bearer secret", seconds=5).post(ASK, "text/plain", JSON)
     assert b"Authorization: Bearer secret" in server.heads[0]
     assert "secret" not in str(error.value)
@@ -210,5 +210,5 @@ def test_results_that_are_none_are_told_of_before_anybody_reads_them(
 
     url = failing(answering).url
     store = RemoteStore(Endpoint(url, seconds=5), Endpoint(url, seconds=5))
-    with pytest.raises(Unreachable, match="results"):
+    with pytest.raises(StoreUnreachable, match="results"):
         store.graphs()

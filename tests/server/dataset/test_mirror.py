@@ -33,12 +33,12 @@ JSON = "application/sparql-results+json"
 
 class Graphs:
     base = BASE
-    seal = BASE + "mirror"
+    heartbeat_graph = BASE + "mirror"
 
     def is_ours(self, graph: str) -> bool:
         return graph.startswith(BASE + "g/")
 
-    def passing(self) -> Collection[str]:
+    def transient_graphs(self) -> Collection[str]:
         return [f"{BASE}g/1"]
 
 
@@ -80,7 +80,9 @@ def values(oxigraph: Oxigraph, name: str) -> list[str]:
 
 def sealed(oxigraph: Oxigraph) -> str:
     """When the mirror told the store something last, as the store says."""
-    [row] = oxigraph.select(f"SELECT ?m {{ GRAPH <{Graphs.seal}> {{ ?s <http://purl.org/dc/terms/modified> ?m }} }}")
+    [row] = oxigraph.select(
+        f"SELECT ?m {{ GRAPH <{Graphs.heartbeat_graph}> {{ ?s <http://purl.org/dc/terms/modified> ?m }} }}"
+    )
     return row["m"]
 
 
@@ -110,7 +112,7 @@ def test_what_an_earlier_run_left_is_taken_away_and_what_others_told_is_not_touc
         source.replace({graph(1): text(1), graph(8): text("new")})
         async with mirroring(source, oxigraph.store()):
             await until(lambda: graph(1) in oxigraph.graphs() and graph(7) not in oxigraph.graphs())
-        assert oxigraph.graphs() == {*others, graph(1), graph(8), Graphs.seal}
+        assert oxigraph.graphs() == {*others, graph(1), graph(8), Graphs.heartbeat_graph}
         assert values(oxigraph, graph(8)) == ["new"]
 
     asyncio.run(run())
@@ -197,8 +199,10 @@ def test_at_the_end_what_was_true_only_of_the_run_goes_and_the_seal_says_so(oxig
         async with mirroring(source, oxigraph.store()) as mirror:
             await until(lambda: graph(2) in oxigraph.graphs() and mirror.status.lag == 0)
         await mirror.close()
-        assert oxigraph.graphs() == {graph(2), Graphs.seal}
-        rows = oxigraph.select(f"SELECT ?o {{ GRAPH <{Graphs.seal}> {{ ?s <https://w3id.org/rosld#state> ?o }} }}")
+        assert oxigraph.graphs() == {graph(2), Graphs.heartbeat_graph}
+        rows = oxigraph.select(
+            f"SELECT ?o {{ GRAPH <{Graphs.heartbeat_graph}> {{ ?s <https://w3id.org/rosld#state> ?o }} }}"
+        )
         assert [row["o"] for row in rows] == ["https://w3id.org/rosld#Stale"]
 
     asyncio.run(run())
@@ -213,7 +217,7 @@ def test_a_graph_larger_than_a_request_comes_in_parts_its_blank_nodes_whole(oxig
         source = LocalStore()
         source.replace({graph(1): large, graph(2): text(2)})
         async with mirroring(source, oxigraph.store()) as mirror:
-            await until(lambda: mirror.status.told_ns is not None and mirror.status.lag == 0)
+            await until(lambda: mirror.status.updated_ns is not None and mirror.status.lag == 0)
         [counted] = oxigraph.select(f"SELECT (COUNT(*) AS ?n) {{ GRAPH <{graph(1)}> {{ ?s ?p ?o }} }}")
         [joined] = oxigraph.select(f"SELECT (COUNT(*) AS ?n) {{ GRAPH <{graph(1)}> {{ ?s {P} ?c . ?c {P} ?o }} }}")
         assert (counted["n"], joined["n"]) == ("9000", "3000")
@@ -239,7 +243,7 @@ def test_where_too_much_waits_to_be_kept_apart_everything_is_told_anew(
                 assert mirror.status.pending <= 10
             oxigraph.start()
             await until(lambda: values(oxigraph, graph(1)) == ["new"])
-            assert oxigraph.graphs() == {graph(1), Graphs.seal}
+            assert oxigraph.graphs() == {graph(1), Graphs.heartbeat_graph}
         assert any("anew" in record.getMessage() for record in caplog.records)
 
     asyncio.run(run())
@@ -346,7 +350,7 @@ def test_graphs_of_others_are_not_dropped_even_where_the_endpoint_calls_them_our
         server, source = failing(naming_others), LocalStore()
         source.replace({graph(1): text(1)})
         async with mirroring(source, RemoteStore(Endpoint(server.url), Endpoint(server.url))) as mirror:
-            await until(lambda: mirror.status.told_ns is not None and mirror.status.lag == 0)
+            await until(lambda: mirror.status.updated_ns is not None and mirror.status.lag == 0)
         assert not any(OTHER.encode() in body for body in server.bodies if b"query" not in parse_qs(body))
 
     asyncio.run(run())

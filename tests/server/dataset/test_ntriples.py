@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.server.dataset import Edit
-from rosld.server.dataset.ntriples import checked, parts
+from rosld.server.dataset.ntriples import check_changes, split_parts
 
 NODES = st.one_of(
     st.integers(0, 30).map(lambda number: f"_:b{number}"),
@@ -27,7 +27,7 @@ def labels(text: str) -> set[str]:
 @given(st.lists(LINES, max_size=60), st.integers(10, 400))
 def test_parts_hold_every_line_once_and_share_no_blank_node(lines: list[str], size: int) -> None:
     text = "".join(lines)
-    found = list(parts(text, size))
+    found = list(split_parts(text, size))
     assert sorted("".join(found).splitlines()) == sorted(text.splitlines())
     seen: set[str] = set()
     for part in found:
@@ -37,12 +37,12 @@ def test_parts_hold_every_line_once_and_share_no_blank_node(lines: list[str], si
 
 @given(st.lists(st.just('<http://h/x> <http://h/p> "x" .\n'), min_size=1, max_size=60), st.integers(40, 400))
 def test_without_blank_nodes_no_part_is_larger_than_asked_for(lines: list[str], size: int) -> None:
-    assert all(len(part) <= size for part in parts("".join(lines), size))
+    assert all(len(part) <= size for part in split_parts("".join(lines), size))
 
 
 def test_long_chains_of_blank_nodes_are_found_without_recursion() -> None:
     chain = "".join(f"_:b{number} <http://h/p> _:b{number + 1} .\n" for number in range(50_000))
-    assert list(parts(chain, 1000)) == [chain]
+    assert list(split_parts(chain, 1000)) == [chain]
 
 
 @pytest.mark.parametrize(
@@ -52,4 +52,4 @@ def test_long_chains_of_blank_nodes_are_found_without_recursion() -> None:
 def test_what_is_no_ntriples_is_told_with_the_name_of_its_graph(text: str) -> None:
     for graphs, edits in (({"http://h/g": text}, []), ({}, [Edit("http://h/g", text)])):
         with pytest.raises(ValueError, match="http://h/g"):
-            checked(graphs, edits)
+            check_changes(graphs, edits)

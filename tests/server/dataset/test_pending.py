@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.server.dataset import Edit
-from rosld.server.dataset.pending import Pending
+from rosld.server.dataset.pending import PendingChanges
 
 GRAPHS = ("http://h/a", "http://h/b")
 LINES = tuple(f'<http://h/s> <http://h/p> "{number}" .\n' for number in range(3))
@@ -24,7 +24,7 @@ def test_whatever_fails_the_other_store_ends_up_the_same(
 ) -> None:
     here: dict[str, set[str]] = {graph: set() for graph in GRAPHS}
     there: dict[str, set[str]] = {graph: set() for graph in GRAPHS}
-    pending = Pending()
+    pending = PendingChanges()
 
     def tell(kind: str) -> None:
         taken = pending.take(limit)
@@ -43,13 +43,13 @@ def test_whatever_fails_the_other_store_ends_up_the_same(
     for kind, graph, value in steps:
         if kind == "replace":
             here[graph] = set(value)
-            pending.note([graph])
+            pending.add([graph])
         elif kind == "add":
             here[graph].add(str(value))
-            pending.note((), [Edit(graph, added=str(value))])
+            pending.add((), [Edit(graph, added=str(value))])
         elif kind == "remove":
             here[graph].discard(str(value))
-            pending.note((), [Edit(graph, removed=str(value))])
+            pending.add((), [Edit(graph, removed=str(value))])
         else:
             tell(kind)
     assert len(pending) <= len(GRAPHS)
@@ -60,9 +60,9 @@ def test_whatever_fails_the_other_store_ends_up_the_same(
 
 
 def test_edits_that_come_to_more_than_may_wait_become_the_whole_graph() -> None:
-    pending = Pending()
+    pending = PendingChanges()
     for _ in range(100):
-        pending.note((), [Edit(GRAPHS[0], added="x" * 10_000), Edit(GRAPHS[1], added="y")])
+        pending.add((), [Edit(GRAPHS[0], added="x" * 10_000), Edit(GRAPHS[1], added="y")])
     taken = pending.take(10)
     assert taken is not None
     assert taken.entries[GRAPHS[0]] is None
@@ -70,29 +70,29 @@ def test_edits_that_come_to_more_than_may_wait_become_the_whole_graph() -> None:
 
 
 def test_where_more_graphs_wait_than_may_all_are_forgotten_and_that_is_told() -> None:
-    pending = Pending(limit=10)
+    pending = PendingChanges(limit=10)
     for number in range(1000):
-        pending.note([f"http://h/{number}"])
+        pending.add([f"http://h/{number}"])
         assert len(pending) <= 10
     assert pending.overflowed
-    pending.begin_anew()
-    pending.note_all([f"http://h/{number}" for number in range(1000)])
-    pending.note(["http://h/more"])
+    pending.clear()
+    pending.replace_all([f"http://h/{number}" for number in range(1000)])
+    pending.add(["http://h/more"])
     assert not pending.overflowed
     assert len(pending) == 1001
 
 
 def test_since_is_the_oldest_change_that_waits_until_it_is_told() -> None:
-    pending = Pending()
+    pending = PendingChanges()
     assert pending.since is None
-    pending.note([GRAPHS[0]])
+    pending.add([GRAPHS[0]])
     since = pending.since
-    pending.note([GRAPHS[1]])
+    pending.add([GRAPHS[1]])
     assert pending.since == since
     taken = pending.take(10)
     assert taken is not None
     assert taken.since == since
     assert pending.since is None
-    pending.note([GRAPHS[1]])
+    pending.add([GRAPHS[1]])
     pending.give_back(taken)
     assert pending.since == since

@@ -29,8 +29,8 @@ def test_text_cannot_leave_its_graph(oxigraph: Oxigraph) -> None:
 def test_graphs_are_found_by_what_they_begin_with(oxigraph: Oxigraph) -> None:
     store = oxigraph.store()
     store.replace({G: f'<{G}> {P} "1" .\n', "http://i/g": f'<{G}> {P} "1" .\n'})
-    assert store.graphs_below("http://h/") == [G]
-    assert store.graphs_below('http://h/"\\') == []
+    assert store.graphs_with_prefix("http://h/") == [G]
+    assert store.graphs_with_prefix('http://h/"\\') == []
     assert set(store.graphs()) == {G, "http://i/g"}
 
 

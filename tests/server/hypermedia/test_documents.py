@@ -30,7 +30,7 @@ from rosld.server.hypermedia.mapping_parser import (
     mapping_of,
     read_mapping,
 )
-from rosld.server.robot.stop import MappedStop
+from rosld.server.robot.stop import StopCommand
 from rosld.shapes.value import Measure
 
 SPACE = Space("http://127.0.0.1:8080/")
@@ -150,8 +150,8 @@ def test_the_shipped_file_says_the_normative_triples_labels_and_what_stops_the_a
 def test_what_stops_the_robot_is_a_call_or_a_message_with_full_names_and_json() -> None:
     [stops] = [one.stops for one in aircraft().resources if one.stops]
     assert stops == (
-        MappedStop("/aircraft/engine/set_speed", None, '{"data": 0}'),
-        MappedStop(None, "/cockpit/display", '{"data": "stopped"}'),
+        StopCommand("/aircraft/engine/set_speed", None, '{"data": 0}'),
+        StopCommand(None, "/cockpit/display", '{"data": "stopped"}'),
     )
 
 

@@ -60,7 +60,7 @@ from rosld.server.hypermedia.property_writer import (
 from rosld.server.hypermedia.type_inference import kind_of
 from rosld.server.hypermedia.value import MessageValue, StoredValue, plain_json
 from rosld.server.resources.context import Robot
-from rosld.server.robot.calls import Unreadable
+from rosld.server.robot.calls import UnreadableResponse
 from rosld.server.settings import Settings
 
 T = TypeVar("T")
@@ -81,7 +81,7 @@ class Flight:
         self.adapter = Aircraft(AdapterOptions())
         self.robot = Robot(self.adapter, Settings(**settings))
         self.written: list[tuple[Kind, str]] = []
-        self.robot.listen_to_writes(lambda kind, name: self.written.append((kind, name)))
+        self.robot.add_write_listener(lambda kind, name: self.written.append((kind, name)))
         self.catalogue: Catalogue = catalogue(self.adapter.graph, LIBRARY.find)
 
     def property(self, name: str) -> Property:
@@ -222,7 +222,7 @@ def test_what_no_parameter_can_be_is_refused(content: object) -> None:
 def test_a_topic_that_others_listen_to_is_published_to() -> None:
     async def main(flight: Flight) -> None:
         assert await flight.write(DISPLAY, "cleared for take-off") is Written.DONE
-        view = await flight.robot.topics.look(DISPLAY)
+        view = await flight.robot.topics.read(DISPLAY)
         assert view.newest is not None
         assert view.newest.data[4:] == b"cleared for take-off"
         assert not view.newest.latched
@@ -422,7 +422,7 @@ def test_a_setter_whose_answer_cannot_be_read_may_have_done_it() -> None:
     async def main() -> None:
         own, fake = robot()
         fake.answer = b"\x00"
-        with pytest.raises(Unreadable) as caught:
+        with pytest.raises(UnreadableResponse) as caught:
             await carry_out(own, plan_write(own, writable(), 1))
         assert caught.value.sent is Sent.YES
 
@@ -433,7 +433,7 @@ def test_what_becomes_of_a_setter_that_fails_is_told_as_it_is_and_freshness_ends
     async def main() -> None:
         own, fake = robot()
         written: list[tuple[Kind, str]] = []
-        own.listen_to_writes(lambda kind, name: written.append((kind, name)))
+        own.add_write_listener(lambda kind, name: written.append((kind, name)))
         fake.answer = TimedOut("no answer", sent=Sent.MAYBE)
         with pytest.raises(TimedOut) as caught:
             await carry_out(own, plan_write(own, writable(), 1))

@@ -15,8 +15,8 @@ import pytest
 from rosld.ontology.describe_activities import Receipt
 from rosld.ontology.urls import Space
 from rosld.server.auth.agent import Agent
-from rosld.server.receipts.entry import AuditEntry, excerpt_of
-from rosld.server.receipts.journal import Forgotten, Journal
+from rosld.server.receipts.entry import AuditEntry, excerpt
+from rosld.server.receipts.journal import Journal, NoSuchReceipt
 from rosld.server.receipts.sqlite_log import DATABASE
 from rosld.server.sparql.receipt_graphs import ReceiptGraphs
 
@@ -34,7 +34,7 @@ def asked(
     words: str | None = None,
 ) -> AuditEntry:
     now = time.time_ns() if ended_ns is None else ended_ns
-    kept, digest = (None, None) if body is None else excerpt_of(body)
+    kept, digest = (None, None) if body is None else excerpt(body)
     length = 0 if body is None else len(body)
     return AuditEntry(
         Agent("ann"), now - 1000, now, "PUT", url, query, "application/json", kept, length, digest, plan, (url,), 1,
@@ -51,7 +51,7 @@ def receipt(*requests: AuditEntry, excerpt: int = 500) -> Receipt:
 
     async def noted() -> Receipt:
         kept = journal(excerpt=excerpt)
-        return kept.find([kept.note(each) for each in requests][-1]).receipt
+        return kept.find([kept.add(each) for each in requests][-1]).receipt
 
     return asyncio.run(noted())
 
@@ -116,10 +116,10 @@ def test_credentials_in_the_query_or_in_a_step_are_not_told() -> None:
 def test_the_oldest_go_first_and_refusals_push_out_nothing_that_was_done() -> None:
     async def work() -> None:
         kept = journal(limit=10)
-        done = [kept.note(asked()) for _ in range(12)]
-        refused = [kept.note(asked(status=422)) for _ in range(50)]
+        done = [kept.add(asked()) for _ in range(12)]
+        refused = [kept.add(asked(status=422)) for _ in range(50)]
         assert [entry.id for entry in kept.newest_first()] == [*refused[:-3:-1], *done[:1:-1]]
-        with pytest.raises(Forgotten):
+        with pytest.raises(NoSuchReceipt):
             kept.find(done[0])
 
     run(work)
@@ -128,11 +128,11 @@ def test_the_oldest_go_first_and_refusals_push_out_nothing_that_was_done() -> No
 def test_what_is_too_old_goes() -> None:
     async def work() -> None:
         kept = journal(age=60.0)
-        old = kept.note(asked(ended_ns=time.time_ns() - 61_000_000_000))
-        new = kept.note(asked())
+        old = kept.add(asked(ended_ns=time.time_ns() - 61_000_000_000))
+        new = kept.add(asked())
         kept.start()
         assert [entry.id for entry in kept.newest_first()] == [new]
-        with pytest.raises(Forgotten):
+        with pytest.raises(NoSuchReceipt):
             kept.find(old)
         await kept.close()
 
@@ -145,12 +145,12 @@ def test_what_is_too_old_goes() -> None:
 def test_an_orderly_end_loses_nothing(tmp_path: Path) -> None:
     async def work() -> None:
         first = journal(tmp_path)
-        ids = [first.note(asked()) for _ in range(20)]
+        ids = [first.add(asked()) for _ in range(20)]
         await first.close()
         second = journal(tmp_path)
         assert [entry.id for entry in second.newest_first()] == ids[::-1]
         assert second.find(ids[0]).receipt == first.find(ids[0]).receipt
-        newer = second.note(asked())
+        newer = second.add(asked())
         assert next(second.newest_first()).id == newer
         await second.close()
 
@@ -162,7 +162,7 @@ def test_what_was_noted_is_on_the_disk_soon_and_what_was_forgotten_is_not(tmp_pa
         kept = journal(tmp_path, limit=5)
         for _ in range(3):
             for _ in range(4):
-                kept.note(asked())
+                kept.add(asked())
             await until(lambda: numbers(tmp_path) == sorted(entry.number for entry in kept.newest_first()))
         await kept.close()
 
@@ -172,7 +172,7 @@ def test_what_was_noted_is_on_the_disk_soon_and_what_was_forgotten_is_not(tmp_pa
 def test_secrets_do_not_reach_the_disk(tmp_path: Path) -> None:
     async def work() -> None:
         kept = journal(tmp_path)
-        kept.note(asked(b'{"password": "hunter2"}', words="hunter2"))
+        kept.add(asked(b'{"password": "hunter2"}', words="hunter2"))
         await kept.close()
 
     run(work)
@@ -189,7 +189,7 @@ def test_a_disk_that_fails_refuses_no_write_and_is_tried_again(
         kept = journal(tmp_path)
         other = sqlite3.connect(tmp_path / DATABASE, isolation_level=None)
         other.execute("BEGIN IMMEDIATE")
-        first = kept.note(asked())
+        first = kept.add(asked())
         await until(lambda: "kept in memory" in caplog.text)
         assert kept.find(first).receipt.agent == "ann"
         other.execute("ROLLBACK")
@@ -248,7 +248,7 @@ def test_the_dataset_is_told_what_came_and_what_went() -> None:
         container = f"{BASE}activity/"
         for count in (0, 2, 1, 7, 1):
             for _ in range(count):
-                kept.note(asked())
+                kept.add(asked())
             catch_up()
             urls = {f"{BASE}activity/{entry.id}" for entry in kept.newest_first()}
             assert held.keys() == {container, *urls}

@@ -69,7 +69,7 @@ async def freeze(robot: Robot) -> Frozen:
     trees = frozenset(space.container("parameters", path) for path in namespaces(robot.graph, "parameters"))
     everything = Needs((Demand(parameters=True),), frozenset(below | recorded), graph_names=trees)
     for topic in robot.graph.topics:
-        await robot.topics.look(topic)
+        await robot.topics.read(topic)
     entries = await dataset.live(everything, deadline=loop.time() + 20)
     described = {
         iri: entry.ntriples()

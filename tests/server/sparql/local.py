@@ -31,7 +31,7 @@ class LocalStore(MemoryStore):
             told(graphs, edits)
 
     def change(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
-        self.replace_all(graphs, edits)
+        self.replace_valid(graphs, edits)
 
     async def drained(self) -> None:
         pass
@@ -48,7 +48,7 @@ class LocalProcess(QueryProcess):
         pass
 
     def change(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = (), dataset: int = 0) -> None:
-        self.store.replace_all(graphs, edits)
+        self.store.replace_valid(graphs, edits)
 
     async def drained(self) -> None:
         pass

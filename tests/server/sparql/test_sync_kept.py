@@ -90,8 +90,8 @@ class Index:
         """The graphs that are not as a GET says, too many or too few."""
         records = [
             record
-            for changed in self.records.changed(0)
-            if not changed.gone and (record := self.records.get(changed.path)) is not None
+            for changed in self.records.changes_since(0)
+            if not changed.is_removed and (record := self.records.get(changed.path)) is not None
         ]
         graphs = {one.path + (META if one.model is Model.NON_RDF_SOURCE else ""): self.said(one) for one in records}
         await self.query("SELECT * {}")

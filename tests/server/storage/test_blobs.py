@@ -14,8 +14,8 @@ import pytest
 
 from rosld.server.storage import (
     Blob,
-    Cause,
     Conflict,
+    ConflictCause,
     Model,
     Put,
     Remove,
@@ -54,7 +54,7 @@ def test_bytes_come_back_as_they_were_sent(records: Opened) -> None:
                 assert record is not None
                 assert record.blob == blob == Blob(blob.id, len(b"".join(parts)), TYPE)
                 assert kept.file(blob).read_bytes() == b"".join(parts)
-                kept.forget()
+                kept.clear_cache()
                 assert kept.get(path) == record
 
     asyncio.run(run())
@@ -141,7 +141,7 @@ def test_a_blob_belongs_to_one_record(records: Opened) -> None:
             await kept.write(Put("data/a", FILE, blob=blob))
             with pytest.raises(Conflict, match="send them again") as caught:
                 await kept.write(Put("data/b", FILE, blob=blob))
-            assert caught.value.cause is Cause.BLOB
+            assert caught.value.cause is ConflictCause.BLOB
             with pytest.raises(Conflict):
                 await kept.write(Put("data/b", FILE, blob=Blob("../../etc/passwd", 1, TYPE)))
             other = await receive(kept, b"y")
@@ -201,7 +201,7 @@ def test_an_earlier_process_leaves_nothing_behind(tmp_path: Path) -> None:
         for name in ("0" * 32, "1" * 32 + ".part", "README"):
             (tmp_path / "blobs" / name).write_text("x")
         blobs = Blobs(tmp_path / "blobs", durable=True)
-        with blobs.still():  # as a dump does, or a load that is not finished
+        with blobs.hold_files():  # as a dump does, or a load that is not finished
             kept = open_records(tmp_path)
             assert len(files(kept, used)) == 4
             await kept.close()
@@ -219,7 +219,7 @@ def test_whoever_keeps_files_still_delays_their_removal(tmp_path: Path) -> None:
         first, second = await receive(kept, b"first"), await receive(kept, b"second")
         await kept.write(Put("data/a", FILE, blob=first))
         blobs = Blobs(tmp_path / "blobs", durable=True)
-        with blobs.still():
+        with blobs.hold_files():
             await kept.write(Put("data/a", FILE, blob=second))
             await kept.write(Put("data/b", Model.RDF_SOURCE))
             assert kept.file(first).read_bytes() == b"first"

@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rosld.server.storage import (
-    Cause,
-    Changed,
     Conflict,
+    ConflictCause,
     Membership,
     Model,
     Put,
     Record,
+    RecordChange,
     Remove,
     SqliteRecords,
     StorageError,
@@ -46,14 +46,14 @@ async def put(records: SqliteRecords, path: str, triples: bytes = b"", **more: o
 
 async def refused(records: SqliteRecords, *writes: Write) -> Conflict:
     """Why writes are refused, having checked that nothing of them was done."""
-    before = records.version, records.changed(0)
+    before = records.version, records.changes_since(0)
     with pytest.raises(Conflict) as caught:
         await records.write(*writes)
-    assert (records.version, records.changed(0)) == before
+    assert (records.version, records.changes_since(0)) == before
     return caught.value
 
 
-def paths(changed: Sequence[Changed]) -> list[str]:
+def paths(changed: Sequence[RecordChange]) -> list[str]:
     return [one.path for one in changed]
 
 
@@ -65,7 +65,7 @@ def test_what_is_put_is_what_is_got(records: Opened) -> None:
             assert (record.triples, record.model, record.blob) == (TRIPLE, RDF, None)
             assert record.created_ns == record.modified_ns > 0
             assert kept.get("data/b") is None
-            assert not kept.was_there("data/b")
+            assert not kept.is_tombstone("data/b")
 
     asyncio.run(run())
 
@@ -79,7 +79,7 @@ def test_what_is_replaced_keeps_when_it_was_made_and_what_stands_for_it(records:
             assert again.version > made.version
             assert again.modified_ns >= made.modified_ns
             assert kept.get("data/a") is again
-            kept.forget()
+            kept.clear_cache()
             assert kept.get("data/a") == again
 
     asyncio.run(run())
@@ -89,7 +89,7 @@ def test_what_is_replaced_twice_at_once_has_two_versions(records: Opened) -> Non
     async def run() -> None:
         async with records() as kept:
             made = await put(kept, "data/a")
-            told: list[Changed] = []
+            told: list[RecordChange] = []
             kept.watch(told.extend)
             (one,), (other,) = await asyncio.gather(
                 kept.write(Put("data/a", RDF, b"", expected=made.version)), kept.write(Put("data/a", RDF, TRIPLE))
@@ -100,7 +100,7 @@ def test_what_is_replaced_twice_at_once_has_two_versions(records: Opened) -> Non
             assert kept.get("data/a") is other
             assert [each.path for each in told] == ["data/a", "data/a"]
             conflict = await refused(kept, Put("data/a", RDF, b"", expected=one.version))
-            assert conflict.cause is Cause.CHANGED
+            assert conflict.cause is ConflictCause.CHANGED
 
     asyncio.run(run())
 
@@ -185,18 +185,18 @@ def test_a_container_counts_and_lists_its_members_in_the_order_they_were_made(re
 def test_the_numbers_of_members_are_told_from_the_last_one_on(records: Opened) -> None:
     async def run() -> None:
         async with records() as kept:
-            assert not kept.numbers("data/")
+            assert not kept.last_member_numbers("data/")
             for name in ("c", "a", "b/", "d"):
                 await put(kept, f"data/{name}")
             await put(kept, "data/b/inner")
             found = [one.number for one in kept.members("data/")][::-1]
-            assert kept.numbers("data/") == found
-            assert kept.numbers("data/", limit=2) == found[:2]
-            assert kept.numbers("data/", upto=found[1]) == found[1:]
-            assert kept.numbers("data/", upto=found[1] - 1, limit=1) == [found[2]]
-            assert not kept.numbers("data/", upto=0)
-            assert not kept.numbers("data/a")
-            assert not kept.numbers("nowhere/")
+            assert kept.last_member_numbers("data/") == found
+            assert kept.last_member_numbers("data/", limit=2) == found[:2]
+            assert kept.last_member_numbers("data/", up_to=found[1]) == found[1:]
+            assert kept.last_member_numbers("data/", up_to=found[1] - 1, limit=1) == [found[2]]
+            assert not kept.last_member_numbers("data/", up_to=0)
+            assert not kept.last_member_numbers("data/a")
+            assert not kept.last_member_numbers("nowhere/")
 
     asyncio.run(run())
 
@@ -220,7 +220,7 @@ def test_memberships_come_back(records: Opened) -> None:
         membership = Membership("http://h/x", "http://h/has", inverse=True, content="http://h/about")
         async with records() as kept:
             await kept.write(Put("data/i/", Model.INDIRECT_CONTAINER, membership=membership))
-            kept.forget()
+            kept.clear_cache()
             found = kept.get("data/i/")
             assert found is not None
             assert found.membership == membership
@@ -237,7 +237,7 @@ def test_what_is_read_from_the_database_equals_what_was_written(records: Opened)
             await kept.write(Remove("data/a/c"))
             await put(kept, "data/a/", TRIPLE * 2)
             found = [kept.get(path) for path in ("data/a/", "data/a/b", "data/a/c")]
-            kept.forget()
+            kept.clear_cache()
             assert [kept.get(path) for path in ("data/a/", "data/a/b", "data/a/c")] == found
 
     asyncio.run(run())
@@ -250,10 +250,10 @@ def test_the_roots_are_always_there(records: Opened) -> None:
                 found = kept.get(root)
                 assert found is not None
                 assert found.model is BASIC
-                assert (await refused(kept, Remove(root))).cause is Cause.ROOT
+                assert (await refused(kept, Remove(root))).cause is ConflictCause.ROOT
             await put(kept, "data/", TRIPLE)
-            assert (await refused(kept, Put("other/", BASIC))).cause is Cause.CONTAINER
-            assert (await refused(kept, Put("a", RDF))).cause is Cause.CONTAINER
+            assert (await refused(kept, Put("other/", BASIC))).cause is ConflictCause.CONTAINER
+            assert (await refused(kept, Put("a", RDF))).cause is ConflictCause.CONTAINER
 
     asyncio.run(run())
 
@@ -264,18 +264,18 @@ def test_a_removed_path_is_remembered_until_it_is_made_again(records: Opened) ->
             await put(kept, "data/a")
             await kept.write(Remove("data/a"))
             assert kept.get("data/a") is None
-            assert kept.was_there("data/a")
-            assert (await refused(kept, Put("data/a", RDF, unused=True))).cause is Cause.GONE
-            assert (await refused(kept, Put("data/a", RDF, expected=1))).cause is Cause.GONE
-            assert (await refused(kept, Remove("data/a"))).cause is Cause.GONE
+            assert kept.is_tombstone("data/a")
+            assert (await refused(kept, Put("data/a", RDF, unused=True))).cause is ConflictCause.GONE
+            assert (await refused(kept, Put("data/a", RDF, expected=1))).cause is ConflictCause.GONE
+            assert (await refused(kept, Remove("data/a"))).cause is ConflictCause.GONE
             again = await put(kept, "data/a", triples=b"<urn:a> <urn:b> <urn:c> .\n")
             assert kept.get("data/a") == again
             assert [one.path for one in kept.members("data/")] == ["data/a"]
-            told = [one for one in kept.changed(0) if one.path == "data/a"]
-            assert [one.gone for one in told] == [True, False]
+            told = [one for one in kept.changes_since(0) if one.path == "data/a"]
+            assert [one.is_removed for one in told] == [True, False]
             await kept.write(Remove("data/a"))
             assert kept.get("data/a") is None
-            assert (await refused(kept, Put("data/a", RDF, unused=True))).cause is Cause.GONE
+            assert (await refused(kept, Put("data/a", RDF, unused=True))).cause is ConflictCause.GONE
 
     asyncio.run(run())
 
@@ -287,17 +287,17 @@ def test_conflicts_say_why(records: Opened) -> None:
             await put(kept, "data/c/")
             await put(kept, "data/c/d")
             for write, cause, words in (
-                (Put("data/a", RDF, expected=0), Cause.THERE, "it is there already"),
-                (Put("data/a", RDF, expected=version + 9), Cause.CHANGED, f"it is in version {version}"),
-                (Remove("data/a", expected=version + 9), Cause.CHANGED, f"it is in version {version}"),
-                (Put("data/new", RDF, expected=3), Cause.MISSING, "not in version 3"),
-                (Remove("data/new"), Cause.MISSING, "it is not there"),
-                (Put("data/x/a", RDF), Cause.CONTAINER, "its container data/x/ is not there"),
-                (Put("data/a/b", RDF), Cause.CONTAINER, "its container data/a/ is not there"),
-                (Remove("data/c/"), Cause.NOT_EMPTY, "delete its 1 members first"),
+                (Put("data/a", RDF, expected=0), ConflictCause.THERE, "it is there already"),
+                (Put("data/a", RDF, expected=version + 9), ConflictCause.CHANGED, f"it is in version {version}"),
+                (Remove("data/a", expected=version + 9), ConflictCause.CHANGED, f"it is in version {version}"),
+                (Put("data/new", RDF, expected=3), ConflictCause.MISSING, "not in version 3"),
+                (Remove("data/new"), ConflictCause.MISSING, "it is not there"),
+                (Put("data/x/a", RDF), ConflictCause.CONTAINER, "its container data/x/ is not there"),
+                (Put("data/a/b", RDF), ConflictCause.CONTAINER, "its container data/a/ is not there"),
+                (Remove("data/c/"), ConflictCause.NOT_EMPTY, "delete its 1 members first"),
                 (
                     Put("data/c/", Model.DIRECT_CONTAINER, membership=Membership("http://a", "http://b")),
-                    Cause.MODEL,
+                    ConflictCause.MODEL,
                     "it is a BasicContainer, and cannot become a DirectContainer",
                 ),
             ):
@@ -358,22 +358,22 @@ def test_changes_are_told_once_a_path_in_the_order_of_versions(records: Opened) 
                 await put(kept, f"data/{name}")
             await put(kept, "data/a", TRIPLE)
             await kept.write(Remove("data/b"))
-            changed = kept.changed(start)
+            changed = kept.changes_since(start)
             assert paths(changed) == ["data/c", "data/a", "data/b", "data/"]
-            assert [one.gone for one in changed] == [False, False, True, False]
+            assert [one.is_removed for one in changed] == [False, False, True, False]
             assert [one.version for one in changed] == sorted({one.version for one in changed})
-            assert kept.changed(start, limit=2) == changed[:2]
-            assert kept.changed(changed[1].version) == changed[2:]
-            assert kept.changed(kept.version) == []
+            assert kept.changes_since(start, limit=2) == changed[:2]
+            assert kept.changes_since(changed[1].version) == changed[2:]
+            assert kept.changes_since(kept.version) == []
 
     asyncio.run(run())
 
 
 def test_watchers_are_told_what_each_write_changed_until_they_end_it(records: Opened) -> None:
     async def run() -> None:
-        told: list[Sequence[Changed]] = []
+        told: list[Sequence[RecordChange]] = []
 
-        def fails(changed: Sequence[Changed]) -> None:
+        def fails(changed: Sequence[RecordChange]) -> None:
             raise RuntimeError("a watcher that fails")
 
         async with records() as kept:
@@ -384,8 +384,8 @@ def test_watchers_are_told_what_each_write_changed_until_they_end_it(records: Op
             await refused(kept, Put("data/a", RDF, expected=0))
             await kept.write(Put("data/b", RDF), Remove("data/a"))
             assert [paths(one) for one in told] == [["data/a", "data/"], ["data/b", "data/a", "data/"]]
-            assert list(told[1]) == kept.changed(told[0][-1].version)
-            assert kept.changed(before) == told[1]
+            assert list(told[1]) == kept.changes_since(told[0][-1].version)
+            assert kept.changes_since(before) == told[1]
             end()
             end()
             await put(kept, "data/c")
@@ -486,17 +486,17 @@ def test_records_are_as_a_dictionary_would_tell(batches: list[list[tuple[str, st
                 found = kept.get(path)
                 assert found is not None
                 assert path == "data/" or found.triples == b"%d" % mark
-                kept.forget()
+                kept.clear_cache()
                 assert kept.get(path) == found
                 if path[-1] == "/":
                     inside = {one for one in there if one != path and one[: one.rstrip("/").rfind("/") + 1] == path}
                     assert {one.path for one in kept.members(path)} == inside
                     assert found.count == len(inside)
             for path in gone:
-                assert kept.was_there(path)
+                assert kept.is_tombstone(path)
                 assert kept.get(path) is None
-        assert {one.path for one in kept.changed(0) if not one.gone} == set(there)
-        assert {one.path for one in kept.changed(0)} == set(there) | gone
+        assert {one.path for one in kept.changes_since(0) if not one.is_removed} == set(there)
+        assert {one.path for one in kept.changes_since(0)} == set(there) | gone
         await kept.close()
 
     asyncio.run(run())

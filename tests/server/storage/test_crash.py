@@ -114,7 +114,7 @@ class Expected:
         there = {one.path for one in records.members(f"data/{lane}/", limit=10**6) if "brief" in one.path}
         assert {path for path in self.brief if path.startswith(f"data/{lane}/")} ^ there <= under_way
         self.brief = {path for path in self.brief if not path.startswith(f"data/{lane}/")} | there
-        assert all(records.was_there(path) and records.get(path) is None for path in self.away)
+        assert all(records.is_tombstone(path) and records.get(path) is None for path in self.away)
 
 
 async def check(folder: Path, expected: Expected) -> None:

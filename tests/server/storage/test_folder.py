@@ -60,15 +60,15 @@ def test_what_was_written_is_there_when_they_are_opened_again(kept: Opened) -> N
             await records.write(Remove("data/b"))
             assert records.version > version
             found, container = records.get("data/a"), records.get("data/")
-            version, changed = records.version, records.changed(0)
+            version, changed = records.version, records.changes_since(0)
         async with kept() as records:
             assert records.identity == identity
             assert records.get("data/a") == found
             assert records.get("data/") == container
-            assert records.was_there("data/b")
-            assert records.changed(0) == changed
+            assert records.is_tombstone("data/b")
+            assert records.changes_since(0) == changed
             assert records.version > version  # also where a power failure took what was not durable yet
-            assert records.changed(records.version) == []
+            assert records.changes_since(records.version) == []
 
     asyncio.run(run())
 
@@ -106,7 +106,7 @@ def test_writes_that_come_while_the_disk_is_at_work_wait_for_it_once_together(
         async with kept() as records:
             first = asyncio.create_task(records.write(Put("data/a", RDF)))
             await asyncio.to_thread(disk.asked.acquire)
-            others = [asyncio.create_task(records.write(Put(f"data/{n}", RDF))) for n in range(group.MAX_JOBS)]
+            others = [asyncio.create_task(records.write(Put(f"data/{n}", RDF))) for n in range(group.MAX_BATCHES)]
             await asyncio.sleep(0)
             disk.let.set()
             await asyncio.gather(first, *others)
@@ -154,7 +154,7 @@ def test_a_full_database_refuses_what_does_not_fit_and_goes_on(records: Opened) 
             assert kept.version > version
             assert [one.path for one in kept.members("data/")] == ["data/a", "data/b", "data/c"]
             assert kept.get("data/") != container
-            kept.forget()
+            kept.clear_cache()
             assert kept.get("data/large") is None
             connection.execute("PRAGMA max_page_count = 1000000")
             await kept.write(Put("data/large", RDF, bytes(1_000_000)))

@@ -32,6 +32,8 @@ RECENT_SECONDS = 60.0
 _SLOTS = 6
 _FRAMES = 12
 _PACKAGE = "rosld"
+_RUNNERS = frozenset({"asyncio.runners", "uvloop"})
+"""Modules that run a loop: code that they were called by runs nothing itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +151,7 @@ class Watchdog:
         frame = sys._current_frames().get(self._loop_thread)
         if frame is None:
             return None, None
-        code = _innermost(frame)
+        code = running_code(frame)
         return code, None if code is None else "".join(traceback.format_stack(frame)[-_FRAMES:])
 
 
@@ -165,13 +167,13 @@ def describe_pause(pause: Pause) -> str:
     return f"{head}\n{pause.stack}" if pause.stack else head
 
 
-def _innermost(frame: FrameType | None) -> str | None:
+def running_code(frame: FrameType | None) -> str | None:
     """The innermost function of rosld on a stack, as `module.function`; None where none but the loop's own runs."""
     while frame is not None:
         module = str(frame.f_globals.get("__name__", ""))
+        if module in _RUNNERS:
+            return None
         if module.partition(".")[0] == _PACKAGE:
-            if module.startswith(f"{_PACKAGE}.server.commands"):
-                return None
             return f"{module}.{getattr(frame.f_code, 'co_qualname', frame.f_code.co_name)}"  # from Python 3.11 on
         frame = frame.f_back
     return None

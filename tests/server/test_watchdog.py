@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import sys
 import time
 from typing import Any
 
 import pytest
 from pyoxigraph import Literal, NamedNode, RdfFormat, parse
 
-from rosld.server.runtime.watchdog import Watchdog
+from rosld.server.runtime.watchdog import Watchdog, running_code
 from tests.server.robots.made_up import MadeUp, served
 from tests.waiting import until
 
@@ -52,6 +53,16 @@ def test_the_longest_pause_of_the_loop_is_told_at_status_with_the_code_that_ran(
         assert told["longestWorkCode"].startswith("rosld.server.")
         paused = "the event loop was paused for"
         until(lambda: any(paused in each and "_pause" in each for each in caplog.messages), "a line in the log")
+
+
+def test_a_loop_that_waits_runs_no_code_though_rosld_started_it() -> None:
+    async def waiting() -> str | None:
+        return running_code(sys._getframe())
+
+    namespace = {"__name__": "rosld.server.somewhere", "asyncio": asyncio}
+    exec("def run(coroutine): return asyncio.run(coroutine)\nasync def ask(look): return look()", namespace)
+    assert namespace["run"](waiting()) is None
+    assert namespace["run"](namespace["ask"](lambda: running_code(sys._getframe()))) == "rosld.server.somewhere.ask"
 
 
 def test_the_status_is_linked_from_the_entry_and_told_in_rdf_and_html() -> None:

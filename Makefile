@@ -56,7 +56,8 @@ $(READY): pyproject.toml
 # What the tests use beside Python, from Debian: a real ROS 1, a browser, Node, and a C compiler for ROS 2. Without them
 # their tests are skipped by name, and fail where CI=true.
 debian:
-	@test -x /usr/bin/rosmaster || .ci/debian tests/debian-ros.txt
+	@{ test -x /usr/bin/rosmaster && /usr/bin/python3 -c 'import numpy, diagnostic_msgs, dynamic_reconfigure'; } \
+		2>/dev/null || .ci/debian tests/debian-ros.txt
 	@command -v chromium >/dev/null || .ci/debian tests/debian-browser.txt
 	@command -v npm >/dev/null || .ci/debian tests/debian-node.txt
 	@command -v nginx >/dev/null || test -x /usr/sbin/nginx || .ci/debian tests/debian-proxy.txt

@@ -26,7 +26,8 @@ NAMES = {
 }
 """The distributions that are called otherwise than what they are imported as."""
 OF_ROS = re.compile(
-    r"rclpy|rospy|roslib|rosservice|actionlib|genpy|rosidl_\w+|rcl_interfaces|\w+_(msgs|srvs)|rosld_aircraft"
+    r"rclpy|rospy|roslib|rosservice|actionlib|dynamic_reconfigure|genpy|rosidl_\w+|rcl_interfaces|\w+_(msgs|srvs)"
+    r"|rosld_(aircraft|rover)"
 )
 """What comes with a ROS, and is imported where there is one."""
 OF_LATER_PYTHONS = {"compression", "tomllib"}

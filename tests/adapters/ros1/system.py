@@ -29,9 +29,18 @@ PATIENCE = 20.0
 
 def require_ros() -> None:
     """Skip, saying how to install ROS, where there is none; fail instead under CI."""
-    if ROSMASTER.exists():
-        return
-    words = f"no ROS 1 here: apt-get install --no-install-recommends {' '.join(PACKAGES.read_text().split())}"
+    if not ROSMASTER.exists():
+        _missing("no ROS 1 here")
+
+
+def require(what: str, *modules: str) -> None:
+    """Skip, saying how to install them, where the system's Python lacks modules that something needs; fail under CI."""
+    if subprocess.run([PYTHON, "-c", f"import {', '.join(modules)}"], capture_output=True, check=False).returncode:
+        _missing(f"{what} needs {', '.join(modules)}")
+
+
+def _missing(why: str) -> None:
+    words = f"{why}: apt-get install --no-install-recommends {' '.join(PACKAGES.read_text().split())}"
     if os.environ.get("CI") == "true":
         pytest.fail(words)
     pytest.skip(words)

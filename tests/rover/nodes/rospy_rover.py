@@ -1,0 +1,254 @@
+"""The rover as a rospy node, `/rover`: the simulation that rosld embeds, told and heard through a real ROS 1.
+
+    rospy_rover.py [rover:?battery=0.21&rate=10]
+
+It drives on as it was told last, as the embedded one does. Its parameters are dynamic_reconfigure's, but for
+`wheel_separation`, which is only told. Prints "ready".
+"""
+
+import sys
+import threading
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+
+import actionlib
+import rospy
+from dynamic_reconfigure.parameter_generator_catkin import ParameterGenerator
+from dynamic_reconfigure.server import Server
+from genpy.dynamic import generate_dynamic
+from roslib.message import get_message_class
+from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
+
+from rosld.adapters.rover import messages, requests
+from rosld.adapters.rover.navigation import Declined, Outcome
+from rosld.adapters.rover.settings import DEFAULTS, PARAMETERS
+from rosld.adapters.rover.simulation import Severity, Simulation
+from rosld.adapters.rover.source import read_source
+from rosld.adapters.rover.topics import (
+    CMD_VEL,
+    CMD_VEL_TYPE,
+    DOCK,
+    LATCHED,
+    LIGHTS,
+    NAVIGATE_TO,
+    NAVIGATE_TO_TYPE,
+    PERIODIC,
+    SET_LIGHTS,
+)
+
+PERIOD = 0.05
+FEEDBACK_PERIOD = 0.2
+PARTS = ("Goal", "Result", "Feedback")
+DEFINITIONS = Path(__file__).resolve().parents[3] / "adapters" / "model" / "definitions"
+SHARE = Path("/usr/share")
+TYPES = {bool: "bool", int: "int", float: "double", str: "str"}
+LOG = {Severity.INFO: rospy.loginfo, Severity.WARN: rospy.logwarn, Severity.ERROR: rospy.logerr}
+
+
+# Messages
+
+
+def class_of(name):
+    """The class of a type by the name that ROS 2 has for it."""
+    return get_message_class(name.replace("/msg/", "/"))
+
+
+def filled(made, fields):
+    """A message of ROS 1 with the fields of ROS 2's that it has, some of which are written in capitals."""
+    types = dict(zip(made.__slots__, made._slot_types, strict=True))
+    for name, value in fields.items():
+        slot = name if name in types else name.upper()
+        if slot in types:
+            setattr(made, slot, converted(types[slot], getattr(made, slot), value))
+    return made
+
+
+def converted(type, empty, value):
+    """A value of a message for a field of a type, which has this value when it is empty."""
+    if type == "time":
+        return rospy.Time(value["sec"], value["nanosec"])
+    if isinstance(value, dict):
+        return filled(empty, value)
+    if type == "uint8[]":
+        return value.tobytes()
+    if isinstance(value, list):
+        return [filled(get_message_class(type[:-2])(), each) for each in value]
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+# The action, whose messages Debian has no generator for
+
+
+def wrapped(name):
+    """The texts of the messages that actionlib wraps the parts of an action in."""
+    status = "Header header\nactionlib_msgs/GoalStatus status\n"
+    return {
+        "ActionGoal": f"Header header\nactionlib_msgs/GoalID goal_id\n{name}Goal goal",
+        "ActionResult": f"{status}{name}Result result",
+        "ActionFeedback": f"{status}{name}Feedback feedback",
+    }
+
+
+def action_classes(type):
+    """The classes of an action, by what they are called after its name: `Goal`, `Action`, `ActionGoal`, ..."""
+    package, _, name = type.split("/")
+    thirds = (DEFINITIONS / package / "action" / f"{name}.action").read_text().split("\n---\n")
+    texts = {f"{package}/{name}{part}": text for part, text in zip(PARTS, thirds, strict=True)}
+    texts.update({f"{package}/{name}{part}": text for part, text in wrapped(name).items()})
+    for other in ("actionlib_msgs/GoalID", "actionlib_msgs/GoalStatus", "std_msgs/Header", "geometry_msgs/PoseStamped"):
+        texts[other] = installed(other)
+    for other in ("geometry_msgs/Pose", "geometry_msgs/Point", "geometry_msgs/Quaternion"):
+        texts[other] = installed(other)
+    fields = "\n".join(f"{name}Action{part} action_{part.lower()}" for part in PARTS)
+    nested = [f"{'=' * 80}\nMSG: {each}\n{text}" for each, text in texts.items()]
+    made = generate_dynamic(f"{package}/{name}Action", "\n".join([fields, *nested]) + "\n")
+    return {each.partition(f"/{name}")[2]: kind for each, kind in made.items() if f"/{name}" in each}
+
+
+def installed(type):
+    package, name = type.split("/")
+    return (SHARE / package / "msg" / f"{name}.msg").read_text()
+
+
+# Parameters
+
+
+def enumeration(generator, name, declared):
+    """How dynamic_reconfigure writes down which values a parameter may have."""
+    if declared.choices is None:
+        return ""
+    constants = [generator.const(value, "str", value, words) for value, words in declared.choices.items()]
+    return generator.enum(constants, f"The values of {name}")
+
+
+def reconfigurable():
+    """What dynamic_reconfigure generates of a .cfg: the parameters that are not read-only."""
+    sys.argv[1:] = ["", "", "", ""]  # it insists on the folders that it would write files to
+    generator = ParameterGenerator()
+    for name, declared in PARAMETERS.items():
+        if not declared.is_read_only:
+            how = enumeration(generator, name, declared)
+            kind = TYPES[type(declared.default)]
+            given = (declared.default, declared.least, declared.greatest)
+            generator.add(name, kind, 0, declared.description, *given, edit_method=how)
+    description = generator.group.to_dict()
+    for each in description["parameters"]:
+        if each["type"] == "double":
+            each.update({end: float(each[end]) for end in ("min", "max", "default")})
+    found = {end: {each["name"]: each[end] for each in description["parameters"]} for end in ("min", "max", "default")}
+    return SimpleNamespace(
+        config_description=description, min=found["min"], max=found["max"], defaults=found["default"], level={}
+    )
+
+
+# The node
+
+
+class Rover:
+    def __init__(self, start):
+        self.lock = threading.RLock()
+        self.simulation = Simulation(start, time.monotonic())
+        self.values = dict(DEFAULTS)
+        self.due = {}
+        self.goals = {}
+        classes = action_classes(NAVIGATE_TO_TYPE)
+        self.result, self.feedback = classes["Result"], classes["Feedback"]
+        self.publishers = {
+            name: rospy.Publisher(name, class_of(each.type), queue_size=5, latch=name in LATCHED)
+            for name, each in {**PERIODIC, **LATCHED}.items()
+        }
+        for name in LATCHED:
+            self.say(name, LATCHED[name])
+        rospy.set_param("~wheel_separation", DEFAULTS["wheel_separation"])
+        self.server = Server(reconfigurable(), self.configure)
+        rospy.Subscriber(CMD_VEL, class_of(CMD_VEL_TYPE), self.command, queue_size=10)
+        rospy.Service(SET_LIGHTS, SetBool, self.switch_lights)
+        rospy.Service(DOCK, Trigger, self.dock)
+        self.actions = actionlib.ActionServer(NAVIGATE_TO, classes["Action"], self.navigate, self.cancel, False)
+        self.actions.start()
+
+    def command(self, twist):
+        with self.lock:
+            self.simulation.command(requests.velocity_of(twist), time.monotonic())
+
+    def switch_lights(self, request):
+        with self.lock:
+            answer = self.simulation.switch_lights(requests.switch_of(request), time.monotonic())
+            self.say(LIGHTS, LATCHED[LIGHTS])
+        return SetBoolResponse(*answer)
+
+    def dock(self, _):
+        with self.lock:
+            return TriggerResponse(*self.simulation.dock(time.monotonic()))
+
+    def configure(self, config, _level):
+        """Take what fits: dynamic_reconfigure keeps numbers within their ranges, but nothing to an enumeration."""
+        with self.lock:
+            if config["drive_mode"] not in PARAMETERS["drive_mode"].choices:
+                config["drive_mode"] = self.values["drive_mode"]
+            self.values.update({name: config[name] for name in self.values if name in config})
+            self.simulation.configure(self.values, time.monotonic())
+        return config
+
+    def navigate(self, handle):
+        with self.lock:
+            try:
+                goal = requests.goal_of(handle.get_goal())
+            except Declined as declined:
+                handle.set_rejected(None, str(declined))
+                return
+            id = handle.get_goal_id().id
+            self.goals[id] = handle
+            handle.set_accepted("on the way")
+            self.simulation.navigate(id, goal, time.monotonic())
+
+    def cancel(self, handle):
+        with self.lock:
+            self.simulation.cancel(handle.get_goal_id().id, time.monotonic())
+
+    def tick(self):
+        with self.lock:
+            now = time.monotonic()
+            self.simulation.advance(now)
+            for name, each in PERIODIC.items():
+                if now >= self.due.get(name, now) and self.publishers[name].get_num_connections():
+                    self.say(name, each)
+                    self.due[name] = max(self.due.get(name, now), now - PERIOD) + 1 / each.rate(
+                        self.simulation.settings
+                    )
+            self.tell_of_goals(now)
+            for line in self.simulation.take_log():
+                LOG[line.severity](line.text)
+
+    def tell_of_goals(self, now):
+        motion, journey, time_ns = self.simulation.state.motion, self.simulation.state.journey, time.time_ns()
+        for ended in self.simulation.take_ended():
+            handle = self.goals.pop(ended.id)
+            result = filled(self.result(), messages.navigation_result(ended, motion, time_ns))
+            ways = {Outcome.SUCCEEDED: handle.set_succeeded, Outcome.ABORTED: handle.set_aborted}
+            ways.get(ended.outcome, handle.set_canceled)(result, ended.message)
+        if journey is not None and now >= self.due.get(NAVIGATE_TO, now):
+            self.due[NAVIGATE_TO] = now + FEEDBACK_PERIOD
+            feedback = messages.navigation_feedback(journey, motion, time_ns)
+            self.goals[journey.id].publish_feedback(filled(self.feedback(), feedback))
+
+    def say(self, name, each):
+        simulation = self.simulation
+        view = messages.View(simulation.state, simulation.settings, simulation.world, time.time_ns())
+        self.publishers[name].publish(filled(class_of(each.type)(), each.say(view)))
+
+
+def main():
+    start = read_source(sys.argv[1] if len(sys.argv) > 1 else "rover")
+    rospy.init_node("rover")
+    rover = Rover(start)
+    print("ready", flush=True)
+    while not rospy.is_shutdown():
+        rover.tick()
+        time.sleep(PERIOD)
+
+
+main()

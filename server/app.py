@@ -76,17 +76,17 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         robot.space.types,
         bounds=bounded,
         reach=reach,
-        relations=lambda: relations(robot.mappings.arrangement),
+        relations=lambda: relations(robot.mappings.mapping_set),
     )
     service = query_service(robot, process, synchroniser, analyser, source.unread)
     mirror = mirror_of(robot, process, synchroniser, {*ROOMS, "queries", "sparql"})
     names = origin_policy(settings.base_url, settings.host, settings.port, settings.cors_origins)
-    feeds = Broadcasters(robot.changes, settings.client_streams)
-    alone = KeyedLock(settings.call_deadline)
+    broadcasters = Broadcasters(robot.changes, settings.client_streams)
+    keyed_lock = KeyedLock(settings.call_deadline)
     bounds = Bounds(size=settings.body_limit)
-    drawer = UpdateEvaluator(service, analyser)
-    router = Router(robot, service, pages, lambda at: Updates(robot, drawer, analyser, bounds, at, alone))
-    notifications = Notifications(robot, Channels(robot.instance_id), feeds, names, router.resolve)
+    evaluator = UpdateEvaluator(service, analyser)
+    router = Router(robot, service, pages, lambda at: Updates(robot, evaluator, analyser, bounds, at, keyed_lock))
+    notifications = Notifications(robot, Channels(robot.instance_id), broadcasters, names, router.resolve)
     router.add(rooms(notifications, ROOMS[".well-known"]))
     router.add(mirror_room(mirror))
     watchdog = Watchdog()
@@ -99,15 +99,15 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         None if settings.auth is None else Authenticator(settings.auth, robot.space, partial(types_at, robot))
     )
     if authenticator is not None:
-        authenticator.changed.watch(feeds.stir)
+        authenticator.changed.watch(broadcasters.stir)
     router.add(acl_room(authenticator))
-    verbs = Dispatcher(robot.instance_id, pages, feeds, alone, large)
+    dispatcher = Dispatcher(robot.instance_id, pages, broadcasters, keyed_lock, large)
     allowance = ClientLimits(
         settings.client_rate, settings.client_requests, settings.client_connections, settings.client_websockets
     )
     clients = ClientLimiter(allowance, loopback=settings.limit_loopback)
     admission = Admission(clients, f"{robot.space.path}stop".encode("ascii"))
-    handler = middleware(robot, router, verbs, pages, names, admission, authenticator)
+    handler = middleware(robot, router, dispatcher, pages, names, admission, authenticator)
     background: list[Job] = [service.keep_up, partial(asyncio.to_thread, prepare_pages)]
     closings: list[Job] = [large.close]
     if mirror is not None:
@@ -119,7 +119,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         robot,
         clients,
         admission,
-        feeds,
+        broadcasters,
         router.rooms,
         HttpApplication(handler, clients, settings, link.render([notifications.link])),
         WebSockets(names, admission, notifications),
@@ -130,7 +130,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
 def middleware(
     robot: Robot,
     router: Router,
-    verbs: Dispatcher,
+    dispatcher: Dispatcher,
     pages: Pages,
     names: OriginPolicy,
     admission: Admission,
@@ -138,7 +138,7 @@ def middleware(
 ) -> Handler:
     """The stack that answers a request, made from its end to its beginning."""
     space, stop = robot.space, f"{robot.space.path}stop".encode("ascii")
-    handler: Handler = Dispatch(router.resolve, verbs)
+    handler: Handler = Dispatch(router.resolve, dispatcher)
     if authenticator is None:
         handler = Preflight(handler, names, lambda exchange: router.resolve(exchange.request.scope))
     handler = RateLimits(handler, admission)
@@ -181,7 +181,7 @@ class Application:
         robot: Robot,
         clients: ClientLimiter,
         admission: Admission,
-        feeds: Broadcasters,
+        broadcasters: Broadcasters,
         rooms: frozenset[str],
         http: ASGIApp,
         websockets: ASGIApp,
@@ -190,7 +190,7 @@ class Application:
         self.robot = robot
         self.clients = clients
         self.is_urgent = admission.is_urgent
-        self.feeds = feeds
+        self.broadcasters = broadcasters
         self.rooms = rooms
         """The first segments of all paths that lead anywhere."""
         self._parts = {"http": http, "websocket": websockets, "lifespan": lifespan}
@@ -204,7 +204,7 @@ class Application:
         To be called when the server is told to end, before it waits for requests.
         """
         self.robot.holds.close("rosld ended")
-        self.feeds.end()
+        self.broadcasters.end()
 
 
 class HttpApplication:

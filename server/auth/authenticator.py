@@ -65,7 +65,7 @@ class Authenticator:
     @property
     def anonymous(self) -> AuthContext:
         """Who has not said who they are."""
-        return self._visit(ANONYMOUS, lambda: ANONYMOUS, None)
+        return self._auth_context(ANONYMOUS, lambda: ANONYMOUS, None)
 
     async def authenticate(self, field: str | None) -> AuthContext:
         """Who sends this Authorization field, None for none. Raises a 401 Problem for what proves nothing."""
@@ -79,11 +79,11 @@ class Authenticator:
         if agent is not None:
             if sent.name not in ("", agent.name):
                 raise invalid_token("That token is another's.")
-            return self._visit(agent, lambda: self._holder(token), None)
+            return self._auth_context(agent, lambda: self._holder(token), None)
         claims = await self._claims(token)
         if claims is None:
             raise invalid_token("That token is not known.")
-        return self._visit(self._named(claims), lambda: self._named(claims), claims.expires)
+        return self._auth_context(self._named(claims), lambda: self._named(claims), claims.expires)
 
     def permissions(self, agent: Agent) -> Permissions:
         """What an agent may do now."""
@@ -120,7 +120,7 @@ class Authenticator:
         self._judges.clear()
         self.changed.emit()
 
-    def _visit(self, agent: Agent, now: Callable[[], Agent | None], until: float | None) -> AuthContext:
+    def _auth_context(self, agent: Agent, now: Callable[[], Agent | None], until: float | None) -> AuthContext:
         permissions, access = self.permissions(agent), self.config
 
         def still() -> bool:

@@ -87,7 +87,7 @@ class Broadcaster:
         self._follows: Watch | None = None
         self._watch: Watch | None = None
         self._is_outdated = True
-        self._sleepers: dict[Waiter, None] = {}
+        self._waiters: dict[Waiter, None] = {}
         self._turn = asyncio.Lock()
         self._moment: Observation | None = None
         self._seen = 0
@@ -102,14 +102,14 @@ class Broadcaster:
             if watch is not None:
                 watch.close()
 
-    async def wait(self, sleeper: Waiter, version: int) -> None:
+    async def wait(self, waiter: Waiter, version: int) -> None:
         """Until there may be something newer than `version`, or somebody else wakes the sleeper."""
         if self.version == version:
-            self._sleepers[sleeper] = None
+            self._waiters[waiter] = None
             try:
-                await sleeper.asleep()
+                await waiter.asleep()
             finally:
-                self._sleepers.pop(sleeper, None)
+                self._waiters.pop(waiter, None)
 
     def at_hand(self) -> Observation | None:
         """What `look` would tell, if it need not read for it."""
@@ -164,10 +164,10 @@ class Broadcaster:
     def stir(self) -> None:
         """Wake all readers."""
         self.version += 1
-        if self._sleepers:
-            sleepers, self._sleepers = self._sleepers, {}
-            for sleeper in sleepers:
-                sleeper.wake()
+        if self._waiters:
+            sleepers, self._waiters = self._waiters, {}
+            for waiter in sleepers:
+                waiter.wake()
 
 
 class Broadcasters:
@@ -177,7 +177,7 @@ class Broadcasters:
         self._general = general
         self._max_of_address = max_of_address
         self._of_address: Counter[str | None] = Counter()
-        self._feeds: dict[Resource, Broadcaster] = {}
+        self._broadcasters: dict[Resource, Broadcaster] = {}
         self._held: set[asyncio.Task[None]] = set()
         self._is_over = False
 
@@ -208,18 +208,18 @@ class Broadcasters:
     @contextlib.contextmanager
     def following(self, resource: Resource) -> Iterator[Broadcaster]:
         """The feed of a resource, which is watched as long as somebody follows it."""
-        feed = self._feeds.get(resource)
-        if feed is None:
-            feed = self._feeds[resource] = Broadcaster(resource, self._general)
-            feed.begin()
-        feed.readers += 1
+        broadcaster = self._broadcasters.get(resource)
+        if broadcaster is None:
+            broadcaster = self._broadcasters[resource] = Broadcaster(resource, self._general)
+            broadcaster.begin()
+        broadcaster.readers += 1
         try:
-            yield feed
+            yield broadcaster
         finally:
-            feed.readers -= 1
-            if not feed.readers:
-                feed.end()
-                del self._feeds[resource]
+            broadcaster.readers -= 1
+            if not broadcaster.readers:
+                broadcaster.end()
+                del self._broadcasters[resource]
 
     async def hold(self, work: Coroutine[None, None, None], receive: Receive, seconds: float | None = None) -> bool:
         """Do work for a client until it is done, the client has gone, the time is over or the server ends.
@@ -243,8 +243,8 @@ class Broadcasters:
 
     def stir(self) -> None:
         """Have all readers look again: what they may read may be something else now."""
-        for feed in tuple(self._feeds.values()):
-            feed.stir()
+        for broadcaster in tuple(self._broadcasters.values()):
+            broadcaster.stir()
 
     def end(self) -> None:
         """End all streams and waits, and let no more begin."""

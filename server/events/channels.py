@@ -52,7 +52,7 @@ class Channel:
     since: float
     """Since when (monotonic, s) nobody receives."""
     receiver: asyncio.Task[None] | None = None
-    visit: AuthContext = UNRESTRICTED
+    auth: AuthContext = UNRESTRICTED
     """Who made it, who may cease to be allowed to read."""
     due: float = float("-inf")
     """When (monotonic, s) the next notification may be sent."""
@@ -95,7 +95,7 @@ class Channels:
         resource: Resource,
         state: State,
         place: Callable[[str], tuple[str, str]],
-        visit: AuthContext = UNRESTRICTED,
+        auth: AuthContext = UNRESTRICTED,
     ) -> Channel:
         """A new channel; `place` gives the URLs of the channel and of its source by its token. A 503 Problem if full.
 
@@ -107,14 +107,14 @@ class Channels:
         times = (wish.interval, wish.start_at, wish.end_at)
         terms = Terms(url, type, resource.url, source, wish.accept, *times, wish.state)
         known = wish.state if wish.state is not None else self.name(state)
-        channel = Channel(token, terms, resource, Told(known), time.monotonic(), visit=visit)
+        channel = Channel(token, terms, resource, Told(known), time.monotonic(), auth=auth)
         self._kept[token] = channel
         return channel
 
     def find(self, token: str) -> Channel:
         """The channel with a token. A 404 Problem where there is none, or none any more."""
         channel = self._kept.get(token)
-        if channel is None or channel.is_over or not channel.visit.is_valid():
+        if channel is None or channel.is_over or not channel.auth.is_valid():
             self._kept.pop(token, None)
             raise Problem(404, "There is no such channel, or its time has passed: subscribe again.")
         return channel
@@ -164,7 +164,7 @@ class Channels:
             return Activity("Create", topic, state=name), now
         if query_params.is_state(told.name, name):
             return None, now
-        return _changed(topic, told.container, now, channel.visit.permissions), now
+        return _changed(topic, told.container, now, channel.auth.permissions), now
 
     def _make_room(self) -> None:
         if len(self._kept) < self._limit:

@@ -27,10 +27,10 @@ class Delivery:
     """Sends what a channel tells: each notification to `send`, and to `idle` whenever nothing was sent for a while."""
 
     def __init__(
-        self, channels: Channels, feeds: Broadcasters, channel: Channel, send: Send, idle: Send | None
+        self, channels: Channels, broadcasters: Broadcasters, channel: Channel, send: Send, idle: Send | None
     ) -> None:
         self._channels = channels
-        self._feeds = feeds
+        self._broadcasters = broadcasters
         self._channel = channel
         self._send = send
         self._idle = idle
@@ -39,22 +39,22 @@ class Delivery:
         """Deliver until the topic is gone for good, or this is cancelled."""
         with self._channels.receiving(self._channel):
             await self._pause(self._channel.seconds_to_start)
-            with self._feeds.following(self._channel.resource) as feed:
-                await self._follow(feed)
+            with self._broadcasters.following(self._channel.resource) as broadcaster:
+                await self._follow(broadcaster)
 
-    async def _follow(self, feed: Broadcaster) -> None:
-        sleeper = Waiter()
+    async def _follow(self, broadcaster: Broadcaster) -> None:
+        waiter = Waiter()
         version = 0
         while True:
-            if feed.version == version:
-                await self._wait(feed, sleeper, version)
-                if feed.version == version:
+            if broadcaster.version == version:
+                await self._wait(broadcaster, waiter, version)
+                if broadcaster.version == version:
                     await self._still_here()
                     continue
             await self._pause(self._channel.due - time.monotonic())
-            version = feed.version
-            moment = feed.at_hand() or await feed.look()
-            may_read = self._channel.visit.is_valid()
+            version = broadcaster.version
+            moment = broadcaster.at_hand() or await broadcaster.look()
+            may_read = self._channel.auth.is_valid()
             if may_read:
                 await self._tell(moment)
             if moment.is_final or not may_read:
@@ -72,14 +72,14 @@ class Delivery:
         await self._send(chunk)
         channel.told = told
 
-    async def _wait(self, feed: Broadcaster, sleeper: Waiter, version: int) -> None:
+    async def _wait(self, broadcaster: Broadcaster, waiter: Waiter, version: int) -> None:
         """Until the topic may have changed, or it has been quiet for a while."""
         if self._idle is None:
-            await feed.wait(sleeper, version)
+            await broadcaster.wait(waiter, version)
             return
-        timer = asyncio.get_running_loop().call_later(KEEP_ALIVE_SECONDS, sleeper.wake)
+        timer = asyncio.get_running_loop().call_later(KEEP_ALIVE_SECONDS, waiter.wake)
         try:
-            await feed.wait(sleeper, version)
+            await broadcaster.wait(waiter, version)
         finally:
             timer.cancel()
 

@@ -14,27 +14,32 @@ from rosld.server.rest.state import State
 
 
 async def changed_since(
-    feeds: Broadcasters, resource: Resource, after: str, name: Callable[[State], str], request: Request, seconds: float
+    broadcasters: Broadcasters,
+    resource: Resource,
+    after: str,
+    name: Callable[[State], str],
+    request: Request,
+    seconds: float,
 ) -> bool:
     """Whether the resource is, within so many seconds, in another state than `after` (or not there any more).
 
     False at once where the client has gone or the server ends. Raises a 503 or 429 Problem where too many wait already.
     """
-    feeds.require_room(request.client)
+    broadcasters.require_room(request.client)
 
     async def changes() -> None:
-        with feeds.following(resource) as feed:
-            await _until_other(feed, after, name)
+        with broadcasters.following(resource) as broadcaster:
+            await _until_other(broadcaster, after, name)
 
-    with feeds.reading(request.scope):
-        return await feeds.hold(changes(), request.receive, seconds)
+    with broadcasters.reading(request.scope):
+        return await broadcasters.hold(changes(), request.receive, seconds)
 
 
-async def _until_other(feed: Broadcaster, after: str, name: Callable[[State], str]) -> None:
-    sleeper = Waiter()
+async def _until_other(broadcaster: Broadcaster, after: str, name: Callable[[State], str]) -> None:
+    waiter = Waiter()
     while True:
-        version = feed.version
-        state = (await feed.look()).state
+        version = broadcaster.version
+        state = (await broadcaster.look()).state
         if isinstance(state, Problem) or not query_params.is_state(after, name(state)):
             return
-        await feed.wait(sleeper, version)
+        await broadcaster.wait(waiter, version)

@@ -28,14 +28,14 @@ class Source(Response):
     """The notifications of a channel, until its reader leaves, it ends, or the server does."""
 
     def __init__(
-        self, channels: Channels, feeds: Broadcasters, channel: Channel, headers: list[tuple[bytes, bytes]]
+        self, channels: Channels, broadcasters: Broadcasters, channel: Channel, headers: list[tuple[bytes, bytes]]
     ) -> None:
         self.status_code = 200
         self.body = b""
         self.background = None
         self.raw_headers = [*headers_of(channel), *headers]
         self._channels = channels
-        self._feeds = feeds
+        self._broadcasters = broadcasters
         self._channel = channel
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -49,7 +49,7 @@ class Source(Response):
 
         await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
         await sent(b"")
-        delivery = Delivery(self._channels, self._feeds, self._channel, told, sent)
-        with self._feeds.reading(scope):
-            await self._feeds.hold(delivery.run(), receive, self._channel.seconds_left)
+        delivery = Delivery(self._channels, self._broadcasters, self._channel, told, sent)
+        with self._broadcasters.reading(scope):
+            await self._broadcasters.hold(delivery.run(), receive, self._channel.seconds_left)
         await send({"type": "http.response.body", "body": b"", "more_body": False})

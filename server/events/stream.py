@@ -99,9 +99,9 @@ class EventStream(Response):
 
     def __init__(
         self,
-        feeds: Broadcasters,
+        broadcasters: Broadcasters,
         resource: Resource,
-        telling: StreamFormat,
+        stream_format: StreamFormat,
         rate: float,
         known: str | None,
         headers: Headers,
@@ -112,9 +112,9 @@ class EventStream(Response):
         self.body = b""
         self.background = None
         self.raw_headers = [*HEADERS, *headers]
-        self._feeds = feeds
+        self._broadcasters = broadcasters
         self._resource = resource
-        self._telling = telling
+        self._stream_format = stream_format
         self._bucket = TokenBucket(rate, BURST)
         self._known = known
         """The state that the reader has, as it says itself."""
@@ -124,47 +124,47 @@ class EventStream(Response):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send it."""
-        with self._feeds.reading(scope), self._lease as seconds:
+        with self._broadcasters.reading(scope), self._lease as seconds:
             self._quiet = seconds or KEEP_ALIVE_SECONDS
             await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-            await self._feeds.hold(self._tell(send), receive)
+            await self._broadcasters.hold(self._tell(send), receive)
         await send({"type": "http.response.body", "body": b"", "more_body": False})
 
     async def _tell(self, send: Send) -> None:
         await self._send(send, frame.opening(RETRY_SECONDS))
-        with self._feeds.following(self._resource) as feed:
-            await self._follow(feed, send)
+        with self._broadcasters.following(self._resource) as broadcaster:
+            await self._follow(broadcaster, send)
 
-    async def _follow(self, feed: Broadcaster, send: Send) -> None:
-        sleeper = Waiter()
-        version = feed.version
-        told, edition = await feed.look(), self._telling.edition()
+    async def _follow(self, broadcaster: Broadcaster, send: Send) -> None:
+        waiter = Waiter()
+        version = broadcaster.version
+        told, edition = await broadcaster.look(), self._stream_format.edition()
         if not self._is_known(told.state):
             await self._event(send, told)
-        with self._alarm(sleeper):
+        with self._alarm(waiter):
             while not told.is_final:
-                await feed.wait(sleeper, version)
-                if not self._telling.still():
+                await broadcaster.wait(waiter, version)
+                if not self._stream_format.still():
                     return
-                if feed.version == version:
+                if broadcaster.version == version:
                     await self._keep_alive(send)
                     continue
                 if (seconds := self._bucket.wait(time.monotonic())) > 0.0:
                     await asyncio.sleep(seconds)
-                version = feed.version
-                moment = feed.at_hand() or await feed.look()
-                if not self._telling.still():
+                version = broadcaster.version
+                moment = broadcaster.at_hand() or await broadcaster.look()
+                if not self._stream_format.still():
                     return
-                if moment is not told or self._telling.edition() != edition:
-                    told, edition = moment, self._telling.edition()
+                if moment is not told or self._stream_format.edition() != edition:
+                    told, edition = moment, self._stream_format.edition()
                     await self._event(send, moment)
 
     def _is_known(self, state: State | Problem) -> bool:
         """Whether the reader says that it has this state."""
-        return isinstance(state, State) and query_params.is_state(self._known, self._telling.name(state))
+        return isinstance(state, State) and query_params.is_state(self._known, self._stream_format.name(state))
 
     async def _event(self, send: Send, moment: Observation) -> None:
-        chunk = await self._telling.chunk(moment)
+        chunk = await self._stream_format.chunk(moment)
         self._bucket.take(time.monotonic())
         await self._send(send, chunk)
 
@@ -177,7 +177,7 @@ class EventStream(Response):
             await self._send(send, frame.KEEP_ALIVE)
 
     @contextlib.contextmanager
-    def _alarm(self, sleeper: Waiter) -> Iterator[None]:
+    def _alarm(self, waiter: Waiter) -> Iterator[None]:
         """Wakes the sleeper when nothing was sent for a while. One timer, not one an event."""
         loop = asyncio.get_running_loop()
         timer: asyncio.TimerHandle
@@ -186,7 +186,7 @@ class EventStream(Response):
             nonlocal timer
             quiet = time.monotonic() - self._spoke
             if quiet >= self._quiet:
-                sleeper.wake()
+                waiter.wake()
                 quiet = 0.0
             timer = loop.call_later(self._quiet - quiet, ring)
 

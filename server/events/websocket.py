@@ -61,9 +61,9 @@ async def refuse(scope: Scope, send: Send, problem: Problem) -> None:
 class Receiver:
     """One connection that receives from a channel."""
 
-    def __init__(self, channels: Channels, feeds: Broadcasters, channel: Channel) -> None:
+    def __init__(self, channels: Channels, broadcasters: Broadcasters, channel: Channel) -> None:
         self._channels = channels
-        self._feeds = feeds
+        self._broadcasters = broadcasters
         self._channel = channel
         self._has_left = False
 
@@ -80,8 +80,8 @@ class Receiver:
                     self._has_left = True
                     return {"type": "http.disconnect"}
 
-        delivery = Delivery(self._channels, self._feeds, self._channel, said, None)
-        is_done = await self._feeds.hold(delivery.run(), heard, self._channel.seconds_left)
+        delivery = Delivery(self._channels, self._broadcasters, self._channel, said, None)
+        is_done = await self._broadcasters.hold(delivery.run(), heard, self._channel.seconds_left)
         if not self._has_left:
             code, reason = self._ending(is_done)
             await _closed(send, code, reason)

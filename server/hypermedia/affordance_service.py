@@ -96,7 +96,7 @@ class AffordanceService(Generic[T]):
     def at_hand(self) -> ResourceTree | None:
         """The layout if it is of the graph, the types and the mappings of now: at once."""
         kept, session = self._kept, self._session
-        if kept is None or kept[0] is not session.graph or kept[2] is not self._mappings.arrangement:
+        if kept is None or kept[0] is not session.graph or kept[2] is not self._mappings.mapping_set:
             return None
         return kept[3] if kept[1] == session.schemas.count else None
 
@@ -105,7 +105,7 @@ class AffordanceService(Generic[T]):
         """The layout that was made last, which may be of before a change."""
         return None if self._kept is None else self._kept[3]
 
-    async def layout(self) -> ResourceTree:
+    async def tree(self) -> ResourceTree:
         """The layout of now; the types of services that are new are learnt before."""
         found = self.at_hand()
         if found is not None:
@@ -115,8 +115,8 @@ class AffordanceService(Generic[T]):
 
     async def _made(self) -> ResourceTree:
         session = self._session
-        graph, arrangement = session.graph, self._mappings.arrangement
-        goals = {name: graph.actions[name].type for name in _mapped_actions(arrangement) if name in graph.actions}
+        graph, mapping_set = session.graph, self._mappings.mapping_set
+        goals = {name: graph.actions[name].type for name in _mapped_actions(mapping_set) if name in graph.actions}
         types = tuple(ref for ref in goals.values() if ref is not None)
         await self._learn((*needed_types(graph, self.conventions), *types))
         known, count = self._kept, session.schemas.count
@@ -130,9 +130,9 @@ class AffordanceService(Generic[T]):
                 if is_small
                 else await asyncio.to_thread(catalogue, graph, find, self.conventions)
             )
-        layout = ResourceTree(found, arrangement, {name: self._action_at_hand(ref) for name, ref in goals.items()})
-        self._kept = (graph, count, arrangement, layout)
-        return layout
+        tree = ResourceTree(found, mapping_set, {name: self._action_at_hand(ref) for name, ref in goals.items()})
+        self._kept = (graph, count, mapping_set, tree)
+        return tree
 
     async def _learn(self, refs: Iterable[TypeRef]) -> None:
         schemas = self._session.schemas
@@ -177,20 +177,18 @@ class AffordanceService(Generic[T]):
         found = await self._readings.read(reads, deadline=deadline, anew=anew)
         return tuple(found[one.name] for one in reads)
 
-    async def state(
-        self, url: str, layout: ResourceTree, reads: Sequence[Property], make: Callable[[Snapshot], T]
-    ) -> T:
+    async def state(self, url: str, tree: ResourceTree, reads: Sequence[Property], make: Callable[[Snapshot], T]) -> T:
         """The state of the resource at `url` that follows from some properties: kept while their readings are good."""
         states = self._states
         readings = self.known(reads) or await self.look(reads)
-        version = (layout, readings)
+        version = (tree, readings)
         found = states.find(url, version)
-        return found if found is not None else states.put(url, version, make(self.sight(layout, readings)))
+        return found if found is not None else states.put(url, version, make(self.snapshot(tree, readings)))
 
-    def sight(self, layout: ResourceTree, readings: Iterable[Reading]) -> Snapshot:
+    def snapshot(self, tree: ResourceTree, readings: Iterable[Reading]) -> Snapshot:
         """What follows from readings."""
         by_name = {reading.name: reading for reading in readings}
-        return Snapshot(by_name, Verdicts(layout, by_name, self._session.space, self._session.lifting))
+        return Snapshot(by_name, Verdicts(tree, by_name, self._session.space, self._session.lifting))
 
     def max_age(self, readings: Sequence[Reading]) -> int:
         """For how many seconds these readings may be shown by others: 0 where one can change at any moment."""
@@ -209,9 +207,9 @@ class AffordanceService(Generic[T]):
 
     # What is seen
 
-    def complex_view(self, plan: ComplexPlan, sight: Snapshot) -> ComplexView:
+    def complex_view(self, plan: ComplexPlan, snapshot: Snapshot) -> ComplexView:
         """A complex resource with all that it offers now. Raises a 404 Problem where it is not there."""
-        verdicts = sight.verdicts
+        verdicts = snapshot.verdicts
         self.require(plan.exists_when, verdicts, plan.path)
         space = self._session.space
         mapped = plan.mapped
@@ -221,7 +219,7 @@ class AffordanceService(Generic[T]):
             tuple(
                 Member(
                     self.member_affordance(one, verdicts.hold(one.guards)),
-                    sight.readings[one.of.name],
+                    snapshot.readings[one.of.name],
                     one.field,
                 )
                 for one in plan.members
@@ -238,12 +236,12 @@ class AffordanceService(Generic[T]):
             mapped.iri if mapped else None,
         )  # fmt: skip
 
-    def property_view(self, plan: PropertyPlan, sight: Snapshot) -> PropertyView:
+    def property_view(self, plan: PropertyPlan, snapshot: Snapshot) -> PropertyView:
         """A property by itself. Raises a 404 Problem where it is not there."""
-        self.require(plan.exists_when, sight.verdicts, plan.of.name)
+        self.require(plan.exists_when, snapshot.verdicts, plan.of.name)
         own, space = plan.of, self._session.space
-        affordance = self.member_affordance(plan.member, sight.verdicts.hold(plan.guards))
-        reading = sight.readings[own.name]
+        affordance = self.member_affordance(plan.member, snapshot.verdicts.hold(plan.guards))
+        reading = snapshot.readings[own.name]
         return PropertyView(
             affordance,
             reading,
@@ -253,9 +251,9 @@ class AffordanceService(Generic[T]):
             plan.member.field,
         )
 
-    def action_view(self, plan: ActionPlan, sight: Snapshot) -> ActionView:
+    def action_view(self, plan: ActionPlan, snapshot: Snapshot) -> ActionView:
         """An action by itself. Raises a 404 Problem where it is not on offer."""
-        self.require((*plan.exists_when, *plan.conditions), sight.verdicts, plan.name)
+        self.require((*plan.exists_when, *plan.conditions), snapshot.verdicts, plan.name)
         space = self._session.space
         invokes = space.action(plan.service) if plan.sends_goals else space.service(plan.service)
         return ActionView(self.action_affordance(plan), invokes, url_of(plan.home, space))
@@ -271,12 +269,12 @@ class AffordanceService(Generic[T]):
     # What can be done
 
     async def hold(
-        self, layout: ResourceTree, reads: Sequence[Property], *conditions: Sequence[Condition]
+        self, tree: ResourceTree, reads: Sequence[Property], *conditions: Sequence[Condition]
     ) -> Sequence[bool]:
         """Whether all of each group of conditions hold now. Raises RosError where that cannot be read."""
         if not any(conditions):
             return [True] * len(conditions)
-        verdicts = self.sight(layout, self.known(reads) or await self.look(reads)).verdicts
+        verdicts = self.snapshot(tree, self.known(reads) or await self.look(reads)).verdicts
         return [verdicts.hold(each) for each in conditions]
 
     def member_affordance(self, plan: MemberPlan, write: bool) -> PropertyAffordance:
@@ -330,13 +328,13 @@ class AffordanceService(Generic[T]):
         return Operation.CALL in session.adapter.allows(Ref(Kind.SERVICE, plan.service))
 
     @asynccontextmanager
-    async def turn(self, layout: ResourceTree, *names: str, changed: Iterable[str] = ()) -> AsyncIterator[None]:
+    async def turn(self, tree: ResourceTree, *names: str, changed: Iterable[str] = ()) -> AsyncIterator[None]:
         """Hold what hangs together with these names by conditions: nobody else writes it through rosld meanwhile.
 
         The same holds for the properties `changed`, whose new values are made of their old ones. Raises a 503 Problem
         where the others take too long.
         """
-        keys = sorted({*layout.turns(names), *changed})
+        keys = sorted({*tree.turns(names), *changed})
         locks = [self._turns.setdefault(key, asyncio.Lock()) for key in keys]
         if not locks:
             yield
@@ -363,9 +361,9 @@ def conventions_of(settings: Settings) -> Conventions:
     return CONVENTIONS.extended(getters=settings.getter, setters=settings.setter, excluded=settings.exclude_service)
 
 
-def _mapped_actions(arrangement: MappingSet) -> set[str]:
+def _mapped_actions(mapping_set: MappingSet) -> set[str]:
     """The names that mappings offer as actions: of services, or of actions of ROS."""
-    return {action.service for resource in arrangement.resources.values() for action in resource.actions}
+    return {action.service for resource in mapping_set.resources.values() for action in resource.actions}
 
 
 async def _take(held: contextlib.AsyncExitStack, locks: Iterable[asyncio.Lock]) -> None:

@@ -20,9 +20,9 @@ class Verdicts:
     """The verdicts on the conditions of one layout, given one set of readings; each is made once."""
 
     def __init__(
-        self, layout: ResourceTree, readings: Mapping[str, Reading], space: Space, lifting: LiftSettings
+        self, tree: ResourceTree, readings: Mapping[str, Reading], space: Space, lifting: LiftSettings
     ) -> None:
-        self._layout = layout
+        self._tree = tree
         self._readings = readings
         self._space = space
         self._lifting = lifting
@@ -64,7 +64,7 @@ class Verdicts:
         """The state of what a condition is about: by predicate the reading, and the field that is picked of it."""
         if not about.endswith("/"):
             return {rdf.value: (self._readings.get(about), None)}
-        mapped = self._layout.arrangement.resources.get(about)
+        mapped = self._tree.mapping_set.resources.get(about)
         if mapped is None:
             return {}
         return {one.predicate: (self._readings.get(one.member), one.field) for one in mapped.properties}

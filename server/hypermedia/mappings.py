@@ -21,7 +21,7 @@ class Mappings:
 
     def __init__(self, given: Iterable[MappingDocument] = ()) -> None:
         self._documents: Mapping[str, MappingDocument] = MappingProxyType({})
-        self._arrangement = MappingSet()
+        self._mapping_set = MappingSet()
         self.given = tuple(given)
         self.turn = asyncio.Lock()
         for document in self.given:
@@ -33,9 +33,9 @@ class Mappings:
         return self._documents
 
     @property
-    def arrangement(self) -> MappingSet:
+    def mapping_set(self) -> MappingSet:
         """What all of them arrange together."""
-        return self._arrangement
+        return self._mapping_set
 
     def replace(self, document: MappingDocument) -> None:
         """Put a document into force, in the place of the one of the same URL.
@@ -56,8 +56,8 @@ class Mappings:
 
     def _become(self, documents: Mapping[str, MappingDocument]) -> None:
         resources = {one.path: one for document in documents.values() for one in document.resources}
-        arrangement = MappingSet(self._arrangement.revision + 1, MappingProxyType(resources))
-        self._documents, self._arrangement = MappingProxyType(documents), arrangement
+        mapping_set = MappingSet(self._mapping_set.revision + 1, MappingProxyType(resources))
+        self._documents, self._mapping_set = MappingProxyType(documents), mapping_set
 
 
 def _check(document: MappingDocument, others: Iterable[MappingDocument]) -> None:
@@ -92,24 +92,24 @@ class _Index:
     relations: frozenset[str]
 
 
-def relations(arrangement: MappingSet) -> frozenset[str]:
+def relations(mapping_set: MappingSet) -> frozenset[str]:
     """The IRIs of all predicates that mappings give complex resources: the same object for one arrangement."""
-    return _index(arrangement).relations
+    return _index(mapping_set).relations
 
 
-def related(arrangement: MappingSet, relation: str) -> frozenset[str]:
+def related(mapping_set: MappingSet, relation: str) -> frozenset[str]:
     """The paths of the complex resources that mappings give this predicate, by its IRI."""
-    return _index(arrangement).related.get(relation, frozenset())
+    return _index(mapping_set).related.get(relation, frozenset())
 
 
-def guards_of_member(arrangement: MappingSet, name: str) -> tuple[Condition, ...]:
+def guards_of_member(mapping_set: MappingSet, name: str) -> tuple[Condition, ...]:
     """All conditions under which a member may be written, of every mapping that maps it, by its full name."""
-    return _index(arrangement).guards.get(name, ())
+    return _index(mapping_set).guards.get(name, ())
 
 
-def actions_by_service(arrangement: MappingSet) -> Mapping[str, list[tuple[ComplexResource, MappedAction]]]:
+def actions_by_service(mapping_set: MappingSet) -> Mapping[str, list[tuple[ComplexResource, MappedAction]]]:
     """As what actions each service is offered, by its full name."""
-    return _index(arrangement).services
+    return _index(mapping_set).services
 
 
 def members_of(resource: ComplexResource) -> frozenset[str]:
@@ -117,32 +117,32 @@ def members_of(resource: ComplexResource) -> frozenset[str]:
     return frozenset(one.member for one in resource.properties)
 
 
-def dependents(arrangement: MappingSet, about: str) -> frozenset[str]:
+def dependents(mapping_set: MappingSet, about: str) -> frozenset[str]:
     """The paths of the complex resources that have a condition about this path, or this name."""
-    return _index(arrangement).dependents.get(about, frozenset())
+    return _index(mapping_set).dependents.get(about, frozenset())
 
 
-def component(arrangement: MappingSet, path: str) -> frozenset[str]:
+def component(mapping_set: MappingSet, path: str) -> frozenset[str]:
     """The paths that hang together with this one, itself among them.
 
     From a complex resource to what its conditions are about, any number of steps in either direction. A condition about
     a single property leads to the complex resources that show it, and to the one that it lies in.
     """
-    return _index(arrangement).components.get(path) or frozenset({path})
+    return _index(mapping_set).components.get(path) or frozenset({path})
 
 
-def covering(arrangement: MappingSet, path: str) -> tuple[ComplexResource, ...]:
+def covering(mapping_set: MappingSet, path: str) -> tuple[ComplexResource, ...]:
     """The mapped resources at and above a path or name, the outermost first."""
     above = (path[: position + 1] for position, char in enumerate(path) if char == "/")
-    return tuple(arrangement.resources[each] for each in above if each in arrangement.resources)
+    return tuple(mapping_set.resources[each] for each in above if each in mapping_set.resources)
 
 
-def _make_index(arrangement: MappingSet) -> _Index:
+def _make_index(mapping_set: MappingSet) -> _Index:
     guards: dict[str, dict[str, Condition]] = {}
     services: dict[str, list[tuple[ComplexResource, MappedAction]]] = {}
     concerned: dict[str, set[str]] = {}
     related: dict[str, set[str]] = {}
-    for resource in arrangement.resources.values():
+    for resource in mapping_set.resources.values():
         given = (*(one.predicate for one in resource.properties), *(one.relation for one in resource.actions))
         for relation in (*given, *(one.relation for one in resource.links)):
             related.setdefault(relation.value, set()).add(resource.path)
@@ -156,7 +156,7 @@ def _make_index(arrangement: MappingSet) -> _Index:
         {member: tuple(found.values()) for member, found in guards.items()},
         services,
         {about: frozenset(paths) for about, paths in concerned.items()},
-        _components(arrangement, concerned),
+        _components(mapping_set, concerned),
         {relation: frozenset(paths) for relation, paths in related.items()},
         frozenset(related),
     )
@@ -165,10 +165,10 @@ def _make_index(arrangement: MappingSet) -> _Index:
 _index: Callable[[MappingSet], _Index] = Kept(_make_index)
 
 
-def _components(arrangement: MappingSet, concerned: Mapping[str, Iterable[str]]) -> Mapping[str, frozenset[str]]:
+def _components(mapping_set: MappingSet, concerned: Mapping[str, Iterable[str]]) -> Mapping[str, frozenset[str]]:
     """The component of every path that a condition has to do with; `concerned`: who has conditions about what."""
     shown: dict[str, set[str]] = {}
-    for resource in arrangement.resources.values():
+    for resource in mapping_set.resources.values():
         for member in members_of(resource):
             shown.setdefault(member, {_home(member)}).add(resource.path)
     neighbours: dict[str, set[str]] = {}

@@ -169,24 +169,24 @@ class ResourceTree:
     """The resources of one catalogue and one arrangement; `goals` are the actions of ROS by name, as far as needed."""
 
     def __init__(
-        self, catalogue: Catalogue, arrangement: MappingSet, goals: Mapping[str, ActionSchema | None] = {}
+        self, catalogue: Catalogue, mapping_set: MappingSet, goals: Mapping[str, ActionSchema | None] = {}
     ) -> None:
         self.catalogue = catalogue
         self._goals = goals
-        self.arrangement = arrangement
-        self._claimed = actions_by_service(arrangement)
+        self.mapping_set = mapping_set
+        self._claimed = actions_by_service(mapping_set)
         self._named = {
             resource.path + action.name: action
-            for resource in arrangement.resources.values()
+            for resource in mapping_set.resources.values()
             for action in resource.actions
         }
         self._picked = {
             resource.path + one.name: one
-            for resource in arrangement.resources.values()
+            for resource in mapping_set.resources.values()
             for one in resource.properties
             if one.field is not None and resource.path + one.name not in catalogue.properties
         }
-        self._children = _children(catalogue.namespaces, arrangement)
+        self._children = _children(catalogue.namespaces, mapping_set)
         self._schemas = _schemas(catalogue)
         self._services = self._schemas.keys() | {action.service for action in catalogue.actions.values()}
         self._complexes: dict[str, ComplexPlan | None] = {}
@@ -229,14 +229,14 @@ class ResourceTree:
 
     def exists_when(self, path: str) -> tuple[Condition, ...]:
         """What must hold for the resource at a path, and for all that lies in it, to be there."""
-        return _once(each for resource in covering(self.arrangement, path) for each in resource.exists_when)
+        return _once(each for resource in covering(self.mapping_set, path) for each in resource.exists_when)
 
     def state_of(self, about: str) -> tuple[Property, ...]:
         """The properties that are the state of a complex resource (a path) or of a property (a name)."""
         if not about.endswith("/"):
             found = self.catalogue.properties.get(about)
             return () if found is None else (found,)
-        mapped = self.arrangement.resources.get(about)
+        mapped = self.mapping_set.resources.get(about)
         if mapped is not None:
             there = (self.catalogue.properties.get(one.member) for one in mapped.properties)
             return tuple(one for one in there if one is not None)
@@ -257,7 +257,7 @@ class ResourceTree:
         Nothing where no condition hangs together with them.
         """
         paths = {path for name in names for path in self._concerned(name)}
-        components = (component(self.arrangement, path) for path in paths)
+        components = (component(self.mapping_set, path) for path in paths)
         return tuple(sorted({min(found) for found in components if len(found) > 1 or _has_conditions(self, found)}))
 
     def affected(self, kind: Kind, name: str) -> frozenset[str]:
@@ -279,21 +279,21 @@ class ResourceTree:
         paths = {home_of(name), *self._concerned(own)}
         if kind is Kind.SERVICE:
             paths |= {resource.path for resource, _ in self._claimed.get(name, ())}
-        paths |= {path for each in (*paths, own) for path in dependents(self.arrangement, each)}
+        paths |= {path for each in (*paths, own) for path in dependents(self.mapping_set, each)}
         judged = {condition.about for path in paths for condition in self._conditions(path)}
         return frozenset({own, *(one.name for each in (*paths, *judged) for one in self.state_of(each))})
 
     def _conditions(self, path: str) -> Iterator[Condition]:
         """What a complex resource, and what it offers, depends on."""
         yield from self.exists_when(path)
-        mapped = self.arrangement.resources.get(path)
+        mapped = self.mapping_set.resources.get(path)
         if mapped is not None:
             yield from mapped.conditions()
 
     def _concerned(self, name: str) -> frozenset[str]:
         """The complex resources that a property or action belongs to, and those with conditions about it."""
-        mapping = {resource.path for resource in self.arrangement.resources.values() if name in members_of(resource)}
-        return frozenset({home_of(name), *mapping, *dependents(self.arrangement, name)})
+        mapping = {resource.path for resource in self.mapping_set.resources.values() if name in members_of(resource)}
+        return frozenset({home_of(name), *mapping, *dependents(self.mapping_set, name)})
 
     def _reads(self, own: Iterable[Property], conditions: Iterable[Condition]) -> tuple[Property, ...]:
         found = {one.name: one for one in own}
@@ -304,11 +304,11 @@ class ResourceTree:
     def _complex(self, path: str) -> ComplexPlan | None:
         if path not in self._children:
             return None
-        mapped = self.arrangement.resources.get(path)
+        mapped = self.mapping_set.resources.get(path)
         members = self._derived_members(path) if mapped is None else self._mapped_members(mapped)
         actions = self._derived_actions(path) if mapped is None else self._mapped_actions(mapped)
         links = () if mapped is None else tuple(map(self._link, mapped.links))
-        closed = {child for child in self._children[path] if mapped is None or child in self.arrangement.resources}
+        closed = {child for child in self._children[path] if mapped is None or child in self.mapping_set.resources}
         hidden = {link.target: link.conditions for link in links}
         children = tuple(
             ChildPlan(child, _once((*self.exists_when(child), *hidden.get(child, ())))) for child in sorted(closed)
@@ -330,7 +330,7 @@ class ResourceTree:
         properties = self.state_of(path)
         return tuple(
             MemberPlan(
-                one.name[len(path) :], self._unclaimed(one), one.name, guards_of_member(self.arrangement, one.name)
+                one.name[len(path) :], self._unclaimed(one), one.name, guards_of_member(self.mapping_set, one.name)
             )
             for one in properties
         )
@@ -340,7 +340,7 @@ class ResourceTree:
         for one in mapped.properties:
             member = self.catalogue.properties.get(one.member)
             if member is not None:
-                guards = guards_of_member(self.arrangement, one.member)
+                guards = guards_of_member(self.mapping_set, one.member)
                 at = one.member if one.field is None else mapped.path + one.name
                 free = one.field is None or self._picked.get(at) is one
                 found.append(MemberPlan(one.name, self._unclaimed(member), at if free else None, guards, one))
@@ -365,20 +365,20 @@ class ResourceTree:
         found = self.catalogue.properties.get(member)
         if found is None:
             return None
-        exists, guards = self.exists_when(home), guards_of_member(self.arrangement, member)
+        exists, guards = self.exists_when(home), guards_of_member(self.mapping_set, member)
         return PropertyPlan(
             name, self._unclaimed(found), exists, guards, mapped, self._reads((found,), (*exists, *guards))
         )
 
     def _as_mapped(self, path: str, name: str) -> MappedProperty | None:
         """How the mapping of a path has one of its own members."""
-        resource = self.arrangement.resources.get(path)
+        resource = self.mapping_set.resources.get(path)
         properties = resource.properties if resource is not None else ()
         return next((one for one in properties if one.member == name and one.field is None), None)
 
     def elsewhere(self, name: str) -> str | None:
         """The property that a mapping calls so in the complex resource it lies in, taking it from elsewhere."""
-        home = self.arrangement.resources.get(home_of(name))
+        home = self.mapping_set.resources.get(home_of(name))
         called = () if home is None else (one for one in home.properties if home.path + one.name == name)
         return next((one.member for one in called if one.member != name and one.member in self.properties), None)
 
@@ -414,10 +414,10 @@ class ResourceTree:
         return found if len(writers) == len(found.writers) else replace(found, writers=writers)
 
 
-def _children(namespaces: Iterable[tuple[str, ...]], arrangement: MappingSet) -> dict[str, set[str]]:
+def _children(namespaces: Iterable[tuple[str, ...]], mapping_set: MappingSet) -> dict[str, set[str]]:
     """The paths directly below each path, derived and mapped; `/` is always there."""
     found: dict[str, set[str]] = {"/": set()}
-    for path in (*map(path_of, namespaces), *arrangement.resources):
+    for path in (*map(path_of, namespaces), *mapping_set.resources):
         while path not in found:
             found[path] = set()
             path = parent_of(path) or "/"
@@ -428,9 +428,9 @@ def _children(namespaces: Iterable[tuple[str, ...]], arrangement: MappingSet) ->
     return found
 
 
-def _has_conditions(layout: ResourceTree, paths: Iterable[str]) -> bool:
+def _has_conditions(tree: ResourceTree, paths: Iterable[str]) -> bool:
     return any(
-        any(layout.arrangement.resources[path].conditions()) for path in paths if path in layout.arrangement.resources
+        any(tree.mapping_set.resources[path].conditions()) for path in paths if path in tree.mapping_set.resources
     )
 
 

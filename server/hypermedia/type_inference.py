@@ -82,9 +82,8 @@ def lowers(value: ValueKind, into: ValueKind) -> bool:
         families = _family(value.primitive), _family(into.primitive)
         return families[0] == families[1] or families == ("integer", "float")
     if isinstance(value, MessageKind) and isinstance(into, MessageKind):
-        return _layout(value.fields) == _layout(into.fields) and all(
-            _layout(value.schema.types[name].fields) == _layout(into.schema.types[name].fields)
-            for name in _nested(value)
+        return _tree(value.fields) == _tree(into.fields) and all(
+            _tree(value.schema.types[name].fields) == _tree(into.schema.types[name].fields) for name in _nested(value)
         )
     return False
 
@@ -97,7 +96,7 @@ def _family(primitive: Primitive) -> str:
     return "float" if primitive.name.startswith("float") else "integer"
 
 
-def _layout(fields: tuple[Field, ...]) -> dict[str, object]:
+def _tree(fields: tuple[Field, ...]) -> dict[str, object]:
     """Fields by their names: their order means nothing to who names them."""
     return {field.name: field.type for field in fields}
 

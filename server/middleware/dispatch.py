@@ -39,10 +39,10 @@ class ServerOptions:
 class Dispatch:
     """Finds the resource and has it answer."""
 
-    def __init__(self, resolve: Callable[[Scope], Resource], verbs: Dispatcher) -> None:
+    def __init__(self, resolve: Callable[[Scope], Resource], dispatcher: Dispatcher) -> None:
         self._resolve = resolve
-        self._verbs = verbs
+        self._dispatcher = dispatcher
 
     def __call__(self, exchange: Exchange) -> Awaitable[Response]:
         """Answer. Raises what resources raise."""
-        return self._verbs.answer(exchange, self._resolve(exchange.request.scope))
+        return self._dispatcher.answer(exchange, self._resolve(exchange.request.scope))

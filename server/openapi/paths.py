@@ -48,7 +48,7 @@ class Paths:
     """
 
     robot: Robot
-    layout: ResourceTree
+    tree: ResourceTree
     resolve: Callable[[str], Resource]
     schemas: MessageSchemas
     hidden: bool = False
@@ -151,8 +151,8 @@ class Paths:
     def _resource_paths(self) -> Iterator[str]:
         """Complex resources, each followed by the properties and actions in it."""
         space = self.robot.space
-        for path in self.layout.paths:
-            plan = self.layout.complex(path)
+        for path in self.tree.paths:
+            plan = self.tree.complex(path)
             if plan is not None:
                 yield self._of(url_of(path, space))
                 properties = [one.at for one in plan.members if one.at is not None]

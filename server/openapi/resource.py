@@ -140,7 +140,7 @@ class OpenApiResource(Resource):
         return (
             IdentityKey(robot.graph),
             robot.schemas.count,
-            IdentityKey(robot.mappings.arrangement),
+            IdentityKey(robot.mappings.mapping_set),
             robot.queries.version,
         )
 
@@ -148,10 +148,10 @@ class OpenApiResource(Resource):
         """A version and its description: found on the loop, written on a thread, for a large one takes its time."""
         robot = self.robot
         await _learn_types(robot)
-        layout = await robot.offers.layout()
+        tree = await robot.offers.tree()
         version = self._version()
         schemas = MessageSchemas(partial(_known_type, robot), robot.lifting)
-        paths = await _in_turns(Paths(robot, layout, self._resolve, schemas, hidden).all())
+        paths = await _in_turns(Paths(robot, tree, self._resolve, schemas, hidden).all())
         if len(paths) > _MANY:
             data = await robot.workers.run(self._writing(paths, schemas.by_key))
         else:

@@ -122,7 +122,7 @@ def _present(member: Member) -> object:
 
 
 async def planned_changes(
-    robot: Robot, plan: ComplexPlan, sight: Snapshot, changes: Sequence[Change]
+    robot: Robot, plan: ComplexPlan, snapshot: Snapshot, changes: Sequence[Change]
 ) -> tuple[tuple[str, PlannedWrite], ...]:
     """The writes that bring these changes about, with the names of the members that ask for them.
 
@@ -130,10 +130,10 @@ async def planned_changes(
     that does not fit or breaks a limit (LoweringError). Nothing moves.
     """
     for change in changes:
-        refuse(robot, change.member.guards, sight, f"{change.member.name} must not be written now")
+        refuse(robot, change.member.guards, snapshot, f"{change.member.name} must not be written now")
     writes = []
     broken: list[Violation] = []
-    for names, own, content in _by_property(changes, sight.readings):
+    for names, own, content in _by_property(changes, snapshot.readings):
         try:
             writes.append((names, await planned(robot, own, content)))
         except LoweringError as error:

@@ -78,11 +78,11 @@ class Notifications:
     """
 
     def __init__(
-        self, robot: Robot, channels: Channels, feeds: Broadcasters, site: OriginPolicy, resolve: Resolve
+        self, robot: Robot, channels: Channels, broadcasters: Broadcasters, site: OriginPolicy, resolve: Resolve
     ) -> None:
         self.robot = robot
         self.channels = channels
-        self.feeds = feeds
+        self.broadcasters = broadcasters
         self._site = site
         self._resolve = resolve
         self.services = tuple(Service(robot.space.url(ROOM, (kind,)), kind) for kind in CHANNEL_TYPES)
@@ -119,8 +119,8 @@ class Notifications:
             raise Problem(400, f"{error}.") from error
         match location.segments:
             case (kind, token, name) if location.kind == ROOM and kind == WEBSOCKET and name == SOURCE:
-                self.feeds.require_room()
-                return Receiver(self.channels, self.feeds, channel_of(self, kind, token))
+                self.broadcasters.require_room()
+                return Receiver(self.channels, self.broadcasters, channel_of(self, kind, token))
         raise Problem(404, f"No WebSocket is there: subscribe at {self.robot.space.url(ROOM, (WEBSOCKET,))} first.")
 
     async def _topic(self, url: str, permissions: Permissions) -> tuple[Resource, State]:
@@ -350,8 +350,8 @@ class SourceResource(Described):
         headers = self._headers()
         if exchange.method == "HEAD":
             return RawResponse(200, b"", [*headers_of(self._channel), *headers])
-        self.notifications.feeds.require_room(exchange.request.client)
-        return Source(self.notifications.channels, self.notifications.feeds, self._channel, headers)
+        self.notifications.broadcasters.require_room(exchange.request.client)
+        return Source(self.notifications.channels, self.notifications.broadcasters, self._channel, headers)
 
 
 def channel_room(robot: Robot, location: Location, *, notifications: Notifications) -> Resource:

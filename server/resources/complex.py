@@ -68,8 +68,8 @@ class ComplexResource(Resource):
 
     @property
     def also_changes(self) -> Sequence[str]:
-        layout = self.robot.offers.at_hand() or self.robot.offers.latest
-        plan = None if layout is None else layout.complex(self.path)
+        tree = self.robot.offers.at_hand() or self.robot.offers.latest
+        plan = None if tree is None else tree.complex(self.path)
         return () if plan is None else [url_of(one.at or one.of.name, self.robot.space) for one in plan.members]
 
     @property
@@ -80,8 +80,8 @@ class ComplexResource(Resource):
         await self._plan()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        offers, layout = self.robot.offers, self.robot.offers.at_hand() or self.robot.offers.latest
-        plan = None if layout is None else layout.complex(self.path)
+        offers, tree = self.robot.offers, self.robot.offers.at_hand() or self.robot.offers.latest
+        plan = None if tree is None else tree.complex(self.path)
         read: dict[str, Json] = {}
         sent: dict[str, Json] = {}
         members: dict[str, str] = {}
@@ -102,16 +102,16 @@ class ComplexResource(Resource):
         )
 
     def methods(self) -> frozenset[str]:
-        layout, robot = self.robot.offers.at_hand(), self.robot
-        plan = layout.complex(self.path) if layout is not None else None
+        tree, robot = self.robot.offers.at_hand(), self.robot
+        plan = tree.complex(self.path) if tree is not None else None
         if plan is None or robot.settings.read_only:
             return READ
         return READ | {"PATCH"} if any(robot.offers.is_writable(one.of) for one in plan.members) else READ
 
     async def methods_now(self) -> frozenset[str]:
         """Nothing where it does not exist now: then it is 404, read or written."""
-        layout, plan = await self._plan()
-        (exists,) = await self.robot.offers.hold(layout, plan.reads, plan.exists_when)
+        tree, plan = await self._plan()
+        (exists,) = await self.robot.offers.hold(tree, plan.reads, plan.exists_when)
         return self.methods() if exists else ABSENT
 
     def deny_reason(self, method: str) -> str:
@@ -122,12 +122,12 @@ class ComplexResource(Resource):
         return f"A complex resource is read with GET and written with PATCH; it does not answer {method}."
 
     async def state(self) -> State:
-        layout, plan = await self._plan()
-        return await self.robot.offers.state(self.url, layout, plan.reads, lambda sight: self._shown(plan, sight))
+        tree, plan = await self._plan()
+        return await self.robot.offers.state(self.url, tree, plan.reads, lambda snapshot: self._shown(plan, snapshot))
 
-    def _shown(self, plan: ComplexPlan, sight: Snapshot) -> State:
+    def _shown(self, plan: ComplexPlan, snapshot: Snapshot) -> State:
         robot = self.robot
-        view = robot.offers.complex_view(plan, sight)
+        view = robot.offers.complex_view(plan, snapshot)
         own = tuple(member.reading for member in view.members)
         times = [one.read_ns for one in own if one.read_ns is not None and one.fresh_until is not None]
         return State(
@@ -149,12 +149,12 @@ class ComplexResource(Resource):
         )
 
     async def _plan(self) -> tuple[ResourceTree, ComplexPlan]:
-        layout = await self.robot.offers.layout()
-        plan = layout.complex(self.path)
+        tree = await self.robot.offers.tree()
+        plan = tree.complex(self.path)
         if plan is not None:
-            return layout, plan
+            return tree, plan
         name = self.path[:-1]
-        if layout.property(name) is not None or layout.action(name) is not None:
+        if tree.property(name) is not None or tree.action(name) is not None:
             raise moved(url_of(name, self.robot.space))
         raise Problem(404, f"There is no resource {self.path}.")
 
@@ -165,8 +165,8 @@ class ComplexResource(Resource):
         return thing_response(exchange, self.robot, complex_thing(self.robot, plan))
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        layout = await self.robot.offers.layout()
-        plan = layout.complex(self.path)
+        tree = await self.robot.offers.tree()
+        plan = tree.complex(self.path)
         return None if plan is None else await self.robot.offers.watch(plan.reads, wake)
 
     async def forms(self) -> Sequence[Form]:
@@ -175,23 +175,23 @@ class ComplexResource(Resource):
 
     async def patch(self, exchange: Exchange) -> Answer:
         """Several members at once: planned whole, carried out one after the other, reported member by member."""
-        layout, plan = await self._plan()
+        tree, plan = await self._plan()
         data = await exchange.body()
         named = tuple(member.of.name for member in plan.members)
-        async with self.robot.offers.turn(layout, self.path, *named, changed=named):
-            sight = await seen_anew(self.robot, layout, plan.reads)
-            changes = self._changes(exchange.media_type, plan, sight, data)
-            return await carried_out(self.robot, await planned_changes(self.robot, plan, sight, changes))
+        async with self.robot.offers.turn(tree, self.path, *named, changed=named):
+            snapshot = await seen_anew(self.robot, tree, plan.reads)
+            changes = self._changes(exchange.media_type, plan, snapshot, data)
+            return await carried_out(self.robot, await planned_changes(self.robot, plan, snapshot, changes))
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """Within a turn that names `concerned`."""
-        robot, (layout, plan) = self.robot, await self._plan()
+        robot, (tree, plan) = self.robot, await self._plan()
         if "PATCH" not in self.methods() or triples is None:
             raise Problem(403, self.deny_reason("PATCH" if triples is not None else "DELETE"))
-        sight = await seen_anew(robot, layout, plan.reads)
-        view = robot.offers.complex_view(plan, sight)
+        snapshot = await seen_anew(robot, tree, plan.reads)
+        view = robot.offers.complex_view(plan, snapshot)
         body = body_of(triples)
-        writes = await planned_changes(robot, plan, sight, changes_in_graph(body, plan, view, robot))
+        writes = await planned_changes(robot, plan, snapshot, changes_in_graph(body, plan, view, robot))
 
         async def carried_out_all() -> bool:
             await carried_out(robot, writes)
@@ -199,14 +199,14 @@ class ComplexResource(Resource):
 
         return RobotWrite(f"write {', '.join(name for name, _ in writes) or 'nothing'} of {self.path}", carried_out_all)
 
-    def concerned(self, layout: ResourceTree) -> tuple[str, ...]:
+    def concerned(self, tree: ResourceTree) -> tuple[str, ...]:
         """The names that a write through its graph concerns."""
-        plan = layout.complex(self.path)
+        plan = tree.complex(self.path)
         return (self.path, *(member.of.name for member in plan.members)) if plan is not None else (self.path,)
 
-    def _changes(self, media_type: str, plan: ComplexPlan, sight: Snapshot, data: bytes) -> Sequence[Change]:
+    def _changes(self, media_type: str, plan: ComplexPlan, snapshot: Snapshot, data: bytes) -> Sequence[Change]:
         robot = self.robot
-        view = robot.offers.complex_view(plan, sight)
+        view = robot.offers.complex_view(plan, snapshot)
         if media_type == MERGE_PATCH:
             return changes_in_json(parse_json(data), plan, view)
         before = complex_document(view, robot.space, robot.lifting.unelided)

@@ -59,7 +59,7 @@ class Robot(Session):
             self, self.mappings, self.readings, self.states, lambda: self.limits
         )
         self.holds = Holds(self)
-        self.stops = SoftwareStop(self, self.holds, lambda: self.mappings.arrangement.stops())
+        self.stops = SoftwareStop(self, self.holds, lambda: self.mappings.mapping_set.stops())
 
     @property
     def revision(self) -> Hashable:
@@ -73,7 +73,7 @@ class Robot(Session):
             self.stops.revision,
             self.queries.version,
             IdentityKey(self.limits_in_force.now),
-            IdentityKey(self.mappings.arrangement),
+            IdentityKey(self.mappings.mapping_set),
         )
 
     @property

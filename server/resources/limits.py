@@ -74,14 +74,14 @@ async def _of_parameter(robot: Robot, name: str, value: ParameterValue) -> list[
 
 async def _of_property(robot: Robot, kind: Kind, name: str, value: Value) -> list[Violation]:
     """What a value breaks of the limits on the property that a topic, service or parameter writes, by all its names."""
-    layout = await robot.offers.layout()
-    catalogue = layout.catalogue
+    tree = await robot.offers.tree()
+    catalogue = tree.catalogue
     ways = {Kind.TOPIC: catalogue.by_topic, Kind.SERVICE: catalogue.by_service, Kind.PARAMETER: catalogue.by_parameter}
     found = ways[kind].get(name) if kind in ways else None
     if found is None or (kind is Kind.SERVICE and all(way.name != name for way in catalogue.properties[found].writers)):
         return []  # what a getter is asked with is no value
     broken: list[Violation] = []
-    for shown, field in layout.shown_of(found):
+    for shown, field in tree.shown_of(found):
         url = url_of(shown, robot.space)
         shape = robot.limits.resource(url)
         if shape is not None:

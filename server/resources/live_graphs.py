@@ -112,14 +112,14 @@ class Dataset:
 
     async def documents_of(self, terms: Collection[str]) -> Collection[str]:
         """The URLs of the complex resources, properties and actions that these terms may be said of."""
-        layout, space = await self._robot.offers.layout(), self._robot.space
+        tree, space = await self._robot.offers.tree(), self._robot.space
         paths: set[str] = set()
         for term in terms:
-            paths |= set(layout.paths) if term in COMPLEX else related(layout.arrangement, term)
+            paths |= set(tree.paths) if term in COMPLEX else related(tree.mapping_set, term)
         if not PROPERTIES.isdisjoint(terms):
-            paths.update(layout.properties)
+            paths.update(tree.properties)
         if not ACTIONS.isdisjoint(terms):
-            paths.update(layout.actions)
+            paths.update(tree.actions)
         return {url_of(path, space) for path in paths}
 
     async def unread(self, needs: Needs, permissions: Permissions) -> Mapping[str, int]:
@@ -134,8 +134,8 @@ class Dataset:
             urls = {space.topic(name) for name in robot.graph.topics}
             found["topics"] = sum(map(permissions.may_read, urls - wanted))
         if needs.resources:
-            layout = await robot.offers.layout()
-            urls = {url_of(path, space) for path in (*layout.paths, *layout.properties, *layout.actions)}
+            tree = await robot.offers.tree()
+            urls = {url_of(path, space) for path in (*tree.paths, *tree.properties, *tree.actions)}
             found["resources"] = sum(map(permissions.may_read, urls - needs.documents))
             left = () if needs.everything else (url for url in self._live if url not in needs.documents)
             found |= {url.removeprefix(space.base): int(permissions.may_read(url)) for url in left}

@@ -68,18 +68,18 @@ class MemberResource(Resource):
         self.name = name
 
     async def prepare(self) -> None:
-        layout = await self.robot.offers.layout()
-        if layout.property(self.name) is None and layout.action(self.name) is None:
-            raise self._missing(layout)
+        tree = await self.robot.offers.tree()
+        if tree.property(self.name) is None and tree.action(self.name) is None:
+            raise self._missing(tree)
 
     @property
-    def _layout(self) -> ResourceTree | None:
+    def _tree(self) -> ResourceTree | None:
         return self.robot.offers.at_hand()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        layout = self._layout
-        plan = None if layout is None else layout.property(self.name)
-        action = None if layout is None else layout.action(self.name)
+        tree = self._tree
+        plan = None if tree is None else tree.property(self.name)
+        action = None if tree is None else tree.action(self.name)
         value = None
         if plan is not None:
             shape = self.robot.offers.member_affordance(plan.member, write=True).shape
@@ -107,43 +107,43 @@ class MemberResource(Resource):
 
     def methods(self) -> frozenset[str]:
         """What can be done by the kind of resource it is, whatever conditions say now: these are told as 409."""
-        layout, robot = self._layout, self.robot
-        if layout is None or robot.settings.read_only:
+        tree, robot = self._tree, self.robot
+        if tree is None or robot.settings.read_only:
             return READ
         methods = READ
-        plan = layout.property(self.name)
+        plan = tree.property(self.name)
         if plan is not None and robot.offers.is_writable(plan.of):
             methods |= {"PUT", "PATCH"}
-        action = layout.action(self.name)
+        action = tree.action(self.name)
         if action is not None and robot.offers.is_callable(action):
             methods |= {"POST"}
         return methods
 
     async def methods_now(self) -> frozenset[str]:
         """Nothing where it does not exist now; POST alone of an action that is not on offer, for it says why not."""
-        layout, methods = await self.robot.offers.layout(), self.methods()
-        plan, action = layout.property(self.name), layout.action(self.name)
+        tree, methods = await self.robot.offers.tree(), self.methods()
+        plan, action = tree.property(self.name), tree.action(self.name)
         reads = (*(() if plan is None else plan.reads), *(() if action is None else action.reads))
         exists_when = next((each.exists_when for each in (plan, action) if each is not None), ())
         conditions = () if plan is not None or action is None else action.conditions
-        exists, offered = await self.robot.offers.hold(layout, reads, exists_when, conditions)
+        exists, offered = await self.robot.offers.hold(tree, reads, exists_when, conditions)
         if not exists:
             return ABSENT
         return methods if offered else methods - {"GET", "HEAD"}
 
     def deny_reason(self, method: str) -> str:
-        layout = self._layout
+        tree = self._tree
         if self.robot.settings.read_only:
             return "This server is read-only."
-        plan = layout.property(self.name) if layout is not None else None
+        plan = tree.property(self.name) if tree is not None else None
         if plan is not None and method in ("PUT", "PATCH"):
             return not_writable_reason(self.robot, plan.of)
         return f"{self.name} does not answer {method}."
 
     @property
     def constrained_by(self) -> str | None:
-        layout = self._layout
-        action = layout.action(self.name) if layout is not None else None
+        tree = self._tree
+        action = tree.action(self.name) if tree is not None else None
         if action is None or action.request is None:
             return f"{self.url}#property/shape"
         return self.robot.space.shape(action.request.ref.name)
@@ -151,20 +151,22 @@ class MemberResource(Resource):
     # Reading
 
     async def state(self) -> State:
-        layout = await self.robot.offers.layout()
-        plan = layout.property(self.name)
+        tree = await self.robot.offers.tree()
+        plan = tree.property(self.name)
         if plan is not None:
-            return await self.robot.offers.state(self.url, layout, plan.reads, lambda sight: self._shown(plan, sight))
-        action = layout.action(self.name)
+            return await self.robot.offers.state(
+                self.url, tree, plan.reads, lambda snapshot: self._shown(plan, snapshot)
+            )
+        action = tree.action(self.name)
         if action is not None:
             return await self.robot.offers.state(
-                self.url, layout, action.reads, lambda sight: self._shown_action(action, sight)
+                self.url, tree, action.reads, lambda snapshot: self._shown_action(action, snapshot)
             )
-        raise self._missing(layout)
+        raise self._missing(tree)
 
-    def _shown(self, plan: PropertyPlan, sight: Snapshot) -> State:
+    def _shown(self, plan: PropertyPlan, snapshot: Snapshot) -> State:
         robot = self.robot
-        view = robot.offers.property_view(plan, sight)
+        view = robot.offers.property_view(plan, snapshot)
         return State(
             lambda: property_document(view, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time),
             lambda: property_json(view, robot.lifting),
@@ -173,27 +175,27 @@ class MemberResource(Resource):
             view=view,
         )
 
-    def _shown_action(self, plan: ActionPlan, sight: Snapshot) -> State:
+    def _shown_action(self, plan: ActionPlan, snapshot: Snapshot) -> State:
         robot = self.robot
-        view = robot.offers.action_view(plan, sight)
+        view = robot.offers.action_view(plan, snapshot)
         return State(lambda: action_document(view, robot.space, robot.lifting), view=view)
 
-    def _missing(self, layout: ResourceTree) -> Problem:
+    def _missing(self, tree: ResourceTree) -> Problem:
         """308 to the complex resource of that name, or to the property that a mapping calls so here; else 404."""
         path = f"{self.name}/"
-        if path in layout.paths:
+        if path in tree.paths:
             return moved(url_of(path, self.robot.space))
-        elsewhere = layout.elsewhere(self.name)
+        elsewhere = tree.elsewhere(self.name)
         if elsewhere is not None:
             return moved(url_of(elsewhere, self.robot.space))
-        instead = layout.instead(self.name)
+        instead = tree.instead(self.name)
         if instead is not None:
             return Problem(404, f"The service {self.name} is offered as {url_of(instead, self.robot.space)}")
         return Problem(404, f"There is no resource {self.name}.")
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        layout = await self.robot.offers.layout()
-        plan = layout.property(self.name) or layout.action(self.name)
+        tree = await self.robot.offers.tree()
+        plan = tree.property(self.name) or tree.action(self.name)
         return None if plan is None else await self.robot.offers.watch(plan.reads, wake)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
@@ -212,76 +214,78 @@ class MemberResource(Resource):
 
     async def forms(self) -> Sequence[Form]:
         """Whatever conditions say now: a form that was on offer when its page was drawn is told why it no longer is."""
-        layout, offers = await self.robot.offers.layout(), self.robot.offers
+        tree, offers = await self.robot.offers.tree(), self.robot.offers
         forms: list[Form] = []
-        if layout.property(self.name) is not None:
+        if tree.property(self.name) is not None:
             view = (await self.state()).view
             if isinstance(view, PropertyView):
                 forms.append(property_form(view.affordance, view.reading))
-        action = layout.action(self.name)
+        action = tree.action(self.name)
         form = action_form(offers.action_affordance(action)) if action is not None else None
         return forms if form is None else [*forms, form]
 
     # Writing
 
     async def put(self, exchange: Exchange) -> Answer:
-        layout, plan = await self._property()
+        tree, plan = await self._property()
         content = self._content(exchange, plan, await exchange.body())
         changed = () if plan.member.field is None else (plan.of.name,)
-        async with self.robot.offers.turn(layout, self.name, changed=changed):
-            written = await self._write(layout, plan, content)
+        async with self.robot.offers.turn(tree, self.name, changed=changed):
+            written = await self._write(tree, plan, content)
             return write_response(written, await carry_out(self.robot, written), exchange.accept)
 
-    async def _write(self, layout: ResourceTree, plan: PropertyPlan, content: object) -> PlannedWrite:
+    async def _write(self, tree: ResourceTree, plan: PropertyPlan, content: object) -> PlannedWrite:
         """How the property comes to be what `content` says, if it may be written now; nothing moves."""
         if plan.conditional or plan.member.field is not None:
-            sight = await seen_anew(self.robot, layout, plan.reads)
-            require_writable(self.robot, plan, sight)
-            content = self._whole(plan, sight, content)
+            snapshot = await seen_anew(self.robot, tree, plan.reads)
+            require_writable(self.robot, plan, snapshot)
+            content = self._whole(plan, snapshot, content)
         return await planned(self.robot, plan.of, content)
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """Within a turn that names `concerned`."""
-        layout, plan = await self._property()
+        tree, plan = await self._property()
         if "PUT" not in self.methods():
             raise Problem(403, self.deny_reason("PUT"))
         if triples is None:
             raise Problem(403, f"{self.name} is there for as long as the robot has it: it cannot be dropped.")
         body = body_of(triples)
-        written = await self._write(layout, plan, self._stated(plan, body))
+        written = await self._write(tree, plan, self._stated(plan, body))
 
         async def carried_out() -> bool:
             return await carry_out(self.robot, written) is Written.DONE
 
         return RobotWrite(f"write {self.name} by {written.writer.name}", carried_out)
 
-    def concerned(self, layout: ResourceTree) -> tuple[str, ...]:
+    def concerned(self, tree: ResourceTree) -> tuple[str, ...]:
         """The names that a write through its graph concerns."""
-        plan = layout.property(self.name)
+        plan = tree.property(self.name)
         return (self.name,) if plan is None else (self.name, plan.of.name)
 
     async def patch(self, exchange: Exchange) -> Answer:
-        layout, plan = await self._property()
+        tree, plan = await self._property()
         data = await exchange.body()
-        async with self.robot.offers.turn(layout, self.name, changed=(plan.of.name,)):
-            sight = await seen_anew(self.robot, layout, plan.reads)
-            require_writable(self.robot, plan, sight)
-            content = self._whole(plan, sight, self._patch(exchange, plan, sight, data))
+        async with self.robot.offers.turn(tree, self.name, changed=(plan.of.name,)):
+            snapshot = await seen_anew(self.robot, tree, plan.reads)
+            require_writable(self.robot, plan, snapshot)
+            content = self._whole(plan, snapshot, self._patch(exchange, plan, snapshot, data))
             written = await planned(self.robot, plan.of, content)
             return write_response(written, await carry_out(self.robot, written), exchange.accept)
 
     async def _property(self) -> tuple[ResourceTree, PropertyPlan]:
-        layout = await self.robot.offers.layout()
-        plan = layout.property(self.name)
+        tree = await self.robot.offers.tree()
+        plan = tree.property(self.name)
         if plan is None:
-            raise self._missing(layout)
-        return layout, plan
+            raise self._missing(tree)
+        return tree, plan
 
-    def _whole(self, plan: PropertyPlan, sight: Snapshot, content: object) -> object:
+    def _whole(self, plan: PropertyPlan, snapshot: Snapshot, content: object) -> object:
         """The content of the whole property, where what is written is one field of it."""
         field = plan.member.field
         return (
-            content if field is None else with_field(plan.of, sight.readings[plan.of.name], self.name, field, content)
+            content
+            if field is None
+            else with_field(plan.of, snapshot.readings[plan.of.name], self.name, field, content)
         )
 
     def _content(self, exchange: Exchange, plan: PropertyPlan, data: bytes) -> object:
@@ -297,8 +301,8 @@ class MemberResource(Resource):
             subject, predicate = home, plan.mapped.predicate
         return rdf_content(body, subject, predicate, plan.of, self.robot.lifting)
 
-    def _patch(self, exchange: Exchange, plan: PropertyPlan, sight: Snapshot, data: bytes) -> object:
-        view = self.robot.offers.property_view(plan, sight)
+    def _patch(self, exchange: Exchange, plan: PropertyPlan, snapshot: Snapshot, data: bytes) -> object:
+        view = self.robot.offers.property_view(plan, snapshot)
         if view.reading.value is None:
             why = view.reading.failure or "it has no value yet"
             raise Problem(409, f"{self.name} cannot be patched: {why}; PUT a whole value.")
@@ -308,31 +312,31 @@ class MemberResource(Resource):
         return self._stated(plan, updated(data, before.all_triples(), self.url, by_value=True))
 
     async def post(self, exchange: Exchange) -> Answer:
-        robot, layout = self.robot, await self.robot.offers.layout()
-        plan = layout.action(self.name)
+        robot, tree = self.robot, await self.robot.offers.tree()
+        plan = tree.action(self.name)
         if plan is None:
-            raise self._missing(layout)
+            raise self._missing(tree)
         if plan.sends_goals:
-            return await self._send_goal(exchange, layout, plan)
+            return await self._send_goal(exchange, tree, plan)
         if not isinstance(plan.schema, ServiceSchema):
             raise Problem(409, f"{self.name} cannot be invoked: the type of the service is not known.")
         request = await request_in(exchange, robot, plan.schema, self.url)
         url = robot.space.service(plan.service)
         await require_message(robot, Kind.SERVICE, plan.service, plan.schema.request, request, url, "#request")
-        async with robot.offers.turn(layout, self.name):
-            require_offered(robot, plan, await seen_anew(robot, layout, plan.reads))
+        async with robot.offers.turn(tree, self.name):
+            require_offered(robot, plan, await seen_anew(robot, tree, plan.reads))
             outcome = await called(exchange, robot, plan.service, plan.schema, request)
         problem = failure(robot, outcome) or declined_by(robot, outcome)
         if problem is not None:
             raise problem
         return await self._after(plan.home, outcome)
 
-    async def _send_goal(self, exchange: Exchange, layout: ResourceTree, plan: ActionPlan) -> Answer:
+    async def _send_goal(self, exchange: Exchange, tree: ResourceTree, plan: ActionPlan) -> Answer:
         """Send a goal to the action of ROS that the mapping names: what is made is the goal."""
         action = ActionResource(self.robot, plan.service)
         schema, goal = await action.goal_in(exchange, self.url)
-        async with self.robot.offers.turn(layout, self.name):
-            require_offered(self.robot, plan, await seen_anew(self.robot, layout, plan.reads))
+        async with self.robot.offers.turn(tree, self.name):
+            require_offered(self.robot, plan, await seen_anew(self.robot, tree, plan.reads))
             return await action.send(exchange, schema, goal)
 
     async def _after(self, path: str, outcome: CallOutcome) -> Shown:

@@ -122,8 +122,8 @@ class Runner:
         if is_description and negotiation.choose(accept, OFFERS) in _DESCRIPTIONS:
             return None
         request = QueryRequest(bind(query, given, self.base), timeout=timeout)
-        hung_up = disconnect.of(exchange.request.receive)
-        answer = await answer_query(self.service, request, accept, hung_up, exchange.permissions)
+        disconnected = disconnect.of(exchange.request.receive)
+        answer = await answer_query(self.service, request, accept, disconnected, exchange.permissions)
         return self._identify(exchange, resource, answer, state)
 
     def _identify(self, exchange: Exchange, resource: Resource, answer: Response, state: str | None) -> Response:

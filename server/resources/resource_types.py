@@ -57,10 +57,10 @@ def _of_action(graph: Graph, name: str) -> tuple[TypeRef, ...]:
 
 def _of_member(robot: Robot, name: str) -> Iterable[TypeRef]:
     """Those of all topics and services that a property is read from and written to, or an action invokes."""
-    layout = robot.offers.at_hand() or robot.offers.latest
-    if layout is None:
+    tree = robot.offers.at_hand() or robot.offers.latest
+    if tree is None:
         return
-    plan, action = layout.property(name), layout.action(name)
+    plan, action = tree.property(name), tree.action(name)
     if plan is not None:
         for way in (*plan.of.readers, *plan.of.writers):
             if not isinstance(way, ParameterSource):

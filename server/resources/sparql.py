@@ -30,7 +30,7 @@ from rosld.server.rest.prepared import RawResponse
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.sparql import disconnect
-from rosld.server.sparql.disconnect import HangUp
+from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.endpoint import QueryAnswer, QueryService
 from rosld.server.sparql.functions import functions
 from rosld.server.sparql.limits import described
@@ -98,17 +98,17 @@ async def answer_query(
     service: QueryService,
     request: QueryRequest,
     accept: str | None,
-    hung_up: HangUp | None = None,
+    disconnected: Disconnected | None = None,
     permissions: Permissions = ALLOW_ALL,
 ) -> Response:
     """The response with the results of a query: where XML cannot carry them, in what else the client takes."""
     try:
-        answer = await service.answer(request, accept, hung_up, permissions)
+        answer = await service.answer(request, accept, disconnected, permissions)
     except Problem as problem:
         other = without_xml(service.check(request.text).form, accept) if problem.extra == REASON else None
         if other is None:
             raise
-        answer = await service.answer(request, other, hung_up, permissions)
+        answer = await service.answer(request, other, disconnected, permissions)
     return results_response(answer)
 
 
@@ -142,10 +142,13 @@ _UNREAD = {
 
 
 async def results_of(
-    service: QueryService, request: QueryRequest, hung_up: HangUp | None = None, permissions: Permissions = ALLOW_ALL
+    service: QueryService,
+    request: QueryRequest,
+    disconnected: Disconnected | None = None,
+    permissions: Permissions = ALLOW_ALL,
 ) -> Results:
     """The first rows of the answer to a query, for a page."""
-    table = await service.table(request, ROWS + 1, hung_up, permissions)
+    table = await service.table(request, ROWS + 1, disconnected, permissions)
     left = "; ".join(_UNREAD.get(name, f"/{name}").format(count) for name, count in table.unread.items())
     note = f"Not looked at, as the query does not name them: {left}." if left else ""
     return Results(table.variables, table.rows, table.boolean, ROWS, note)
@@ -326,11 +329,13 @@ class SparqlResource(Resource):
         return await self._updates.answer(request, dry_run=dry_run, accept=wished(exchange), permissions=permissions)
 
     async def _answer(self, request: QueryRequest, accept: str | None, exchange: Exchange) -> Response:
-        hung_up, permissions = disconnect.of(exchange.request.receive), exchange.permissions
+        disconnected, permissions = disconnect.of(exchange.request.receive), exchange.permissions
         if not prefers_page(accept):
-            return await answer_query(self._service, request, accept, hung_up, permissions)
+            return await answer_query(self._service, request, accept, disconnected, permissions)
         try:
-            return self._page(permissions, request.text, await results_of(self._service, request, hung_up, permissions))
+            return self._page(
+                permissions, request.text, await results_of(self._service, request, disconnected, permissions)
+            )
         except Problem as problem:
             return self._page(permissions, request.text, None, problem)
 

@@ -64,7 +64,7 @@ def complex_thing(robot: Robot, plan: ComplexPlan) -> bytes:
     )
 
 
-def robot_thing(robot: Robot, layout: ResourceTree, permissions: Permissions = ALLOW_ALL) -> bytes:
+def robot_thing(robot: Robot, tree: ResourceTree, permissions: Permissions = ALLOW_ALL) -> bytes:
     """The Thing Description of the whole robot: the affordances of all its complex resources, named by their paths.
 
     Of a complex resource that the agent may not read, its properties are there as their own URLs have them.
@@ -72,14 +72,14 @@ def robot_thing(robot: Robot, layout: ResourceTree, permissions: Permissions = A
     properties: list[PropertyAffordance] = []
     actions: list[ActionAffordance] = []
     links: list[ThingLink] = []
-    for path in sorted(layout.paths):
-        plan = layout.complex(path)
+    for path in sorted(tree.paths):
+        plan = tree.complex(path)
         assert plan is not None
         own, acts = _affordances(robot, plan)
         if permissions.may_read(url_of(path, robot.space)):
             properties += (replace(one, name=path[1:] + one.name) for one in own)
         else:
-            properties += _by_themselves(robot, layout, plan)
+            properties += _by_themselves(robot, tree, plan)
         actions += (replace(one, name=path[1:] + one.name) for one in acts)
         if own or acts:
             links.append(ThingLink("item", url_of(path, robot.space)))
@@ -102,10 +102,10 @@ def _affordances(robot: Robot, plan: ComplexPlan) -> tuple[Sequence[PropertyAffo
     return properties, tuple(map(offers.action_affordance, plan.actions))
 
 
-def _by_themselves(robot: Robot, layout: ResourceTree, plan: ComplexPlan) -> Iterator[PropertyAffordance]:
+def _by_themselves(robot: Robot, tree: ResourceTree, plan: ComplexPlan) -> Iterator[PropertyAffordance]:
     """The members of a complex resource as their own URLs have them, whatever it calls them."""
     for name in (member.at for member in plan.members if member.at is not None):
-        own = layout.property(name)
+        own = tree.property(name)
         if own is not None:
             yield replace(robot.offers.member_affordance(own.member, write=True), name=name[1:])
 
@@ -124,5 +124,5 @@ class RobotThing(Resource):
         return PathItem("The Thing Description of the whole robot", (MEDIA_TYPE,), OBJECT, (), streams=False)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        layout = await self.robot.offers.layout()
-        return thing_response(exchange, self.robot, robot_thing(self.robot, layout, exchange.permissions))
+        tree = await self.robot.offers.tree()
+        return thing_response(exchange, self.robot, robot_thing(self.robot, tree, exchange.permissions))

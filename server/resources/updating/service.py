@@ -69,17 +69,17 @@ class Updates:
     def __init__(
         self,
         robot: Robot,
-        drawer: UpdateEvaluator,
+        evaluator: UpdateEvaluator,
         analyser: Analyser,
         bounds: Bounds,
         at: Callable[[str], Resource],
-        alone: KeyedLock,
+        keyed_lock: KeyedLock,
     ) -> None:
         self._robot = robot
-        self._drawer = drawer
+        self._evaluator = evaluator
         self._read_operations = partial(read_update, prefixes=analyser.prefixes, base=analyser.base, bounds=bounds)
         self._at = at
-        self._alone = alone
+        self._keyed_lock = keyed_lock
         self._line = KeyedLock(_PATIENCE)
 
     async def answer(
@@ -140,11 +140,11 @@ class Updates:
         turns: frozenset[str] = frozenset()
         for _ in range(ATTEMPTS):
             async with self._held(turns):  # where others write these graphs all the time, it is drawn in its turn
-                drawn = await self._drawer.draw(operations, more)
+                drawn = await self._evaluator.draw(operations, more)
                 unseen = self._unseen(drawn)
                 if unseen - more:
                     more |= unseen
-                    drawn = await self._drawer.draw(operations, more)
+                    drawn = await self._evaluator.draw(operations, more)
                 done = await self._carried_out(drawn, permissions, turns, dry_run=dry_run)
             if done is not None:
                 return done
@@ -243,7 +243,7 @@ class Updates:
         """Within it nobody else carries out a write that depends on what one of these graphs says."""
         async with contextlib.AsyncExitStack() as held:
             for graph in sorted(graphs):
-                await held.enter_async_context(self._alone.at(graph))
+                await held.enter_async_context(self._keyed_lock.at(graph))
             yield
 
     @contextlib.asynccontextmanager
@@ -253,9 +253,9 @@ class Updates:
             await held.enter_async_context(self._held({target.resource.url for target in targets} - held_already))
             members = [each.resource for each in targets if isinstance(each.resource, MemberResource | ComplexResource)]
             if members:
-                layout = await self._robot.offers.layout()
-                names = [name for each in members for name in each.concerned(layout)]
-                await held.enter_async_context(self._robot.offers.turn(layout, *names, changed=names))
+                tree = await self._robot.offers.tree()
+                names = [name for each in members for name in each.concerned(tree)]
+                await held.enter_async_context(self._robot.offers.turn(tree, *names, changed=names))
             yield
 
     async def _holds(self, drawn: Delta, targets: Sequence[Target]) -> bool:

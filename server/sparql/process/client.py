@@ -18,7 +18,7 @@ from typing import cast
 from rosld.server.dataset.base import Edit
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.memory import DATASET_PER_CHARACTER, DATASET_PER_TRIPLE
-from rosld.server.sparql.disconnect import HangUp
+from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.limits import Limits, restarting
 from rosld.server.sparql.process.child import Child, spawn
 from rosld.server.sparql.process.evaluation import Aborted, Evaluation, PendingJob, why_crashed
@@ -153,7 +153,7 @@ class QueryProcess:
         work: Work,
         limits: Limits,
         until: float,
-        hung_up: HangUp | None = None,
+        disconnected: Disconnected | None = None,
         dataset: int = 0,
     ) -> bytes | AsyncIterator[bytes]:
         """What the work writes: all bytes where they are few, else an iterator, which raises Aborted where it breaks.
@@ -162,11 +162,11 @@ class QueryProcess:
         work ended. Raises what the work raises, and Problems: 503 where a limit is reached, too much is being done or
         the process must be started again, 500 where the work ended the process that did it.
         """
-        return await Evaluation(self, work, limits, until, hung_up).run(dataset)
+        return await Evaluation(self, work, limits, until, disconnected).run(dataset)
 
-    async def result(self, work: Work, limits: Limits, until: float, hung_up: HangUp | None = None) -> bytes:
+    async def result(self, work: Work, limits: Limits, until: float, disconnected: Disconnected | None = None) -> bytes:
         """All that the work writes. Raises as `answer` does."""
-        found = await self.answer(work, limits, until, hung_up)
+        found = await self.answer(work, limits, until, disconnected)
         if isinstance(found, bytes):
             return found
         try:

@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Callable
 from typing import Protocol
 
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.disconnect import HangUp
+from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.limits import Limits, busy, crashed, out_of_memory, out_of_time
 from rosld.server.sparql.process.fork import HEAD as FRAME
 from rosld.server.sparql.process.fork import OUT_OF_MEMORY, Ended, Piece
@@ -73,12 +73,14 @@ def _why_ended(ended: Ended, limits: Limits) -> Problem:
 class Evaluation:
     """One piece of work: sent, waited for within its time, and its bytes passed on as they come."""
 
-    def __init__(self, process: Jobs, work: Work, limits: Limits, until: float, hung_up: HangUp | None) -> None:
+    def __init__(
+        self, process: Jobs, work: Work, limits: Limits, until: float, disconnected: Disconnected | None
+    ) -> None:
         self._process = process
         self._work = work
         self._limits = limits
         self._until = until
-        self._hung_up = hung_up
+        self._hung_up = disconnected
         self._watch: asyncio.Future[None] | None = None
         self._number = 0
         self._transport: asyncio.ReadTransport | None = None

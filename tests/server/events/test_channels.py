@@ -93,7 +93,7 @@ class Set:
     def __init__(self) -> None:
         self.things = Things()
         self.channels = Channels("boot")
-        self.feeds = Broadcasters(Signal())
+        self.broadcasters = Broadcasters(Signal())
 
     async def open(self, wish: Subscription | None = None) -> Channel:
         wish = wish or Subscription(URL, interval=0.01)
@@ -103,7 +103,7 @@ class Set:
     @asynccontextmanager
     async def delivering(self, channel: Channel, told: Told) -> AsyncIterator[asyncio.Task[None]]:
         """Receive, and have looked once."""
-        task = asyncio.create_task(Delivery(self.channels, self.feeds, channel, told.send, None).run())
+        task = asyncio.create_task(Delivery(self.channels, self.broadcasters, channel, told.send, None).run())
         await soon(lambda: channel.told.container is not None or task.done())
         try:
             yield task
@@ -246,7 +246,7 @@ def test_a_change_is_written_once_however_many_channels_tell_it() -> None:
         tasks = []
         for told in tolds:
             channel = await one.open()
-            tasks.append(asyncio.create_task(Delivery(one.channels, one.feeds, channel, told.send, None).run()))
+            tasks.append(asyncio.create_task(Delivery(one.channels, one.broadcasters, channel, told.send, None).run()))
         await asyncio.sleep(0.05)
         looks = one.things.looks
         one.things.become("a")
@@ -281,7 +281,7 @@ def test_nothing_is_told_before_the_start() -> None:
         one, told = Set(), Told()
         began = time.time_ns()
         channel = await one.open(Subscription(URL, interval=0.01, start_at=began + 300_000_000, state="other"))
-        task = asyncio.create_task(Delivery(one.channels, one.feeds, channel, told.send, None).run())
+        task = asyncio.create_task(Delivery(one.channels, one.broadcasters, channel, told.send, None).run())
         await told.until(1)
         assert time.time_ns() - began >= 290_000_000
         task.cancel()
@@ -295,7 +295,7 @@ def test_a_second_receiver_takes_the_place_of_the_first() -> None:
         one, old, new = Set(), Told(), Told()
         channel = await one.open()
         async with one.delivering(channel, old) as first:
-            second = asyncio.create_task(Delivery(one.channels, one.feeds, channel, new.send, None).run())
+            second = asyncio.create_task(Delivery(one.channels, one.broadcasters, channel, new.send, None).run())
             await asyncio.wait({first}, timeout=5)
             assert first.cancelled()
             assert channel.receiver is second

@@ -86,7 +86,7 @@ def test_who_hangs_up_leaves_nothing_behind(opened: Any, reader: Any) -> None:
     async def main() -> None:
         async with opened() as app:
             before = asyncio.all_tasks()
-            feeds = app.feeds
+            broadcasters = app.broadcasters
             slow, stuck, waiting = (
                 reader(app, SPEED),
                 reader(app, DISPLAY),
@@ -96,14 +96,14 @@ def test_who_hangs_up_leaves_nothing_behind(opened: Any, reader: Any) -> None:
             await stuck.until(lambda one: bool(one.events))
             stuck.takes.clear()
             await show(app, "for one that takes nothing")
-            assert len(feeds._feeds) == 3
+            assert len(broadcasters._broadcasters) == 3
             await slow.leave()
             await waiting.leave()
             stuck._left.set()
             stuck.takes.set()
             await stuck.leave()
-            assert not feeds._feeds
-            assert not feeds._held
+            assert not broadcasters._broadcasters
+            assert not broadcasters._held
             assert all(look.watches == 0 for look in app.robot.topics._looks.values())
             assert asyncio.all_tasks() <= before
 
@@ -201,7 +201,7 @@ def test_what_changes_unseen_is_not_read(opened: Any, reader: Any) -> None:
         async with opened() as app:
             slow = reader(app, f"{SPEED}?rate=1")
             await slow.until(lambda one: bool(one.events))
-            (followed,) = app.feeds._feeds.values()
+            (followed,) = app.broadcasters._broadcasters.values()
             read = followed._read
 
             async def counted() -> Any:
@@ -228,7 +228,7 @@ def test_a_failure_nobody_foresaw_is_told_and_logged(
                 raise RuntimeError("the inside")
 
             with monkeypatch.context() as patched:
-                patched.setattr(app.robot.topics, "peek", broken)
+                patched.setattr(app.robot.topics, "find_view", broken)
                 await show(app, "unseen")
                 await one.until(lambda one: b"event: problem" in one.events[-1])
             assert b"the inside" not in one.events[-1]
@@ -288,8 +288,8 @@ def test_what_cannot_be_watched_is_a_problem_until_it_can(monkeypatch: pytest.Mo
             assert isinstance(broken, Problem)
             assert broken.status == 503
             resource.fails = False
-            version, sleeper = followed.version, broadcaster.Waiter()
-            await asyncio.wait_for(followed.wait(sleeper, version), 60)
+            version, waiter = followed.version, broadcaster.Waiter()
+            await asyncio.wait_for(followed.wait(waiter, version), 60)
             assert isinstance((await followed.look()).state, State)
 
     asyncio.run(main())

@@ -56,7 +56,7 @@ def arranged(*documents: MappingDocument) -> MappingSet:
     mappings = Mappings()
     for each in documents:
         mappings.replace(each)
-    return mappings.arrangement
+    return mappings.mapping_set
 
 
 def abouts(conditions: Iterable[Condition]) -> list[str]:
@@ -67,17 +67,17 @@ def abouts(conditions: Iterable[Condition]) -> list[str]:
 
 
 def test_nothing_is_in_force_at_first() -> None:
-    assert Mappings().arrangement == MappingSet()
+    assert Mappings().mapping_set == MappingSet()
     assert not Mappings().documents
 
 
 def test_a_document_comes_into_force_and_goes() -> None:
     mappings = Mappings()
     mappings.replace(AIRCRAFT)
-    assert set(mappings.arrangement.resources) == {"/aircraft/", "/aircraft/engine/"}
+    assert set(mappings.mapping_set.resources) == {"/aircraft/", "/aircraft/engine/"}
     assert list(mappings.documents) == [AIRCRAFT.url]
     mappings.remove(AIRCRAFT.url)
-    assert not mappings.arrangement.resources
+    assert not mappings.mapping_set.resources
     assert not mappings.documents
 
 
@@ -85,52 +85,52 @@ def test_a_document_takes_the_place_of_the_one_of_its_url() -> None:
     mappings = Mappings()
     mappings.replace(document("a", resource("/a/") + resource("/b/")))
     mappings.replace(document("a", resource("/b/") + resource("/c/")))
-    assert set(mappings.arrangement.resources) == {"/b/", "/c/"}
+    assert set(mappings.mapping_set.resources) == {"/b/", "/c/"}
     assert len(mappings.documents) == 1
 
 
 def test_every_change_has_a_revision_of_its_own() -> None:
     mappings = Mappings()
-    seen = [mappings.arrangement.revision]
+    seen = [mappings.mapping_set.revision]
     for change in (
         lambda: mappings.replace(AIRCRAFT),
         lambda: mappings.replace(AIRCRAFT),
         lambda: mappings.remove(AIRCRAFT.url),
     ):
         change()
-        seen.append(mappings.arrangement.revision)
+        seen.append(mappings.mapping_set.revision)
     assert len(set(seen)) == len(seen)
 
 
 def test_removing_what_is_not_there_changes_nothing() -> None:
     mappings = Mappings()
-    before = mappings.arrangement
+    before = mappings.mapping_set
     mappings.remove("http://127.0.0.1:8080/mappings/none")
-    assert mappings.arrangement is before
+    assert mappings.mapping_set is before
 
 
 def test_what_was_handed_out_never_changes() -> None:
     mappings = Mappings()
     mappings.replace(document("a", resource("/a/")))
-    arrangement, documents = mappings.arrangement, mappings.documents
+    mapping_set, documents = mappings.mapping_set, mappings.documents
     mappings.replace(document("b", resource("/b/")))
     mappings.remove(f"{SPACE.base}mappings/a")
-    assert set(arrangement.resources) == {"/a/"}
+    assert set(mapping_set.resources) == {"/a/"}
     assert list(documents) == [f"{SPACE.base}mappings/a"]
     with pytest.raises(TypeError):
-        arrangement.resources["/x/"] = arrangement.resources["/a/"]  # type: ignore[index]
+        mapping_set.resources["/x/"] = mapping_set.resources["/a/"]  # type: ignore[index]
 
 
 def test_a_document_that_takes_anothers_path_is_refused_and_all_stays_as_it_was() -> None:
     mappings = Mappings()
     mappings.replace(document("a", resource("/a/") + resource("/b/")))
     mappings.replace(document("c", resource("/c/")))
-    before = mappings.arrangement
+    before = mappings.mapping_set
     with pytest.raises(MappingRefused) as found:
         mappings.replace(document("c", resource("/d/") + resource("/b/") + resource("/a/")))
     assert [one.path for one in found.value.violations] == ["/a/", "/b/"]
     assert f"{SPACE.base}mappings/a" in found.value.violations[0].message
-    assert mappings.arrangement is before
+    assert mappings.mapping_set is before
 
 
 def test_a_document_that_describes_anothers_condition_is_refused() -> None:
@@ -147,13 +147,13 @@ def test_a_document_that_describes_anothers_condition_is_refused() -> None:
 
 
 def test_the_guards_of_a_member_are_those_of_every_mapping_of_it() -> None:
-    arrangement = arranged(
+    mapping_set = arranged(
         document("a", resource("/a/", having("p", when=f"; map:writableWhen {about('/x/')}"))),
         document("b", resource("/b/", having("/a/p", when=f"; map:writableWhen {about('/y/')} , {about('/z/')}"))),
         document("c", resource("/c/", having("/a/p", when='; map:field "x"'))),
     )
-    assert abouts(guards_of_member(arrangement, "/a/p")) == ["/x/", "/y/", "/z/"]
-    assert guards_of_member(arrangement, "/a/q") == ()
+    assert abouts(guards_of_member(mapping_set, "/a/p")) == ["/x/", "/y/", "/z/"]
+    assert guards_of_member(mapping_set, "/a/q") == ()
 
 
 def test_a_guard_that_two_mappings_of_a_member_share_is_there_once() -> None:
@@ -165,8 +165,8 @@ def test_a_guard_that_two_mappings_of_a_member_share_is_there_once() -> None:
 
 def test_actions_are_found_by_the_service_behind_them() -> None:
     action = '; map:action [ map:relation :go ; map:name "{}" ; map:service "/s" ]'
-    arrangement = arranged(document("a", resource("/a/", action.format("go")) + resource("/b/", action.format("run"))))
-    found = actions_by_service(arrangement)
+    mapping_set = arranged(document("a", resource("/a/", action.format("go")) + resource("/b/", action.format("run"))))
+    found = actions_by_service(mapping_set)
     assert set(found) == {"/s"}
     assert [(one.path, action.name) for one, action in found["/s"]] == [("/a/", "go"), ("/b/", "run")]
     assert set(actions_by_service(arranged(AIRCRAFT))) == {"/aircraft/start", "/aircraft/stop"}
@@ -185,50 +185,50 @@ def test_dependents_have_a_condition_of_any_kind_about_a_place() -> None:
     linking = f'; map:link [ map:relation :to ; map:target "/x/" ; map:availableWhen {about("/x/")} ]'
     naming = f"; map:existsWhen {about('/x/p')}"
     kinds = {"/a/": wanting, "/b/": writing, "/c/": acting, "/d/": linking, "/e/": naming, "/f/": ""}
-    arrangement = arranged(document("all", "".join(resource(path, inner) for path, inner in kinds.items())))
-    assert dependents(arrangement, "/x/") == {"/a/", "/b/", "/c/", "/d/"}
-    assert dependents(arrangement, "/x/p") == {"/e/"}
-    assert dependents(arrangement, "/f/") == frozenset()
+    mapping_set = arranged(document("all", "".join(resource(path, inner) for path, inner in kinds.items())))
+    assert dependents(mapping_set, "/x/") == {"/a/", "/b/", "/c/", "/d/"}
+    assert dependents(mapping_set, "/x/p") == {"/e/"}
+    assert dependents(mapping_set, "/f/") == frozenset()
 
 
 def test_a_component_is_what_hangs_together_by_conditions_in_any_number_of_steps() -> None:
-    arrangement = arranged(
+    mapping_set = arranged(
         document("a", resource("/a/", f"; map:existsWhen {about('/b/')}") + resource("/b/", having("p"))),
         document("c", resource("/c/", f"; map:existsWhen {about('/b/')}")),
         document("d", resource("/d/", f"; map:existsWhen {about('/c/')}").replace(":p", ":p")),
         document("e", resource("/e/") + resource("/f/", f"; map:existsWhen {about('/g/')}")),
     )
     for path in ("/a/", "/b/", "/c/", "/d/"):
-        assert component(arrangement, path) == {"/a/", "/b/", "/c/", "/d/"}
-    assert component(arrangement, "/e/") == {"/e/"}
-    assert component(arrangement, "/f/") == component(arrangement, "/g/") == {"/f/", "/g/"}
-    assert component(arrangement, "/nowhere/") == {"/nowhere/"}
+        assert component(mapping_set, path) == {"/a/", "/b/", "/c/", "/d/"}
+    assert component(mapping_set, "/e/") == {"/e/"}
+    assert component(mapping_set, "/f/") == component(mapping_set, "/g/") == {"/f/", "/g/"}
+    assert component(mapping_set, "/nowhere/") == {"/nowhere/"}
 
 
 def test_a_condition_about_a_property_ties_those_that_show_it() -> None:
-    arrangement = arranged(
+    mapping_set = arranged(
         document("a", resource("/a/", f"; map:existsWhen {about('/x/p')}")),
         document("b", resource("/b/", having("/x/p"))),
         document("c", resource("/c/", f"; map:existsWhen {about('/x/p')}")),
         document("d", resource("/d/", having("/x/q"))),
     )
-    assert component(arrangement, "/a/") == {"/a/", "/b/", "/c/", "/x/"}
-    assert component(arrangement, "/x/") == component(arrangement, "/b/") == component(arrangement, "/a/")
-    assert component(arrangement, "/d/") == {"/d/"}
+    assert component(mapping_set, "/a/") == {"/a/", "/b/", "/c/", "/x/"}
+    assert component(mapping_set, "/x/") == component(mapping_set, "/b/") == component(mapping_set, "/a/")
+    assert component(mapping_set, "/d/") == {"/d/"}
 
 
 def test_the_aircraft_hangs_together() -> None:
-    arrangement = arranged(AIRCRAFT)
-    assert component(arrangement, "/aircraft/") == {"/aircraft/", "/aircraft/engine/"}
-    assert dependents(arrangement, "/aircraft/engine/") == {"/aircraft/"}
-    assert dependents(arrangement, "/aircraft/") == {"/aircraft/", "/aircraft/engine/"}
+    mapping_set = arranged(AIRCRAFT)
+    assert component(mapping_set, "/aircraft/") == {"/aircraft/", "/aircraft/engine/"}
+    assert dependents(mapping_set, "/aircraft/engine/") == {"/aircraft/"}
+    assert dependents(mapping_set, "/aircraft/") == {"/aircraft/", "/aircraft/engine/"}
 
 
 def test_what_covers_a_place_is_mapped_at_or_above_it_the_outermost_first() -> None:
-    arrangement = arranged(document("a", resource("/") + resource("/a/") + resource("/a/b/c/") + resource("/ab/")))
+    mapping_set = arranged(document("a", resource("/") + resource("/a/") + resource("/a/b/c/") + resource("/ab/")))
 
     def paths(place: str) -> list[str]:
-        return [one.path for one in covering(arrangement, place)]
+        return [one.path for one in covering(mapping_set, place)]
 
     assert paths("/a/b/c/") == ["/", "/a/", "/a/b/c/"]
     assert paths("/a/b/c/d") == ["/", "/a/", "/a/b/c/"]
@@ -249,11 +249,11 @@ def test_components_part_the_paths(conditions: dict[str, list[str]]) -> None:
     ]
     if not texts:
         return
-    arrangement = arranged(document("all", "".join(texts)))
+    mapping_set = arranged(document("all", "".join(texts)))
     for path, places in conditions.items():
-        together = component(arrangement, path)
+        together = component(mapping_set, path)
         assert path in together
-        assert all(component(arrangement, other) == together for other in together)
+        assert all(component(mapping_set, other) == together for other in together)
         assert {place.rpartition("/")[0] + "/" for place in places} <= together
         for place in places:
-            assert path in dependents(arrangement, place)
+            assert path in dependents(mapping_set, place)

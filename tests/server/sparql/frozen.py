@@ -58,8 +58,8 @@ class Frozen:
 async def freeze(robot: Robot) -> Frozen:
     """All that a robot's dataset holds, every topic being subscribed to."""
     dataset, space = Dataset(robot), robot.space
-    layout = await robot.offers.layout()
-    below = {url_of(path, space) for path in (*layout.paths, *layout.properties, *layout.actions)}
+    tree = await robot.offers.tree()
+    below = {url_of(path, space) for path in (*tree.paths, *tree.properties, *tree.actions)}
     recorded = {
         space.bag_message(name, index)
         for name, recording in robot.adapter.recordings.items()
@@ -108,7 +108,7 @@ class Comparison:
         robot = self.frozen.robot
         space = robot.space
         mentions = Mentions(space.base, space.types)
-        self.analyser = Analyser(space.base, space.types, relations=lambda: relations(robot.mappings.arrangement))
+        self.analyser = Analyser(space.base, space.types, relations=lambda: relations(robot.mappings.mapping_set))
         self._synchroniser = Synchroniser(
             LocalStore(), self.frozen.dataset, Noting(_Kept(self.kept), mentions), mentioned=mentions.of
         )

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import BinaryIO, cast
 
 from rosld.server.dataset import Edit, MemoryStore
-from rosld.server.sparql.disconnect import HangUp
+from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import Work
@@ -53,7 +53,7 @@ class LocalProcess(QueryProcess):
     async def drained(self) -> None:
         pass
 
-    async def result(self, work: Work, limits: Limits, until: float, hung_up: HangUp | None = None) -> bytes:
+    async def result(self, work: Work, limits: Limits, until: float, disconnected: Disconnected | None = None) -> bytes:
         output = io.BytesIO()
         work(self.store, cast("BinaryIO", output))
         return output.getvalue()

@@ -111,12 +111,12 @@ def blocks(draw: DrawFn, variables: bool) -> tuple[list[QuadTemplate], str]:
     held = holes() if variables else st.nothing()
     nodes: SearchStrategy[tuple[Slot, str]] = iris() | held
     graphs: SearchStrategy[tuple[Slot, str] | None] = st.none() | iris() | held
-    verbs = nodes | st.just((RDF_TYPE, "a"))
+    dispatcher = nodes | st.just((RDF_TYPE, "a"))
     quads: list[QuadTemplate] = []
     text = ""
     for graph in draw(st.lists(graphs, max_size=3)):
         gap = draw(GAPS)
-        triples, told = draw(_triples(nodes, verbs))
+        triples, told = draw(_triples(nodes, dispatcher))
         if graph is None:
             text += ("" if not text or text.rstrip().endswith(("}", ".")) else " .") + gap + told
         else:
@@ -129,14 +129,14 @@ def blocks(draw: DrawFn, variables: bool) -> tuple[list[QuadTemplate], str]:
 
 @st.composite
 def _triples(
-    draw: DrawFn, nodes: SearchStrategy[tuple[Slot, str]], verbs: SearchStrategy[tuple[Slot, str]]
+    draw: DrawFn, nodes: SearchStrategy[tuple[Slot, str]], dispatcher: SearchStrategy[tuple[Slot, str]]
 ) -> tuple[list[tuple[Slot, Slot, Slot]], str]:
     """Triples, subjects and predicates said once for what they share."""
     found: list[tuple[Slot, Slot, Slot]] = []
     text = ""
     for subject, subject_text in draw(st.lists(nodes, min_size=1, max_size=2)):
         text += (" . " if text else "") + subject_text
-        for at, (verb, verb_text) in enumerate(draw(st.lists(verbs, min_size=1, max_size=2))):
+        for at, (verb, verb_text) in enumerate(draw(st.lists(dispatcher, min_size=1, max_size=2))):
             things = draw(st.lists(nodes | literals(), min_size=1, max_size=2))
             found += [(subject, verb, thing) for thing, _ in things]
             gap = draw(GAPS)

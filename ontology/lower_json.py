@@ -13,6 +13,7 @@ import numpy as np
 
 from rosld.adapters.model import Array, Field, FieldType, Message, MessageSchema, Nested, Primitive
 from rosld.ontology.coercion import Misfit, described, sized
+from rosld.ontology.field_defaults import stated_default, zero
 from rosld.ontology.json_leaves import json_leaf, unexpected
 from rosld.ontology.literals import DTYPES, STRINGS
 from rosld.ontology.violations import Findings, Path
@@ -21,7 +22,7 @@ Reader: TypeAlias = Callable[[object, Path, "JsonReading"], object]
 
 
 class JsonReading(NamedTuple):
-    """One lowering under way; `defaults`: fields that are missing have ROS's defaults."""
+    """One lowering under way; `defaults`: fields that are missing have their defaults."""
 
     findings: Findings
     defaults: bool
@@ -39,6 +40,7 @@ class JsonReaders:
     def __init__(self, schema: MessageSchema) -> None:
         self._schema = schema
         self._messages: dict[str, Reader] = {}
+        self._defaults: dict[str, Mapping[str, Callable[[], object]]] = {}
 
     def message(self, name: str) -> Reader:
         """The reader of messages of a type of this schema."""
@@ -49,7 +51,7 @@ class JsonReaders:
     def _message(self, name: str) -> Reader:
         build, kind = self._schema.codec.build, Nested(name)
         fields = {
-            field.name: _Field(field, self._reader(field.type), self._default(field.type))
+            field.name: _Field(field, self._reader(field.type), self._default(field))
             for field in self._schema.types[name].fields
         }
 
@@ -95,22 +97,31 @@ class JsonReaders:
 
         return read
 
-    def _default(self, kind: FieldType) -> Callable[[], object]:
-        """What ROS fills a missing field with: zeros, empty strings and arrays, defaults all the way down."""
+    def _default(self, field: Field) -> Callable[[], object]:
+        """What ROS fills a missing field with: what its definition says, else zero, all the way down."""
+        stated = stated_default(field)
+        if stated is None or isinstance(field.type, Nested):  # a message has no default but those of its fields
+            return self._zero(field.type)
+        leaf = json_leaf(field.type)
+        return lambda: leaf(stated)
+
+    def _zero(self, kind: FieldType) -> Callable[[], object]:
+        """What a field without a default of its own has: zeros, empty strings and arrays, messages of defaults."""
         if isinstance(kind, Nested):
             return lambda: self.default(kind.name)
         if isinstance(kind, Primitive):
-            return lambda: _default_primitive(kind)
+            return lambda: zero(kind)
         element, length = kind.element, kind.length or 0
         if isinstance(element, Primitive) and element.name not in STRINGS:
             return lambda: np.zeros(length, DTYPES[element.name])
-        one = self._default(element)
+        one = self._zero(element)
         return lambda: [one() for _ in range(length)]
 
     def default(self, name: str) -> Message:
         """A message of a type of this schema with every field at its default."""
-        fields = self._schema.types[name].fields
-        return self._schema.codec.build(name, {field.attribute: self._default(field.type)() for field in fields})
+        if name not in self._defaults:
+            self._defaults[name] = {one.attribute: self._default(one) for one in self._schema.types[name].fields}
+        return self._schema.codec.build(name, {field: make() for field, make in self._defaults[name].items()})
 
 
 def _read(entry: _Field, value: object, path: Path, reading: JsonReading) -> object:
@@ -119,14 +130,6 @@ def _read(entry: _Field, value: object, path: Path, reading: JsonReading) -> obj
     except Misfit as misfit:
         reading.findings.misfit(path, misfit)
         return None
-
-
-def _default_primitive(kind: Primitive) -> object:
-    if kind.name in STRINGS:
-        return ""
-    if kind.name == "bool":
-        return False
-    return 0.0 if kind.name.startswith("float") else 0
 
 
 def _list(fields: Mapping[str, _Field]) -> str:

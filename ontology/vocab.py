@@ -448,6 +448,7 @@ class sh(Namespace, iri="http://www.w3.org/ns/shacl#"):
     path: NamedNode
     name: NamedNode
     description: NamedNode
+    defaultValue: NamedNode
     order: NamedNode
     datatype: NamedNode
     node: NamedNode

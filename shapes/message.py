@@ -15,6 +15,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.adapters.model import (
     ActionSchema,
     Array,
+    Constant,
     Field,
     MessageSchema,
     MessageType,
@@ -27,6 +28,7 @@ from rosld.adapters.model import (
 from rosld.ontology.coercion import RANGES
 from rosld.ontology.describe_types import constant_value, written
 from rosld.ontology.document import Document
+from rosld.ontology.field_defaults import stated_default
 from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
 from rosld.ontology.triples import RDF_SOURCE, Statement, Value, about, boolean, each, integer, text
 from rosld.ontology.urls import Space
@@ -117,6 +119,7 @@ class _Shape:
             (sh.order, integer(position)),
             (sh.minCount, integer(1)),
             (sh.maxCount, integer(1)),
+            (sh.defaultValue, _default(field)),
             *self.value(field),
         ]
 
@@ -179,6 +182,14 @@ class _Shape:
         for element in reversed(list(elements)):
             rest = self.blank((rdf.first, element), (rdf.rest, rest))
         return rest
+
+
+def _default(field: Field) -> Literal | None:
+    """The default value that the definition of a scalar states: a form may be filled with it, a message must say it."""
+    stated = field.default
+    if isinstance(stated, tuple | None) or not isinstance(field.type, Primitive) or stated_default(field) is None:
+        return None
+    return constant_value(Constant(field.name, field.type.name, stated))
 
 
 def octets(kind: Array) -> list[Statement]:

@@ -14,6 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.base import TypesysError, normalize_fieldname
 from rosbags.typesys.store import Typestore
 
+from rosld.adapters.model.defaults import default_texts, with_default
 from rosld.adapters.model.sample import Encoding
 from rosld.adapters.model.schema import Array, Constant, Field, FieldType, Message, MessageType, Nested, Primitive
 from rosld.adapters.model.wire import Reader, Writer
@@ -86,18 +87,19 @@ class RosbagsCodec:
         return cast(Message, self._classes[type_name](**values))  # type: ignore[arg-type]
 
 
-def message_types(store: Typestore, names: Mapping[str, str]) -> Mapping[str, MessageType]:
-    """The layouts of these types (full name to the name in `store`)."""
-    external = {stored: name for name, stored in names.items()}
-    return MappingProxyType({name: _message_type(name, stored, store, external) for name, stored in names.items()})
+def message_types(store: Typestore, texts: Mapping[str, str]) -> Mapping[str, MessageType]:
+    """The layouts of the types that `store` was made of, with the default values that their definitions have."""
+    external = {store_name(name): name for name in texts}
+    return MappingProxyType({name: _message_type(name, texts[name], store, external) for name in texts})
 
 
-def _message_type(name: str, stored: str, store: Typestore, external: Mapping[str, str]) -> MessageType:
-    constants, fields = store.fielddefs[stored]
+def _message_type(name: str, text: str, store: Typestore, external: Mapping[str, str]) -> MessageType:
+    constants, fields = store.fielddefs[store_name(name)]
+    defaults = default_texts(name, text)
     return MessageType(
         name,
         tuple(
-            Field(field, _field_type(description, external), normalize_fieldname(field))
+            with_default(Field(field, _field_type(description, external), normalize_fieldname(field)), defaults)
             for field, description in fields
             if field != DUMMY
         ),

@@ -1,7 +1,6 @@
 """Type descriptions of ROS 2 (REP 2016) as the text of a definition: for types that are not written as .msg. Pure.
 
-A description holds names and types of fields, all that is on the wire and in the hash; constants, defaults and comments
-are not in it.
+A description holds names, types and default values of fields; constants and comments are not in it.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from rosld.adapters.model.library import SEPARATOR
 
 _NESTED, _BLOCK = 1, 48
 _BOUNDED_STRING, _BOUNDED_WSTRING = 21, 22
+_STRINGS = frozenset({17, 18, _BOUNDED_STRING, _BOUNDED_WSTRING})
 _PRIMITIVES = {
     2: "int8",
     3: "uint8",
@@ -54,6 +54,7 @@ class FieldMessage(Protocol):
 
     name: str
     type: FieldTypeMessage
+    default_value: str
 
 
 class IndividualTypeMessage(Protocol):
@@ -94,7 +95,21 @@ def _reached(parts: Sequence[str], fields: Mapping[str, Sequence[FieldMessage]])
 
 
 def _text(fields: Sequence[FieldMessage]) -> str:
-    return "\n".join(f"{_type(field.type)} {field.name}" for field in fields if field.name != _DUMMY)
+    parts = ((_type(field.type), field.name, _default(field)) for field in fields if field.name != _DUMMY)
+    return "\n".join(" ".join(filter(None, each)) for each in parts)
+
+
+def _default(field: FieldMessage) -> str:
+    """The default value of a field as a definition has it, "" for none; it is described as Python writes it.
+
+    A string that no definition can have is left out: there, a line ends the string, and so does a comment.
+    """
+    text, (block, kind) = field.default_value, divmod(field.type.type_id, _BLOCK)
+    if not text or kind == _NESTED or any(each in text for each in "\n\r#="):
+        return ""
+    if block:
+        return f"[{text[1:-1].rstrip(', ')}]"
+    return '"' + text.replace('"', '\\"') + '"' if kind in _STRINGS else text
 
 
 def _type(found: FieldTypeMessage) -> str:

@@ -15,7 +15,7 @@ from typing import Literal
 
 from rosbags.typesys import Stores, get_typestore
 
-from rosld.adapters.model.codec import RosbagsCodec, message_types, store_name, typestore_of
+from rosld.adapters.model.codec import RosbagsCodec, message_types, typestore_of
 from rosld.adapters.model.definition import action_md5, halves, md5, references, sections, service_md5, thirds
 from rosld.adapters.model.derived import derived_from, whole_of, written_as
 from rosld.adapters.model.errors import UnknownType
@@ -211,7 +211,7 @@ class TypeLibrary:
             closed = self._closure(name, texts)
             found = md5(name, closed) if self._ros_version == 1 else None
             store = typestore_of(closed)
-            types = message_types(store, {each: store_name(each) for each in closed})
+            types = message_types(store, closed)
             ref = TypeRef(name, _prove(name, found or message_hash(name, types), hash))
         except (KeyError, IndexError, RecursionError) as error:
             raise ValueError(f"the definition of {name} cannot be read: {error}") from error

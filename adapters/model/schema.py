@@ -50,13 +50,21 @@ class Array:
 FieldType: TypeAlias = Primitive | Nested | Array
 
 
+Scalar: TypeAlias = "bool | int | float | str"
+Default: TypeAlias = "Scalar | tuple[Scalar, ...]"
+
+
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field: its ROS name, its type, and the attribute that holds it on a decoded message."""
+    """A field: its ROS name, its type, and the attribute that holds it on a decoded message.
+
+    `default` is the value that its definition gives it where nobody does; None is zero, or empty.
+    """
 
     name: str
     type: FieldType
     attribute: str
+    default: Default | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,8 @@ from math import isfinite
 from typing import ClassVar, TypeAlias
 
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
-from rosld.ontology.literals import OCTETS, STRINGS
+from rosld.ontology.field_defaults import stated_default
+from rosld.ontology.literals import OCTETS, STRINGS, base64_text
 from rosld.server.html.bounds import browser_pattern, demanded, number_range, number_step, option_texts, same_value
 from rosld.server.html.messages import type_name
 from rosld.server.html.view import visible
@@ -102,7 +103,7 @@ class Filling:
 def controls(
     schema: MessageSchema, value: Json, filling: Filling, only: Container[str] | None = None
 ) -> tuple[Control, ...]:
-    """The inputs for a message of `schema`; `value` is plain JSON, and ROS's defaults stand where it has nothing.
+    """The inputs for a message of `schema`; `value` is plain JSON, and defaults stand where it has nothing.
 
     `only` names the fields of the message itself that are asked for; None is all of them.
     """
@@ -123,7 +124,7 @@ def _control(schema: MessageSchema, each: Field, path: str, value: Json, filling
         inner = _controls(schema, schema.types[each.type.name].fields, f"{path}.", value, filling)
         return Fieldset(path, each.name, each.type.name, inner, filling.error(path))
     if value is None:
-        value = default(schema, each.type)
+        value = default(schema, each)
     if isinstance(each.type, Primitive):
         return primitive(each.type, each.name, path, value, filling)
     return _json(each.type, each.name, path, value, filling)
@@ -294,10 +295,10 @@ def _is_of_messages(kind: FieldType) -> bool:
     return isinstance(kind.element if isinstance(kind, Array) else kind, Nested)
 
 
-def default(schema: MessageSchema, kind: FieldType) -> Json:
-    """ROS's default of a field, as plain JSON; None where it would be too large to be typed anyway."""
+def default(schema: MessageSchema, field: Field) -> Json:
+    """The default of a field, as plain JSON; None where it would be too large to be typed anyway."""
     try:
-        return _Defaults(schema).of(kind, 0)
+        return _Defaults(schema).of(field, 0)
     except OverflowError:
         return None
 
@@ -309,21 +310,20 @@ class _Defaults:
         self._schema = schema
         self._left = MAX_TEXT // 2
 
-    def of(self, kind: FieldType, depth: int) -> Json:
-        """The default of a type; raises OverflowError where it is too large."""
+    def of(self, field: Field, depth: int) -> Json:
+        """The default of a field; raises OverflowError where it is too large."""
+        stated = stated_default(field)
+        return self._unstated(field.type, depth) if stated is None else stated
+
+    def _unstated(self, kind: FieldType, depth: int) -> Json:
+        """The default of a field of which its definition says nothing."""
         self._left -= 1
         if self._left < 0 or depth > _DEEPEST:
             raise OverflowError
         if isinstance(kind, Primitive):
             return "" if kind.name in STRINGS else False if kind.name == "bool" else 0
         if isinstance(kind, Nested):
-            return {each.name: self.of(each.type, depth + 1) for each in self._schema.types[kind.name].fields}
+            return {each.name: self.of(each, depth + 1) for each in self._schema.types[kind.name].fields}
         if is_octets(kind):
-            return _zeros(kind.length or 0)
-        return [self.of(kind.element, depth + 1) for _ in range(kind.length or 0)]
-
-
-def _zeros(count: int) -> str:
-    """The base64 of `count` zero bytes, as far as an input would hold it."""
-    whole, rest = divmod(min(count, MAX_TEXT), 3)
-    return "AAAA" * whole + ("", "AA==", "AAA=")[rest]
+            return base64_text(bytes(min(kind.length or 0, MAX_TEXT)))
+        return [self._unstated(kind.element, depth + 1) for _ in range(kind.length or 0)]

@@ -44,18 +44,21 @@ class MessageSchemas:
 
     def read(self, schema: MessageSchema | None) -> DataSchema:
         """What a message is when it is read: a reference to its schema."""
-        return OBJECT if schema is None else self._shared(schema, "", json_schema.as_read)
+        if schema is None:
+            return OBJECT
+        key = self._key(schema.ref)
+        return self._shared(key, lambda: json_schema.as_read(message_schema(schema, self.lifting)))
 
     def sent(self, schema: MessageSchema | None) -> DataSchema:
-        """What a message must be when it is sent: a schema of its own only where that is another."""
-        return OBJECT if schema is None else self._shared(schema, ".sent", json_schema.as_sent)
+        """What a message may be when it is sent, which is another schema: what is left out has its default."""
+        if schema is None:
+            return OBJECT
+        key = f"{self._key(schema.ref)}.sent"
+        return self._shared(key, lambda: json_schema.as_sent(message_schema(schema, self.lifting, sent=True)))
 
-    def _shared(self, schema: MessageSchema, suffix: str, adapted: Callable[[DataSchema], DataSchema]) -> DataSchema:
-        made = adapted(message_schema(schema, self.lifting))
-        key = self._key(schema.ref)
-        if suffix and self.by_key.get(key, made) != made:
-            key += suffix
-        self.by_key.setdefault(key, made)
+    def _shared(self, key: str, make: Callable[[], DataSchema]) -> DataSchema:
+        if key not in self.by_key:
+            self.by_key[key] = make()
         return {"$ref": f"#/components/schemas/{key}"}
 
     def _key(self, ref: TypeRef) -> str:

@@ -136,18 +136,19 @@ def _topic_refusal(session: Session, writer: TopicSource) -> str | None:
 # The plan
 
 
-def plan_write(session: Session, property: Property, content: object) -> PlannedWrite:
+def plan_write(session: Session, property: Property, content: object, *, defaults: bool = False) -> PlannedWrite:
     """How the property comes to be what `content` says (plain JSON, or a literal of RDF): nothing moves yet.
 
+    Fields of a message that are missing have their `defaults`, or do not fit.
     Raises a 405 Problem where nothing writes it now, and LoweringError for what does not fit; the `path` of a violation
     is "" for a scalar.
     """
     writer = writer_of(session, property)
     match writer:
         case Setter(schema=service):
-            return _planned(session, property, writer, service.request, content)
+            return _planned(session, property, writer, service.request, content, defaults)
         case TopicSource(schema=schema) if schema is not None:
-            return _planned(session, property, writer, schema, content)
+            return _planned(session, property, writer, schema, content, defaults)
         case ParameterSource():
             return PlannedWrite(property.name, writer, StoredValue(_parameter_value(property.kind, content)))
         case _:
@@ -175,16 +176,18 @@ def _fitted(kind: Primitive, content: object) -> object:
 
 
 def _planned(
-    session: Session, property: Property, writer: Writer, schema: MessageSchema, content: object
+    session: Session, property: Property, writer: Writer, schema: MessageSchema, content: object, defaults: bool
 ) -> PlannedWrite:
-    message = lowered(schema, content, session.lifting)
+    message = lowered(schema, content, session.lifting, defaults=defaults)
     data = schema.codec.encode(message, session.adapter.capabilities.encoding)
     url = session.space.service(writer.name) if isinstance(writer, Setter) else session.space.topic(writer.name)
     return PlannedWrite(property.name, writer, MessageValue(schema, message, schema.type.fields, url), data)
 
 
-def lowered(schema: MessageSchema, content: object, lifting: LiftSettings) -> Message:
+def lowered(schema: MessageSchema, content: object, lifting: LiftSettings, *, defaults: bool = False) -> Message:
     """The message of `schema` that carries a content: in its one field if that is a scalar, else field by field.
+
+    Fields that are missing have their `defaults`, or do not fit.
 
     Raises LoweringError for what does not fit.
     """
@@ -193,7 +196,7 @@ def lowered(schema: MessageSchema, content: object, lifting: LiftSettings) -> Me
         return _from_literal(schema, field, content, lifting)
     lowering = lowerer(schema, lifting)
     if field is None or (isinstance(content, dict) and content.keys() == {field.name}):
-        return lowering.from_json(content)
+        return lowering.from_json(content, defaults=defaults)
     try:
         return lowering.from_json({field.name: content})
     except LoweringError as error:

@@ -17,6 +17,7 @@ from pyoxigraph import Literal
 
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
 from rosld.ontology.coercion import RANGES, Misfit
+from rosld.ontology.field_defaults import stated_default, zero
 from rosld.ontology.lexical import NUMBERS, boolean
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.literals import OCTETS, SAFE_INTEGER, STRINGS, special, wide
@@ -43,34 +44,56 @@ _ELIDED: DataSchema = {
 _SETTINGS = LiftSettings()
 
 
-def value_schema(shape: ValueShape, lifting: LiftSettings = _SETTINGS) -> DataSchema:
-    """The data schema of a property's value."""
+def value_schema(shape: ValueShape, lifting: LiftSettings = _SETTINGS, *, sent: bool = False) -> DataSchema:
+    """The data schema of a property's value; of one that may be `sent`, fields have defaults and may be left out."""
     if isinstance(shape, MessageShape):
         fields = [field for field in shape.schema.type.fields if field.name in shape.fields]
-        return _Schemas(shape.schema, shape.bounds, lifting).fields(fields)
+        return _Schemas(shape.schema, shape.bounds, lifting, sent).fields(fields)
     if isinstance(shape, ScalarShape) and shape.is_parameter:
         return _stored(shape) | _unit(shape.measure)
     return _scalar(shape.kind if isinstance(shape, ScalarShape) else None, shape.bounds) | _unit(shape.measure)
 
 
-def message_schema(schema: MessageSchema, lifting: LiftSettings = _SETTINGS) -> DataSchema:
-    """The data schema of a message: the object of its fields."""
-    return _Schemas(schema, {}, lifting).fields(schema.type.fields)
+def message_schema(schema: MessageSchema, lifting: LiftSettings = _SETTINGS, *, sent: bool = False) -> DataSchema:
+    """The data schema of a message, the object of its fields; of one that is `sent`, these may be left out."""
+    return _Schemas(schema, {}, lifting, sent).fields(schema.type.fields)
 
 
 class _Schemas:
     """The schemas of one message type. Types come from robots, so there is an end to how much of one is written."""
 
-    def __init__(self, schema: MessageSchema, bounds: Mapping[str, Bounds], lifting: LiftSettings) -> None:
+    def __init__(self, schema: MessageSchema, bounds: Mapping[str, Bounds], lifting: LiftSettings, sent: bool) -> None:
         self._types = schema.types
         self._bounds = bounds
         self._limit = lifting.inline_limit
+        self._sent = sent
         self._left = _MAX_NODES
 
     def fields(self, fields: Iterable[Field], path: tuple[str, ...] = ()) -> DataSchema:
         """An object of fields."""
-        properties: dict[str, Json] = {field.name: self._field(field.type, (*path, field.name)) for field in fields}
-        return {"type": "object", "properties": properties, "required": list(properties)}
+        properties: dict[str, Json] = {}
+        for field in fields:
+            inner = (*path, field.name)
+            properties[field.name] = self._field(field.type, inner) | (
+                self._default(field, inner) if self._sent else {}
+            )
+        return {"type": "object", "properties": properties, **({} if self._sent else {"required": list(properties)})}
+
+    def _default(self, field: Field, path: tuple[str, ...]) -> DataSchema:
+        """What a field is that is left out: told of scalars, of arrays without a length and of what a type states.
+
+        What its bounds might refuse is not told.
+        """
+        stated, kind = stated_default(field), field.type
+        if self._bounds.get(".".join(path), UNBOUNDED) != UNBOUNDED:
+            return {}
+        if stated is not None:
+            return {"default": list(stated) if isinstance(stated, list) else stated}
+        if isinstance(kind, Primitive):
+            return {"default": zero(kind)}
+        if isinstance(kind, Array) and kind.length is None:
+            return {"default": "" if _is_octets(kind) else []}
+        return {}
 
     def _field(self, kind: FieldType, path: tuple[str, ...]) -> DataSchema:
         self._left -= 1
@@ -83,11 +106,10 @@ class _Schemas:
         return self.fields(self._types[kind.name].fields, path)
 
     def _array(self, kind: Array, path: tuple[str, ...]) -> DataSchema:
-        element = kind.element
-        if isinstance(element, Primitive) and element.name in OCTETS:
+        if _is_octets(kind):
             found = _octets(kind)
         else:
-            found = {"type": "array", "items": self._element(element, path)}
+            found = {"type": "array", "items": self._element(kind.element, path)}
             found |= _given(minItems=kind.length, maxItems=kind.length if kind.length is not None else kind.bound)
         return {"oneOf": [found, _ELIDED]} if self._may_be_elided(kind) else found
 
@@ -104,6 +126,11 @@ class _Schemas:
         return (
             count is None or isinstance(kind.element, Nested) or kind.element.name in STRINGS or count * 8 > self._limit
         )
+
+
+def _is_octets(kind: Array) -> bool:
+    """Whether an array is one string of base64."""
+    return isinstance(kind.element, Primitive) and kind.element.name in OCTETS
 
 
 def _octets(kind: Array) -> DataSchema:

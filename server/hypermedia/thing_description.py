@@ -98,7 +98,7 @@ def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment
     return _fragment(
         {
             **_given(title=one.title, description=one.description),
-            **value_schema(one.shape, lifting),
+            **value_schema(one.shape, lifting, sent=one.write),
             "readOnly": not one.write,
             "writeOnly": not one.read,
             "observable": observable,
@@ -117,7 +117,9 @@ def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
     Its answer is the state of its complex resource, of one that sends goals the goal.
     """
     assert one.request is not None
-    schema: DataSchema | None = message_schema(one.request, lifting) if one.request.type.fields else None
+    schema: DataSchema | None = None
+    if one.request.type.fields:
+        schema = message_schema(one.request, lifting, sent=True)
     return _fragment(
         {
             **_given(title=one.title, input=schema),

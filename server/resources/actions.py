@@ -37,10 +37,11 @@ from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
 from rosld.server.resources.service_request import message_in
+from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
-from rosld.server.rest.path_item import DEFAULTS, Method, PathItem
+from rosld.server.rest.path_item import Method, PathItem
 from rosld.server.rest.resource import READ, Answer, Created, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import Gone, IdempotencyKeyReused
@@ -84,7 +85,7 @@ class ActionResource(Resource):
             is_body_required=False,
             done=(201,),
             shows=_goal_schema(schemas, schema),
-            query=(DEFAULTS,),
+            query=(STRICT,),
         )
         return PathItem(f"The action {self.name}", writes={"POST": send})
 

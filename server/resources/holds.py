@@ -31,10 +31,11 @@ from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.ldp.patch import merge_patch
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.publishing import Publishing
+from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES
-from rosld.server.rest.path_item import DEFAULTS, FORMAT, Method, PathItem, UrlParameter
+from rosld.server.rest.path_item import FORMAT, Method, PathItem, UrlParameter
 from rosld.server.rest.resource import READ, Answer, Created, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.holds import HeldMessage, Hold, HoldEnded, held_message, new_hold
@@ -126,7 +127,7 @@ class HoldResource(Resource):
             ANYTHING,
             is_body_required=False,
             done=(200, 204),
-            query=(DEFAULTS, *hold_parameters()),
+            query=(STRICT, *hold_parameters()),
         )
         end = Method("Ends the hold; what it was told to say last is published.", done=(204,))
         return PathItem(

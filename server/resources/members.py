@@ -38,10 +38,11 @@ from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.preconditions import require_offered, require_writable, seen_anew
 from rosld.server.resources.service_request import called, declined_by, failure, request_in
+from rosld.server.resources.strictness import STRICT, is_strict
 from rosld.server.resources.writes import planned, write_response
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
-from rosld.server.rest.path_item import DEFAULTS, FIELD, FIELD_READS, FORMAT, Method, PathItem
+from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, Method, PathItem
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import ABSENT, READ, Answer, Resource, Shown, moved
 from rosld.server.rest.state import State
@@ -80,10 +81,10 @@ class MemberResource(Resource):
         tree = self._tree
         plan = None if tree is None else tree.property(self.name)
         action = None if tree is None else tree.action(self.name)
-        value = None
+        value = sent = None
         if plan is not None:
             shape = self.robot.offers.member_affordance(plan.member, write=True).shape
-            value = value_schema(shape, schemas.lifting)
+            value, sent = (value_schema(shape, schemas.lifting, sent=each) for each in (False, True))
         sends_goals = action is not None and action.sends_goals
         invoke = Method(
             _SENDS_A_GOAL if sends_goals else _INVOKES,
@@ -91,7 +92,7 @@ class MemberResource(Resource):
             is_body_required=False,
             done=(201,) if sends_goals else (200, 204),
             shows=OBJECT,
-            query=(DEFAULTS,),
+            query=(STRICT,),
         )
         return PathItem(
             f"The {'action' if value is None else 'property'} {self.name}",
@@ -99,7 +100,7 @@ class MemberResource(Resource):
             None if value is None else or_null(as_read(value)),
             (FORMAT, FIELD),
             {
-                "PUT": Method(sends=ANYTHING if value is None else as_sent(value), done=(200, 202, 204)),
+                "PUT": Method(sends=ANYTHING if sent is None else as_sent(sent), done=(200, 202, 204), query=(STRICT,)),
                 "PATCH": Method(sends=ANYTHING if value is None else as_patch(value), done=(200, 202, 204)),
                 "POST": invoke,
             },
@@ -231,16 +232,18 @@ class MemberResource(Resource):
         content = self._content(exchange, plan, await exchange.body())
         changed = () if plan.member.field is None else (plan.of.name,)
         async with self.robot.offers.turn(tree, self.name, changed=changed):
-            written = await self._write(tree, plan, content)
+            written = await self._write(tree, plan, content, defaults=not is_strict(exchange))
             return write_response(written, await carry_out(self.robot, written), exchange.accept)
 
-    async def _write(self, tree: ResourceTree, plan: PropertyPlan, content: object) -> PlannedWrite:
+    async def _write(
+        self, tree: ResourceTree, plan: PropertyPlan, content: object, *, defaults: bool = False
+    ) -> PlannedWrite:
         """How the property comes to be what `content` says, if it may be written now; nothing moves."""
         if plan.conditional or plan.member.field is not None:
             snapshot = await seen_anew(self.robot, tree, plan.reads)
             require_writable(self.robot, plan, snapshot)
             content = self._whole(plan, snapshot, content)
-        return await planned(self.robot, plan.of, content)
+        return await planned(self.robot, plan.of, content, defaults=defaults)
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """Within a turn that names `concerned`."""

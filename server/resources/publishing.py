@@ -19,6 +19,7 @@ from rosld.server.ldp.patch import merge_patch, updated
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.messages import decode
+from rosld.server.resources.strictness import is_strict
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH
 from rosld.server.robot.publication import Publication, no_subscriber_problem, publish
@@ -75,7 +76,7 @@ class Publishing:
 
     def _from_json(self, exchange: Exchange, schema: MessageSchema, data: bytes) -> Message:
         lowering = lowerer(schema, self.robot.lifting)
-        return lowering.from_json(parse_json(data), defaults=exchange.flag("defaults"))
+        return lowering.from_json(parse_json(data), defaults=not is_strict(exchange))
 
     async def require(self, schema: MessageSchema, message: Message) -> None:
         """Raise a LoweringError where a message is outside the limits on what is published here."""

@@ -8,6 +8,7 @@ from rosld.ontology.lower import find_message, lowerer, parse_json
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.value import declined
 from rosld.server.resources.context import Robot
+from rosld.server.resources.strictness import is_strict
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
@@ -20,13 +21,17 @@ async def request_in(exchange: Exchange, robot: Robot, schema: ServiceSchema, ur
 
 
 async def message_in(exchange: Exchange, robot: Robot, schema: MessageSchema, url: str, node: str) -> Message:
-    """The message in a body sent to `url`, in RDF the one at `node`; an empty one where it has no fields."""
+    """The message in a body sent to `url`, in RDF the one at `node`.
+
+    No body is a message without fields: for one that has some, `{}` asks for its defaults, and a body that got lost
+    does not move the robot.
+    """
     data = await exchange.body()
     lowering = lowerer(schema, robot.lifting)
     if not data.strip():
         return lowering.from_json({}, defaults=exchange.flag("defaults"))
     if exchange.media_type == JSON:
-        return lowering.from_json(parse_json(data), defaults=exchange.flag("defaults"))
+        return lowering.from_json(parse_json(data), defaults=not is_strict(exchange))
     body = parse_body(data, exchange.media_type, url)
     root = find_message(body, url, robot.space.class_of(schema.ref.name), node)
     return lowering.from_graph(body, root, url)

@@ -19,9 +19,10 @@ from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
 from rosld.server.resources.service_request import called, failure, request_in
+from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
-from rosld.server.rest.path_item import DEFAULTS, Method, PathItem
+from rosld.server.rest.path_item import Method, PathItem
 from rosld.server.rest.resource import READ, Answer, Created, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import Call, Gone
@@ -61,7 +62,7 @@ class ServiceResource(Resource):
             is_body_required=False,
             done=(201,),
             shows=ANYTHING if schema is None else or_null(schemas.read(schema.response)),
-            query=(DEFAULTS,),
+            query=(STRICT,),
         )
         return PathItem(f"The service {self.name}", writes={"POST": call})
 

@@ -27,9 +27,10 @@ from rosld.server.resources.holds import hold_parameters, hold_schema, hold_topi
 from rosld.server.resources.messages import Decoded, decode, field_response, lifted
 from rosld.server.resources.namespaces import moved_to_namespace
 from rosld.server.resources.publishing import Publishing
+from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
-from rosld.server.rest.path_item import DEFAULTS, FIELD, FIELD_READS, FORMAT, Method, PathItem, UrlParameter
+from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, Method, PathItem, UrlParameter
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
@@ -76,7 +77,7 @@ class TopicResource(Resource):
         if topic is None:
             publishes = "Makes a topic that is not there yet: RDF that states the type of the message."
         writes = {
-            "PUT": Method(publishes, sent, done=(200, 201, 202, 204), query=(DEFAULTS, _LATCH)),
+            "PUT": Method(publishes, sent, done=(200, 201, 202, 204), query=(STRICT, _LATCH)),
             "PATCH": Method(
                 "Publishes the latest message with changes.",
                 OBJECT if schema is None else as_patch(message_schema(schema)),
@@ -88,7 +89,7 @@ class TopicResource(Resource):
                 sent,
                 done=(201,),
                 shows=hold_schema(schemas, schema),
-                query=(DEFAULTS, *hold_parameters(required="rate")),
+                query=(STRICT, *hold_parameters(required="rate")),
             ),
             "DELETE": Method("Stops to advertise the topic; 405 while this server does not advertise it.", done=(204,)),
         }

@@ -24,7 +24,6 @@ class UrlParameter:
 
 FORMAT = UrlParameter("format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS]})
 FIELD = UrlParameter("field", "The path of one field, such as `pose.position.x`: its bytes are the answer.")
-DEFAULTS = UrlParameter("defaults", "Whether fields that JSON leaves out are ROS's defaults.", {"type": "boolean"})
 PAGE = UrlParameter("page", "A page of messages, from 0.", {"type": "integer", "minimum": 0})
 FIELD_READS = (*OFFERS, BYTES, "text/plain")
 """What a value is read as, of which `FIELD` asks for a part."""

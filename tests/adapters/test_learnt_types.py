@@ -76,6 +76,7 @@ class FieldType:
 class Field:
     name: str
     type: FieldType
+    default_value: str = ""
 
 
 @dataclass

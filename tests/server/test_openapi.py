@@ -200,7 +200,11 @@ def test_messages_are_described_by_the_schemas_of_their_types(http: httpx.Client
     description = described(http)
     put = path_item(description, "/topics/cockpit/display")["put"]
     assert put["requestBody"]["content"]["application/json"]["schema"] == {
-        "$ref": "#/components/schemas/std_msgs.msg.String"
+        "$ref": "#/components/schemas/std_msgs.msg.String.sent"
+    }
+    assert description["components"]["schemas"]["std_msgs.msg.String.sent"] == {
+        "type": "object",
+        "properties": {"data": {"type": "string", "default": ""}},
     }
     assert description["components"]["schemas"]["std_msgs.msg.String"] == {
         "type": "object",

@@ -108,7 +108,7 @@ def test_an_action_answers_with_what_became_of_its_namespace(robot: MadeUp, serv
     assert answer.headers["content-location"] == f"{http.base_url}resources/arm/"
     (call,) = [one for one in answer.headers.get_list("link") if "/calls/" in one]
     assert http.get(call[1 : call.index(">")]).status_code == 200
-    assert "elevation" in http.post("/resources/arm/aim", json={"azimuth": 7}).text
+    assert "elevation" in http.post("/resources/arm/aim?strict=true", json={"azimuth": 7}).text
     assert http.post("/resources/arm/aim", json={"azimuth": "x", "elevation": 0}).status_code == 422
     assert (
         http.post("/resources/arm/aim", content=b"{", headers={"Content-Type": "application/json"}).status_code == 400

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import importlib
 import json
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from rosld.adapters.model import TypeRef, library
+from rosld.adapters.model import MessageSchema, Primitive, TypeRef, library
 from rosld.adapters.ros2 import middleware, types
 
 SHARE = Path(sys.prefix) / "share"
@@ -77,3 +78,19 @@ def test_a_type_that_lies_nowhere_here_is_asked_of_the_node_that_uses_it_however
             assert {field.name for field in nested.type.fields} == {"position", "orientation"}
 
     asyncio.run(scenario())
+
+
+def test_what_every_message_installed_here_is_made_with_are_the_defaults_of_its_type() -> None:
+    known = library.TypeLibrary(ros_version=2, folders=types.definition_folders([], {}))
+    checked = 0
+    for path in sorted(SHARE.glob("*/msg/*.msg")):
+        package, name = path.parent.parent.name, path.stem
+        made = getattr(importlib.import_module(f"{package}.msg"), name)()
+        schema = known.find(TypeRef(f"{package}/msg/{name}"))
+        assert isinstance(schema, MessageSchema)
+        for field in schema.type.fields:
+            if isinstance(field.type, Primitive) and field.type.name != "byte":  # which is bytes in Python
+                stated = field.default if field.default is not None else type(getattr(made, field.name))()
+                assert getattr(made, field.name) == stated, f"{package}/{name}.{field.name}"
+                checked += field.default is not None
+    assert checked > 4

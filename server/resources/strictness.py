@@ -1,0 +1,26 @@
+"""Strictness: whether what JSON leaves out is refused or has its default. RDF says all of a message, or is refused."""
+
+from __future__ import annotations
+
+from rosld.server.http.problem import Problem
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.path_item import UrlParameter
+
+STRICT = UrlParameter(
+    "strict",
+    "Whether fields that JSON leaves out are refused; otherwise they have their defaults.",
+    {"type": "boolean"},
+)
+
+
+def is_strict(exchange: Exchange) -> bool:
+    """Whether a message in JSON must have all its fields: `?strict=true`, or `?defaults=false`, as it was once called.
+
+    Raises a 400 Problem where the two contradict each other.
+    """
+    strict = exchange.flag("strict")
+    if "defaults" not in exchange.query:
+        return strict
+    if "strict" in exchange.query and exchange.flag("defaults") == strict:
+        raise Problem(400, "?strict and ?defaults contradict each other: leave ?defaults out.")
+    return not exchange.flag("defaults")

@@ -1,0 +1,269 @@
+"""What JSON leaves out of a message has its default, as ROS's own tools have it; RDF says all of a message."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import jsonschema
+import pytest
+
+from tests.server.robots.made_up import TYPES, MadeUp, Serving
+from tests.waiting import until
+
+DRIVE, GOAL, TURN = "/drive", "/goal", "/turn"
+TWIST = "https://w3id.org/rosld/types/geometry_msgs/msg/Twist"
+VECTOR = "https://w3id.org/rosld/types/geometry_msgs/msg/Vector3"
+ZERO = {"x": 0.0, "y": 0.0, "z": 0.0}
+POSED = {"position": ZERO, "orientation": {**ZERO, "w": 1.0}}
+NAMES = {
+    "speed": 0.5,
+    "times": 3,
+    "name": "all of it",
+    "far": "9223372036854775807",
+    "least": "-INF",
+    "octets": "AQI=",
+    "three": [1.0, 2.0, 3.0],
+    "words": ["a", "b"],
+    "pose": POSED,
+    "poses": [],
+    "pair": [POSED, POSED],
+    "plain": 0.0,
+    "text": "",
+    "on": False,
+    "nothing": [],
+    "four": [0, 0, 0, 0],
+}
+"""What `made_up/srv/Turn` is asked with where nobody says anything, as plain JSON."""
+REQUEST = """float32 speed 0.5
+uint8 times 3
+string name "all of it"
+int64 far 9223372036854775807
+float64 least -inf
+uint8[] octets [1, 2]
+float64[3] three [1, 2, 3]
+string[] words ["a", 'b']
+geometry_msgs/Pose pose
+geometry_msgs/Pose[] poses
+geometry_msgs/Pose[2] pair
+float64 plain
+string text
+bool on
+int32[] nothing
+int32[4] four
+---
+bool success true
+"""
+
+
+@pytest.fixture
+def robot(monkeypatch: pytest.MonkeyPatch) -> MadeUp:
+    """A robot that drives, goes somewhere, and turns."""
+    monkeypatch.setitem(TYPES, "made_up/srv/Turn", REQUEST)
+    found = MadeUp()
+    found.topic(DRIVE, "geometry_msgs/msg/Twist", published=False, heard=True)
+    found.topic(GOAL, "geometry_msgs/msg/PoseStamped", published=False, heard=True)
+    found.answer(TURN, "made_up/srv/Turn")
+    return found
+
+
+@pytest.fixture
+def http(robot: MadeUp, serving: Serving) -> httpx.Client:
+    return serving()
+
+
+def missing(answer: httpx.Response) -> set[str]:
+    """The paths of the fields that an answer says are missing."""
+    assert answer.status_code == 422, answer.text
+    violations = answer.json()["violations"]
+    assert all(one["message"].startswith("missing") for one in violations), violations
+    return {one["path"] for one in violations}
+
+
+def asked(robot: MadeUp) -> list[dict[str, Any]]:
+    """Have the robot keep the requests of its service."""
+    requests: list[dict[str, Any]] = []
+    robot.offer(TURN, "made_up/srv/Turn", lambda request: requests.append(request) or {})
+    return requests
+
+
+def test_a_field_that_is_left_out_is_zero(http: httpx.Client, robot: MadeUp) -> None:
+    assert http.put(f"/topics{DRIVE}", json={"linear": {"x": 0.2}}).status_code == 204
+    assert http.put(f"/topics{DRIVE}", json={}).status_code == 204
+    assert robot.sent[DRIVE] == [
+        {"linear": {**ZERO, "x": 0.2}, "angular": ZERO},
+        {"linear": ZERO, "angular": ZERO},
+    ]
+
+
+def test_a_quaternion_that_is_left_out_turns_nothing(http: httpx.Client, robot: MadeUp) -> None:
+    bodies = (
+        {"pose": {"position": {"x": 1}}},
+        {"pose": {"orientation": {"z": 0.5}}},
+        {"pose": {"orientation": {"w": 0}}},
+    )
+    for body in bodies:
+        assert http.put(f"/topics{GOAL}", json=body).status_code == 204
+    assert [sent["pose"]["orientation"] for sent in robot.sent[GOAL]] == [
+        {**ZERO, "w": 1.0},
+        {**ZERO, "z": 0.5, "w": 1.0},
+        {**ZERO, "w": 0.0},
+    ]
+
+
+def test_a_request_has_what_its_definition_gives_it(http: httpx.Client, robot: MadeUp) -> None:
+    requests = asked(robot)
+    assert http.post(f"/services{TURN}", json={}).status_code == 201
+    assert http.post(f"/services{TURN}", json={"times": 0, "pair": [{}, {"position": {"x": 1}}]}).status_code == 201
+    there = {"position": {**ZERO, "x": 1.0}, "orientation": POSED["orientation"]}
+    assert requests == [NAMES, {**NAMES, "times": 0, "pair": [POSED, there]}]
+
+
+@pytest.mark.parametrize("query", ["strict=true", "strict", "defaults=false", "strict=true&defaults=false"])
+def test_who_asks_for_strictness_is_told_what_is_missing(http: httpx.Client, robot: MadeUp, query: str) -> None:
+    answer = http.put(f"/topics{DRIVE}?{query}", json={"linear": {"x": 1}})
+    assert missing(answer) == {"linear.y", "linear.z", "angular"}
+    held = http.post(f"/topics{DRIVE}?rate=10&{query}", json={"linear": ZERO})
+    assert missing(held) == {"angular"}
+    assert "pose" in missing(http.post(f"/services{TURN}?{query}", json={"speed": 1}))
+    assert not robot.sent
+    assert not robot.calls
+
+
+@pytest.mark.parametrize("query", ["defaults=true", "strict=false", "defaults", "strict=false&defaults=true"])
+def test_who_asks_for_defaults_has_them_as_ever(http: httpx.Client, query: str) -> None:
+    assert http.put(f"/topics{DRIVE}?{query}", json={}).status_code == 204
+
+
+@pytest.mark.parametrize("query", ["strict=true&defaults=true", "strict=false&defaults=false", "strict=perhaps"])
+def test_what_contradicts_itself_is_refused(http: httpx.Client, robot: MadeUp, query: str) -> None:
+    assert http.put(f"/topics{DRIVE}?{query}", json={}).status_code == 400
+    assert not robot.sent
+
+
+@pytest.mark.parametrize("body", [{"linaer": {"x": 1}}, {"linear": {"x": 1, "w": 1}}, {"linear": None}, [], None])
+def test_what_is_written_wrongly_is_not_left_out(http: httpx.Client, robot: MadeUp, body: object) -> None:
+    answer = http.put(f"/topics{DRIVE}", content=json.dumps(body), headers=JSON)
+    assert answer.status_code == 422, answer.text
+    assert not robot.sent
+
+
+JSON = {"Content-Type": "application/json"}
+
+
+@pytest.mark.parametrize("query", ["", "?defaults=true", "?strict=false"])
+def test_rdf_says_all_of_a_message(http: httpx.Client, robot: MadeUp, query: str) -> None:
+    part = f"<#message> a <{TWIST}> ; <{TWIST}#linear> [ a <{VECTOR}> ; <{VECTOR}#x> 1.0 ] ."
+    answer = http.put(f"/topics{DRIVE}{query}", content=part, headers={"Content-Type": "text/turtle"})
+    assert missing(answer) == {"linear.y", "linear.z", "angular"}
+    assert not robot.sent
+
+
+def test_a_body_that_got_lost_is_no_request_with_fields(http: httpx.Client, robot: MadeUp) -> None:
+    for headers in ({}, JSON, {"Content-Type": "text/turtle"}):
+        assert "pose" in missing(http.post(f"/services{TURN}", headers=headers))
+        assert "pose" in missing(http.post(f"/resources{TURN}", headers=headers))
+    assert not robot.calls
+
+
+def test_a_patch_changes_what_it_names_and_removes_no_field(http: httpx.Client, robot: MadeUp) -> None:
+    http.put(f"/topics{GOAL}", json={"header": {"frame_id": "map"}, "pose": {"orientation": {"z": 1, "w": 0}}})
+    at = {"If-Match": http.get(f"/topics{GOAL}").headers["etag"], "Content-Type": "application/merge-patch+json"}
+    removed = http.patch(f"/topics{GOAL}", content='{"pose": {"orientation": {"w": null}}}', headers=at)
+    assert missing(removed) == {"pose.orientation.w"}
+    assert http.patch(f"/topics{GOAL}", content='{"pose": {"position": {"x": 2}}}', headers=at).status_code == 204
+    assert robot.sent[GOAL][-1]["header"]["frame_id"] == "map"
+    assert robot.sent[GOAL][-1]["pose"] == {
+        "position": {**ZERO, "x": 2.0},
+        "orientation": {"x": 0.0, "y": 0.0, "z": 1.0, "w": 0.0},
+    }
+
+
+def test_a_hold_says_what_was_left_out_too(http: httpx.Client, robot: MadeUp) -> None:
+    begun = http.post(f"/topics{DRIVE}?rate=10&lease=5", json={"linear": {"x": 1}})
+    assert begun.status_code == 201, begun.text
+    changed = http.patch(begun.headers["location"], json={"angular": {"z": 1}})
+    assert changed.status_code == 204, changed.text
+    until(lambda: {"linear": ZERO, "angular": {**ZERO, "z": 1.0}} in robot.sent[DRIVE], "the command after the change")
+    assert robot.sent[DRIVE][0] == {"linear": {**ZERO, "x": 1.0}, "angular": ZERO}
+    assert http.delete(begun.headers["location"]).status_code == 204
+
+
+def test_the_value_of_a_resource_is_filled_up_and_a_member_that_is_patched_is_not(
+    http: httpx.Client, robot: MadeUp
+) -> None:
+    values = robot.variable("/arm/range", "Range", low=1.0, high=2.0)
+    place = "/resources/arm/range"
+    assert missing(http.put(f"{place}?strict=true", json={"high": 3})) == {"low"}
+    assert http.put(place, json={"high": 3}).status_code == 204
+    assert values == {"low": 0.0, "high": 3.0}
+    merge = {"Content-Type": "application/merge-patch+json"}
+    assert http.patch("/resources/arm/", content='{"range": {"low": 1}}', headers=merge).status_code == 204
+    assert values == {"low": 1.0, "high": 3.0}
+
+
+def test_a_goal_is_filled_up(serve: Callable[..., Any]) -> None:
+    plane: httpx.Client = serve("aircraft").http
+    assert missing(plane.post("/actions/aircraft/fly?strict=true", json={})) == {"distance"}
+    refused = plane.post("/actions/aircraft/fly", json={})
+    assert refused.status_code == 409, "the aircraft is off: it is asked all the same"
+    assert plane.get(refused.headers["location"], headers={"Accept": "application/json"}).json()["goal"] == {
+        "distance": 0.0
+    }
+
+
+# What is said of it
+
+
+def test_a_form_is_filled_with_the_defaults(http: httpx.Client) -> None:
+    page = http.get(f"/topics{GOAL}", headers={"Accept": "text/html"}).text
+    (w,) = [line for line in page.split("<input") if 'name="pose.orientation.w"' in line]
+    assert 'value="1.0"' in w.partition(">")[0]
+    page = http.get(f"/services{TURN}", headers={"Accept": "text/html"}).text
+    assert 'value="0.5"' in page
+    assert 'value="all of it"' in page
+    assert re.search(r">\s*AQI=</textarea>", page)
+
+
+def test_the_description_says_what_may_be_left_out_and_what_it_is_then(http: httpx.Client, robot: MadeUp) -> None:
+    schemas = http.get("/openapi.json").json()["components"]["schemas"]
+    sent = schemas["made_up.srv.Turn_Request.sent"]
+    assert "required" not in sent
+    told = {name: one["default"] for name, one in sent["properties"].items() if "default" in one}
+    assert told == {name: value for name, value in NAMES.items() if name not in ("pose", "pair", "four")}
+    assert sent["properties"]["pose"]["properties"]["orientation"]["properties"]["w"]["default"] == 1.0
+    jsonschema.Draft202012Validator(sent).validate({})
+    for name, value in told.items():
+        jsonschema.Draft202012Validator(sent["properties"][name]).validate(value)
+    read = schemas["made_up.srv.Turn_Response"]
+    assert read["required"] == ["success"]
+    assert "default" not in read["properties"]["success"]
+
+
+def test_a_thing_description_says_so_too(http: httpx.Client, robot: MadeUp) -> None:
+    robot.variable("/arm/range", "Range", low=1.0, high=2.0)
+    robot.variable("/arm/reach", "Range", set=None, low=1.0, high=2.0)
+    thing = http.get("/resources/arm/", headers={"Accept": "application/td+json"}).json()
+    written, read = (thing["properties"][name] for name in ("range", "reach"))
+    assert "required" not in written
+    assert written["properties"]["low"]["default"] == 0.0
+    assert read["required"] == ["low", "high"]
+    assert "default" not in read["properties"]["low"]
+    root = http.get("/resources/", headers={"Accept": "application/td+json"}).json()
+    assert root["actions"]["turn"]["input"]["properties"]["times"]["default"] == 3
+    assert "required" not in root["actions"]["turn"]["input"]
+
+
+def test_a_shape_states_defaults_and_asks_for_every_field(http: httpx.Client) -> None:
+    lines = http.get("/shapes/geometry_msgs/msg/Quaternion", headers={"Accept": "application/n-triples"}).text
+    about = [
+        line
+        for line in lines.splitlines()
+        if line.startswith(f"<{http.base_url}shapes/geometry_msgs/msg/Quaternion#w>")
+    ]
+    double = '"1.0"^^<http://www.w3.org/2001/XMLSchema#double>'
+    assert any("shacl#defaultValue" in line and double in line for line in about)
+    assert any("shacl#minCount" in line for line in about)

@@ -226,6 +226,13 @@ class Adapter(Protocol):
         """Ask for a goal to be canceled, whoever sent it; that it is comes by the sink. Raises Refused, NotFound."""
         ...
 
+    async def cancel_goals(self, action: str, *, deadline: float) -> None:
+        """Ask for all goals of an action to be canceled, whoever sent them; there may be none.
+
+        Raises Refused, TimedOut, Unreachable, NotFound.
+        """
+        ...
+
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
         """Have the sink told of all goals of an action, those of others too, until the watch is closed. Counted.
 

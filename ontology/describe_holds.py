@@ -12,7 +12,7 @@ from rosld.adapters.model import Message, MessageSchema
 from rosld.ontology.affordances import affordance, form
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.lift import LiftSettings, lifter
-from rosld.ontology.triples import RDF_SOURCE, about, boolean, double, each, moment, text
+from rosld.ontology.triples import RDF_SOURCE, about, boolean, double, each, integer, moment, text
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import hctl, js, rdf, rdfs, ros, td
 
@@ -101,12 +101,16 @@ def holdable(topic: str) -> list[Triple]:
 
 @dataclass(frozen=True, slots=True)
 class StepView:
-    """A step of a stop: what it does in words, its state, why it failed, and the URLs of what it is about."""
+    """A step of a stop: what it does in words, its state, why it failed, and the URLs of what it is about.
+
+    `subscribers` is how many got the message that it published, None where it published none.
+    """
 
     does: str
     state: NamedNode
     words: str | None = None
     touches: tuple[str, ...] = ()
+    subscribers: int | None = None
 
 
 def stop_document(
@@ -116,11 +120,12 @@ def stop_document(
     by: str | None = None,
     since_ns: int | None = None,
     reason: str | None = None,
+    warning: str | None = None,
     usable: bool = True,
 ) -> Document:
     """The stop: whether the robot is stopped (`by` somebody), and what is done to stop it.
 
-    `usable`: the robot can be stopped here, and forms say how.
+    `warning` says why it may go on moving all the same. `usable`: the robot can be stopped here, and forms say how.
     """
     url = space.stop
     subject = NamedNode(url)
@@ -133,6 +138,7 @@ def stop_document(
         (ros.stoppedBy, text(by)),
         (ros.stoppedAt, moment(since_ns)),
         (ros.reason, text(reason)),
+        (ros.warning, text(warning)),
         *each(ros.stopStep, nodes),
     )
     for node, step in zip(nodes, steps, strict=True):
@@ -140,6 +146,7 @@ def stop_document(
             node,
             (rdfs.label, text(step.does)),
             (ros.state, step.state),
+            (ros.subscriberCount, integer(step.subscribers)),
             (ros.words, text(step.words)),
             *each(ros.touches, map(NamedNode, step.touches)),
         )

@@ -13,7 +13,9 @@ TWISTS = frozenset(
     f"geometry_msgs/msg/{name}"
     for name in ("Twist", "TwistStamped", "TwistWithCovariance", "TwistWithCovarianceStamped")
 ) | {"ackermann_msgs/msg/AckermannDrive", "ackermann_msgs/msg/AckermannDriveStamped"}
-"""Types that command velocities: their zero stands still."""
+"""Types of velocities: their zero stands still."""
+COMMANDS = TWISTS - {f"geometry_msgs/msg/TwistWithCovariance{stamped}" for stamped in ("", "Stamped")}
+"""Those of them that command velocities: a covariance is what measurements have."""
 _TEXTS = frozenset({"string", "wstring"})
 
 
@@ -44,6 +46,23 @@ def _zero(schema: MessageSchema, kind: FieldType, value: object) -> object:
             assert isinstance(value, list)
             return [_zero(schema, element, each) for each in value]
     raise AssertionError(f"no field is a {kind}")
+
+
+def is_zero(schema: MessageSchema, message: Message) -> bool:
+    """Whether a message says nothing but zero: numbers 0, booleans false, texts empty; headers do not count."""
+    return _is_zero(schema, Nested(schema.ref.name), message)
+
+
+def _is_zero(schema: MessageSchema, kind: FieldType, value: object) -> bool:
+    match kind:
+        case Nested(name=name):
+            fields = () if name == HEADER else schema.types[name].fields
+            return all(_is_zero(schema, one.type, getattr(value, one.attribute)) for one in fields)
+        case Array(element=element) if isinstance(value, list):
+            return all(_is_zero(schema, element, each) for each in value)
+        case Array() if isinstance(value, np.ndarray):
+            return not np.any(value)
+    return not value
 
 
 def has_header(schema: MessageSchema) -> bool:

@@ -219,6 +219,8 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     stoppedBy: NamedNode
     stoppedAt: NamedNode
     stopStep: NamedNode
+    subscriberCount: NamedNode
+    warning: NamedNode
 
     # recordings
     Bag: NamedNode

@@ -80,6 +80,19 @@ class Settings:
         option=True,
         metavar="GLOB",
     )
+    stop_zero: tuple[str, ...] = setting(
+        (),
+        "Topics on which a stop publishes zero, beside those that command velocities by their type (Twist, "
+        "TwistStamped, AckermannDrive and stamped); with '!' before it, topics that it leaves alone. Repeatable.",
+        option=True,
+        metavar="GLOB",
+    )
+    stop_cancels: str = setting(
+        "own",
+        "The goals that a stop cancels: 'own', sent through rosld, or 'others', all goals of all actions.",
+        option=True,
+        metavar="WHOSE",
+    )
     resources_only: tuple[str, ...] = setting(
         (),
         "ROS names that are written under /resources/ only, where mappings guard them: /topics, /services and "
@@ -301,6 +314,8 @@ class Settings:
         _check_namespace(self.types_namespace)
         for declared in declarations():
             _check_least(declared, getattr(self, declared.name))
+        if self.stop_cancels not in ("own", "others"):
+            raise ValueError(f"--stop-cancels {self.stop_cancels}: it is own or others")
         if self.port > 65535:
             raise ValueError(f"--port {self.port}: a port is at most 65535")
         for origin in self.cors_origins:

@@ -238,6 +238,13 @@ class Aircraft:
         self._fly = cancel(self._fly)
         self._told(self._fly, GoalEvent(time.time_ns(), GoalStatus.CANCELING, own=True))
 
+    async def cancel_goals(self, action: str, *, deadline: float) -> None:
+        """Have the aircraft fly no further, if it pursues a goal."""
+        self._reachable(deadline)
+        self._action(action)
+        if self._fly is not None:
+            await self.cancel_goal(GoalId(action, self._fly.id), deadline=deadline)
+
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
         """All its goals are ours, and told in any case."""
         self._action(action)

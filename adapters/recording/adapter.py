@@ -156,6 +156,10 @@ class RecordingAdapter:
         """There is none."""
         raise NotFound(f"there is no action {goal.action}: a recording has none")
 
+    async def cancel_goals(self, action: str, *, deadline: float) -> None:
+        """There are none."""
+        raise NotFound(f"there is no action {action}: a recording has none")
+
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
         """Recordings have no actions."""
         raise NotFound(f"there is no action {action}: a recording has none")

@@ -147,7 +147,7 @@ def goal_message(id: str, stamp_ns: int, goal: bytes) -> bytes:
 
 
 def cancel_message(id: str) -> bytes:
-    """A GoalID that asks for just this goal to be canceled."""
+    """A GoalID that asks for just this goal to be canceled, or with an empty id for all."""
     return _TIME.pack(0, 0) + _text(id)
 
 

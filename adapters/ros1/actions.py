@@ -226,10 +226,24 @@ class Actions:
         self._require(goal.action)
         if not goal.id:  # actionlib reads it as: all goals
             raise NotFound(f"{goal.action} has no goal without an id")
-        publication = await self._publications.advertise(f"{goal.action}/cancel", _CANCEL, until)
-        if not await publication.connected_to(self._servers(goal.action), until):
-            raise Unreachable(f"no goal was canceled: no server of {goal.action} listens")
-        self._ask_to_cancel(goal, publication, _ASKED)
+        self._ask_to_cancel(goal, await self._cancellation(goal.action, until), _ASKED)
+
+    async def cancel_all(self, action: str, until: float) -> None:
+        """Ask for all goals of an action to be canceled: actionlib reads an empty id so.
+
+        Raises NotFound, Unreachable.
+        """
+        self._require(action)
+        publication = await self._cancellation(action, until)
+        for seconds in (0.0, _ASKED_AGAIN):  # once more, as with one goal; longer would meet goals that come later
+            asyncio.get_running_loop().call_later(seconds, publication.send, cancel_message(""), False)
+
+    async def _cancellation(self, action: str, until: float) -> Publication:
+        """The topic on which goals of an action are canceled, its server connected. Raises Unreachable."""
+        publication = await self._publications.advertise(f"{action}/cancel", _CANCEL, until)
+        if not await publication.connected_to(self._servers(action), until):
+            raise Unreachable(f"no goal was canceled: no server of {action} listens")
+        return publication
 
     def _ask_to_cancel(self, goal: GoalId, publication: Publication, times: int) -> None:
         """Ask, and ask again: a server that connects to its publishers anew just then loses what it is told."""

@@ -229,6 +229,11 @@ class Ros1Adapter:
         thread, client = self._running()
         await thread.run(client.actions.cancel(goal, _until(deadline)))
 
+    async def cancel_goals(self, action: str, *, deadline: float) -> None:
+        """Ask for all goals of an action to be canceled. Raises NotFound, Unreachable."""
+        thread, client = self._running()
+        await thread.run(client.actions.cancel_all(action, _until(deadline)))
+
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
         """Read what the server tells of goals, without a trace at the master, until the watch is closed."""
         thread, client = self._running()

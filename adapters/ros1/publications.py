@@ -76,16 +76,19 @@ class Publications:
 
         Raises Refused where our address does not answer or the topic is ours with another type, UnknownType.
         """
+        wanted = 1
         async with self._advertising:
             publication = self.by_topic.get(topic)
             if publication is None:
                 publication, subscribers = await self._advertise(topic, type, until)
-                await publication.matching(max(1, len(subscribers)), until, _PATIENCE)
+                wanted = max(1, len(subscribers))
             elif not publication.carries(type):
                 raise Refused(
                     f"rosld publishes {topic} as {publication.ref.name} ({publication.ref.hash}), not {type.name}"
                 )
-            return publication
+        # Outside the lock: a topic whose subscribers never connect must not hold up the others.
+        await publication.matching(wanted, until, _PATIENCE)
+        return publication
 
     async def unadvertise(self, topic: str) -> None:
         """Stop publishing. Raises NotFound."""

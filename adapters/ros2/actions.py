@@ -129,14 +129,28 @@ class Actions:
             raise NotFound(
                 f"{goal.action} has no goal {goal.id!r}: a goal's id is {2 * _UUID} hex digits, not all zero"
             )
-        info = make_message("action_msgs/msg/GoalInfo", {"goal_id": _uuid(id)})
-        request = make_message(_CANCEL, {"goal_info": info}, "Request")
-        answer = cast(Any, await self._calls.call(f"{goal.action}/_action/cancel_goal", _CANCEL, request, until))
+        answer = await self._ask_to_cancel(goal.action, id, until)
         if answer.return_code == 2:
             raise NotFound(f"{goal.action} knows no goal {goal.id}")
         if answer.return_code != 0 or not answer.goals_canceling:
             words = _CANCELED_NOT.get(answer.return_code, "the server refuses to cancel it")
             raise Refused(f"the goal {goal.id} of {goal.action} is not canceled: {words}", words=words, sent=Sent.YES)
+
+    async def cancel_all(self, action: str, until: float) -> None:
+        """Ask for all goals of an action to be canceled: a zero id without a time is read so (CancelGoal.srv).
+
+        Raises Refused, TimedOut, Unreachable.
+        """
+        answer = await self._ask_to_cancel(action, bytes(_UUID), until)
+        if answer.return_code == 1:
+            words = _CANCELED_NOT[1]
+            raise Refused(f"the goals of {action} are not canceled: {words}", words=words, sent=Sent.YES)
+
+    async def _ask_to_cancel(self, action: str, id: bytes, until: float) -> Any:
+        """The answer of an action server that is asked to cancel."""
+        info = make_message("action_msgs/msg/GoalInfo", {"goal_id": _uuid(id)})
+        request = make_message(_CANCEL, {"goal_info": info}, "Request")
+        return await self._calls.call(f"{action}/_action/cancel_goal", _CANCEL, request, until)
 
     async def follow(self, action: Action, until: float) -> Callable[[], None]:
         """Tell of all goals of an action until what is returned is called. Waits for what is known of them now."""

@@ -248,6 +248,11 @@ class Ros2Adapter:
         thread, system = self._running()
         await thread.run(system.cancel_goal(goal, _until(deadline)))
 
+    async def cancel_goals(self, action: str, *, deadline: float) -> None:
+        """Ask for all goals of an action to be canceled. Raises Refused, TimedOut, Unreachable, NotFound."""
+        thread, system = self._running()
+        await thread.run(system.cancel_goals(action, _until(deadline)))
+
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
         """Have the sink told of all goals of an action. Raises NotFound."""
         thread, system = self._running()

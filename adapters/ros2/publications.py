@@ -112,13 +112,19 @@ class Publications:
 
         Raises Refused where it is ours with another type, UnknownType, Unreachable.
         """
+        wanted = 1
         async with self._advertising:
             publication = self._by_topic.get(topic)
             if publication is not None and not publication.carries(type):
                 raise Refused(f"rosld publishes {topic} as {publication.ref.name}, not {type.name}")
             if publication is None or not self.suits(publication, latch):
                 publication = await self._advertise(topic, type, latch, until)
-            return publication
+                known = self._graph().topics.get(topic)
+                wanted = max(1, len(known.subscribers) if known else 0)
+        # Outside the lock: a topic whose subscribers never match must not hold up the others.
+        await publication.matching(wanted, until, _PATIENCE)
+        await publication.settled(until)
+        return publication
 
     def suits(self, publication: Publication, latch: bool) -> bool:
         """Whether all subscribers still accept a publication's profile. From any thread."""
@@ -165,7 +171,4 @@ class Publications:
         publication = Publication(topic, schema.ref, writer, partial(self._reader_of, topic))
         self._by_topic[topic] = publication
         await self._look((topic,))
-        known = self._graph().topics.get(topic)
-        await publication.matching(max(1, len(known.subscribers) if known else 0), until, _PATIENCE)
-        await publication.settled(until)
         return publication

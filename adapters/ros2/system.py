@@ -154,6 +154,11 @@ class System:
         self._action(goal.action)
         await self.actions.cancel(goal, until)
 
+    async def cancel_goals(self, name: str, until: float) -> None:
+        """Ask for all goals of an action to be canceled. Raises Refused, TimedOut, Unreachable, NotFound."""
+        self._action(name)
+        await self.actions.cancel_all(name, until)
+
     async def follow_goals(self, name: str, until: float) -> Callable[[], None]:
         """Have the sink told of all goals of an action until what is returned is called. Raises Refused, NotFound."""
         return await self.actions.follow(self._action(name), until)

@@ -211,6 +211,14 @@ class Rover:
             raise NotFound(f"the rover does not pursue the goal {goal.id}")
         self._tell(goal.id, GoalEvent(time.time_ns(), GoalStatus.CANCELING, own=True))
 
+    async def cancel_goals(self, action: str, *, deadline: float) -> None:
+        """Have the rover drive no further, if it pursues a goal."""
+        self._reachable(deadline)
+        self._action(action)
+        journey = self._simulation.state.journey
+        if journey is not None:
+            await self.cancel_goal(GoalId(action, journey.id), deadline=deadline)
+
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
         """All its goals are ours, and told in any case."""
         self._action(action)

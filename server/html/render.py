@@ -25,6 +25,7 @@ from rosld.server.html.message_sections import carried
 from rosld.server.html.offer import FormTarget, draw, posted_forms
 from rosld.server.html.page import THING, EntryPage, Notice, Page, ProblemPage, QueryPage, SparqlPage, Tone
 from rosld.server.html.site import Anchor, Site
+from rosld.server.html.stop_steps import stop_steps
 from rosld.server.html.tables import table
 from rosld.server.html.view import visible
 from rosld.server.hypermedia.views import ComplexView, PropertyView
@@ -67,7 +68,7 @@ _NOTICED = (
     (ros.uncallable, "Cannot be called"),
     (ros.lifecycleUnknown, "Lifecycle not known"),
 )
-_DRAWN = (ldp.contains, ros.endpoint, td.hasActionAffordance, td.hasEventAffordance)
+_DRAWN = (ldp.contains, ros.endpoint, ros.stopStep, ros.warning, td.hasActionAffordance, td.hasEventAffordance)
 """What a page shows as a table or a form, and keeps folded beside that."""
 _LOUDEST_FIRST = (Tone.ERROR, Tone.WARNING, Tone.GOOD, Tone.INFO)
 _STEPS = {"first": "First", "prev": "Previous", "next": "Next", "last": "Last"}
@@ -208,6 +209,7 @@ def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
             "sections": (),
             "groups": (),
             "endpoints": None,
+            "told": None,
             "folded": describe(document, site),
         }
     messages = carried(document, site)
@@ -223,6 +225,7 @@ def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
         "sections": sections[:1] if groups else sections,
         "groups": groups,
         "endpoints": endpoints(document, site),
+        "told": stop_steps(document, site),
         "folded": describe(document, site, without=own - left) if left else (),
     }
 
@@ -232,7 +235,9 @@ def _own_notices(page: Page) -> tuple[Notice, ...]:
     if page.offer is not None:
         return ()
     found = ((words, first_text(page.document, predicate)) for predicate, words in _NOTICED)
-    return tuple(Notice(f"{words}: {text}", Tone.WARNING) for words, text in found if text)
+    notices = tuple(Notice(f"{words}: {text}", Tone.WARNING) for words, text in found if text)
+    warning = "" if page.site.stop_warning else first_text(page.document, ros.warning)  # which every page shows
+    return (Notice(warning, Tone.ERROR), *notices) if warning else notices
 
 
 def _curl(url: str, accept: str) -> str:

@@ -61,6 +61,8 @@ class Site:
     """The token of the form that stops the robot; empty where it cannot be stopped from here."""
     stopped: str = ""
     """Who stopped the robot, when and why, in a sentence; empty while it is not stopped."""
+    stop_warning: str = ""
+    """Why it may go on moving although it is stopped, in a sentence; empty where nothing says so."""
     may: Callable[[str, str], bool] = field(default=_anything, compare=False)
     """Whether the reader may use a method at a URL."""
     may_subtree: Callable[[str, str], bool] = field(default=_anything, compare=False)

@@ -49,6 +49,7 @@ from rosld.server.hypermedia.value import (
 from rosld.server.robot.calls import UnreadableResponse
 from rosld.server.robot.publication import Publication, publish
 from rosld.server.robot.session import Session
+from rosld.server.robot.velocity import passes_stop
 from rosld.server.robot.write_policy import denied_reason, parameter_denied_reason
 
 
@@ -222,7 +223,9 @@ async def carry_out(session: Session, planned: PlannedWrite) -> Written:
             await _call(session, writer, planned.data)
         case TopicSource():
             assert isinstance(value, MessageValue)
-            published = await publish(session, Publication(writer.name, value.schema.ref, planned.data))
+            passes = passes_stop(session, writer.name, value.schema, value.message)
+            publication = Publication(writer.name, value.schema.ref, planned.data, passes_stop=passes)
+            published = await publish(session, publication)
             return Written.DONE if published.matched else Written.UNHEARD
         case ParameterSource():
             assert isinstance(value, StoredValue)

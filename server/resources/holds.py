@@ -39,6 +39,7 @@ from rosld.server.rest.path_item import FORMAT, Method, PathItem, UrlParameter
 from rosld.server.rest.resource import READ, Answer, Created, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.holds import HeldMessage, Hold, HoldEnded, held_message, new_hold
+from rosld.server.robot.velocity import passes_stop
 
 LEASE = 1.0
 """Seconds, where none are asked for."""
@@ -57,7 +58,7 @@ async def hold_topic(exchange: Exchange, robot: Robot, name: str, find: Find | N
     publishing = Publishing(robot, name)
     schema, message = await publishing.asked(exchange)
     await publishing.require(schema, message)
-    asked = _command(robot, schema, message, restamp=False)
+    asked = _command(robot, publishing.name, schema, message, restamp=False)
     then, then_asked = await _then(
         exchange.query.get("then"), robot, publishing, asked, _readable(robot, find, exchange)
     )
@@ -208,7 +209,6 @@ class HoldResource(Resource):
     async def patch(self, exchange: Exchange) -> Answer:
         robot, hold = self.robot, self.hold
         require_holder(exchange, hold)
-        robot.interlock.require_open()
         publishing = Publishing(robot, hold.topic)
         asked = await self._changed(exchange, publishing, hold)
         then, then_asked = hold.release_message, hold.release_requested
@@ -241,7 +241,7 @@ class HoldResource(Resource):
         else:
             message = await publishing.message_of(exchange, schema, self.url)
         await publishing.require(schema, message)
-        return _command(self.robot, schema, message, restamp=False)
+        return _command(self.robot, publishing.name, schema, message, restamp=False)
 
     async def delete(self, exchange: Exchange) -> Answer:
         require_holder(exchange, self.hold)
@@ -317,7 +317,7 @@ async def _then(
     except Problem as problem:
         problem.detail = f"?then={words[:500]}: {problem.detail}"
         raise
-    return _command(robot, schema, message, restamp=True), words
+    return _command(robot, publishing.name, schema, message, restamp=True), words
 
 
 async def _message_at(url: str, robot: Robot, schema: MessageSchema, find: Find | None) -> Message:
@@ -343,9 +343,10 @@ async def _message_at(url: str, robot: Robot, schema: MessageSchema, find: Find 
     return lowerer(schema, robot.lifting).from_graph(body, root, document)
 
 
-def _command(robot: Robot, schema: MessageSchema, message: Message, *, restamp: bool) -> HeldMessage:
+def _command(robot: Robot, topic: str, schema: MessageSchema, message: Message, *, restamp: bool) -> HeldMessage:
     encoding, clock = robot.adapter.capabilities.encoding, not robot.graph.simulated_time
-    return held_message(schema, message, encoding, restamp=restamp, clock=clock)
+    made = held_message(schema, message, encoding, restamp=restamp, clock=clock)
+    return replace(made, passes_stop=passes_stop(robot, topic, schema, message))
 
 
 def _notice_silence(exchange: Exchange, seconds: float) -> None:

@@ -23,6 +23,7 @@ from rosld.server.resources.strictness import is_strict
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH
 from rosld.server.robot.publication import Publication, no_subscriber_problem, publish
+from rosld.server.robot.velocity import passes_stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +110,8 @@ class Publishing:
     async def _publish(self, schema: MessageSchema, message: Message, latch: bool) -> Publish:
         await self.require(schema, message)
         data = schema.codec.encode(message, self.robot.adapter.capabilities.encoding)
-        return Publish(Publication(self.name, schema.ref, data, latch), creates=self.topic is None)
+        passes = passes_stop(self.robot, self.name, schema, message)
+        return Publish(Publication(self.name, schema.ref, data, latch, passes), creates=self.topic is None)
 
     def _lower(self, schema: MessageSchema, body: RdfBody) -> Message:
         self._check_stable(body)

@@ -29,7 +29,10 @@ from rosld.server.rest.state import State
 
 _MAX_REASON = 500
 """Characters of a reason."""
-_ABOUT = "It ends every hold, cancels the goals sent from here, does what the mappings say, and refuses all writes."
+_ABOUT = (
+    "It publishes zero on the topics that command velocities, ends every hold, cancels goals, does what the mappings "
+    "say, and refuses all writes but zero."
+)
 
 
 def may_stop(robot: Robot) -> str | None:
@@ -58,13 +61,16 @@ class StopResource(Resource):
         self.robot = robot
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        step: DataSchema = {"type": "object", "properties": {"does": TEXT, "state": TEXT, "words": or_null(TEXT)}}
-        who: DataSchema = dict.fromkeys(("by", "since", "reason"), or_null(TEXT))
+        count: DataSchema = {"type": "integer", "minimum": 0}
+        words: DataSchema = {"does": TEXT, "state": TEXT, "subscribers": or_null(count), "words": or_null(TEXT)}
+        step: DataSchema = {"type": "object", "properties": words}
+        who: DataSchema = dict.fromkeys(("by", "since", "reason", "warning"), or_null(TEXT))
         told: DataSchema = {"stopped": {"type": "boolean"}, **who, "steps": {"type": "array", "items": step}}
         plain: DataSchema = {"type": "object", "properties": told}
         reason: DataSchema = {"type": "string", "maxLength": 500}
         stop = Method(
-            "Ends every hold, cancels goals, runs the stop actions of mappings, and refuses writes (423).",
+            "Publishes zero on velocity topics, ends holds, cancels goals, does what mappings say, refuses writes "
+            "(423).",
             {"type": "object", "properties": {"reason": reason}, "additionalProperties": False},
             is_body_required=False,
             done=(200, 204),
@@ -87,7 +93,7 @@ class StopResource(Resource):
     def shown(self) -> State:
         """What it is like now."""
         robot = self.robot
-        version = (robot.stops.revision, robot.stops.steps, robot.stops.stop_state)
+        version = (robot.stops.revision, robot.stops.steps, robot.stops.stop_state, robot.stops.warning)
         return robot.states.get_or_make(self.url, version, lambda: State(self.document, self._plain))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
@@ -100,12 +106,13 @@ class StopResource(Resource):
         return stop_document(
             self.robot.space,
             [
-                StepView(step.description, ros.terms()[step.status.value], step.words, step.affects)
+                StepView(step.description, ros.terms()[step.status.value], step.words, step.affects, step.subscribers)
                 for step in stops.steps
             ],
             by=None if stop_state is None else stop_state.stopped_by,
             since_ns=None if stop_state is None else stop_state.since_ns,
             reason=None if stop_state is None else stop_state.reason,
+            warning=stops.warning,
             usable=may_stop(self.robot) is None,
         )
 
@@ -118,7 +125,7 @@ class StopResource(Resource):
         stop_state = stops.stop_state
         since = None if stop_state is None else moment(stop_state.since_ns)
         steps = [
-            {"does": step.description, "state": step.status.value, "words": step.words}
+            {"does": step.description, "state": step.status.value, "subscribers": step.subscribers, "words": step.words}
             for step in stops.steps
             if all(map(permissions.may_read, step.affects))
         ]
@@ -128,6 +135,7 @@ class StopResource(Resource):
                 "by": None if stop_state is None else stop_state.stopped_by,
                 "since": None if since is None else since.value,
                 "reason": None if stop_state is None else stop_state.reason,
+                "warning": stops.warning,
                 "steps": steps,
             }
         )
@@ -154,12 +162,16 @@ class StopResource(Resource):
     async def delete(self, exchange: Exchange) -> Answer:
         require_right(exchange, self.robot)
         if self.robot.stops.is_running:
-            raise Problem(
-                409, "The robot is still being stopped; release it when that is done.", headers={"Retry-After": "1"}
-            )
+            raise _still_being_stopped()
         exchange.account.add_step("let writes pass again", self.url)
-        self.robot.stops.release(exchange.agent)
+        if not await self.robot.stops.release(exchange.agent):
+            raise _still_being_stopped()
         return Response(status_code=204)
+
+
+def _still_being_stopped() -> Problem:
+    sentence = "The robot is still being stopped; release it when that is done."
+    return Problem(409, sentence, headers={"Retry-After": "1"})
 
 
 def _reason(body: bytes) -> str | None:

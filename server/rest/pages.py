@@ -85,12 +85,18 @@ class Pages:
             session.space.types,
             stop_token=self._stop_token(permissions),
             stopped="" if stop_state is None or not permissions.may_read(session.space.stop) else stop_state.words,
+            stop_warning=self._stop_warning(permissions),
             may=permissions.may,
             may_subtree=lambda method, url: (
                 (place := permissions.locate(url)) is None or permissions.may_subtree(method, place)
             ),
             is_restricted=not permissions.is_unrestricted,
         )
+
+    def _stop_warning(self, permissions: Permissions) -> str:
+        """Why the stopped robot may go on moving, empty where nothing says so, or it is not for this reader to know."""
+        may_read = permissions.may_read(self._session.space.stop)
+        return (self._stops.warning or "") if self._stops.stop_state is not None and may_read else ""
 
     def _stop_token(self, permissions: Permissions) -> str:
         """The token of the form that stops the robot, empty where it is not for this reader to stop."""
@@ -101,7 +107,8 @@ class Pages:
     @property
     def edition(self) -> Hashable:
         """Changes whenever what every page says does: who keeps a page keeps it for one edition."""
-        return self._stops.stop_state
+        stop_state = self._stops.stop_state
+        return None if stop_state is None else (stop_state, self._stops.warning)
 
     async def page(
         self, resource: Resource, state: State, notices: Sequence[Notice] = (), permissions: Permissions = ALLOW_ALL

@@ -29,40 +29,54 @@ class AuditedAdapter:
     # Writes
 
     async def publish(
-        self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
+        self,
+        topic: str,
+        type: TypeRef,
+        data: bytes,
+        *,
+        latch: bool = False,
+        deadline: float,
+        passes_stop: bool = False,
     ) -> Published:
-        """`Adapter.publish`; raises TopicHeld while somebody holds the topic."""
+        """`Adapter.publish`; raises TopicHeld while somebody holds the topic. `passes_stop`: also while stopped."""
         audit = current_audit.get()
         if audit is not None:
             audit.add_step(f"publish a {type.name} on {topic}", self._topic_url(topic))
         self._interlock.require_free(topic)
         self.published.add(topic)
-        published = await self._interlock.run(
-            lambda: self.inner.publish(topic, type, data, latch=latch, deadline=deadline)
-        )
+        run = self._interlock.run_always if passes_stop else self._interlock.run
+        published = await run(lambda: self.inner.publish(topic, type, data, latch=latch, deadline=deadline))
         if audit is not None:
             audit.add_receivers(published.matched)
         return published
 
-    async def publish_for_hold(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
-        """`Adapter.publish` for the hold of the topic."""
+    async def publish_for_hold(
+        self, topic: str, type: TypeRef, data: bytes, *, deadline: float, passes_stop: bool = False
+    ) -> Published:
+        """`Adapter.publish` for the hold of the topic. `passes_stop`: also while the robot is stopped."""
         self.published.add(topic)
-        return await self._interlock.run(lambda: self.inner.publish(topic, type, data, deadline=deadline))
+        run = self._interlock.run_always if passes_stop else self._interlock.run
+        return await run(lambda: self.inner.publish(topic, type, data, deadline=deadline))
 
     async def publish_always(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
         """`Adapter.publish`, also while the robot is stopped: for what ends a hold, or stops the robot."""
         self.published.add(topic)
-        return await self._interlock.run_always(self.inner.publish(topic, type, data, deadline=deadline))
+        return await self._interlock.run_always(lambda: self.inner.publish(topic, type, data, deadline=deadline))
 
     async def call_always(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """`Adapter.call`, also while the robot is stopped: for what stops it."""
-        return await self._interlock.run_always(self.inner.call(service, type, request, deadline=deadline))
+        return await self._interlock.run_always(lambda: self.inner.call(service, type, request, deadline=deadline))
 
     async def unadvertise(self, topic: str) -> None:
         """`Adapter.unadvertise`; raises TopicHeld while somebody holds the topic."""
         record_step(f"stop advertising {topic}", self._space.topic(topic))
         self._interlock.require_free(topic)
         await self._interlock.run(lambda: self.inner.unadvertise(topic))
+        self.published.discard(topic)
+
+    async def unadvertise_always(self, topic: str) -> None:
+        """`Adapter.unadvertise`, also while the robot is stopped: for what was advertised to stop it."""
+        await self._interlock.run_always(lambda: self.inner.unadvertise(topic))
         self.published.discard(topic)
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
@@ -78,7 +92,12 @@ class AuditedAdapter:
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
         """`Adapter.cancel_goal`, also while the robot is stopped: it ends what moves."""
         record_step(f"cancel the goal {goal.id} of {goal.action}", self._space.action(goal.action))
-        await self._interlock.run_always(self.inner.cancel_goal(goal, deadline=deadline))
+        await self._interlock.run_always(lambda: self.inner.cancel_goal(goal, deadline=deadline))
+
+    async def cancel_goals(self, action: str, *, deadline: float) -> None:
+        """`Adapter.cancel_goals`, also while the robot is stopped: it ends what moves."""
+        record_step(f"cancel all goals of {action}", self._space.action(action))
+        await self._interlock.run_always(lambda: self.inner.cancel_goals(action, deadline=deadline))
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         """`Adapter.change_state`."""

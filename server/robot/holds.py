@@ -12,7 +12,7 @@ import logging
 import math
 import time
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from rosld.adapters.model import Encoding, Kind, Message, MessageSchema, RosError
@@ -38,12 +38,16 @@ _log = logging.getLogger("rosld")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldMessage:
-    """A message that is published, its bytes ready unless each time they are stamped with the time of that moment."""
+    """A message that is published, its bytes ready unless each time they are stamped with the time of that moment.
+
+    `passes_stop`: it is published also while the robot is stopped.
+    """
 
     schema: MessageSchema
     message: Message
     data: bytes
     is_stamped: bool = False
+    passes_stop: bool = False
 
     def encode_at(self, now_ns: int, encoding: Encoding) -> bytes:
         """The bytes to publish at a time, in nanoseconds after the epoch."""
@@ -122,7 +126,7 @@ class Holds:
         then there is no hold.
         """
         session, interlock = self._session, self._session.interlock
-        interlock.require_open()
+        self._require_passage(hold.message)
         interlock.require_free(hold.topic)
         if self._closed is not None:
             raise Problem(503, f"No hold can begin: {self._closed}.")
@@ -131,7 +135,7 @@ class Holds:
         running = _Running(self, session, hold)
         try:
             await running.publish(session.deadline(session.settings.publish_wait))
-            interlock.require_open()
+            self._require_passage(hold.message)
             if self._closed is not None:
                 raise Problem(503, f"No hold can begin: {self._closed}.")
         except BaseException:
@@ -146,9 +150,15 @@ class Holds:
         self.end_refused()
         return running.hold
 
+    def _require_passage(self, message: HeldMessage) -> None:
+        """Raise Stopped where the robot is stopped, and the message does not have it stand still."""
+        if not message.passes_stop:
+            self._session.interlock.require_open()
+
     def renew(self, id: str, changed: Hold) -> Hold:
-        """Renew the lease, and go on as `changed` says. Raises as `find`."""
+        """Renew the lease, and go on as `changed` says. Raises as `find`, and Stopped."""
         self.find(id)
+        self._require_passage(changed.message)
         running = self._running[id]
         running.change(changed)
         self.on_changed(running.hold)
@@ -174,9 +184,10 @@ class Holds:
         running = self._running.get(id)
         return None if running is None else running.end(why)
 
-    def end_all(self, why: str) -> Sequence[tuple[Hold, asyncio.Task[None]]]:
-        """End every hold at once."""
-        return [(each.hold, each.end(why)) for each in list(self._running.values())]
+    def end_all(self, why: str, silent: Container[str] = ()) -> Sequence[tuple[Hold, asyncio.Task[None]]]:
+        """End every hold at once; those on the topics `silent` without their last message."""
+        running = list(self._running.values())
+        return [(each.hold, each.end(why, is_silent=each.hold.topic in silent)) for each in running]
 
     def end_refused(self) -> None:
         """End the holds whose start would be refused in the graph as it is now: another node publishes there."""
@@ -255,9 +266,11 @@ class _Running:
 
     async def publish(self, deadline: float) -> None:
         """Publish the message once. Raises what the gate and the adapter raise."""
-        hold, encoding = self.hold, self._session.adapter.capabilities.encoding
-        data = hold.message.encode_at(time.time_ns(), encoding)
-        await self._session.adapter.publish_for_hold(hold.topic, hold.message.schema.ref, data, deadline=deadline)
+        topic, message = self.hold.topic, self.hold.message
+        data = message.encode_at(time.time_ns(), self._session.adapter.capabilities.encoding)
+        await self._session.adapter.publish_for_hold(
+            topic, message.schema.ref, data, deadline=deadline, passes_stop=message.passes_stop
+        )
 
     def begin(self) -> None:
         """Go on from the first publish, which is done."""
@@ -323,19 +336,20 @@ class _Running:
             self.hold = replace(self.hold, last_error=trouble)
             self._holds.on_changed(self.hold)
 
-    def end(self, why: str) -> asyncio.Task[None]:
-        """Publish no more but the last message. Idempotent."""
+    def end(self, why: str, *, is_silent: bool = False) -> asyncio.Task[None]:
+        """Publish no more but the last message, unless `is_silent`. Idempotent."""
         if self._ending is None:
             if self._timer is not None:
                 self._timer.cancel()
             if self._publishing is not None:
                 self._publishing.cancel()
-            self._ending = self._loop.create_task(self._end(why))
+            self._ending = self._loop.create_task(self._end(why, is_silent=is_silent))
         return self._ending
 
-    async def _end(self, why: str) -> None:
+    async def _end(self, why: str, *, is_silent: bool) -> None:
         try:
-            await self._say_last(why)
+            if not is_silent:
+                await self._say_last(why)
         finally:
             self._holds.on_ended(self.hold, why)
 

@@ -113,10 +113,10 @@ class WriteInterlock:
             self.writes += 1
             self._under_way.discard(under_way)
 
-    async def run_always(self, write: Awaitable[_T]) -> _T:
+    async def run_always(self, write: Callable[[], Awaitable[_T]]) -> _T:
         """Carry a write out that must reach the robot also while it is stopped."""
         try:
-            return await write
+            return await write()
         finally:
             self.writes += 1
 

@@ -13,12 +13,16 @@ from rosld.server.runtime.loop_time import loop_time
 
 @dataclass(frozen=True, slots=True)
 class Publication:
-    """A message for a topic: nothing about it can be refused any more but by the robot."""
+    """A message for a topic: nothing about it can be refused any more but by the robot.
+
+    `passes_stop`: it is published also while the robot is stopped.
+    """
 
     topic: str
     type: TypeRef
     data: bytes
     latch: bool = False
+    passes_stop: bool = False
 
 
 async def publish(session: Session, publication: Publication) -> Published:
@@ -28,7 +32,12 @@ async def publish(session: Session, publication: Publication) -> Published:
     deadline = session.deadline(session.settings.publish_wait)
     try:
         return await session.adapter.publish(
-            topic, publication.type, publication.data, latch=publication.latch, deadline=deadline
+            topic,
+            publication.type,
+            publication.data,
+            latch=publication.latch,
+            deadline=deadline,
+            passes_stop=publication.passes_stop,
         )
     finally:
         session.announce_write(Kind.TOPIC, topic)

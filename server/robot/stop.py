@@ -5,20 +5,23 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from rosld.adapters.model import Message, MessageSchema, RosError
+from rosld.adapters.model import Action, Message, MessageSchema, RosError, Topic
 from rosld.ontology.lower import LoweringError, lowerer, parse_json
 from rosld.server.auth.agent import Agent
 from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.holds import Hold, Holds
 from rosld.server.robot.interlock import StopState
 from rosld.server.robot.session import Session
+from rosld.server.robot.velocity import commanded_topics, subscribers_of
+from rosld.server.robot.zero_publisher import Reached, ZeroPublisher
 from rosld.server.runtime.signals import Signal
 
 _log = logging.getLogger("rosld")
+_NOTHING = "no topic of a velocity type has a subscriber (--stop-zero names others), and no mapping says what stops it"
 
 
 class StepStatus(Enum):
@@ -32,12 +35,18 @@ class StepStatus(Enum):
 
 @dataclass(frozen=True, slots=True)
 class StopStep:
-    """One thing that stops the robot: what it does in words, the URLs of what it is about, what became of it, why."""
+    """One thing that stops the robot: what it does in words, the URLs of what it is about, what became of it, why.
+
+    `subscribers` is how many a message went to, None where none is published or it is not known yet. `tells` is False
+    where the robot itself is told nothing by it.
+    """
 
     description: str
     affects: tuple[str, ...] = ()
     status: StepStatus = StepStatus.PLANNED
     words: str | None = None
+    subscribers: int | None = None
+    tells: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +71,10 @@ class SoftwareStop:
         self._session = session
         self._holds = holds
         self._mapped = mapped
+        self._zero = ZeroPublisher(session)
         self._steps: dict[str, StopStep] = {}
         self._running: set[asyncio.Task[None]] = set()
+        self._count = 0
         self.revision = 0
         self.changes = Signal()
 
@@ -87,7 +98,27 @@ class SoftwareStop:
         """What the stop did, or would do now."""
         if self.stop_state is not None:
             return tuple(self._steps.values())
-        return tuple(StopStep(_words(each), self._touched(each, iri)) for each, iri in self._mapped())
+        space = self._session.space
+        return (
+            *(StopStep(_zero_on(topic.name), (space.topic(topic.name),)) for topic in self._commanded()),
+            *(StopStep(_words(each), self._touched(each, iri)) for each, iri in self._mapped()),
+            *(StopStep(_end_of_all(action.name), (space.action(action.name),)) for action in self._ended_actions()),
+        )
+
+    @property
+    def warning(self) -> str | None:
+        """Why the robot may go on moving although it is stopped, in a sentence; None where nothing says so."""
+        steps = self.steps
+        if self.stop_state is None:
+            return None if steps else f"A stop would publish and call nothing: {_NOTHING}."
+        telling = [step for step in steps if step.tells]
+        failed = sum(step.status is StepStatus.FAILED for step in telling)
+        if self._running or (telling and not failed):
+            return None
+        if not telling:
+            return f"The robot may go on moving, for nothing was told to stand still: {_NOTHING}."
+        said = "nothing could be told" if failed == len(telling) else "not everything could be told"
+        return f"The robot may go on moving, for {said} to stand still: {failed} of {len(telling)} steps failed."
 
     async def stop(self, by: Agent, reason: str | None) -> None:
         """Stop the robot, or do so again: who stopped it first is who stopped it.
@@ -98,31 +129,47 @@ class SoftwareStop:
         session = self._session
         stop_state = self.stop_state or StopState(by.name, time.time_ns(), reason, session.space.stop)
         session.interlock.engage(stop_state)
+        self._count += 1
         deadline = session.deadline(session.settings.call_deadline)
-        space = session.space
+        space, commanded = session.space, self._commanded()
+        for topic in commanded:
+            self._begin(_zero_on(topic.name), self._publish_zero(topic), space.topic(topic.name))
         for each, iri in self._mapped():
             self._begin(_words(each), self._carried_out(each, deadline), *self._touched(each, iri))
-        for hold, ended in self._holds.end_all(stop_state.words):
-            self._begin(_end_of(hold), ended, space.hold(hold.id), space.topic(hold.topic))
+        silent = {topic.name for topic in commanded}
+        for hold, ended in self._holds.end_all(stop_state.words, silent):
+            tells = hold.release_message is not None and hold.topic not in silent
+            self._begin(_end_of(hold), ended, space.hold(hold.id), space.topic(hold.topic), tells=tells)
+        ended_actions = {action.name for action in self._ended_actions()}
+        for name in sorted(ended_actions):
+            self._begin(_end_of_all(name), session.adapter.cancel_goals(name, deadline=deadline), space.action(name))
         for goal in self._goals():
-            canceled = session.goals.cancel(goal, deadline=deadline)
-            words = f"cancel the goal {goal.id} of {goal.action}"
-            self._begin(words, canceled, space.goal(goal.id), space.action(goal.action))
+            if goal.action not in ended_actions:
+                canceled = session.goals.cancel(goal, deadline=deadline)
+                words = f"cancel the goal {goal.id} of {goal.action}"
+                self._begin(words, canceled, space.goal(goal.id), space.action(goal.action))
         _log.warning("%s.", stop_state.words.rstrip("."))
         self._revise()
         session.changes.emit()
         while self._running and session.deadline(0) < deadline:
             await asyncio.wait(self._running, timeout=deadline - session.deadline(0))
+        if self.warning is not None:
+            _log.error("%s", self.warning)
 
-    def release(self, by: Agent) -> None:
-        """Let writes pass again; nothing happens where the robot is not stopped."""
+    async def release(self, by: Agent) -> bool:
+        """Let writes pass again; False where the robot was stopped anew before that was done."""
+        count = self._count
+        await self._zero.withdraw()
+        if count != self._count:
+            return False
         if self.stop_state is None:
-            return
+            return True
         self._session.interlock.release()
         self._steps.clear()
         _log.warning("The stop was lifted by %s.", by.name)
         self._revise()
         self._session.changes.emit()
+        return True
 
     def _touched(self, mapped: StopCommand, iri: str) -> tuple[str, ...]:
         """The URLs of what a step of a mapping is about: what it calls or publishes on, and the mapping."""
@@ -132,11 +179,21 @@ class SoftwareStop:
         assert mapped.topic is not None
         return space.topic(mapped.topic), iri
 
+    def _commanded(self) -> Sequence[Topic]:
+        """The topics on which zero is published."""
+        return commanded_topics(self._session.graph, self._session.settings.stop_zero)
+
+    def _ended_actions(self) -> Sequence[Action]:
+        """The actions of which all goals are canceled, whoever sent them."""
+        if self._session.settings.stop_cancels != "others":
+            return ()
+        return [action for action in self._session.graph.actions.values() if action.servers]
+
     def _goals(self) -> list[Goal]:
         return [goal for goal in self._session.goals.all() if goal.is_own and goal.is_cancelable]
 
-    def _begin(self, does: str, work: Awaitable[None], *touches: str) -> None:
-        self._steps[does] = StopStep(does, touches, StepStatus.RUNNING)
+    def _begin(self, does: str, work: Awaitable[Reached | None], *touches: str, tells: bool = True) -> None:
+        self._steps[does] = StopStep(does, touches, StepStatus.RUNNING, tells=tells)
         task = asyncio.ensure_future(self._followed(does, work))
         self._running.add(task)
         task.add_done_callback(self._over)
@@ -145,10 +202,11 @@ class SoftwareStop:
         self._running.discard(task)
         self._revise()
 
-    async def _followed(self, does: str, work: Awaitable[None]) -> None:
-        fate, words = StepStatus.DONE, None
+    async def _followed(self, does: str, work: Awaitable[Reached | None]) -> None:
+        fate, words, reached = StepStatus.DONE, None, None
         try:
-            await work
+            reached = await work
+            words = None if reached is None else _missed(reached)
         except (RosError, LoweringError, ValueError) as error:
             fate, words = StepStatus.FAILED, str(error)
             _log.error("while the robot was stopped: %s: %s", does, words)
@@ -156,10 +214,14 @@ class SoftwareStop:
             fate, words = StepStatus.FAILED, "the server failed; its log says more"
             _log.exception("while the robot was stopped: %s", does, exc_info=error)
         if does in self._steps:
-            self._steps[does] = replace(self._steps[does], status=fate, words=words)
+            count = None if reached is None else reached.subscribers
+            self._steps[does] = replace(self._steps[does], status=fate, words=words, subscribers=count)
             self._revise()
 
-    async def _carried_out(self, mapped: StopCommand, deadline: float) -> None:
+    async def _publish_zero(self, topic: Topic) -> Reached:
+        return await self._zero.publish(topic)
+
+    async def _carried_out(self, mapped: StopCommand, deadline: float) -> Reached | None:
         """Call or publish what a mapping names, past the gate."""
         session, encoding = self._session, self._session.adapter.capabilities.encoding
         if mapped.service is not None:
@@ -172,14 +234,17 @@ class SoftwareStop:
             response = called.response.codec.decode(answer, encoding)
             if getattr(response, "success", True) is False:
                 raise ValueError(str(getattr(response, "message", "") or "it answered that it did not succeed"))
-            return
+            return None
         assert mapped.topic is not None
         topic = session.graph.topics.get(mapped.topic)
         if topic is None or topic.type is None:
             raise ValueError(f"there is no topic {mapped.topic} that can be published to")
         schema = await session.schemas.message(topic.type)
         data = schema.codec.encode(self._message(schema, mapped), encoding)
-        await session.adapter.publish_always(mapped.topic, schema.ref, data, deadline=deadline)
+        published = await session.adapter.publish_always(mapped.topic, schema.ref, data, deadline=deadline)
+        if not published.matched:
+            raise ValueError(f"no subscriber of {mapped.topic} was there to get it")
+        return Reached(published.matched, subscribers_of(topic, session.graph))
 
     def _message(self, schema: MessageSchema, mapped: StopCommand) -> Message:
         return lowerer(schema, self._session.lifting).from_json(parse_json(mapped.content.encode()), defaults=True)
@@ -197,6 +262,20 @@ class SoftwareStop:
 def _words(mapped: StopCommand) -> str:
     does = f"call {mapped.service}" if mapped.service is not None else f"publish on {mapped.topic}"
     return does if mapped.content == "{}" else f"{does} with {mapped.content}"
+
+
+def _zero_on(topic: str) -> str:
+    return f"publish zero on {topic}"
+
+
+def _missed(reached: Reached) -> str | None:
+    """Which subscribers were not reached, in words; None where all were."""
+    missed = reached.expected - reached.subscribers
+    return f"{missed} of {reached.expected} subscribers could not be reached" if missed > 0 else None
+
+
+def _end_of_all(action: str) -> str:
+    return f"cancel all goals of {action}"
 
 
 def _end_of(hold: Hold) -> str:

@@ -24,11 +24,11 @@ def denied_reason(
     """
     name = topic.name
     if name in permitted:
-        return _conflict(topic)
-    if name in RESERVED or _of_action(name, graph):
+        return type_conflict(topic)
+    if is_reserved(name, graph):
         return f"{name} belongs to ROS itself; to publish there anyway start rosld with --allow-publish {name}."
     if any(fnmatchcase(name, glob) for glob in permitted):
-        return _conflict(topic)
+        return type_conflict(topic)
     others = [endpoint.node for endpoint in topic.publishers if endpoint.node != graph.own_node]
     if others:
         return (
@@ -38,7 +38,7 @@ def denied_reason(
     own = any(endpoint.node == graph.own_node for endpoint in topic.publishers)
     if needs_subscriber and not own and not any(endpoint.node != graph.own_node for endpoint in topic.subscribers):
         return f"No node subscribes to {name}; to publish there anyway start rosld with --allow-publish {name}."
-    return _conflict(topic)
+    return type_conflict(topic)
 
 
 def resources_only_reason(name: str) -> str:
@@ -59,11 +59,17 @@ def parameter_denied_reason(graph: Graph, name: str, *, delete: bool = False) ->
     return None
 
 
-def _conflict(topic: Topic) -> str | None:
+def type_conflict(topic: Topic) -> str | None:
+    """Why a topic has no one type, in a sentence; None where its nodes agree."""
     if len(topic.types) > 1:
         names = " and ".join(f"{ref.name} ({ref.hash})" if ref.hash else ref.name for ref in topic.types)
         return f"The nodes on {topic.name} do not agree on its type: {names}."
     return None
+
+
+def is_reserved(name: str, graph: Graph) -> bool:
+    """Whether a topic belongs to ROS itself, or to an action."""
+    return name in RESERVED or _of_action(name, graph)
 
 
 def _of_action(name: str, graph: Graph) -> bool:

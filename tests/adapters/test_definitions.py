@@ -14,6 +14,8 @@ from rosld.adapters.model.library import SHIPPED, TypeLibrary
 NAMES = sorted(f"{path.parts[-3]}/{path.parts[-2]}/{path.stem}" for path in SHIPPED.glob("*/*/*"))
 
 PUBLISHED = {
+    "ackermann_msgs/msg/AckermannDrive": "3512e91b48d69674a0e86fadf1ea8231",
+    "ackermann_msgs/msg/AckermannDriveStamped": "1fd5d7f58889cefd44d29f6653240d0c",
     "actionlib_tutorials/msg/FibonacciAction": "f59df5767bf7634684781c92598b2406",
     "control_msgs/msg/FollowJointTrajectoryAction": "bc4f9b743838566551c0390c65f1a248",
     "control_msgs/msg/GripperCommandAction": "950b2a6ebe831f5d4f4ceaba3d8be01e",

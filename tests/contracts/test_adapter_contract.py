@@ -718,6 +718,43 @@ def test_goals_of_others_are_followed_till_the_watch_is_closed_and_can_be_cancel
     run(scenario())
 
 
+@needs("acting")
+def test_all_goals_of_an_action_are_canceled_together_and_none_is_no_failure(robot: Any) -> None:
+    async def scenario() -> None:
+        sink = Sink()
+        async with opened(robot, sink) as adapter:
+            goal = await act(adapter, robot.acting, robot.acting.lasting)
+            await until(lambda: any(event.feedback for event in sink.told(goal)))
+            await adapter.cancel_goals(goal.action, deadline=soon())
+            await until(lambda: GoalStatus.CANCELED in sink.statuses(goal))
+            await adapter.cancel_goals(goal.action, deadline=soon())
+            with pytest.raises(NotFound):
+                await adapter.cancel_goals("/no/such", deadline=soon())
+
+    run(scenario())
+
+
+@needs("acting", "other")
+def test_all_goals_of_an_action_are_those_of_others_too(robot: Any) -> None:
+    async def scenario() -> None:
+        sink = Sink()
+        async with opened(robot, sink) as adapter:
+            await until(lambda: robot.acting.action in adapter.graph.actions)
+            watch = await adapter.follow_goals(robot.acting.action, deadline=soon(2.0))
+            known = {goal for goal, _ in sink.goals}
+            end = await asyncio.to_thread(robot.other)
+            try:
+                pursued = lambda: {goal for goal, event in sink.goals if event.feedback} - known  # noqa: E731
+                await until(pursued)
+                await adapter.cancel_goals(robot.acting.action, deadline=soon())
+                await until(lambda: all(GoalStatus.CANCELED in sink.statuses(goal) for goal in pursued()))
+            finally:
+                await asyncio.to_thread(end)
+            watch.close()
+
+    run(scenario())
+
+
 @needs("rejecting")
 def test_a_goal_that_is_rejected_is_refused_and_never_told_of_as_ours(robot: Any) -> None:
     async def scenario() -> None:

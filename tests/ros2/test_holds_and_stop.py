@@ -97,7 +97,7 @@ def test_a_stop_ends_the_hold_cancels_the_goal_brakes_and_lets_nothing_pass(driv
     try:
         assert told["stopped"], told
         assert {step["state"] for step in told["steps"]} == {"Succeeded"}, told
-        assert len(told["steps"]) == 3
+        assert len(told["steps"]) == 4
         driven.stands()
         until(lambda: "brake" in driven.rover.seen, "the brake")
         assert http.get(hold).status_code == 410

@@ -17,14 +17,22 @@ from rosld.adapters.base import Published
 from rosld.adapters.model import TypeRef
 from tests.server.robots.asking import mapped
 from tests.server.robots.made_up import MadeUp, served
+from tests.waiting import until
 
 JSON = {"Accept": "application/json"}
+TWIST = "https://w3id.org/rosld/types/geometry_msgs/msg/Twist"
 TURTLE = {"Content-Type": "text/turtle"}
 ROS = "https://w3id.org/rosld#"
 MAPPING = """@prefix map: <https://w3id.org/rosld/mapping#> .
 <#arm> a map:ComplexResource ; map:path "/arm/" ;
   map:stop [ map:call "brake" ; map:content "{\\"azimuth\\": 1.5, \\"elevation\\": 0}" ] ,
            [ map:publish "/drive" ] , [ map:call "/nowhere" ] ."""
+
+
+AHEAD = {"linear": {"x": 1, "y": 0, "z": 0}, "angular": {"x": 0, "y": 0, "z": 0}}
+
+
+STILL = {"linear": {"x": 0.0, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
 
 
 class Stoppable(MadeUp):
@@ -56,9 +64,10 @@ class Stoppable(MadeUp):
         return await super().publish(topic, type, data, latch=latch, deadline=deadline)
 
     def moved(self) -> tuple[object, ...]:
-        """All that it was told but to brake."""
+        """All that it was told but to brake and to stand still."""
         calls = {name: count for name, count in self.calls.items() if name not in ("/arm/brake", "/arm/get_label")}
-        return json.dumps(self.sent), calls, len(self.sets)
+        sent = {name: [each for each in messages if each != STILL] for name, messages in self.sent.items()}
+        return json.dumps(sent), calls, len(self.sets)
 
 
 @pytest.fixture
@@ -74,8 +83,8 @@ def http(robot: Stoppable) -> Iterator[httpx.Client]:
 
 
 WRITES: list[tuple[str, str, dict[str, Any]]] = [
-    ("PUT", "/topics/drive", {"json": {}, "params": {"defaults": "true"}}),
-    ("POST", "/topics/drive", {"json": {}, "params": {"defaults": "true", "rate": 10}}),
+    ("PUT", "/topics/drive", {"json": AHEAD}),
+    ("POST", "/topics/drive", {"json": AHEAD, "params": {"rate": 10}}),
     ("POST", "/services/arm/aim", {"json": {"azimuth": 1, "elevation": 1}}),
     ("PUT", "/parameters/gain", {"json": 2}),
     ("DELETE", "/parameters/gain", {}),
@@ -121,13 +130,13 @@ def test_every_write_that_would_reach_the_robot_is_refused_until_it_is_released(
 
 def test_a_stop_does_what_mappings_say_and_tells_what_became_of_it(robot: Stoppable, http: httpx.Client) -> None:
     planned = {step["does"]: step["state"] for step in http.get("/stop", headers=JSON).json()["steps"]}
-    assert len(planned) == 3
+    assert len(planned) == 4
     assert set(planned.values()) == {"NotSent"}
     told = stopped(http)
     steps = {step["does"].split(" with ")[0]: step for step in told["steps"]}
     assert (told["stopped"], told["by"], told["reason"]) == (True, "anybody", None)
     assert steps["call /arm/brake"]["state"] == "Succeeded"
-    assert steps["publish on /drive"]["state"] == "Succeeded"
+    assert (steps["publish on /drive"]["state"], steps["publish on /drive"]["subscribers"]) == ("Succeeded", 1)
     assert steps["call /nowhere"]["state"] == "Failed"
     assert "/nowhere" in steps["call /nowhere"]["words"]
     assert len(robot.braked) == 1
@@ -139,20 +148,32 @@ def test_a_service_that_says_that_it_did_not_succeed_has_failed(robot: Stoppable
     stops = '<#arm> a map:ComplexResource ; map:path "/arm/" ; map:stop [ map:call "/arm/fold" ] .'
     mapping = f"@prefix map: <https://w3id.org/rosld/mapping#> . {stops}"
     assert http.put("/mappings/arm", content=mapping, headers=TURTLE).status_code == 204
-    [step] = stopped(http)["steps"]
-    assert step == {"does": "call /arm/fold", "state": "Failed", "words": "the arm is jammed"}
+    told = stopped(http)
+    step = told["steps"][-1]
+    assert step == {"does": "call /arm/fold", "state": "Failed", "subscribers": None, "words": "the arm is jammed"}
+    assert "1 of 2 steps failed" in told["warning"]
 
 
-def test_a_stop_ends_holds_with_their_last_message_and_nothing_follows(robot: Stoppable, http: httpx.Client) -> None:
-    body = {"linear": {"x": 1, "y": 0, "z": 0}, "angular": {"x": 0, "y": 0, "z": 0}}
-    hold = http.post("/topics/drive", params={"rate": 50, "lease": 5}, json=body).headers["location"]
-    stopped(http)
-    assert http.get(hold).status_code == 410
-    assert "stopped by anybody" in http.get(hold).text
-    count = len(robot.sent["/drive"])
-    assert robot.sent["/drive"][-1]["linear"]["x"] == 0.0
-    time.sleep(0.15)
-    assert len(robot.sent["/drive"]) == count
+def test_a_stop_ends_holds_and_nothing_follows_but_zero(robot: Stoppable, http: httpx.Client) -> None:
+    for then in ("zero", "none", "/data/creep"):
+        creep = "".join(f"<#message> <{TWIST}#{part}> <#message.{part}> . " for part in ("linear", "angular"))
+        creep += "".join(
+            f"<#message.{part}> <https://w3id.org/rosld/types/geometry_msgs/msg/Vector3#{axis}> 0.5 . "
+            for part in ("linear", "angular")
+            for axis in "xyz"
+        )
+        http.put("/data/creep", content=f"<#message> a <{TWIST}> . {creep}", headers=TURTLE).raise_for_status()
+        answer = http.post("/topics/drive", params={"rate": 50, "lease": 5, "then": then}, json=AHEAD)
+        assert answer.status_code == 201, answer.text
+        hold = answer.headers["location"]
+        robot.sent["/drive"].clear()
+        stopped(http)
+        assert http.get(hold).status_code == 410
+        assert "stopped by anybody" in http.get(hold).text
+        until(lambda: robot.sent["/drive"].count(STILL) >= 15, "zero, again and again")
+        after = robot.sent["/drive"][robot.sent["/drive"].index(STILL) :]
+        assert all(message == STILL for message in after), then
+        assert http.delete("/stop").status_code == 204
 
 
 def test_what_is_under_way_is_cut_off(robot: Stoppable, http: httpx.Client) -> None:
@@ -349,5 +370,5 @@ def test_a_step_is_called_by_what_it_does_so_that_no_number_tells_how_many_there
             return {row["step"]["value"].partition("#")[2] for row in answer["results"]["bindings"]}
 
     alone, last = steps('[ map:publish "/drive" ]'), steps('[ map:call "brake" ] , [ map:publish "/drive" ]')
-    assert len(alone) == 1
+    assert len(alone) == 2, "zero, and what the mapping says"
     assert alone == last

@@ -1,0 +1,55 @@
+"""Velocity topics: those whose zero message has the robot stand still."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+
+from rosld.adapters.model import Graph, Message, MessageSchema, Topic
+from rosld.ontology.lift import LiftSettings
+from rosld.ontology.lower import lowerer
+from rosld.ontology.neutral_message import COMMANDS, is_zero, zeroed
+from rosld.server.robot.session import Session
+from rosld.server.robot.write_policy import is_reserved
+
+LEFT_OUT = "!"
+"""What begins a glob of --stop-zero whose topics are told nothing."""
+
+
+def is_velocity_topic(topic: Topic, graph: Graph, globs: Sequence[str]) -> bool:
+    """Whether zero on a topic has the robot stand still: by its type, or by the globs of --stop-zero.
+
+    Topics that belong to ROS itself never do, whatever a glob says.
+    """
+    if any(fnmatchcase(topic.name, glob[1:]) for glob in globs if glob.startswith(LEFT_OUT)):
+        return False
+    if any(ref.name in COMMANDS for ref in topic.types):
+        return True
+    return any(fnmatchcase(topic.name, glob) for glob in globs) and not is_reserved(topic.name, graph)
+
+
+def commanded_topics(graph: Graph, globs: Sequence[str]) -> Sequence[Topic]:
+    """The velocity topics that a node subscribes to, whoever publishes them: a stop must be heard in any case."""
+    return [
+        topic
+        for topic in graph.topics.values()
+        if subscribers_of(topic, graph) and is_velocity_topic(topic, graph, globs)
+    ]
+
+
+def subscribers_of(topic: Topic, graph: Graph) -> int:
+    """How many subscribers a topic has beside rosld's own."""
+    return sum(endpoint.node != graph.own_node for endpoint in topic.subscribers)
+
+
+def zero_message(schema: MessageSchema, lifting: LiftSettings) -> Message:
+    """The zero message of a type."""
+    return zeroed(schema, lowerer(schema, lifting).from_json({}, defaults=True))
+
+
+def passes_stop(session: Session, name: str, schema: MessageSchema, message: Message) -> bool:
+    """Whether the robot is stopped, and a message may be published all the same: zero on a velocity topic."""
+    if session.interlock.stop_state is None:
+        return False
+    topic = session.graph.topics.get(name) or Topic(name, (schema.ref,))
+    return is_velocity_topic(topic, session.graph, session.settings.stop_zero) and is_zero(schema, message)

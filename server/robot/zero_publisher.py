@@ -1,0 +1,145 @@
+"""Zero on velocity topics, published again and again for a second, so that what moves comes to a stand.
+
+A base without a watchdog drives on after the last command, so a single lost message would matter; and where another
+node publishes as well, one zero among its commands would be nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from dataclasses import dataclass
+
+from rosld.adapters.model import Kind, RosError, Topic, Unreachable
+from rosld.server.robot.holds import HeldMessage, held_message
+from rosld.server.robot.session import Session
+from rosld.server.robot.velocity import subscribers_of, zero_message
+from rosld.server.robot.write_policy import type_conflict
+
+RATE = 20.0
+"""Hz: how often zero is published."""
+SECONDS = 1.0
+"""How long zero is published after a subscriber got it first."""
+_PATIENCE = 2.0
+"""Seconds that a subscriber has to connect, where rosld has not published to it before."""
+_ALL_SECONDS = 0.5
+"""How long the others are waited for, once one got it."""
+_ABREAST = 2
+"""Publishes under way at a time: the first waits for all subscribers, the second goes to those that are there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reached:
+    """How many subscribers zero went to, and how many there are."""
+
+    subscribers: int
+    expected: int
+
+
+class ZeroPublisher:
+    """Publishes zero on velocity topics; belongs to the server's loop."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._running: dict[str, _Repetition] = {}
+        self._advertised: set[str] = set()
+
+    async def publish(self, topic: Topic) -> Reached:
+        """Begin to publish zero on a topic; return when its subscribers got it.
+
+        Raises Unreachable where none did, ValueError where there is no zero, and what the adapter raises.
+        """
+        session, name = self._session, topic.name
+        if topic.type is None:
+            raise ValueError(type_conflict(topic) or f"the type of {name} is not known")
+        schema = await session.schemas.message(topic.type)
+        message, encoding = zero_message(schema, session.lifting), session.adapter.capabilities.encoding
+        zero = held_message(schema, message, encoding, restamp=True, clock=not session.graph.simulated_time)
+        if name not in session.adapter.published:
+            self._advertised.add(name)
+        self.end(name)
+        repetition = self._running[name] = _Repetition(session, name, zero, subscribers_of(topic, session.graph))
+        return await repetition.reached()
+
+    def end(self, name: str) -> None:
+        """Publish zero no more on a topic; nothing happens where it is not published."""
+        before = self._running.pop(name, None)
+        if before is not None:
+            before.cancel()
+
+    async def withdraw(self) -> None:
+        """Publish no more zero, and stop advertising what was advertised for that alone."""
+        for name in list(self._running):
+            self.end(name)
+        names, self._advertised = self._advertised & self._session.adapter.published, set()
+        for name in sorted(names):
+            with contextlib.suppress(RosError):
+                await self._session.adapter.unadvertise_always(name)
+
+
+class _Repetition:
+    """Zero on one topic, until a second after it was heard first."""
+
+    def __init__(self, session: Session, topic: str, zero: HeldMessage, expected: int) -> None:
+        self._session = session
+        self._topic = topic
+        self._zero = zero
+        self._loop = asyncio.get_running_loop()
+        self._until = self._loop.time() + _PATIENCE
+        self._reached = Reached(0, expected)
+        self._heard: asyncio.Future[None] = self._loop.create_future()
+        self._heard_by_all = asyncio.Event()
+        self._error: Exception | None = None
+        self._task = self._loop.create_task(self._run())
+
+    async def reached(self) -> Reached:
+        """Wait until it was heard; how many heard it. Raises Unreachable, and what the adapter raised last."""
+        await asyncio.shield(self._heard)
+        with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
+            await asyncio.wait_for(self._heard_by_all.wait(), _ALL_SECONDS)
+        return self._reached
+
+    def cancel(self) -> None:
+        """Publish no more."""
+        self._task.cancel()
+
+    async def _run(self) -> None:
+        pending: set[asyncio.Task[None]] = set()
+        try:
+            while self._loop.time() < self._until:
+                pending = {one for one in pending if not one.done()}
+                if len(pending) < _ABREAST:
+                    pending.add(self._loop.create_task(self._publish()))
+                await asyncio.sleep(1 / RATE)
+        finally:
+            for one in pending:
+                one.cancel()
+            if not self._heard.done():
+                unheard = Unreachable(f"no subscriber of {self._topic} could be reached")
+                self._heard.set_exception(self._error or unheard)
+                self._heard.exception()  # nobody may wait for it
+
+    async def _publish(self) -> None:
+        session, zero = self._session, self._zero
+        data = zero.encode_at(time.time_ns(), session.adapter.capabilities.encoding)
+        session.limiter.count(self._topic, self._loop.time())
+        try:
+            published = await session.adapter.publish_always(self._topic, zero.schema.ref, data, deadline=self._until)
+        except (RosError, ValueError) as error:
+            self._error = error
+            return
+        self._take(published.matched)
+
+    def _take(self, matched: int) -> None:
+        """So many subscribers got it."""
+        if not matched:
+            return
+        reached = self._reached
+        self._reached = Reached(max(matched, reached.subscribers), reached.expected)
+        if matched >= reached.expected:
+            self._heard_by_all.set()
+        if not self._heard.done():
+            self._until = self._loop.time() + SECONDS
+            self._heard.set_result(None)
+            self._session.announce_write(Kind.TOPIC, self._topic)

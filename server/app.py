@@ -36,6 +36,7 @@ from rosld.server.resources.kept.graphs import RecordGraphs
 from rosld.server.resources.live_graphs import ELSEWHERE, Dataset
 from rosld.server.resources.mirror import mirror_room
 from rosld.server.resources.mirroring import mirror_of
+from rosld.server.resources.near import near_urls
 from rosld.server.resources.resource_types import types_at
 from rosld.server.resources.status import status_room
 from rosld.server.resources.updating.service import Updates
@@ -101,7 +102,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     if authenticator is not None:
         authenticator.changed.watch(broadcasters.stir)
     router.add(acl_room(authenticator))
-    dispatcher = Dispatcher(robot.instance_id, pages, broadcasters, keyed_lock, large)
+    dispatcher = Dispatcher(robot.instance_id, pages, broadcasters, keyed_lock, large, partial(near_urls, robot))
     allowance = ClientLimits(
         settings.client_rate, settings.client_requests, settings.client_connections, settings.client_websockets
     )

@@ -154,6 +154,7 @@ LAYERS = [
     "sparql",
     "rest",
     "html",
+    "search",
     "hypermedia",
     "robot",
     "dataset",

@@ -216,7 +216,10 @@ class QueryPage:
 
 @dataclass(frozen=True, slots=True)
 class ProblemPage:
-    """An error for people: RFC 9457's members, and the fields that did not fit. `url` is what was asked for."""
+    """An error for people: RFC 9457's members, and the fields that did not fit. `url` is what was asked for.
+
+    `near` are URLs of what is there and is spelt much like it.
+    """
 
     site: Site
     status: int
@@ -224,3 +227,4 @@ class ProblemPage:
     detail: str
     url: str = ""
     violations: tuple[Violation, ...] = ()
+    near: tuple[str, ...] = ()

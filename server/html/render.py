@@ -307,4 +307,5 @@ def render_problem(page: ProblemPage) -> bytes:
         "problem.html",
         _frame(page.site, f"{page.status} {page.title}", page.url, ()),
         page=page,
+        near=[anchor for url in page.near if (anchor := page.site.anchor(url)) is not None],
     )

@@ -22,7 +22,8 @@ class Problem(Exception):
 
     `detail` names the value and the next step; `title` is the status's phrase where none is given; `headers` go into
     the response; `extra` holds further members (RFC 9457 3.2); `violations` say field by field what does not fit.
-    `about` are URLs of what the reason speaks of: one who may not read them all is not told it.
+    `about` are URLs of what the reason speaks of: one who may not read them all is not told it. `near` are URLs of what
+    is there, where the one that was asked for is not and is spelt much like them.
     """
 
     def __init__(
@@ -36,6 +37,7 @@ class Problem(Exception):
         extra: Mapping[str, object] = {},
         violations: Sequence[Violation] = (),
         about: Sequence[str] = (),
+        near: Sequence[str] = (),
     ) -> None:
         super().__init__(f"{status} {redact_tokens(detail)}")
         self.status = status
@@ -46,6 +48,7 @@ class Problem(Exception):
         self.extra = {name: redact_tokens_in(value) for name, value in extra.items()}
         self.violations = tuple(map(_without_tokens, violations))
         self.about = tuple(about)
+        self.near = tuple(near)
 
     @property
     def detail(self) -> str:

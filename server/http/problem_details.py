@@ -13,7 +13,7 @@ from starlette.responses import Response
 
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
-from rosld.ontology.triples import about, integer, text
+from rosld.ontology.triples import about, each, integer, text
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf, rdfs
 from rosld.server.http import header_syntax, negotiation
@@ -84,6 +84,8 @@ def members(problem: Problem) -> dict[str, object]:
     if problem.violations:
         cleaned = map(_cleaned, problem.violations)
         found["violations"] = [{"path": one.path, "message": one.message, "value": one.value} for one in cleaned]
+    if problem.near:
+        found["near"] = list(problem.near)
     return found
 
 
@@ -96,7 +98,10 @@ def _json(problem: Problem) -> bytes:
 
 
 def document(problem: Problem, url: str = _NOWHERE) -> Document:
-    """The problem with the resource at `url`: a hydra:Error and, where fields do not fit, a sh:ValidationReport."""
+    """The problem with the resource at `url`: a hydra:Error and, where fields do not fit, a sh:ValidationReport.
+
+    What is near is linked by rdfs:seeAlso.
+    """
     node = NamedNode(f"{url}#problem")
     report = validation_report(url, [_cleaned(one) for one in problem.violations]) if problem.violations else None
     triples = about(
@@ -106,6 +111,7 @@ def document(problem: Problem, url: str = _NOWHERE) -> Document:
         (NamedNode(f"{_HYDRA}title"), text(_clean(problem.title))),
         (NamedNode(f"{_HYDRA}description"), text(_clean(problem.detail))),
         (rdfs.seeAlso, NamedNode(f"{url}#report") if report else None),
+        *each(rdfs.seeAlso, map(NamedNode, problem.near)),
     )
     return Document(url, (*triples, *(report.triples if report else ())))
 

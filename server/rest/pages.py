@@ -142,7 +142,13 @@ class Pages:
         if negotiation.choose(exchange.accept, _PROBLEM_OFFERS) != "text/html":
             return None
         page = ProblemPage(
-            self.site_for(exchange.permissions), problem.status, problem.title, problem.detail, url, problem.violations
+            self.site_for(exchange.permissions),
+            problem.status,
+            problem.title,
+            problem.detail,
+            url,
+            problem.violations,
+            problem.near,
         )
         headers = {**problem.headers, **self.headers, "Vary": "Accept", "Cache-Control": "no-store"}
         return Response(html.render_problem(page), problem.status, headers, "text/html; charset=utf-8")

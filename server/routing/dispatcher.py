@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -44,13 +44,17 @@ _JSON_IS_JSONLD = {JSON: Syntax.JSON_LD.media_type}
 
 @dataclass(frozen=True, slots=True)
 class Dispatcher:
-    """Answers requests on resources. `instance_id` tells this run of the server from others in ETags."""
+    """Answers requests on resources. `instance_id` tells this run of the server from others in ETags.
+
+    `near` finds the URLs near one at which there is nothing.
+    """
 
     instance_id: str
     pages: Pages
     broadcasters: Broadcasters
     keyed_lock: KeyedLock
     large: LargeDocuments
+    near: Callable[[str], Sequence[str]]
 
     async def answer(self, exchange: Exchange, resource: Resource) -> Response:
         """The response to a request on a resource; raises Problems. Either says what it is (LDP 4.2.1.4)."""
@@ -62,10 +66,16 @@ class Dispatcher:
                 exchange.answering = resource
             response = await self._answer(exchange, resource)
         except (BodyError, LoweringError, RosError, Problem) as error:
-            raise _linked(resource, _problem(error)) from error
+            raise self._with_near(exchange, resource, _linked(resource, _problem(error))) from error
         if response.status_code == 204 and resource.links and b"link" not in dict(response.raw_headers):
             response.raw_headers = [*response.raw_headers, (b"link", rendered(resource.links).encode("latin-1"))]
         return response
+
+    def _with_near(self, exchange: Exchange, resource: Resource, problem: Problem) -> Problem:
+        """A 404 with the URLs that are near; who may not read everything is not told what there is in its place."""
+        if problem.status == 404 and exchange.permissions.may_read_all:
+            problem.near = tuple(self.near(resource.url))
+        return problem
 
     def _permissions(self, exchange: Exchange, resource: Resource) -> None:
         """Refuse what who asks may not do here. A form is judged once it has said what it means."""

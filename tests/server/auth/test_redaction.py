@@ -187,3 +187,12 @@ def test_of_an_affordance_only_the_forms_are_left_that_may_be_used() -> None:
     told = redact_document(Document(url, tuple(forms)), Permissions(ANONYMOUS, Rights((rule,)), Space(base))).triples
     assert {triple.object for triple in told if triple.predicate == td.hasForm} == {read}
     assert write not in {triple.subject for triple in told}
+
+
+def test_a_404_tells_what_is_near_to_those_who_may_read_everything(guarded: Guarded) -> None:
+    told = {agent: guarded[agent].get("/topics/cockpit/displai") for agent in ("admin", "reader")}
+    assert {answer.status_code for answer in told.values()} == {404}
+    assert "topics/cockpit/display" in told["admin"].text
+    assert "display" not in told["reader"].text
+    readable = guarded["reader"].get("/topics/aircraft/engine/sped")
+    assert (readable.status_code, readable.json().get("near")) == (404, None)

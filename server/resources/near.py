@@ -1,0 +1,63 @@
+"""The URLs near one at which there is nothing, for the 404 that says so."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from rosld.ontology.namespaces import Kept, namespaces_of
+from rosld.ontology.urls import Location
+from rosld.server.hypermedia.conditions import url_of
+from rosld.server.hypermedia.resource_tree import ResourceTree, path_of, segments_of
+from rosld.server.resources.context import Robot
+from rosld.server.resources.namespaces import listed, namespaces, of_room
+from rosld.server.search.near_names import NearNames
+
+_IN_GRAPH = frozenset({"nodes", "topics", "services", "actions", "parameters"})
+
+
+def _near_in_room(things: Mapping[str, object]) -> NearNames:
+    return NearNames((*things, *(path_of(namespace) for namespace in namespaces_of(things) if namespace)))
+
+
+def _near_in_tree(tree: ResourceTree) -> NearNames:
+    return NearNames({*tree.properties, *tree.actions, *tree.paths} - {"/"})
+
+
+_room_names: Kept[Mapping[str, object], NearNames] = Kept(_near_in_room)
+_tree_names: Kept[ResourceTree, NearNames] = Kept(_near_in_tree, 2)
+
+
+def near_urls(robot: Robot, url: str) -> Sequence[str]:
+    """The URLs of what the robot has under names near that of `url`, the nearest first.
+
+    None where `url` is in no container of names, and where its name is there: then it is absent for another reason.
+    """
+    place = robot.space.location(url)
+    if place is None or not place.segments:
+        return ()
+    if place.kind == "resources":
+        return _near_resources(robot, place)
+    return _near_names(robot, place) if place.kind in _IN_GRAPH else ()
+
+
+def _near_names(robot: Robot, place: Location) -> Sequence[str]:
+    things, name, space = of_room(listed(robot), place.kind), _name(place), robot.space
+    if name in things or place.segments in namespaces(robot.graph, place.kind):
+        return ()
+    return [
+        space.container(place.kind, segments_of(each))
+        if each.endswith("/")
+        else space.url(place.kind, tuple(each[1:].split("/")))
+        for each in _room_names(things).of(name)
+    ]
+
+
+def _near_resources(robot: Robot, place: Location) -> Sequence[str]:
+    tree, name = robot.offers.at_hand(), _name(place)
+    if tree is None or tree.property(name) is not None or tree.action(name) is not None or f"{name}/" in tree.paths:
+        return ()
+    return [url_of(each, robot.space) for each in _tree_names(tree).of(name)]
+
+
+def _name(place: Location) -> str:
+    return "/" + "/".join(place.segments)

@@ -1,0 +1,92 @@
+"""Names near one that is not there: with the same last segment, with few typing errors in it, or with it as a part."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+MAX_NEAR = 5
+"""Names that are told of at the most."""
+_MAX_EDITS = 2
+_MIN_PART = 3
+"""Characters from which a segment counts as a part of another."""
+_BEYOND = _MAX_EDITS + 1
+"""The distance of segments of which one begins with the other."""
+
+
+class NearNames:
+    """Finds the names near another one; names of containers end in a slash, as they do in URLs.
+
+    The last segments are compared, whatever the case of their letters: a wrong namespace is as frequent as a typing
+    error. Each has a mask of the characters in it, so that of thousands few are compared.
+    """
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self._by_last: dict[str, list[str]] = {}
+        for name in names:
+            self._by_last.setdefault(_last(name), []).append(name)
+        self._masks = [(last, _mask(last)) for last in self._by_last]
+
+    def of(self, name: str, limit: int = MAX_NEAR) -> list[str]:
+        """The names nearest to `name`, the nearest first; `name` itself is none of them."""
+        wanted, home = _last(name), _home(name)
+        mask, edits = _mask(wanted), max_edits(wanted)
+        found = []
+        for last, other in self._masks:
+            if (mask ^ other).bit_count() <= 2 * edits or last.startswith(wanted) or wanted.startswith(last):
+                distance = _distance(wanted, last, edits)
+                if distance is not None:
+                    found += [(distance, _home(each) != home, len(each), each) for each in self._by_last[last]]
+        return [each for *_, each in sorted(found) if each.rstrip("/") != name.rstrip("/")][:limit]
+
+
+def max_edits(word: str) -> int:
+    """The typing errors that a word may have to be taken for another: of one in three characters, at most two."""
+    return min(_MAX_EDITS, len(word) // 3)
+
+
+def _distance(one: str, other: str, edits: int) -> int | None:
+    """How far two last segments are from each other; None where they are not near."""
+    distance = edit_distance(one, other, edits)
+    if distance <= edits:
+        return distance
+    is_part = min(len(one), len(other)) >= _MIN_PART and (one.startswith(other) or other.startswith(one))
+    return _BEYOND if is_part else None
+
+
+def edit_distance(one: str, other: str, limit: int) -> int:
+    """How many characters must be put in, left out, replaced or swapped with their neighbours; beyond `limit` any more.
+
+    This is the optimal string alignment distance; only the cells within `limit` of the diagonal are computed.
+    """
+    if abs(len(one) - len(other)) > limit:
+        return limit + 1
+    beyond = limit + 1
+    before, last = [beyond] * (len(other) + 1), [min(column, beyond) for column in range(len(other) + 1)]
+    for row, char in enumerate(one, 1):
+        here = [beyond] * (len(other) + 1)
+        here[0] = min(row, beyond)
+        for column in range(max(1, row - limit), min(len(other), row + limit) + 1):
+            cost = min(last[column - 1] + (char != other[column - 1]), last[column] + 1, here[column - 1] + 1)
+            if row > 1 and column > 1 and char == other[column - 2] and one[row - 2] == other[column - 1]:
+                cost = min(cost, before[column - 2] + 1)
+            here[column] = min(cost, beyond)
+        if min(here) > limit:
+            return beyond
+        before, last = last, here
+    return last[-1]
+
+
+def _last(name: str) -> str:
+    return name.rstrip("/").rpartition("/")[2].casefold()
+
+
+def _home(name: str) -> str:
+    return name.rstrip("/").rpartition("/")[0]
+
+
+def _mask(word: str) -> int:
+    """A bit for each character of a word: one edit changes two bits at the most."""
+    found = 0
+    for char in word:
+        found |= 1 << (ord(char) & 63)
+    return found

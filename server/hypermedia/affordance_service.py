@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 from rosld.adapters.base import Watch
@@ -181,7 +181,7 @@ class AffordanceService(Generic[T]):
         """The state of the resource at `url` that follows from some properties: kept while their readings are good."""
         states = self._states
         readings = self.known(reads) or await self.look(reads)
-        version = (tree, readings)
+        version = (tree, readings, self._is_open)
         found = states.find(url, version)
         return found if found is not None else states.put(url, version, make(self.snapshot(tree, readings)))
 
@@ -218,13 +218,17 @@ class AffordanceService(Generic[T]):
             plan.path,
             tuple(
                 Member(
-                    self.member_affordance(one, verdicts.hold(one.guards)),
+                    self.member_affordance(one, self._is_open and verdicts.hold(one.guards)),
                     snapshot.readings[one.of.name],
                     one.field,
                 )
                 for one in plan.members
             ),
-            tuple(self.action_affordance(action) for action in plan.actions if verdicts.hold(action.conditions)),
+            tuple(
+                self.action_affordance(action)
+                for action in plan.actions
+                if self._is_open and verdicts.hold(action.conditions)
+            ),
             tuple(
                 LinkAffordance(link.relation, url_of(link.target, space))
                 for link in plan.links
@@ -240,7 +244,7 @@ class AffordanceService(Generic[T]):
         """A property by itself. Raises a 404 Problem where it is not there."""
         self.require(plan.exists_when, snapshot.verdicts, plan.of.name)
         own, space = plan.of, self._session.space
-        affordance = self.member_affordance(plan.member, snapshot.verdicts.hold(plan.guards))
+        affordance = self.member_affordance(plan.member, self._is_open and snapshot.verdicts.hold(plan.guards))
         reading = snapshot.readings[own.name]
         return PropertyView(
             affordance,
@@ -256,7 +260,13 @@ class AffordanceService(Generic[T]):
         self.require((*plan.exists_when, *plan.conditions), snapshot.verdicts, plan.name)
         space = self._session.space
         invokes = space.action(plan.service) if plan.sends_goals else space.service(plan.service)
-        return ActionView(self.action_affordance(plan), invokes, url_of(plan.home, space))
+        affordance = replace(self.action_affordance(plan), is_open=self._is_open)
+        return ActionView(affordance, invokes, url_of(plan.home, space))
+
+    @property
+    def _is_open(self) -> bool:
+        """Whether anything is on offer now: nothing is while the robot is stopped."""
+        return not self._session.is_stopped
 
     def require(self, conditions: Iterable[Condition], verdicts: Verdicts, name: str) -> None:
         """Raise a 404 Problem with the reason where a condition of something's being there does not hold."""

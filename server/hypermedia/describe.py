@@ -251,7 +251,7 @@ def _action_affordance(one: ActionAffordance, document: NamedNode, node: str, sp
 
     An action whose request is not known cannot be called, and so affords nothing.
     """
-    if one.request is None:
+    if one.request is None or not one.is_open:
         return ()
     subject = NamedNode(document.value + node)
     request = NamedNode(space.shape(one.request.ref.name)) if one.request.type.fields else None

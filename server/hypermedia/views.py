@@ -47,7 +47,7 @@ class PropertyAffordance:
 class ActionAffordance:
     """An action: POST to `url`, with a message of `request` (None: its type is not known, so it cannot be called).
 
-    `sends_goals`: it takes its time, so that what comes of it is a goal.
+    `sends_goals`: it takes its time, so that what comes of it is a goal. `is_open`: it may be invoked now.
     """
 
     name: str
@@ -56,6 +56,7 @@ class ActionAffordance:
     relation: NamedNode | None = None
     title: str | None = None
     sends_goals: bool = False
+    is_open: bool = True
 
     def redact(self, permissions: Permissions) -> ActionAffordance:
         return self if permissions.may("POST", self.url) else replace(self, request=None)

@@ -33,6 +33,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import TEXT, or_null
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import DataSchema
+from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
@@ -52,7 +53,7 @@ from rosld.server.robot.write_policy import resources_only_reason
 _READ_ONLY = "This server is read-only."
 
 
-class ActionResource(Resource):
+class ActionResource(CommandResource):
     """One action."""
 
     kind = "Action"
@@ -104,6 +105,11 @@ class ActionResource(Resource):
             return self.action.unusable or f"No goal can be sent to {self.name}."
         return f"Goals are sent to an action with POST; it does not answer {method}."
 
+    @property
+    def takes_goals(self) -> bool:
+        """Whether a goal can be sent here now."""
+        return "POST" in self.methods() - self.withheld
+
     async def state(self) -> State:
         _ = self.action
         await follow_action(self.robot, self.name)
@@ -112,15 +118,13 @@ class ActionResource(Resource):
     def shown(self) -> State:
         """What it is like, as far as its goals are known."""
         goals = tuple(goal.id for goal in self.robot.goals.of_action(self.name))
-        version = (IdentityKey(self.action), goals, self.methods(), self.robot.graph.revision)
+        version = (IdentityKey(self.action), goals, self.takes_goals, self.robot.graph.revision)
         return self.robot.states.get_or_make(self.url, version, lambda: State(self.document))
 
     def document(self) -> Document:
         """The RDF of this action."""
         goals = [goal.id for goal in self.robot.goals.of_action(self.name)]
-        return action_document(
-            self.action, self.robot.space, self.robot.graph, goals, takes_goals="POST" in self.methods()
-        )
+        return action_document(self.action, self.robot.space, self.robot.graph, goals, takes_goals=self.takes_goals)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         await follow_action(self.robot, self.name)

@@ -35,6 +35,7 @@ from rosld.server.resources.bulk_write import (
     changes_in_json,
     planned_changes,
 )
+from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.preconditions import seen_anew
 from rosld.server.resources.things import complex_thing, thing_response, wants_thing
@@ -42,13 +43,13 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, MERGE_PATCH, OFFERS, SPARQL_UPDATE
 from rosld.server.rest.path_item import FORMAT, Method, PathItem
 from rosld.server.rest.plan import Plan, RobotWrite
-from rosld.server.rest.resource import ABSENT, BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Resource, moved
+from rosld.server.rest.resource import ABSENT, BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, moved
 from rosld.server.rest.state import State
 
 _FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS, "td"]})
 
 
-class ComplexResource(Resource):
+class ComplexResource(CommandResource):
     """A complex resource: a namespace, or what a mapping says of a path."""
 
     kind = "Complex resource"

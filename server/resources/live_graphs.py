@@ -321,7 +321,7 @@ class Dataset:
             yield _described(space.node(name), (view, simulated), describe)
         for topic in graph.topics.values():
             hold = robot.holds.find_by_topic(topic.name)
-            can = "POST" in TopicResource(robot, topic.name).methods()
+            can = TopicResource(robot, topic.name).is_holdable
             yield _described(
                 space.topic(topic.name),
                 (topic, hold and hold.id, can),
@@ -332,7 +332,7 @@ class Dataset:
         for name, action in graph.actions.items():
             one = ActionResource(robot, name)
             goals = tuple(goal.id for goal in robot.goals.of_action(name))
-            yield _described(one.url, (action, goals, one.methods()), one.document)
+            yield _described(one.url, (action, goals, one.takes_goals), one.document)
         for parameter in graph.parameters.values():
             url = space.parameter(parameter.name)
             yield _described(url, parameter, partial(described_parameter, parameter, space))

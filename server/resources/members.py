@@ -33,6 +33,7 @@ from rosld.server.hypermedia.views import PropertyView
 from rosld.server.ldp.patch import merge_patch, updated
 from rosld.server.resources.actions import ActionResource
 from rosld.server.resources.bulk_write import with_field
+from rosld.server.resources.command import CommandResource
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message
@@ -44,7 +45,7 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, Method, PathItem
 from rosld.server.rest.plan import Plan, RobotWrite
-from rosld.server.rest.resource import ABSENT, READ, Answer, Resource, Shown, moved
+from rosld.server.rest.resource import ABSENT, READ, Answer, Shown, moved
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import CallOutcome
 
@@ -52,7 +53,7 @@ _INVOKES = "Invokes the action; what is shown then is the resource that it belon
 _SENDS_A_GOAL = "Sends a goal, which is what is made; 409 where it is rejected."
 
 
-class MemberResource(Resource):
+class MemberResource(CommandResource):
     """A property, an action, or a name that is both."""
 
     kind = "Resource"

@@ -19,6 +19,7 @@ from rosld.server.html import ChoiceForm, Form
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import TEXT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
@@ -26,7 +27,7 @@ from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
 from rosld.server.rest.path_item import Method, PathItem
-from rosld.server.rest.resource import READ, Answer, Resource
+from rosld.server.rest.resource import READ, Answer
 from rosld.server.rest.state import State
 from rosld.server.robot.write_policy import resources_only_reason
 
@@ -34,7 +35,7 @@ TRANSITION = "transition"
 """The member of a JSON body, and the field of a form, that names a transition."""
 
 
-class NodeResource(Resource):
+class NodeResource(CommandResource):
     """One node."""
 
     kind = "Node"
@@ -67,7 +68,7 @@ class NodeResource(Resource):
     @property
     def _offers(self) -> bool:
         """Whether a transition can be asked for here now."""
-        return "POST" in self.methods() and Operation.CHANGE_STATE in self.robot.adapter.allows(
+        return "POST" in self.methods() - self.withheld and Operation.CHANGE_STATE in self.robot.adapter.allows(
             Ref(Kind.NODE, self.name)
         )
 

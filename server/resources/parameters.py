@@ -43,6 +43,7 @@ from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.ldp.patch import merge_patch, updated
+from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_parameter
 from rosld.server.resources.namespaces import (
@@ -84,7 +85,7 @@ _LOOK_AGAIN_SECONDS = 1.0
 _NEW_VALUE: DataSchema = {"type": ["string", "number", "boolean", "array", "object"]}
 
 
-class _Parameters(Resource):
+class _Parameters(CommandResource):
     """What a single parameter and a tree of them have in common."""
 
     def __init__(self, robot: Robot, name: str, url: str) -> None:

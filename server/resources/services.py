@@ -15,6 +15,7 @@ from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, or_null
 from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, moved_to_namespace
@@ -29,7 +30,7 @@ from rosld.server.robot.calls import Call, Gone
 from rosld.server.robot.write_policy import resources_only_reason
 
 
-class ServiceResource(Resource):
+class ServiceResource(CommandResource):
     """One service."""
 
     kind = "Service"

@@ -10,7 +10,7 @@ from pyoxigraph import Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
-from rosld.adapters.model import Graph, Kind, Operation, Ref, RosError, Topic
+from rosld.adapters.model import Graph, Kind, MessageSchema, Operation, Ref, RosError, Topic
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
@@ -22,6 +22,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, as_patch, or_null
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import message_schema
+from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.holds import hold_parameters, hold_schema, hold_topic
 from rosld.server.resources.messages import Decoded, decode, field_response, lifted
@@ -36,6 +37,7 @@ from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.publication import publish
 from rosld.server.robot.topic_view import TopicView
+from rosld.server.robot.velocity import is_velocity_topic
 from rosld.server.robot.write_policy import RESERVED, denied_reason, resources_only_reason
 from rosld.server.runtime.signals import combine_watches
 
@@ -44,7 +46,7 @@ _LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
 _LATCH = UrlParameter("latch", "Whether subscribers that come later get the message.", {"type": "boolean"})
 
 
-class TopicResource(Resource):
+class TopicResource(CommandResource):
     """One topic."""
 
     kind = "Topic"
@@ -106,6 +108,22 @@ class TopicResource(Resource):
     def methods(self) -> frozenset[str]:
         return self._allowance()[1]
 
+    @property
+    def withheld(self) -> frozenset[str]:
+        """All that writes, while the robot is stopped; but zero may be published on a velocity topic, and held."""
+        return super().withheld - {"PUT", "POST"} if self._takes_zero else super().withheld
+
+    @property
+    def _takes_zero(self) -> bool:
+        """Whether it is a velocity topic."""
+        topic, robot = self.topic, self.robot
+        return topic is not None and is_velocity_topic(topic, robot.graph, robot.settings.stop_zero)
+
+    @property
+    def is_holdable(self) -> bool:
+        """Whether to hold it is on offer now."""
+        return "POST" in self.methods() and not self.robot.is_stopped
+
     def why_unwritable(self) -> str | None:
         """Why nothing may be published here, in a sentence; None where it may."""
         return self._allowance()[2]
@@ -115,22 +133,22 @@ class TopicResource(Resource):
         graph = self.robot.graph
         if self._allowed is None or self._allowed[0] is not graph:
             denied_reason = self._refusal()
-            self._allowed = (graph, self._dispatcher(denied_reason), denied_reason)
+            self._allowed = (graph, self._verbs(denied_reason), denied_reason)
         return self._allowed
 
-    def _dispatcher(self, denied_reason: str | None) -> frozenset[str]:
+    def _verbs(self, denied_reason: str | None) -> frozenset[str]:
         """The verbs of a topic that is there; of one that is not, what makes it: nothing can be read of it."""
-        dispatcher = READ if denied_reason else self._writing()
+        verbs = READ if denied_reason else self._writing()
         is_there = self.topic is not None or moved_to_namespace(self.robot, "topics", self.name) is not None
-        return dispatcher if is_there else dispatcher - {"GET", "HEAD"}
+        return verbs if is_there else verbs - {"GET", "HEAD"}
 
     def _writing(self) -> frozenset[str]:
         topic = self.topic
         if topic is None:
             return READ | {"PUT"}
         own = any(endpoint.node == self.robot.graph.own_node for endpoint in topic.publishers)
-        dispatcher = READ | {"PUT", "PATCH", "POST"} if topic.type is not None else READ | {"PUT", "PATCH"}
-        return dispatcher | {"DELETE"} if own else dispatcher
+        verbs = READ | {"PUT", "PATCH", "POST"} if topic.type is not None else READ | {"PUT", "PATCH"}
+        return verbs | {"DELETE"} if own else verbs
 
     def _refusal(self) -> str | None:
         robot, topic = self.robot, self.topic
@@ -169,8 +187,8 @@ class TopicResource(Resource):
         robot = self.robot
         graph = robot.graph
         topic = graph.topics.get(self.name) or Topic(self.name)
-        hold, methods = robot.holds.find_by_topic(self.name), self.methods()
-        version = (IdentityKey(topic), IdentityKey(view), graph.simulated_time, hold and hold.id, "POST" in methods)
+        hold = robot.holds.find_by_topic(self.name)
+        version = (IdentityKey(topic), IdentityKey(view), graph.simulated_time, hold and hold.id, self.is_holdable)
         known = robot.states.find(self.url, version)
         if known is None:
             decoded = [await decode(robot, sample) for sample in view.samples]
@@ -191,7 +209,7 @@ class TopicResource(Resource):
                 raise Problem(406, f"The messages of {self.name} cannot be read: {newest.reason}.")
             return lifter(newest.schema, self.robot.lifting).json(newest.message, self.url)
 
-        hold, can = self.robot.holds.find_by_topic(self.name), "POST" in self.methods()
+        hold, can = self.robot.holds.find_by_topic(self.name), self.is_holdable
         said = f"{topic!r}{view.version_key()}{hold and hold.id}{can}{[one.reason for one in decoded]}"
         token = digest(said.encode("utf-8", "replace"))
         recorded = bool(self.robot.adapter.recordings)  # a recording's times are of the past: no Age (RFC 9111 5.1)
@@ -205,7 +223,7 @@ class TopicResource(Resource):
         reason = next((one.reason for one in decoded if one.reason), topic.unreadable)
         return topic_document(
             topic, robot.space, robot.graph, view.rate, found, unreadable=reason,
-            holdable="POST" in self.methods(), hold=None if hold is None else hold.id,
+            holdable=self.is_holdable, hold=None if hold is None else hold.id,
         )  # fmt: skip
 
     @property
@@ -219,12 +237,19 @@ class TopicResource(Resource):
         if "PUT" in methods and topic is not None and topic.type is not None:
             try:
                 schema = await self.robot.schemas.message(topic.type)
-                forms.append(MessageForm(schema, value=await self._latest_json()))
+                forms.append(self._zero_form(schema) if self.robot.is_stopped else await self._message_form(schema))
             except RosError:
                 pass
         if "DELETE" in methods:
             forms.append(DeleteForm("Stop advertising", "Stop advertising", f"rosld no longer publishes {self.name}."))
         return forms
+
+    async def _message_form(self, schema: MessageSchema) -> MessageForm:
+        return MessageForm(schema, value=await self._latest_json())
+
+    def _zero_form(self, schema: MessageSchema) -> MessageForm:
+        """What is left to publish while the robot is stopped."""
+        return MessageForm(schema, title="Publish zero", about="The robot is stopped: nothing else passes.")
 
     async def _latest_json(self) -> Json:
         """The latest message as plain JSON, None where there is none that can be read."""

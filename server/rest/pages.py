@@ -6,7 +6,6 @@ import asyncio
 import json
 from collections.abc import Hashable, Mapping, Sequence
 from datetime import datetime, timezone
-from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlsplit
 
 from starlette.responses import Response
@@ -36,12 +35,10 @@ from rosld.server.http.problem import Problem
 from rosld.server.rest.errors import problem_of_body
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.large import LargeDocuments, shortened
+from rosld.server.rest.resource import Resource, allow
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.robot.stop import SoftwareStop
-
-if TYPE_CHECKING:
-    from rosld.server.rest.resource import Resource
 
 _PROBLEM_OFFERS = ("application/problem+json", "application/json", "text/turtle", "application/ld+json", "text/html")
 _MAX_FIELDS = 10_000
@@ -164,7 +161,7 @@ class Pages:
         forms = await resource.forms()
         form = next((form for form in forms if form.method == method and not form.action), None)
         if form is None:
-            raise Problem(405, resource.deny_reason(method or "POST"), headers={"Allow": ", ".join(resource.methods())})
+            raise Problem(405, resource.deny_reason(method or "POST"), headers={"Allow": allow(resource)})
         try:
             value = _value(form, typed)
         except LoweringError as error:

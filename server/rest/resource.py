@@ -80,8 +80,13 @@ class Resource:
         return False
 
     def methods(self) -> frozenset[str]:
-        """The verbs it answers now; what `Allow` says, unless it is absent."""
+        """The verbs it answers; what `Allow` says but for those withheld, unless it is absent."""
         return READ
+
+    @property
+    def withheld(self) -> frozenset[str]:
+        """The verbs that are refused for now, though it answers them: 423, because the robot is stopped."""
+        return frozenset()
 
     async def methods_now(self) -> frozenset[str]:
         """The verbs it answers in its present state, which may have to be read: what OPTIONS says."""
@@ -150,7 +155,7 @@ class Resource:
             self.kind,
             self.title or self.url.removeprefix(site.base),
             state.document,
-            tuple(sorted(each for each in self.methods() if self._is_for(site, each))),
+            tuple(sorted(each for each in self.methods() - self.withheld if self._is_for(site, each))),
             tuple(forms),
             csrf,
             tuple(notices),
@@ -254,4 +259,4 @@ def moved(url: str) -> Problem:
 
 def allow(resource: Resource) -> str:
     """The Allow field of a resource."""
-    return ", ".join(sorted(ABSENT if resource.is_absent else resource.methods()))
+    return ", ".join(sorted(ABSENT if resource.is_absent else resource.methods() - resource.withheld))

@@ -11,11 +11,11 @@ ACCEPT_FIELDS = {"PUT": "Accept-Put", "POST": "Accept-Post", "PATCH": "Accept-Pa
 
 
 def standing_headers(resource: Resource, methods: frozenset[str] | None = None) -> dict[str, str]:
-    """The headers every answer about a resource has: Allow, Link, and Accept-* for the writes it takes.
+    """The headers every answer about a resource has: Allow, Link, and Accept-* for the writes that it takes now.
 
     `methods` are those it answers, where more is known of them than the resource says without being read.
     """
-    methods = resource.methods() if methods is None else methods
+    methods = (resource.methods() if methods is None else methods) - resource.withheld
     links = resource.links
     if resource.constrained_by is not None:
         links = (*links, Link(resource.constrained_by, f"{LDP}constrainedBy"))

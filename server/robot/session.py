@@ -68,6 +68,11 @@ class Session:
         return self.adapter.graph
 
     @property
+    def is_stopped(self) -> bool:
+        """Whether nothing may tell the robot anything but to stand still."""
+        return self.interlock.stop_state is not None
+
+    @property
     def name(self) -> str:
         """What people call it: a recording's name, a master's address, else the kind of system."""
         recordings = list(self.adapter.recordings)

@@ -31,7 +31,7 @@ def way(grid: Grid, start: Point, goal: Point) -> tuple[Point, ...]:
 
 def length(start: Point, corners: Sequence[Point]) -> float:
     """How long the way from a point over these is."""
-    return sum(math.dist(one, other) for one, other in zip((start, *corners), corners, strict=False))
+    return math.fsum(math.dist(one, other) for one, other in pairwise((start, *corners)))
 
 
 def _is_free(grid: Grid, cell: Cell) -> bool:

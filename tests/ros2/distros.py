@@ -2,8 +2,8 @@
 
     python tests/ros2/distros.py [jazzy] [kilted]
 
-makes them ahead. rosld is installed in each with what its tests need, and so are the interfaces of the aircraft, which
-are generated from their definitions and compiled there. Two runs that need one at once make it once.
+makes them ahead. rosld is installed in each with what its tests need, and so are the interfaces of the aircraft and the
+rover, which are generated from their definitions and compiled there. Two runs that need one at once make it once.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ import pytest
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-INTERFACES = ROOT / "adapters" / "model" / "definitions" / "rosld_aircraft"
+DEFINITIONS = ROOT / "adapters" / "model" / "definitions"
+INTERFACES = {"rosld_aircraft": (), "rosld_rover": (), "tf2_msgs": ("msg/TFMessage.msg",)}
+"""The packages that are made from our definitions, and which of these where not all: the wheels lack tf2_msgs."""
 COMPILERS = ROOT / "tests" / "debian-compiler.txt"
 DISTROS = ("jazzy", "kilted")
 TESTED_WITH = ("pytest>=8", "hypothesis>=6.100", "httpx>=0.27")
@@ -176,8 +178,9 @@ def _packages(distro: Distro) -> None:
 
 
 def _interfaces(distro: Distro) -> None:
-    """The aircraft's own services and action."""
-    sources = [HERE / "interfaces.py", *sorted(path for path in INTERFACES.rglob("*") if path.is_file())]
+    """The services and actions of the aircraft and the rover, and what of tf2_msgs the rover needs."""
+    texts = [path for name in INTERFACES for path in sorted((DEFINITIONS / name).rglob("*")) if path.is_file()]
+    sources = [HERE / "interfaces.py", *texts]
 
     def install() -> None:
         headers = Path(sysconfig.get_path("include")) / "Python.h"
@@ -186,13 +189,15 @@ def _interfaces(distro: Distro) -> None:
         if lacking:
             packages = " ".join(COMPILERS.read_text("utf-8").split())
             raise Missing(
-                f"the interfaces of the ROS 2 aircraft cannot be compiled without {', '.join(lacking)}: "
+                f"the interfaces of the ROS 2 robots cannot be compiled without {', '.join(lacking)}: "
                 f"apt-get install --no-install-recommends {packages}"
             )
-        command = [distro.python, str(HERE / "interfaces.py"), str(INTERFACES)]
-        _run(command, "the interfaces of the ROS 2 aircraft cannot be made")
+        for name, chosen in INTERFACES.items():
+            command = [distro.python, str(HERE / "interfaces.py"), str(DEFINITIONS / name), *chosen]
+            _run(command, f"the interfaces in {name} cannot be made")
 
-    _once(distro, "interfaces", [text for path in sources for text in (path.name, path.read_text("utf-8"))], install)
+    parts = [str(INTERFACES), *(text for path in sources for text in (path.name, path.read_text("utf-8")))]
+    _once(distro, "interfaces", parts, install)
 
 
 def _run(command: Sequence[str], why: str) -> None:

@@ -1,10 +1,10 @@
 """Makes and installs a package of ROS 2 interfaces, with nothing but ROS 2's wheels and a C compiler.
 
-    python interfaces.py FOLDER/PACKAGE
+    python interfaces.py FOLDER/PACKAGE [msg/NAME.msg ...]
 
-is run by the Python of a venv that holds the wheels. The folder has definitions in msg/, srv/ and action/. They are
-generated and compiled as a build of ROS would, and what comes out lies in the venv where a ROS has it: libraries in
-lib/, definitions in share/, classes in site-packages.
+is run by the Python of a venv that holds the wheels. The folder has definitions in msg/, srv/ and action/, of which
+those that are named are taken, else all. They are generated and compiled as a build of ROS would, and what comes out
+lies in the venv where a ROS has it: libraries in lib/, definitions in share/, classes in site-packages.
 """
 
 from __future__ import annotations
@@ -25,8 +25,15 @@ from typing import Any
 
 PREFIX = Path(sys.prefix)
 SHARE, LIBRARIES = PREFIX / "share", PREFIX / "lib"
-NEEDED = ("action_msgs", "builtin_interfaces", "service_msgs", "unique_identifier_msgs")
-"""The packages whose types are within every service and action."""
+NEEDED = (
+    "action_msgs",
+    "builtin_interfaces",
+    "geometry_msgs",
+    "service_msgs",
+    "std_msgs",
+    "unique_identifier_msgs",
+)
+"""The packages whose types are within every service and action, or within what the tests define."""
 RUNTIME = (
     "fastcdr",
     "rcutils",
@@ -45,11 +52,15 @@ ORDER = (MESSAGES, FAST, INTROSPECTION, DISPATCH, PYTHON)
 
 @dataclass(frozen=True)
 class Package:
-    """A package that is being made: its name, its definitions, and a folder for what is only needed meanwhile."""
+    """A package that is being made: its name, its definitions, and a folder for what is only needed meanwhile.
+
+    Of the definitions in `source` only those in `chosen` are taken, where there are any.
+    """
 
     name: str
     source: Path
     work: Path
+    chosen: frozenset[str] = frozenset()
 
     @property
     def share(self) -> Path:
@@ -60,7 +71,8 @@ class Package:
     def definitions(self) -> Sequence[Path]:
         """The definitions, as they lie in the source."""
         kinds = ("msg", "srv", "action")
-        return [path for kind in kinds for path in sorted(self.source.glob(f"{kind}/*.{kind}"))]
+        found = [path for kind in kinds for path in sorted(self.source.glob(f"{kind}/*.{kind}"))]
+        return [path for path in found if not self.chosen or path.relative_to(self.source).as_posix() in self.chosen]
 
     @property
     def idl(self) -> Sequence[str]:
@@ -204,14 +216,14 @@ def register(package: Package) -> None:
     (index / "rosidl_interfaces" / package.name).write_text("\n".join([*lines, *package.idl]), "utf-8")
 
 
-def install(source: Path) -> None:
+def install(source: Path, *chosen: str) -> None:
     """Make the package whose definitions lie in a folder of its name, and install it into this venv."""
     if not re.fullmatch(r"[a-z]\w*", source.name) or not any(source.glob("*/*.*")):
         raise SystemExit(f"{source} is no folder of a package with msg/, srv/ or action/ in it")
     os.environ["AMENT_PREFIX_PATH"] = str(PREFIX)
     paths: Mapping[str, Any] = sysconfig.get_paths()
     with tempfile.TemporaryDirectory(dir=PREFIX) as folder:
-        package = Package(source.name, source.resolve(), Path(folder))
+        package = Package(source.name, source.resolve(), Path(folder), frozenset(chosen))
         classes = package.work / package.name
         define(package)
         generate(package, classes)
@@ -223,4 +235,4 @@ def install(source: Path) -> None:
 
 
 if __name__ == "__main__":
-    install(Path(sys.argv[1]))
+    install(Path(sys.argv[1]), *sys.argv[2:])

@@ -29,9 +29,9 @@ class System:
         """What `rosld serve` is given."""
         return f"ros2:?domain={self.domain}"
 
-    def node(self, script: str, *arguments: str) -> Process:
-        """Start one of the nodes beside this file and wait until it is ready."""
-        command = [self.python, str(NODES / script), *arguments]
+    def node(self, script: str, *arguments: str, folder: Path = NODES) -> Process:
+        """Start one of the nodes beside this file, or in another folder, and wait until it is ready."""
+        command = [self.python, str(folder / script), *arguments]
         running = Process(command, self.environment, politely=signal.SIGINT, grace=GRACE, patience=PATIENCE)
         self._running.append(running)
         running.line("ready")

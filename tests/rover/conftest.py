@@ -15,9 +15,10 @@ __all__ = ["serve", "start_server"]
 """The fixtures that start servers; they belong to the server's tests."""
 
 StartRover: TypeAlias = "Callable[..., Rover]"
+EACH = [pytest.param(name, marks=[pytest.mark.ros2] if name in ("jazzy", "kilted") else []) for name in ROVERS]
 
 
-@pytest.fixture(scope="session", params=list(ROVERS))
+@pytest.fixture(scope="session", params=EACH)
 def rover(
     request: pytest.FixtureRequest, start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Rover]:
@@ -26,7 +27,16 @@ def rover(
         yield found
 
 
-@pytest.fixture(params=list(ROVERS))
+@pytest.fixture(scope="module", params=EACH)
+def stranded(
+    request: pytest.FixtureRequest, start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Rover]:
+    """A rover of each kind at its start, with an empty battery."""
+    with running(request.param, start_server, tmp_path_factory.mktemp(request.param), "battery=0") as found:
+        yield found
+
+
+@pytest.fixture(params=EACH)
 def start_rover(
     request: pytest.FixtureRequest, serve: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[StartRover]:

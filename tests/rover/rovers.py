@@ -7,7 +7,7 @@ Tests elsewhere use them too: import the fixtures `rover` and `start_rover` of `
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import httpx
 
 from rosld.adapters.rover.topics import CMD_VEL, DOCK, LATCHED, NAVIGATE_TO, PERIODIC, SET_LIGHTS
 from tests.adapters.ros1 import system as ros1
+from tests.ros2 import system as ros2
 from tests.waiting import until
 
 NODES = Path(__file__).parent / "nodes"
@@ -98,9 +99,8 @@ Start = Callable[..., Any]
 @contextmanager
 def embedded(start: Start, folder: Path, begins: str, *arguments: str) -> Iterator[Rover]:
     """The embedded rover."""
-    source = f"rover:?{begins}" if begins else "rover"
-    served = start(source, *arguments)
-    yield Rover("embedded", served.url, served.http, source)
+    served = start(_source(begins), *arguments)
+    yield Rover("embedded", served.url, served.http, _source(begins))
 
 
 @contextmanager
@@ -108,13 +108,36 @@ def rospy(start: Start, folder: Path, begins: str, *arguments: str) -> Iterator[
     """The rospy rover under a rosmaster of its own."""
     with ros1.running(folder) as system:
         ros1.require("the rover", "numpy", "diagnostic_msgs", "dynamic_reconfigure")
-        node = system.start([ros1.PYTHON, str(NODES / "rospy_rover.py"), f"rover:?{begins}" if begins else "rover"])
+        node = system.start([ros1.PYTHON, str(NODES / "rospy_rover.py"), _source(begins)])
         node.line("ready")
         served = start(system.source, *arguments)
         yield Rover("rospy", served.url, served.http, system.source, system=system)
 
 
-ROVERS = {"embedded": embedded, "rospy": rospy}
+def rclpy(distro: str) -> Callable[..., AbstractContextManager[Rover]]:
+    """The rclpy rover of a distro, in a domain of its own."""
+
+    @contextmanager
+    def run(start: Start, folder: Path, begins: str, *arguments: str) -> Iterator[Rover]:
+        with ros2.running(distro) as system:
+            system.node("rclpy_rover.py", _source(begins), folder=NODES)
+            how = {"python": system.python, "environment": system.environment}
+            served = start(system.source, *arguments, **how)
+            yield Rover(distro, served.url, served.http, system.source, how, system)
+
+    return run
+
+
+def _source(begins: str) -> str:
+    return f"rover:?{begins}" if begins else "rover"
+
+
+ROVERS: Mapping[str, Callable[..., AbstractContextManager[Rover]]] = {
+    "embedded": embedded,
+    "rospy": rospy,
+    "jazzy": rclpy("jazzy"),
+    "kilted": rclpy("kilted"),
+}
 """How each is run: with what starts servers, a folder, how the rover begins (`battery=0.21&rate=10`), and arguments."""
 
 

@@ -110,13 +110,12 @@ def test_driving_takes_from_the_battery_and_the_dock_gives_back(start_rover: Sta
     until(lambda: rover.hear("/battery_state")["percentage"] > 0.25, "a fuller battery")
 
 
-def test_without_power_it_neither_drives_nor_pursues_a_goal(start_rover: StartRover) -> None:
-    rover = start_rover("battery=0")
-    rover.drive(0.4)
-    told = rover.end_of(rover.send(1.0, 0.0).headers["location"])
+def test_without_power_it_neither_drives_nor_pursues_a_goal(stranded: Rover) -> None:
+    stranded.drive(0.4)
+    told = stranded.end_of(stranded.send(1.0, 0.0).headers["location"])
     assert (told["status"], told["result"]["message"]) == ("aborted", "the battery is empty")
-    assert rover.place() == (0.0, 0.0)
-    assert "no power" in str(rover.hear("/diagnostics"))
+    assert stranded.place() == (0.0, 0.0)
+    assert "no power" in str(stranded.hear("/diagnostics"))
 
 
 def call(rover: Rover, service: str) -> dict[str, object]:
@@ -126,14 +125,13 @@ def call(rover: Rover, service: str) -> dict[str, object]:
     return answer.json()
 
 
-def test_the_laser_measures_walls_that_the_map_has(start_rover: StartRover) -> None:
+def test_the_laser_measures_walls_that_the_map_has(stranded: Rover) -> None:
     """From the start the wall beyond the door is 4.9 m ahead, and the shelf 4.4 m behind."""
-    rover = start_rover()
-    ranges = rover.hear("/scan")["ranges"]
+    ranges = stranded.hear("/scan")["ranges"]
     assert len(ranges) == scan.BEAMS
     assert math.isclose(ranges[0], 4.4, abs_tol=1e-3)
     assert math.isclose(ranges[scan.BEAMS // 2], 4.9, abs_tol=1e-3)
-    grid = rover.hear("/map")
+    grid = stranded.hear("/map")
     info, data = grid["info"], grid["data"]
     assert (info["width"], info["height"], len(data)) == (100, 80, 8000)
 

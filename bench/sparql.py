@@ -186,7 +186,7 @@ class Robot:
         return (
             f"<{url}> {rdf.type} {ros.Topic} .\n"
             f'<{url}> {ros.name} "{url.removeprefix(BASE)}" .\n'
-            f"<{url}> {ros.publisher} <{BASE}nodes/driver> .\n"
+            f"<{url}> {ros.publishedBy} <{BASE}nodes/driver> .\n"
         )
 
     def _lifted(self, url: str, turn: int) -> str:

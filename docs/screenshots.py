@@ -21,7 +21,7 @@ QUERY = """PREFIX ros: <https://w3id.org/rosld#>
 
 SELECT ?node ?topic ?type ?rate WHERE {
   ?node ros:publishes ?topic .
-  ?topic ros:messageType ?type ;
+  ?topic ros:hasMessageType ?type ;
          ros:rate ?rate .
 }
 ORDER BY ?topic"""

@@ -15,7 +15,7 @@ from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.namespaces import is_namespace
 from rosld.ontology.triples import RDF_SOURCE, Statement, about, boolean, each, moment, text
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import hctl, rdf, ros, td
+from rosld.ontology.vocab import hctl, prov, rdf, ros, td
 
 _SETTINGS = LiftSettings()
 _BODIES = tuple(map(Literal, ("application/json", "text/turtle", "application/ld+json")))
@@ -59,7 +59,7 @@ def _type(action: Action, space: Space) -> list[Statement]:
         return []
     name = action.type.name
     return [
-        (ros.actionType, NamedNode(space.class_of(name))),
+        (ros.hasActionType, NamedNode(space.class_of(name))),
         (ros.goalShape, NamedNode(space.shape(f"{name}_Goal"))),
         (ros.resultShape, NamedNode(space.shape(f"{name}_Result"))),
         (ros.feedbackShape, NamedNode(space.shape(f"{name}_Feedback"))),
@@ -105,16 +105,16 @@ def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTIN
         subject,
         (rdf.type, ros.Goal),
         *RDF_SOURCE,
-        (ros.action, NamedNode(space.action(goal.action))),
+        (ros.isGoalOf, NamedNode(space.action(goal.action))),
         (ros.goalId, text(goal.goal_id)),
         (ros.own, boolean(goal.own)),
         (ros.status, _TERMS[goal.status]),
         (ros.statusWord, text(goal.status.value)),
         (ros.words, text(goal.words)),
-        (ros.created, moment(goal.created_ns)),
-        (ros.ended, moment(goal.ended_ns)),
+        (prov.startedAtTime, moment(goal.created_ns)),
+        (prov.endedAtTime, moment(goal.ended_ns)),
         (ros.unreadable, text(goal.unreadable)),
-        (ros.goal, NamedNode(f"{url}#goal") if goal.goal else None),
+        (ros.goalMessage, NamedNode(f"{url}#goal") if goal.goal else None),
         (ros.feedback, NamedNode(f"{url}#feedback") if goal.feedback else None),
         (ros.result, NamedNode(f"{url}#result") if goal.result else None),
     )

@@ -80,7 +80,7 @@ def activity_document(receipt: Receipt, space: Space) -> Document:
         (htv.methodName, Literal(receipt.method)),
         (htv.requestURI, Literal(receipt.url, datatype=xsd.anyURI)),
         (dcterms.format, text(receipt.media_type)),
-        (ros.length, integer(receipt.length) if receipt.length else None),
+        (ros.byteLength, integer(receipt.length) if receipt.length else None),
         (ros.digest, text(receipt.digest)),
         (ros.excerpt, text(receipt.excerpt)),
         (ros.withheld, boolean(True) if receipt.withheld else None),

@@ -67,12 +67,12 @@ def bag_document(bag: Bag, space: Space) -> Document:
         (rdf.type, ros.Bag),
         *CONTAINER,
         (ros.name, text(bag.name)),
-        (ros.format, text(bag.format)),
+        (dcterms.format, text(bag.format)),
         (ros.count, integer(bag.count)),
         (ros.start, moment(bag.start_ns) if bag.count else None),
         (ros.end, moment(bag.end_ns) if bag.count else None),
         (ldp.contains, messages),
-        *each(ros.topic, tracks),
+        *each(ros.hasRecordedTopic, tracks),
     )
     triples += about(messages, (rdfs.label, text("Messages")))
     for node, track in tracks.items():
@@ -86,7 +86,7 @@ def _track(track: Track, space: Space) -> list[Statement]:
     return [
         (rdf.type, ros.BagTopic),
         (ros.name, text(track.name)),
-        (ros.messageType, NamedNode(space.class_of(track.type.name))),
+        (ros.hasMessageType, NamedNode(space.class_of(track.type.name))),
         (ros.count, integer(track.count)),
         (ros.unreadable, text(track.unreadable)),
         (rdfs.seeAlso, NamedNode(space.topic(track.name))),
@@ -106,7 +106,7 @@ def bag_messages_document(bag: Bag, space: Space, page: int | None = None, size:
         container,
         *CONTAINER,
         (dcterms.title, text(f"Messages of {bag.name}")),
-        (ros.bag, NamedNode(space.bag(bag.name))),
+        (ros.recordedIn, NamedNode(space.bag(bag.name))),
         (ros.count, integer(bag.count)),
     )
     triples += about(subject, (xhv.first, pages[0]), (xhv.last, pages[1]))
@@ -131,12 +131,13 @@ def bag_message_document(
     url = space.bag_message(bag.name, message.index)
     triples = about(
         NamedNode(url),
+        (rdf.type, ros.Record),
         *RDF_SOURCE,
-        (ros.bag, NamedNode(space.bag(bag.name))),
+        (ros.recordedIn, NamedNode(space.bag(bag.name))),
         (ros.index, integer(message.index)),
-        (ros.topic, NamedNode(space.topic(message.topic))),
+        (ros.onTopic, NamedNode(space.topic(message.topic))),
         (ros.recordedAt, moment(message.sample.received_ns)),
-        (ros.message, NamedNode(url + MESSAGE) if lifted else None),
+        (ros.recordedMessage, NamedNode(url + MESSAGE) if lifted else None),
         (ros.unreadable, text(unreadable)),
     )
     return Document(url, tuple(triples), (lifted,) if lifted else ())

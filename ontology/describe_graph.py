@@ -55,11 +55,11 @@ def entry_document(graph: Graph, space: Space, system: str = "ROS", storage_prob
         *CONTAINER,
         (dcterms.title, text(f"The computation graph ({system})")),
         *_state(graph),
-        (ros.master, master),
+        (ros.hasMaster, master),
         *(((ros.simulatedTime, boolean(True)),) if graph.simulated_time else ()),
         *each(ldp.contains, rooms.values()),
-        (ros.stop, NamedNode(space.stop)),
-        (ros.serverStatus, NamedNode(f"{space.base}status")),
+        (ros.hasStop, NamedNode(space.stop)),
+        (ros.hasServerStatus, NamedNode(f"{space.base}status")),
         (rdfs.seeAlso, sparql),
         (rdfs.seeAlso, graphs),
         (rdfs.seeAlso, ontology),
@@ -201,8 +201,8 @@ def node_document(view: NodeView, space: Space, *, simulated_time: bool = False)
         *_links(ros.subscribes, (space.topic(topic.name) for topic, _ in view.subscribes)),
         *_links(ros.provides, (*map(space.service, view.provides), *map(space.action, view.serves))),
         *_links(ros.sendsGoalsTo, map(space.action, view.sends_goals_to)),
-        *_links(ros.parameter, map(space.parameter, view.parameters)),
-        *each(ros.endpoint, [endpoint for endpoint, _ in endpoints]),
+        *_links(ros.hasParameter, map(space.parameter, view.parameters)),
+        *each(ros.hasEndpoint, [endpoint for endpoint, _ in endpoints]),
     )
     for _, said in endpoints:
         triples += said

@@ -14,7 +14,7 @@ from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.triples import RDF_SOURCE, about, boolean, double, each, integer, moment, text
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import hctl, js, rdf, rdfs, ros, td
+from rosld.ontology.vocab import hctl, js, prov, rdf, rdfs, ros, td
 
 MAX_RATE = 50.0
 """Hz: how often a hold may publish."""
@@ -60,14 +60,14 @@ def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTIN
         subject,
         (rdf.type, ros.Hold),
         *RDF_SOURCE,
-        (ros.topic, NamedNode(space.topic(hold.topic))),
+        (ros.holds, NamedNode(space.topic(hold.topic))),
         (ros.holder, text(hold.holder)),
         (ros.publishRate, double(hold.rate)),
         (ros.leaseTime, double(hold.lease)),
         (ros.leaseUntil, moment(hold.until_ns)),
-        (ros.created, moment(hold.created_ns)),
+        (prov.startedAtTime, moment(hold.created_ns)),
         (ros.words, text(hold.trouble)),
-        (ros.message, NamedNode(f"{url}#message")),
+        (ros.heldMessage, NamedNode(f"{url}#message")),
         (ros.then, NamedNode(f"{url}#then") if hold.then else None),
         (ros.atTheEnd, text(hold.then_asked)),
     )

@@ -79,4 +79,4 @@ def transition_triples(node: str, lifecycle: Lifecycle, space: Space) -> list[Tr
 
 
 def _goal(state: LifecycleState) -> tuple[Statement, ...]:
-    return ((ros.goalState, _STATES.get(state.id)), (ros.goalStateWord, text(state.label)))
+    return ((ros.targetState, _STATES.get(state.id)), (ros.targetStateWord, text(state.label)))

@@ -13,7 +13,7 @@ from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.namespaces import is_namespace
 from rosld.ontology.triples import RDF_SOURCE, Statement, about, each, moment, text
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import rdf, ros
+from rosld.ontology.vocab import prov, rdf, ros
 
 _SETTINGS = LiftSettings()
 
@@ -41,7 +41,7 @@ def _type(service: Service, space: Space) -> list[Statement]:
         return []
     name = service.type.name
     return [
-        (ros.serviceType, NamedNode(space.class_of(name))),
+        (ros.hasServiceType, NamedNode(space.class_of(name))),
         (ros.requestShape, NamedNode(space.shape(f"{name}_Request"))),
         (ros.responseShape, NamedNode(space.shape(f"{name}_Response"))),
     ]
@@ -75,10 +75,10 @@ def call_document(call: CallView, space: Space, settings: LiftSettings = _SETTIN
         NamedNode(url),
         (rdf.type, ros.Call),
         *RDF_SOURCE,
-        (ros.service, NamedNode(space.service(call.service))),
+        (ros.isCallOf, NamedNode(space.service(call.service))),
         (ros.state, ros.terms()[call.state]),
-        (ros.created, moment(call.created_ns)),
-        (ros.answered, moment(call.answered_ns)),
+        (prov.startedAtTime, moment(call.created_ns)),
+        (prov.endedAtTime, moment(call.answered_ns)),
         (ros.words, text(call.words)),
         (ros.request, NamedNode(f"{url}#request")),
         (ros.response, NamedNode(f"{url}#response") if call.response else None),

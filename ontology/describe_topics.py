@@ -98,10 +98,10 @@ def _description(topic: Topic, space: Space, is_namespace: bool) -> tuple[Triple
         *RDF_SOURCE,
         (ros.name, text(topic.name)),
         *_type(topic, space),
-        *each(ros.publisher, _nodes(topic.publishers, space)),
-        *each(ros.subscriber, _nodes(topic.subscribers, space)),
-        *each(ros.endpoint, [node for node, _ in endpoints]),
-        *each(ros.qosMismatch, [node for node, _ in unfit]),
+        *each(ros.publishedBy, _nodes(topic.publishers, space)),
+        *each(ros.subscribedBy, _nodes(topic.subscribers, space)),
+        *each(ros.hasEndpoint, [node for node, _ in endpoints]),
+        *each(ros.hasQosMismatch, [node for node, _ in unfit]),
         (ros.qosMismatchCount, integer(mismatch_count(topic.publishers, topic.subscribers) if unfit else None)),
         (ros.namespace, NamedNode(url + "/") if is_namespace else None),
     )
@@ -117,7 +117,7 @@ def _type(topic: Topic, space: Space) -> list[Statement]:
     if topic.type is None:
         return each(ros.conflictingType, [NamedNode(space.type(ref)) for ref in topic.types])
     name = topic.type.name
-    return [(ros.messageType, NamedNode(space.class_of(name))), (ros.shape, NamedNode(space.shape(name)))]
+    return [(ros.hasMessageType, NamedNode(space.class_of(name))), (ros.shape, NamedNode(space.shape(name)))]
 
 
 def defined(ref: TypeRef, space: Space) -> list[Triple]:
@@ -153,12 +153,12 @@ def endpoints_of(
                 node,
                 (rdf.type, ros.Endpoint),
                 (rdf.type, kind),
-                (ros.node, NamedNode(space.node(endpoint.node))),
-                (ros.topic, NamedNode(url)),
+                (ros.ofNode, NamedNode(space.node(endpoint.node))),
+                (ros.ofTopic, NamedNode(url)),
                 (ros.latched, boolean(True) if endpoint.latched else None),
                 (ros.unreachable, text(endpoint.unreachable)),
                 (ros.conflictingType, NamedNode(space.type(conflict)) if conflict else None),
-                (ros.qos, qos),
+                (ros.hasQos, qos),
             )
             + (_qos(qos, endpoint.qos) if qos and endpoint.qos else []),
         )
@@ -197,8 +197,8 @@ def _mismatches(topic: Topic, space: Space) -> Iterator[tuple[NamedNode, list[Tr
             about(
                 node,
                 (rdf.type, ros.QosMismatch),
-                (ros.publisher, NamedNode(space.node(one.publisher))),
-                (ros.subscriber, NamedNode(space.node(one.subscriber))),
+                (ros.offeringNode, NamedNode(space.node(one.publisher))),
+                (ros.requestingNode, NamedNode(space.node(one.subscriber))),
                 (ros.policy, text(one.policy)),
                 (ros.offered, text(one.offered)),
                 (ros.requested, text(one.requested)),

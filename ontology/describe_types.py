@@ -82,7 +82,7 @@ def _message_type(kind: MessageType, space: Space) -> list[Triple]:
     subject = NamedNode(space.class_of(kind.name))
     fields = [NamedNode(space.property_of(kind.name, field.name)) for field in kind.fields]
     constants = [NamedNode(space.property_of(kind.name, constant.name)) for constant in kind.constants]
-    triples = about(subject, *each(ros.field, fields), *each(ros.constant, constants))
+    triples = about(subject, *each(ros.hasField, fields), *each(ros.hasConstant, constants))
     for position, (node, field) in enumerate(zip(fields, kind.fields, strict=True)):
         triples += about(node, *_field(field, position, subject, space))
         if (nested := _nested(field.type)) is not None:

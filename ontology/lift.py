@@ -30,9 +30,9 @@ TERMS: Mapping[str, object] = MappingProxyType(
         "ros": ros.iri,
         "ros:received": {"@id": ros.received.value, "@type": xsd.dateTime.value},
         "ros:sequence": {"@id": ros.sequence.value, "@type": xsd.integer.value},
-        "ros:publisher": {"@id": ros.publisher.value, "@type": "@id"},
+        "ros:sentBy": {"@id": ros.sentBy.value, "@type": "@id"},
         "ros:dateTime": {"@id": ros.dateTime.value, "@type": xsd.dateTime.value},
-        "ros:length": {"@id": ros.length.value, "@type": xsd.integer.value},
+        "ros:elidedLength": {"@id": ros.elidedLength.value, "@type": xsd.integer.value},
         "ros:bytes": {"@id": ros.bytes.value, "@type": "@id"},
     }
 )
@@ -204,17 +204,17 @@ def _ntriples_envelope(subject: str, envelope: Envelope, end: str) -> str:
 
 def _turtle_envelope(envelope: Envelope) -> str:
     received = f' ;\n    ros:received "{date_time(0, envelope.received_ns)}"^^xsd:dateTime'
-    publisher = "" if envelope.publisher is None else f" ;\n    ros:publisher <{envelope.publisher}>"
+    publisher = "" if envelope.publisher is None else f" ;\n    ros:sentBy <{envelope.publisher}>"
     return f"{received} ;\n    ros:sequence {envelope.sequence}{publisher}"
 
 
 def _jsonld_envelope(envelope: Envelope) -> str:
-    publisher = "" if envelope.publisher is None else f',"ros:publisher":"{envelope.publisher}"'
+    publisher = "" if envelope.publisher is None else f',"ros:sentBy":"{envelope.publisher}"'
     received = date_time(0, envelope.received_ns)
     return f',"ros:received":"{received}","ros:sequence":"{envelope.sequence}"{publisher}'
 
 
-_RECEIVED, _SEQUENCE, _PUBLISHER = ros.received.value, ros.sequence.value, ros.publisher.value
+_RECEIVED, _SEQUENCE, _PUBLISHER = ros.received.value, ros.sequence.value, ros.sentBy.value
 _DATE_TIME, _INTEGER = xsd.dateTime.value, xsd.integer.value
 
 

@@ -31,9 +31,9 @@ from rosld.ontology.lexical import BINARIES, NUMBERS, boolean, nanoseconds
 from rosld.ontology.literals import DTYPES, STRINGS
 from rosld.ontology.typenames import type_names
 from rosld.ontology.violations import Findings, Path
-from rosld.ontology.vocab import rdf, ros, xsd
+from rosld.ontology.vocab import rdf, ros, superseded, xsd
 
-IGNORED = frozenset({ros.received, ros.sequence, ros.publisher, ros.latched, ros.dateTime, ros.rate})
+IGNORED = frozenset({ros.received, ros.sequence, ros.sentBy, superseded.publisher, ros.latched, ros.dateTime, ros.rate})
 """What the server says about messages: sent back to it, it means nothing."""
 
 Reader: TypeAlias = Callable[[Term, Path, "GraphReading"], object]

@@ -109,19 +109,19 @@ def _turtle_string(value: str) -> str:
 def _n_elide(node: str, length: int, end: str, site: Site) -> tuple[str, str]:
     return f"<{node}>", (
         f"<{node}> <{rdf.type.value}> <{ros.Elided.value}>{end}"
-        f'<{node}> <{ros.length.value}> "{length}"^^<{xsd.integer.value}>{end}'
+        f'<{node}> <{ros.elidedLength.value}> "{length}"^^<{xsd.integer.value}>{end}'
         f"<{node}> <{ros.bytes.value}> <{site.href(node)}>{end}"
     )
 
 
 def _turtle_elide(node: str, length: int, end: str, site: Site) -> tuple[str, str]:
-    about = f"<{node}> a ros:Elided ;\n    ros:length {length} ;\n    ros:bytes <{site.href(node)}> .\n"
+    about = f"<{node}> a ros:Elided ;\n    ros:elidedLength {length} ;\n    ros:bytes <{site.href(node)}> .\n"
     return f"<{node}>", about
 
 
 def _jsonld_elide(node: str, length: int, end: str, site: Site) -> tuple[str, str]:
     href = site.href(node)
-    return f'{{"@id":"{node}","@type":"ros:Elided","ros:length":"{length}","ros:bytes":"{href}"}}', ""
+    return f'{{"@id":"{node}","@type":"ros:Elided","ros:elidedLength":"{length}","ros:bytes":"{href}"}}', ""
 
 
 def _json_elide(node: str, length: int, end: str, site: Site) -> tuple[str, str]:

@@ -1,7 +1,7 @@
 """The terms rosld writes and reads, one class a namespace: `ros.publishes` is the NamedNode `ros:publishes`.
 
-The ROS vocabulary itself is defined in `rosld.ttl` beside this file, `map:` in `mapping.ttl`, `av:` in `aircraft.ttl`;
-tests hold each against its class here, both ways. A trailing underscore only keeps a term clear of a Python keyword:
+The terms of `ros:`, `map:` and `av:` are defined by the modules of the ontology, the Turtle beside this file; tests
+hold each against its class here, both ways. A trailing underscore only keeps a term clear of a Python keyword:
 `sh.or_` is `sh:or`.
 """
 
@@ -36,6 +36,7 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
 
     # the computation graph
     Graph: NamedNode
+    robot: NamedNode
     Master: NamedNode
     Node: NamedNode
     Topic: NamedNode
@@ -54,32 +55,34 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     writesTo: NamedNode
     invokes: NamedNode
     name: NamedNode
-    master: NamedNode
+    hasMaster: NamedNode
     uri: NamedNode
     runId: NamedNode
-    messageType: NamedNode
-    serviceType: NamedNode
-    actionType: NamedNode
+    hasMessageType: NamedNode
+    hasServiceType: NamedNode
+    hasActionType: NamedNode
     conflictingType: NamedNode
     publishes: NamedNode
     subscribes: NamedNode
     provides: NamedNode
     sendsGoalsTo: NamedNode
-    parameter: NamedNode
+    hasParameter: NamedNode
     lifecycleState: NamedNode
     lifecycleStateWord: NamedNode
     lifecycleUnknown: NamedNode
     transition: NamedNode
-    goalState: NamedNode
-    goalStateWord: NamedNode
-    publisher: NamedNode
-    subscriber: NamedNode
+    targetState: NamedNode
+    targetStateWord: NamedNode
+    publishedBy: NamedNode
+    subscribedBy: NamedNode
     provider: NamedNode
     client: NamedNode
-    endpoint: NamedNode
-    node: NamedNode
+    hasEndpoint: NamedNode
+    isEndpointOf: NamedNode
+    ofNode: NamedNode
+    ofTopic: NamedNode
     latched: NamedNode
-    qos: NamedNode
+    hasQos: NamedNode
     reliability: NamedNode
     durability: NamedNode
     history: NamedNode
@@ -88,7 +91,9 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     lifespan: NamedNode
     liveliness: NamedNode
     lease: NamedNode
-    qosMismatch: NamedNode
+    hasQosMismatch: NamedNode
+    offeringNode: NamedNode
+    requestingNode: NamedNode
     qosMismatchCount: NamedNode
     policy: NamedNode
     offered: NamedNode
@@ -118,28 +123,26 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     Call: NamedNode
     Goal: NamedNode
     Elided: NamedNode
+    elidedLength: NamedNode
     latest: NamedNode
     latestFrom: NamedNode
     received: NamedNode
     sequence: NamedNode
+    sentBy: NamedNode
     dateTime: NamedNode
-    service: NamedNode
+    isCallOf: NamedNode
     request: NamedNode
     response: NamedNode
-    created: NamedNode
-    answered: NamedNode
-    action: NamedNode
+    isGoalOf: NamedNode
     hasGoal: NamedNode
     goalId: NamedNode
     own: NamedNode
     status: NamedNode
     statusWord: NamedNode
-    goal: NamedNode
+    goalMessage: NamedNode
     feedback: NamedNode
     result: NamedNode
-    ended: NamedNode
     words: NamedNode
-    elided: NamedNode
     bytes: NamedNode
     requestShape: NamedNode
     responseShape: NamedNode
@@ -149,7 +152,13 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     shape: NamedNode
 
     # states
-    State: NamedNode
+    OperationalState: NamedNode
+    GraphState: NamedNode
+    CallState: NamedNode
+    GoalStatus: NamedNode
+    ManagedNodeState: NamedNode
+    PrimaryState: NamedNode
+    TransitionState: NamedNode
     state: NamedNode
     staleSince: NamedNode
     reason: NamedNode
@@ -189,14 +198,14 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     md5: NamedNode
     typeHash: NamedNode
     variant: NamedNode
-    field: NamedNode
+    hasField: NamedNode
     fieldName: NamedNode
     fieldType: NamedNode
     position: NamedNode
     arrayLength: NamedNode
     arrayBound: NamedNode
     stringBound: NamedNode
-    constant: NamedNode
+    hasConstant: NamedNode
     nestedType: NamedNode
     requestType: NamedNode
     responseType: NamedNode
@@ -207,6 +216,8 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     # holds and the stop
     Hold: NamedNode
     heldBy: NamedNode
+    holds: NamedNode
+    heldMessage: NamedNode
     holder: NamedNode
     publishRate: NamedNode
     leaseTime: NamedNode
@@ -214,7 +225,7 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     then: NamedNode
     atTheEnd: NamedNode
     Stop: NamedNode
-    stop: NamedNode
+    hasStop: NamedNode
     stopped: NamedNode
     stoppedBy: NamedNode
     stoppedAt: NamedNode
@@ -225,13 +236,14 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     # recordings
     Bag: NamedNode
     BagTopic: NamedNode
-    bag: NamedNode
-    format: NamedNode
+    Record: NamedNode
+    hasRecordedTopic: NamedNode
+    recordedIn: NamedNode
     start: NamedNode
     end: NamedNode
     count: NamedNode
-    topic: NamedNode
-    message: NamedNode
+    onTopic: NamedNode
+    recordedMessage: NamedNode
     index: NamedNode
     recordedAt: NamedNode
 
@@ -247,16 +259,16 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
 
     # the store beside it
     Mirror: NamedNode
-    mirror: NamedNode
+    hasMirror: NamedNode
     store: NamedNode
     revision: NamedNode
     lag: NamedNode
     pending: NamedNode
-    refused: NamedNode
+    refusedGraphs: NamedNode
 
     # the server itself
     ServerStatus: NamedNode
-    serverStatus: NamedNode
+    hasServerStatus: NamedNode
     longestPause: NamedNode
     longestPauseEnd: NamedNode
     longestPauseCode: NamedNode
@@ -271,6 +283,7 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     matched: NamedNode
     does: NamedNode
     duration: NamedNode
+    byteLength: NamedNode
     digest: NamedNode
     excerpt: NamedNode
     withheld: NamedNode
@@ -281,7 +294,6 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     fieldPath: NamedNode
 
     # SPARQL functions
-    Function: NamedNode
     at: NamedNode
     length: NamedNode
     min: NamedNode
@@ -316,6 +328,17 @@ class rdfs(Namespace, iri="http://www.w3.org/2000/01/rdf-schema#"):
     isDefinedBy: NamedNode
     subClassOf: NamedNode
     subPropertyOf: NamedNode
+
+
+class owl(Namespace, iri="http://www.w3.org/2002/07/owl#"):
+    """OWL 2."""
+
+    Class: NamedNode
+    DatatypeProperty: NamedNode
+    ObjectProperty: NamedNode
+    NamedIndividual: NamedNode
+    Ontology: NamedNode
+    deprecated: NamedNode
 
 
 class sd(Namespace, iri="http://www.w3.org/ns/sparql-service-description#"):
@@ -534,6 +557,19 @@ class hctl(Namespace, iri="https://www.w3.org/2019/wot/hypermedia#"):
     forSubProtocol: NamedNode
 
 
+class sosa(Namespace, iri="http://www.w3.org/ns/sosa/"):
+    """SOSA, 2023 edition: what observes and acts, and the platform that carries it."""
+
+    Platform: NamedNode
+    hosts: NamedNode
+
+
+class cora(Namespace, iri="http://purl.org/ieee1872-owl/cora-bare#"):
+    """The Core Ontology for Robotics and Automation (IEEE 1872-2015)."""
+
+    Robot: NamedNode
+
+
 class htv(Namespace, iri="http://www.w3.org/2011/http#"):
     """HTTP in RDF."""
 
@@ -561,6 +597,7 @@ class prov(Namespace, iri="http://www.w3.org/ns/prov#"):
     startedAtTime: NamedNode
     used: NamedNode
     wasAssociatedWith: NamedNode
+    wasInformedBy: NamedNode
 
 
 class qudt(Namespace, iri="http://qudt.org/schema/qudt/"):
@@ -587,8 +624,6 @@ class mapping(Namespace, iri="https://w3id.org/rosld/mapping#"):
     predicate: NamedNode
     member: NamedNode
     field: NamedNode
-    unit: NamedNode
-    quantityKind: NamedNode
     action: NamedNode
     relation: NamedNode
     name: NamedNode
@@ -599,6 +634,19 @@ class mapping(Namespace, iri="https://w3id.org/rosld/mapping#"):
     writableWhen: NamedNode
     availableWhen: NamedNode
     existsWhen: NamedNode
+
+
+class superseded(Namespace, iri=ros.iri):
+    """Terms of `ros:` that are no longer written, and still understood where clients send them."""
+
+    publisher: NamedNode
+
+
+class superseded_mapping(Namespace, iri=mapping.iri):
+    """Those of mapping documents."""
+
+    unit: NamedNode
+    quantityKind: NamedNode
 
 
 class av(Namespace, iri="https://w3id.org/rosld/aircraft#"):
@@ -613,14 +661,14 @@ class av(Namespace, iri="https://w3id.org/rosld/aircraft#"):
     direction: NamedNode
 
 
-PREFIXES: Mapping[str, str] = {
-    space.__name__: space.iri
-    for space in (ros, rdf, rdfs, xsd, ldp, xhv, dcterms, foaf, acl, sh, sd, td, js, hctl, htv, prov, qudt, av)
-} | {
+_SPACES = (ros, rdf, rdfs, owl, xsd, ldp, xhv, dcterms, foaf, acl, sh, sd, td, js, hctl, htv, prov, sosa, qudt, av)
+
+PREFIXES: Mapping[str, str] = {space.__name__: space.iri for space in _SPACES} | {
     "map": mapping.iri,
     "unit": "http://qudt.org/vocab/unit/",
     "quantitykind": "http://qudt.org/vocab/quantitykind/",
-    "owl": "http://www.w3.org/2002/07/owl#",
-    "sosa": "http://www.w3.org/ns/sosa/",
+    "skos": "http://www.w3.org/2004/02/skos/core#",
+    "schema": "https://schema.org/",
+    "vann": "http://purl.org/vocab/vann/",
 }
 """The prefixes under which people know these namespaces."""

@@ -34,7 +34,7 @@ from rosld.ontology.triples import RDF_SOURCE, Statement, Value, about, boolean,
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros, sh, xsd
 
-SERVER_MANAGED = (rdf.type, ros.received, ros.sequence, ros.publisher, ros.latched, ros.dateTime)
+SERVER_MANAGED = (rdf.type, ros.received, ros.sequence, ros.sentBy, ros.latched, ros.dateTime)
 """What a message node may say beside its fields."""
 
 _LONGEST_PATTERN = 1000

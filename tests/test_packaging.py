@@ -72,7 +72,7 @@ def test_what_the_wheel_holds_runs_and_finds_its_data(wheel: Path, tmp_path: Pat
     zipfile.ZipFile(wheel).extractall(tmp_path)
     code = (
         "import importlib.resources as r, rosld, rosld.server.cli.main, rosld.adapters.registry; print(rosld.__file__);"
-        "assert r.files('rosld.ontology').joinpath('rosld.ttl').read_bytes()"
+        "assert r.files('rosld.ontology').joinpath('core.ttl').read_bytes()"
     )
     done = subprocess.run(
         [sys.executable, "-c", code],

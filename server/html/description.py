@@ -9,7 +9,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.ontology.document import Document
 from rosld.ontology.outline import Outline, Statements, Subject, outline
-from rosld.ontology.vocab import ldp, rdf, rdfs, ros
+from rosld.ontology.vocab import av, ldp, mapping, rdf, rdfs, ros
 from rosld.server.html.labels import label, local_name
 from rosld.server.html.page import Term
 from rosld.server.html.site import Site
@@ -20,12 +20,12 @@ _DEEPEST = 12
 _FIRST = (
     rdf.type, ros.name, rdfs.label, rdfs.comment, ros.state, ros.staleSince, ros.reason, ros.status,
     ros.lifecycleState, ros.lifecycleStateWord, ros.lifecycleUnknown, ros.unreachable, ros.unreadable, ros.uncallable,
-    ros.unusable, ros.value, ros.messageType, ros.serviceType, ros.actionType, ros.conflictingType, ros.rate,
-    ros.qosMismatch, ros.publisher, ros.subscriber, ros.provider, ros.publishes, ros.subscribes, ros.provides,
-    ros.sendsGoalsTo, ros.parameter, ros.fieldName, ros.fieldType, ros.nestedType,
+    ros.unusable, ros.value, ros.hasMessageType, ros.hasServiceType, ros.hasActionType, ros.conflictingType, ros.rate,
+    ros.hasQosMismatch, ros.publishedBy, ros.subscribedBy, ros.provider, ros.publishes, ros.subscribes, ros.provides,
+    ros.sendsGoalsTo, ros.hasParameter, ros.fieldName, ros.fieldType, ros.nestedType,
 )  # fmt: skip
 _RANK = {predicate: rank for rank, predicate in enumerate(_FIRST)}
-_LAST = {ros.definition: 1_000, ros.field: 999, rdfs.isDefinedBy: 998}
+_LAST = {ros.definition: 1_000, ros.hasField: 999, rdfs.isDefinedBy: 998}
 _QUIET_TYPES = frozenset({ldp.Resource, ldp.RDFSource, ldp.Container})
 
 
@@ -132,7 +132,7 @@ def fragment(subject: Subject, url: str) -> str:
     """The id of a subject's section: its IRI's fragment where it is one of this page or of the vocabulary."""
     if isinstance(subject, BlankNode) or "#" not in subject.value:
         return ""
-    if subject.value.startswith((f"{url}#", ros.iri)):
+    if subject.value.startswith((f"{url}#", ros.iri, mapping.iri, av.iri)):
         return visible(subject.value.partition("#")[2])
     return ""
 

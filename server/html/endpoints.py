@@ -45,11 +45,11 @@ def endpoints(document: Document, site: Site) -> Endpoints | None:
     """The table of the endpoints of the document's resource, None where it tells of none."""
     subjects = outline(document.triples).subjects
     own = subjects.get(NamedNode(document.url), {})
-    found = [each for each in own.get(ros.endpoint, ()) if isinstance(each, NamedNode)]
+    found = [each for each in own.get(ros.hasEndpoint, ()) if isinstance(each, NamedNode)]
     if not found:
         return None
     of_node = ros.Node in own.get(rdf.type, ())
-    rows = [_row(each, subjects, ros.topic if of_node else ros.node, site) for each in found[:_MAX_ROWS]]
+    rows = [_row(each, subjects, ros.ofTopic if of_node else ros.ofNode, site) for each in found[:_MAX_ROWS]]
     told = [place for place in range(len(_COLUMNS)) if any(row.cells[place] for row in rows)]
     return Endpoints(
         "Topic" if of_node else "Node",
@@ -67,7 +67,7 @@ def _row(
 ) -> EndpointRow:
     said = subjects.get(endpoint, {})
     qos: Statements = next(
-        (subjects[each] for each in said.get(ros.qos, ()) if isinstance(each, NamedNode) and each in subjects), {}
+        (subjects[each] for each in said.get(ros.hasQos, ()) if isinstance(each, NamedNode) and each in subjects), {}
     )
     other = next((each.value for each in said.get(to, ()) if isinstance(each, NamedNode)), endpoint.value)
     role = "publishes" if ros.Publisher in said.get(rdf.type, ()) else "subscribes"

@@ -27,9 +27,9 @@ def local_name(iri: str) -> str:
 
 @lru_cache(maxsize=4096)
 def label(iri: str) -> str:
-    """The words for a predicate: `messageType` is "message type"."""
+    """The words for a predicate: `hasMessageType` is "message type"."""
     name = local_name(iri)
-    return _WORDS.get(name) or words(name)
+    return _WORDS.get(name) or words(name).removeprefix("has ")
 
 
 def words(name: str) -> str:

@@ -16,7 +16,7 @@ from rosld.server.html.terms import iri_view
 from rosld.server.html.timestamps import moment
 from rosld.server.html.view import Rows, View, visible
 
-_TITLES = {ros.latest: "Latest message", ros.message: "Message"}
+_TITLES = {ros.latest: "Latest message", ros.recordedMessage: "Message", ros.heldMessage: "Message"}
 NEWEST = "#message"
 
 
@@ -37,7 +37,9 @@ class Carried:
 def carried(document: Document, site: Site) -> tuple[Carried, ...]:
     """The sections of a document's messages; those of single publishers stand aside when there are several."""
     roles = _roles(document)
-    return tuple(_section(document, site, each, roles.get(each.node, ros.message)) for each in document.messages)
+    return tuple(
+        _section(document, site, each, roles.get(each.node, ros.recordedMessage)) for each in document.messages
+    )
 
 
 def _roles(document: Document) -> Mapping[str, NamedNode]:

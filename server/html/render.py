@@ -68,7 +68,7 @@ _NOTICED = (
     (ros.uncallable, "Cannot be called"),
     (ros.lifecycleUnknown, "Lifecycle not known"),
 )
-_DRAWN = (ldp.contains, ros.endpoint, ros.stopStep, ros.warning, td.hasActionAffordance, td.hasEventAffordance)
+_DRAWN = (ldp.contains, ros.hasEndpoint, ros.stopStep, ros.warning, td.hasActionAffordance, td.hasEventAffordance)
 """What a page shows as a table or a form, and keeps folded beside that."""
 _LOUDEST_FIRST = (Tone.ERROR, Tone.WARNING, Tone.GOOD, Tone.INFO)
 _STEPS = {"first": "First", "prev": "Previous", "next": "Next", "last": "Last"}
@@ -85,7 +85,7 @@ _FIRST_QUERY = """PREFIX ros: <{vocabulary}>
 
 SELECT ?topic ?type ?rate WHERE {{
   ?topic a ros:Topic ;
-         ros:messageType ?type ;
+         ros:hasMessageType ?type ;
          ros:rate ?rate .
 }}
 ORDER BY DESC(?rate)"""
@@ -258,7 +258,7 @@ def render_entry(page: EntryPage) -> bytes:
         (
             "A question to all of it",
             f"curl '{_shell(page.site.base)}sparql' -H 'Accept: text/csv' \\\n  --data-urlencode "
-            f"'query=SELECT ?topic ?type WHERE {{ ?topic <{page.site.vocabulary}messageType> ?type }}'",
+            f"'query=SELECT ?topic ?type WHERE {{ ?topic <{page.site.vocabulary}hasMessageType> ?type }}'",
         ),
     )
     return _render(

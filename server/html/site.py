@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from urllib.parse import unquote, urlsplit
 
+from rosld.ontology.modules import term_url
 from rosld.ontology.urls import TYPES, locate
 from rosld.ontology.vocab import PREFIXES, ros
 
@@ -85,9 +86,7 @@ class Site:
             return iri
         if iri.startswith(self.types) and iri != self.types:
             return f"{self.base}types/{iri.removeprefix(self.types)}"
-        if iri.startswith(self.vocabulary):
-            return f"{self.base}ontology#{iri.removeprefix(self.vocabulary)}"
-        return None
+        return term_url(iri, self.base)
 
     def href(self, iri: str) -> str | None:
         """What to put into an `href` for `iri`, None for what must not be a link.

@@ -24,7 +24,7 @@ from rosld.ontology.turtle import shortened
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.violations import shortened as brief
-from rosld.ontology.vocab import mapping, rdf, rdfs, sh
+from rosld.ontology.vocab import mapping, qudt, rdf, rdfs, sh, superseded_mapping
 from rosld.server.hypermedia.mapping import (
     ComplexResource,
     Condition,
@@ -49,7 +49,7 @@ _LONGEST_READING = 5.0
 """Seconds that the conditions of a document may take to be read."""
 _WHEN = (mapping.writableWhen, mapping.availableWhen, mapping.existsWhen)
 _TELLING = (mapping.name, mapping.member, mapping.service, mapping.target, mapping.call, mapping.publish)
-_TERMS = frozenset(mapping.terms().values())
+_TERMS = frozenset((*mapping.terms().values(), *superseded_mapping.terms().values()))
 _NEUTRAL = frozenset(
     NamedNode(sh.iri + name)
     for name in (
@@ -206,7 +206,10 @@ class _Reader:
             member,
             name,
             field,
-            Measure(self.iri(node, mapping.unit), self.iri(node, mapping.quantityKind)),
+            Measure(
+                self.iri(node, qudt.hasUnit) or self.iri(node, superseded_mapping.unit),
+                self.iri(node, qudt.hasQuantityKind) or self.iri(node, superseded_mapping.quantityKind),
+            ),
             self.when(node, mapping.writableWhen),
         )
 

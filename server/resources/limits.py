@@ -17,7 +17,7 @@ from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Va
 from rosld.server.resources.context import Robot
 from rosld.shapes.parameter import violations
 
-_LINKS = {"#message": ros.latest, "#request": ros.request, "#goal": ros.goal}
+_LINKS = {"#message": ros.latest, "#request": ros.request, "#goal": ros.goalMessage}
 
 
 async def require_message(

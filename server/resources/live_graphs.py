@@ -33,6 +33,7 @@ from rosld.ontology.describe_services import service_document
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document
+from rosld.ontology.modules import MODULES
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.triples import RDF_SOURCE, about, text
 from rosld.ontology.urls import Location, Space
@@ -52,7 +53,7 @@ from rosld.server.resources.holds import HoldResource
 from rosld.server.resources.members import MemberResource
 from rosld.server.resources.namespaces import listed, listed_members, namespace_described, namespaces, of_room
 from rosld.server.resources.nodes import NodeResource
-from rosld.server.resources.ontology import vocabulary
+from rosld.server.resources.ontology import OntologyResource
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
 from rosld.server.resources.queries import shipped_document, whole_container
 from rosld.server.resources.services import CallResource
@@ -341,8 +342,8 @@ class Dataset:
         yield from self._records()
         for iri, fixed in self._fixed.items():
             yield _described(iri, 0, fixed)
-        ontology = Document(f"{space.base}ontology", vocabulary())
-        yield _described(ontology.url, 0, lambda: ontology)
+        for module in (OntologyResource(robot, name) for name in MODULES):
+            yield _described(module.url, 0, module.document)
 
     def _containers(self) -> Iterator[GraphEntry]:
         space, graph = self._robot.space, self._robot.graph

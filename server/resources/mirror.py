@@ -64,7 +64,7 @@ def mirror_document(url: str, status: ReplicationStatus) -> Document:
                 (ros.reason, text(status.failure)),
                 (ros.lag, double(round(status.lag, 3))),
                 (ros.pending, integer(status.pending)),
-                (ros.refused, integer(status.refused)),
+                (ros.refusedGraphs, integer(status.refused)),
                 (dcterms.modified, moment(status.updated_ns)),
             )
         ),

@@ -1,42 +1,54 @@
-"""The vocabularies, served where their terms are looked for."""
+"""The ontology: `/ontology` is its core, `/ontology/NAME` another module, `/ontology/VERSION/NAME` a version of one."""
 
 from __future__ import annotations
 
-from functools import cache
-from importlib.resources import files
-
-from pyoxigraph import RdfFormat, Triple, parse
-
 from rosld.ontology.document import Document
+from rosld.ontology.modules import CORE, MODULES, VERSION, module_url, served_triples
+from rosld.ontology.urls import Location
+from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
 from rosld.server.rest.path_item import PathItem
-from rosld.server.rest.resource import Resource
+from rosld.server.rest.resource import Resource, moved
 from rosld.server.rest.state import State
-
-FILES = ("rosld.ttl", "mapping.ttl", "aircraft.ttl", "align.ttl")
-"""The vocabularies of rosld, and what aligns them with others."""
-
-
-@cache
-def vocabulary() -> tuple[Triple, ...]:
-    """Every triple of the vocabularies and of their alignments."""
-    folder = files("rosld.ontology")
-    texts = [(folder / name).read_bytes() for name in FILES]
-    return tuple(quad.triple for text in texts for quad in parse(text, format=RdfFormat.TURTLE))
 
 
 class OntologyResource(Resource):
-    """`/ontology`."""
+    """A module of the ontology, as it is now or as one version of it."""
 
-    kind = "Vocabulary"
+    kind = "Ontology"
 
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(f"{robot.space.base}ontology")
+    def __init__(self, robot: Robot, name: str = CORE, version: str = "") -> None:
+        super().__init__(module_url(name, robot.space.base, version))
+        self.title = "Ontology" if name == CORE else f"Ontology: {name}"
         self.robot = robot
+        self.name = name
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The vocabulary")
+        return PathItem("The core of the ontology" if self.name == CORE else f"A module of the ontology: {self.name}")
 
     async def state(self) -> State:
-        return self.robot.states.get_or_make(self.url, 0, lambda: State(lambda: Document(self.url, vocabulary())))
+        return self.robot.states.get_or_make(self.url, 0, lambda: State(self.document))
+
+    def document(self) -> Document:
+        """The module; it says nothing of its URL here, so that it is the same ontology everywhere."""
+        return Document(self.url, served_triples(self.name))
+
+
+def ontology_room(robot: Robot, location: Location) -> Resource:
+    """`/ontology` and below."""
+    if location.is_container:
+        raise moved(robot.space.url("ontology", location.segments))
+    version = location.segments[0] if location.segments[:1] == (VERSION,) else ""
+    rest = location.segments[1:] if version else location.segments
+    if rest == (CORE,):
+        raise moved(module_url(CORE, robot.space.base, version))
+    if not rest:
+        return OntologyResource(robot, CORE, version)
+    if len(rest) == 1 and rest[0] in MODULES:
+        return OntologyResource(robot, rest[0], version)
+    raise Problem(
+        404,
+        f"The ontology has no {'/'.join(location.segments)}: its version is {VERSION}, its modules are "
+        f"{', '.join(MODULES)}.",
+    )

@@ -126,7 +126,7 @@ class Publishing:
         said = {ros.name: self.name}
         topic = self.topic
         if topic is not None and topic.type is not None:
-            said[ros.messageType] = self.robot.space.class_of(topic.type.name)
+            said[ros.hasMessageType] = self.robot.space.class_of(topic.type.name)
         for predicate, value in said.items():
             for term in body.objects(about, predicate):
                 if getattr(term, "value", None) != value:
@@ -145,11 +145,11 @@ class Publishing:
             raise Problem(409, f"Nothing can be published on {self.name}: {error.sentence}.") from error
 
     async def _stated_schema(self, body: RdfBody) -> MessageSchema:
-        """The schema of the type that the body states: of `#message`, or the topic's `ros:messageType`."""
+        """The schema of the type that the body states: of `#message`, or the topic's `ros:hasMessageType`."""
         base = self.robot.space.types
         stated = [
             *body.objects(NamedNode(f"{self.url}#message"), rdf.type),
-            *body.objects(NamedNode(self.url), ros.messageType),
+            *body.objects(NamedNode(self.url), ros.hasMessageType),
             *(term for subject in body.subjects for term in body.objects(subject, rdf.type)),
         ]
         for term in stated:

@@ -271,7 +271,7 @@ class SparqlResource(Resource):
             *about(service, *each(sd.resultFormat, _formats((*SOLUTIONS, *GRAPHS)))),
             *_extensions(service),
             *about(service, (rdfs.seeAlso, NamedNode(f"{self.robot.space.base}graphs"))),
-            *about(service, (ros.mirror, self._mirror())),
+            *about(service, (ros.hasMirror, self._mirror())),
         )
 
     def _mirror(self) -> NamedNode | None:

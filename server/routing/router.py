@@ -26,7 +26,7 @@ from rosld.server.resources.kept.routes import kept_room
 from rosld.server.resources.members import MemberResource
 from rosld.server.resources.namespaces import NamespaceContainer
 from rosld.server.resources.nodes import NodeResource
-from rosld.server.resources.ontology import OntologyResource
+from rosld.server.resources.ontology import ontology_room
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
 from rosld.server.resources.queries import Runner, query_room
 from rosld.server.resources.services import CallResource, ServiceResource
@@ -137,7 +137,7 @@ ROOMS: Mapping[str, Room] = {
     "mappings": kept_room,
     ".well-known": _well_known,
     "stop": _single(StopResource),
-    "ontology": _single(OntologyResource),
+    "ontology": ontology_room,
 } | {name: _single(make) for name, make in FILES.items()}
 
 

@@ -8,7 +8,7 @@ from functools import lru_cache, reduce
 from typing import NamedTuple
 from urllib.parse import unquote
 
-from rosld.ontology.vocab import PREFIXES, rdf, ros, td
+from rosld.ontology.vocab import PREFIXES, prov, rdf, ros, td
 from rosld.server.sparql.syntax.tree import Iri, Pattern, Term, Variable
 
 
@@ -62,44 +62,54 @@ _RESOURCE, _OTHER = Said(True), Said(True, NEITHER)
 _LIVE = frozenset(
     term.value
     for term in (
-        ros.rate, ros.latest, ros.latestFrom, ros.received, ros.sequence, ros.dateTime, ros.elided, ros.length,
-        ros.bytes, ros.unreadable, ros.age, rdf.first, rdf.rest,
+        ros.rate, ros.latest, ros.latestFrom, ros.received, ros.sequence, ros.dateTime, ros.sentBy,
+        ros.elidedLength, ros.bytes, ros.unreadable, ros.age, rdf.first, rdf.rest,
     )
 )  # fmt: skip
-_STAYS = frozenset(one.value for one in (ros.elided, rdf.first, rdf.rest, ros.latest, ros.latestFrom, ros.message))
+_STAYS = frozenset(one.value for one in (rdf.first, rdf.rest, ros.latest, ros.latestFrom, ros.recordedMessage))
 _BELOW_RESOURCES = frozenset(
     one.value
     for one in (ros.name, ros.shape, ros.requestShape, ros.readsFrom, ros.writesTo, ros.invokes, ros.reason, ros.state)
 )
 """Described, and said of what lies below `/resources/`, too."""
-_OF_RECORDS = frozenset(one.value for one in (ros.bag, ros.index, ros.topic, ros.recordedAt, ros.message))
+_OF_RECORDS = frozenset(
+    one.value for one in (ros.recordedIn, ros.index, ros.onTopic, ros.recordedAt, ros.recordedMessage)
+)
 """Described, and said of recorded messages, too."""
 _VOCABULARIES = tuple(iri for iri in PREFIXES.values() if not iri.startswith(ros.iri))
 """The namespaces of other terms that the server uses."""
 _DESCRIBED = frozenset(
     term.value
     for term in (
-        ros.name, ros.master, ros.uri, ros.runId, ros.messageType, ros.serviceType, ros.actionType, ros.conflictingType,
-        ros.publishes, ros.subscribes, ros.provides, ros.subscriber, ros.provider, ros.endpoint, ros.node, ros.latched,
-        ros.unreachable, ros.uncallable, ros.namespace, ros.writable, ros.simulatedTime, ros.service, ros.request,
-        ros.response, ros.created, ros.answered, ros.words, ros.requestShape, ros.responseShape, ros.shape, ros.state,
-        ros.staleSince, ros.reason, ros.definition, ros.md5, ros.typeHash, ros.variant, ros.field, ros.fieldName,
-        ros.fieldType, ros.position, ros.arrayLength, ros.arrayBound, ros.stringBound, ros.constant, ros.nestedType,
-        ros.requestType, ros.responseType, ros.bag, ros.format, ros.start, ros.end, ros.count, ros.topic, ros.message,
-        ros.index, ros.recordedAt, ros.queryParameter, ros.text, ros.qos, ros.reliability, ros.durability, ros.history,
-        ros.depth, ros.deadline, ros.lifespan, ros.liveliness, ros.lease, ros.qosMismatch, ros.policy, ros.offered,
-        ros.requested, ros.qosMismatchCount, ros.readOnly, ros.parameterType, ros.step,
-        ros.parameter, ros.lifecycleState, ros.lifecycleStateWord, ros.lifecycleUnknown, ros.transition, ros.goalState,
-        ros.goalStateWord, ros.touches, ros.matched, ros.does, ros.duration, ros.digest, ros.excerpt, ros.withheld,
-        ros.readsFrom, ros.writesTo, ros.invokes, ros.hasGoal,
+        ros.name, ros.hasMaster, ros.uri, ros.runId, ros.hasMessageType, ros.hasServiceType, ros.hasActionType,
+        ros.conflictingType, ros.publishes, ros.subscribes, ros.provides, ros.publishedBy, ros.subscribedBy,
+        ros.provider, ros.hasEndpoint, ros.ofNode, ros.ofTopic, ros.latched, ros.unreachable, ros.uncallable,
+        ros.namespace, ros.writable, ros.simulatedTime, ros.isCallOf, ros.request, ros.response,
+        prov.startedAtTime, prov.endedAtTime, ros.words, ros.requestShape, ros.responseShape, ros.shape,
+        ros.state, ros.staleSince, ros.reason, ros.definition, ros.md5, ros.typeHash, ros.variant, ros.hasField,
+        ros.fieldName, ros.fieldType, ros.position, ros.arrayLength, ros.arrayBound, ros.stringBound,
+        ros.hasConstant, ros.nestedType, ros.requestType, ros.responseType, ros.recordedIn,
+        ros.hasRecordedTopic, ros.start, ros.end, ros.count, ros.onTopic, ros.recordedMessage, ros.index,
+        ros.recordedAt, ros.queryParameter, ros.text, ros.hasQos, ros.reliability, ros.durability, ros.history,
+        ros.depth, ros.deadline, ros.lifespan, ros.liveliness, ros.lease, ros.hasQosMismatch, ros.policy,
+        ros.offered, ros.requested, ros.qosMismatchCount, ros.readOnly, ros.parameterType, ros.step,
+        ros.hasParameter, ros.lifecycleState, ros.lifecycleStateWord, ros.lifecycleUnknown, ros.transition,
+        ros.targetState, ros.targetStateWord, ros.touches, ros.matched, ros.does, ros.duration, ros.digest,
+        ros.excerpt, ros.withheld, ros.readsFrom, ros.writesTo, ros.invokes, ros.hasGoal, ros.isGoalOf,
+        ros.holds, ros.heldBy, ros.offeringNode, ros.requestingNode, ros.byteLength, ros.robot,
     )
 )  # fmt: skip
 """Never said of what is live. Terms of the vocabulary that are not listed anywhere here count as live."""
 _PREDICATES: Mapping[str, Said] = {
-    **{one.value: _TOPIC for one in (ros.rate, ros.latest, ros.latestFrom, ros.messageType)},
-    **{one.value: _RESOURCE for one in (ros.name, ros.subscriber, ros.endpoint, ros.namespace, ros.conflictingType)},
-    **{one.value: _OTHER for one in (ros.publishes, ros.subscribes, ros.provides, ros.parameter, ros.lifecycleState)},
-    **{one.value: _MESSAGE for one in (ros.received, ros.sequence, ros.dateTime, ros.elided)},
+    **{one.value: _TOPIC for one in (ros.rate, ros.latest, ros.latestFrom, ros.hasMessageType)},
+    **{
+        one.value: _RESOURCE
+        for one in (ros.name, ros.publishedBy, ros.subscribedBy, ros.hasEndpoint, ros.namespace, ros.conflictingType)
+    },
+    **{
+        one.value: _OTHER for one in (ros.publishes, ros.subscribes, ros.provides, ros.hasParameter, ros.lifecycleState)
+    },
+    **{one.value: _MESSAGE for one in (ros.received, ros.sequence, ros.dateTime, ros.sentBy)},
     ros.value.value: _PARAMETER,
 }
 _CLASSES: Mapping[str, Said] = {
@@ -174,7 +184,7 @@ class Terms:
         [predicate] = pattern.predicates
         if predicate == rdf.type.value and isinstance(pattern.object, Iri):
             return UNKNOWN if pattern.repeated else _CLASSES.get(pattern.object.value, UNKNOWN)
-        if predicate == ros.messageType.value and isinstance(pattern.object, Iri) and not pattern.repeated:
+        if predicate == ros.hasMessageType.value and isinstance(pattern.object, Iri) and not pattern.repeated:
             named = self.type_named(pattern.object.value)
             return Said(True, _TOPIC.live, frozenset({named}) if named else frozenset())
         return _PREDICATES.get(predicate, UNKNOWN)
@@ -211,12 +221,12 @@ class Terms:
             return _OF_MESSAGES
         if predicate == ros.value.value:
             return Live(parameters=True)
-        if predicate == ros.publisher.value:  # of a topic it is description, of a message not
-            return NEITHER if resource else _OF_MESSAGES
         if predicate in _BELOW_RESOURCES or predicate in _OF_RECORDS:
             return Live(resources=predicate in _BELOW_RESOURCES, records=predicate in _OF_RECORDS)
+        if predicate in _DESCRIBED:
+            return NEITHER
         if predicate.startswith(ros.iri):
-            return NEITHER if predicate in _DESCRIBED else ANY
+            return ANY
         return _BESIDE if predicate in self.relations or predicate.startswith(_VOCABULARIES) else NEITHER
 
     def _live_class(self, object: Term, resource: bool) -> Live:
@@ -226,6 +236,8 @@ class Terms:
             return NEITHER
         if object.value in (ros.Message.value, ros.Elided.value) or object.value.startswith(self.types):
             return _OF_MESSAGES
+        if object.value == ros.Record.value:
+            return Live(records=True)
         if object.value in (ros.ServerStatus.value, ros.Mirror.value):
             return ANY
         if object.value.startswith(ros.iri):

@@ -22,7 +22,7 @@ MEMBERSHIP = frozenset(
 """What a container says its membership triples are made of: a client says it once, the server from then on."""
 TIMES = (dcterms.created, dcterms.modified)
 _SPELT_TIMES = tuple(f"{predicate} ".encode() for predicate in TIMES)
-FILE_PROPERTIES = frozenset({dcterms.format, ros.length})
+FILE_PROPERTIES = frozenset({dcterms.format, ros.byteLength})
 """What the server says of the bytes of a non-RDF source."""
 META = ".meta"
 """What the URL of a non-RDF source's description ends in."""
@@ -111,7 +111,7 @@ def parse_ntriples(ntriples: bytes) -> tuple[Triple, ...]:
 def _of_file(record: Record) -> Iterable[Statement]:
     if record.blob is None:
         return ()
-    return ((dcterms.format, text(record.blob.media_type)), (ros.length, integer(record.blob.size)))
+    return ((dcterms.format, text(record.blob.media_type)), (ros.byteLength, integer(record.blob.size)))
 
 
 def remove_managed(triples: Iterable[Triple], url: str, model: Model) -> list[Triple]:

@@ -51,7 +51,7 @@ from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import lifter
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import foaf, ldp, rdf, rdfs, ros, xhv, xsd
+from rosld.ontology.vocab import foaf, ldp, prov, rdf, rdfs, ros, xhv, xsd
 
 SPACE = Space("http://127.0.0.1:8080/")
 LIBRARY = TypeLibrary(ros_version=1)
@@ -148,9 +148,9 @@ def test_a_node_that_does_not_answer_says_why() -> None:
 
 def test_a_topic_names_type_endpoints_and_rate_even_before_it_is_known() -> None:
     document = topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH)
-    assert own(document, ros.messageType) == [NamedNode("https://w3id.org/rosld/types/geometry_msgs/msg/Point")]
-    assert own(document, ros.publisher) == [url("nodes/talker")]
-    assert own(document, ros.subscriber) == [url("nodes/listener")]
+    assert own(document, ros.hasMessageType) == [NamedNode("https://w3id.org/rosld/types/geometry_msgs/msg/Point")]
+    assert own(document, ros.publishedBy) == [url("nodes/talker")]
+    assert own(document, ros.subscribedBy) == [url("nodes/listener")]
     assert own(document, ros.rate) == [Literal("0.0", datatype=xsd.double)]
     assert own(document, ros.latest) == []
 
@@ -198,7 +198,7 @@ def test_conflicting_types_are_linked_as_variants_and_there_is_no_type() -> None
     topic = Topic("/t", (one, other), (Endpoint("/x", one), Endpoint("/y", other)), unreadable="two types")
     document = topic_document(topic, SPACE, GRAPH)
     assert own(document, ros.conflictingType) == [url("types/a/msg/B?hash=11"), url("types/a/msg/B?hash=22")]
-    assert own(document, ros.messageType) == []
+    assert own(document, ros.hasMessageType) == []
     assert own(document, ros.unreadable) == [Literal("two types")]
     assert said(document, url("topics/t#publisher/y"), ros.conflictingType) == [url("types/a/msg/B?hash=22")]
 
@@ -206,7 +206,7 @@ def test_conflicting_types_are_linked_as_variants_and_there_is_no_type() -> None
 def test_an_unreachable_or_latched_publisher_is_an_endpoint_of_its_own() -> None:
     topic = Topic("/t", (POINT,), (Endpoint("/a/b", latched=True), Endpoint("/c", unreachable="no such host")))
     document = topic_document(topic, SPACE, GRAPH)
-    assert own(document, ros.endpoint) == [url("topics/t#publisher/a/b"), url("topics/t#publisher/c")]
+    assert own(document, ros.hasEndpoint) == [url("topics/t#publisher/a/b"), url("topics/t#publisher/c")]
     assert said(document, url("topics/t#publisher/c"), ros.unreachable) == [Literal("no such host")]
 
 
@@ -217,8 +217,8 @@ FULL = Qos("reliable", "volatile", "keep_last", 5, SECONDS // 2, 2 * SECONDS, "a
 def test_the_quality_of_service_of_an_endpoint_is_told_in_seconds() -> None:
     document = topic_document(Topic("/t", (POINT,), (Endpoint("/a/b", POINT, qos=FULL),)), SPACE, GRAPH)
     endpoint, qos = url("topics/t#publisher/a/b"), url("topics/t#qos/publisher/a/b")
-    assert own(document, ros.endpoint) == [endpoint]
-    assert said(document, endpoint, ros.qos) == [qos]
+    assert own(document, ros.hasEndpoint) == [endpoint]
+    assert said(document, endpoint, ros.hasQos) == [qos]
     assert {(t.predicate, t.object) for t in document.triples if t.subject == qos} == {
         (rdf.type, ros.Qos),
         (ros.reliability, Literal("reliable")),
@@ -241,7 +241,7 @@ def test_what_is_unknown_or_for_ever_of_a_quality_of_service_is_left_out() -> No
 def test_two_publishers_of_one_node_have_a_quality_of_service_each() -> None:
     both = (Endpoint("/a", POINT, qos=Qos("reliable")), Endpoint("/a", POINT, qos=Qos("best_effort")))
     document = topic_document(Topic("/t", (POINT,), (*both, Endpoint("/a/2", qos=FULL))), SPACE, GRAPH)
-    first, second, third = own(document, ros.endpoint)
+    first, second, third = own(document, ros.hasEndpoint)
     assert (first, second, third) == tuple(url(f"topics/t#publisher/{one}") for one in ("a", "a;2", "a/2"))
     assert said(document, url("topics/t#qos/publisher/a"), ros.reliability) == [Literal("reliable")]
     assert said(document, url("topics/t#qos/publisher/a;2"), ros.reliability) == [Literal("best_effort")]
@@ -250,12 +250,12 @@ def test_two_publishers_of_one_node_have_a_quality_of_service_each() -> None:
 def test_a_topic_says_who_does_not_hear_whom_and_why() -> None:
     weak, strong = Endpoint("/weak", qos=Qos("best_effort")), Endpoint("/strong", qos=Qos("reliable"))
     document = topic_document(Topic("/t", (POINT,), (weak, weak, strong), (strong, weak)), SPACE, GRAPH)
-    [mismatch] = own(document, ros.qosMismatch)
+    [mismatch] = own(document, ros.hasQosMismatch)
     assert own(document, ros.qosMismatchCount) == [Literal("2", datatype=xsd.integer)]
     assert {(t.predicate, t.object) for t in document.triples if t.subject == mismatch} == {
         (rdf.type, ros.QosMismatch),
-        (ros.publisher, url("nodes/weak")),
-        (ros.subscriber, url("nodes/strong")),
+        (ros.offeringNode, url("nodes/weak")),
+        (ros.requestingNode, url("nodes/strong")),
         (ros.policy, Literal("reliability")),
         (ros.offered, Literal("best_effort")),
         (ros.requested, Literal("reliable")),
@@ -266,13 +266,13 @@ def test_of_many_that_do_not_hear_each_other_some_are_told_and_all_are_counted()
     weak = tuple(Endpoint(f"/p{number}", qos=Qos("best_effort")) for number in range(20))
     strong = tuple(Endpoint(f"/s{number}", qos=Qos("reliable")) for number in range(20))
     document = topic_document(Topic("/t", (POINT,), weak, strong), SPACE, GRAPH)
-    assert len(own(document, ros.qosMismatch)) == 50
+    assert len(own(document, ros.hasQosMismatch)) == 50
     assert own(document, ros.qosMismatchCount) == [Literal("400", datatype=xsd.integer)]
 
 
 def test_a_topic_without_qualities_of_service_says_nothing_of_them() -> None:
     document = topic_document(GRAPH.topics["/chatter"], SPACE, GRAPH)
-    assert not {ros.endpoint, ros.qos, ros.qosMismatch} & {t.predicate for t in document.triples}
+    assert not {ros.hasEndpoint, ros.hasQos, ros.hasQosMismatch} & {t.predicate for t in document.triples}
 
 
 def test_why_a_message_cannot_be_read_goes_before_what_the_topic_says() -> None:
@@ -285,7 +285,7 @@ def test_why_a_message_cannot_be_read_goes_before_what_the_topic_says() -> None:
 
 def test_a_service_links_to_type_provider_and_shapes() -> None:
     document = service_document(GRAPH.services["/talker/reset"], SPACE, GRAPH)
-    assert own(document, ros.serviceType) == [NamedNode("https://w3id.org/rosld/types/std_srvs/srv/Trigger")]
+    assert own(document, ros.hasServiceType) == [NamedNode("https://w3id.org/rosld/types/std_srvs/srv/Trigger")]
     assert own(document, ros.provider) == [url("nodes/talker")]
     assert own(document, ros.requestShape) == [url("shapes/std_srvs/srv/Trigger_Request")]
     assert own(document, ros.responseShape) == [url("shapes/std_srvs/srv/Trigger_Response")]
@@ -294,7 +294,7 @@ def test_a_service_links_to_type_provider_and_shapes() -> None:
 def test_a_service_of_unknown_type_says_why_it_cannot_be_called() -> None:
     document = service_document(Service("/s", uncallable="no definition"), SPACE, GRAPH)
     assert own(document, ros.uncallable) == [Literal("no definition")]
-    assert own(document, ros.serviceType) == []
+    assert own(document, ros.hasServiceType) == []
 
 
 def trigger() -> ServiceSchema:
@@ -310,7 +310,7 @@ def test_a_call_carries_request_response_state_and_times() -> None:
     call = CallView("c1", "/talker/reset", "Failed", 10**18, request, (service.response, answer), 10**18 + 1, "no")
     document = call_document(call, SPACE)
     assert own(document, ros.state) == [ros.Failed]
-    assert own(document, ros.service) == [url("services/talker/reset")]
+    assert own(document, ros.isCallOf) == [url("services/talker/reset")]
     assert own(document, ros.request) == [url("calls/c1#request")]
     assert own(document, ros.response) == [url("calls/c1#response")]
     assert [message.node for message in document.messages] == ["#request", "#response"]
@@ -323,7 +323,7 @@ def test_a_running_call_has_no_response_yet() -> None:
     request = (service.request, service.request.codec.build(service.request.ref.name, {}))
     document = call_document(CallView("c1", "/s", "Running", 10**18, request), SPACE)
     assert own(document, ros.response) == []
-    assert own(document, ros.answered) == []
+    assert own(document, prov.endedAtTime) == []
 
 
 # Containers
@@ -386,7 +386,7 @@ def test_a_message_type_has_its_fields_in_order() -> None:
     assert own(document, foaf.primaryTopic) == [kind]
     assert ros.MessageType in said(document, kind, rdf.type)
     assert said(document, kind, ros.md5) == [Literal(schema.ref.hash or "")]
-    assert said(document, kind, ros.field) == [NamedNode(f"{kind.value}#{name}") for name in ("xs", "ps", "b")]
+    assert said(document, kind, ros.hasField) == [NamedNode(f"{kind.value}#{name}") for name in ("xs", "ps", "b")]
     xs, ps = NamedNode(f"{kind.value}#xs"), NamedNode(f"{kind.value}#ps")
     assert said(document, xs, ros.fieldType) == [Literal("float64[3]")]
     assert said(document, xs, ros.arrayLength) == [Literal("3", datatype=xsd.integer)]
@@ -404,7 +404,9 @@ def test_a_service_type_describes_both_halves() -> None:
     assert Triple(NamedNode("https://w3id.org/rosld/types/std_srvs/srv/Trigger"), ros.responseType, response) in (
         document.triples
     )
-    assert said(document, response, ros.field) == [NamedNode(f"{response.value}#{n}") for n in ("success", "message")]
+    assert said(document, response, ros.hasField) == [
+        NamedNode(f"{response.value}#{n}") for n in ("success", "message")
+    ]
 
 
 def test_variants_of_a_type_have_urls_of_their_own_and_know_of_each_other() -> None:
@@ -448,7 +450,7 @@ class Recorded:
 def test_a_recording_lists_topics_with_types_and_counts() -> None:
     document = bag_document(Bag(), SPACE)
     assert document.url == "http://127.0.0.1:8080/bags/run%201.bag/"
-    (track,) = own(document, ros.topic)
+    (track,) = own(document, ros.hasRecordedTopic)
     assert isinstance(track, NamedNode)
     assert said(document, track, ros.count) == [Literal("250", datatype=xsd.integer)]
     assert said(document, track, ros.unreadable) == [Literal("odd")]
@@ -477,11 +479,11 @@ def test_the_container_of_messages_only_links_to_its_first_and_last_page() -> No
 def test_a_recorded_message_says_when_and_where_or_why_it_cannot_be_read() -> None:
     recorded = Recorded(3, "/a/b", Sample(b"", Encoding.ROS1, POINT, "", 10**18, 1))
     document = bag_message_document(Bag(), recorded, SPACE, lifted(None, 1))
-    assert own(document, ros.message) == [NamedNode(f"{document.url}#message")]
+    assert own(document, ros.recordedMessage) == [NamedNode(f"{document.url}#message")]
     assert own(document, ros.index) == [Literal("3", datatype=xsd.integer)]
     assert own(document, ros.recordedAt) == [Literal("2001-09-09T01:46:40Z", datatype=xsd.dateTime)]
     unread = bag_message_document(Bag(), recorded, SPACE, None, unreadable="odd")
-    assert own(unread, ros.message) == []
+    assert own(unread, ros.recordedMessage) == []
     assert own(unread, ros.unreadable) == [Literal("odd")]
 
 

@@ -114,7 +114,7 @@ class Embedded:
         if answer.status_code == 404:
             return set()
         found = parse(answer.content, format=RdfFormat.N_TRIPLES)
-        urls = {one.object.value for one in found if one.predicate == ros.publisher and "#" not in one.subject.value}
+        urls = {one.object.value for one in found if one.predicate == ros.publishedBy and "#" not in one.subject.value}
         return {"/" + url.partition("/nodes/")[2] for url in urls}
 
     def protocols(self, topic: str) -> set[str]:

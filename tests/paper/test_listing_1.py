@@ -40,12 +40,12 @@ def refused(flight: Any, service: str, value: object) -> None:
 
 @pytest.mark.parametrize("service", LINES)
 def test_every_service_is_a_resource_that_tells_its_type_and_is_called_with_post(flight: Any, service: str) -> None:
-    assert flight.said(f"/services{service}", ros.serviceType) == {TYPES + LINES[service]}
+    assert flight.said(f"/services{service}", ros.hasServiceType) == {TYPES + LINES[service]}
     assert flight.allowed(f"/services{service}") == {"GET", "POST"}
 
 
 def test_topic_speed_tells_a_number_from_0_to_1000(flight: Any) -> None:
-    assert flight.said(SPEED, ros.messageType) == {f"{TYPES}std_msgs/msg/Float64"}
+    assert flight.said(SPEED, ros.hasMessageType) == {f"{TYPES}std_msgs/msg/Float64"}
     flight.off()
     assert flight.json(SPEED) == {"data": 0.0}
     flight.flying()

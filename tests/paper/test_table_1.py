@@ -61,7 +61,7 @@ def test_resource_every_service_parameter_and_topic_is_one(flight: Any) -> None:
 
 
 def test_resource_a_topic_and_the_subscribers_of_it_share_one_url(flight: Any) -> None:
-    assert flight.said(DISPLAY, ros.subscriber) >= {"/nodes/cockpit"}
+    assert flight.said(DISPLAY, ros.subscribedBy) >= {"/nodes/cockpit"}
     assert flight.allowed(DISPLAY) >= {"GET", "PUT"}
 
 
@@ -98,7 +98,7 @@ def test_representation_people_get_a_page(flight: Any) -> None:
 def test_data_model_the_message_format_is_a_class_with_a_property_a_field(flight: Any) -> None:
     document = "/types/std_msgs/msg/Float64"
     assert flight.said(document, flight.robot.hashed, of=FLOAT64) == {HASHES[flight.robot.hashed]}
-    assert flight.said(document, ros.field, of=FLOAT64) == {f"{FLOAT64}#data"}
+    assert flight.said(document, ros.hasField, of=FLOAT64) == {f"{FLOAT64}#data"}
     (definition,) = flight.said(document, ros.definition, of=FLOAT64)
     assert [line for line in definition.splitlines() if line and not line.startswith("#")] == ["float64 data"]
     values = [one.object for one in flight.triples(SPEED) if one.predicate == NamedNode(f"{FLOAT64}#data")]

@@ -137,7 +137,7 @@ def test_topic_subscriber_cannot_be_created_or_deleted(flight: Any) -> None:
     refused = flight.http.delete(DISPLAY)
     assert refused.status_code == 405
     assert "DELETE" not in refused.headers["allow"]
-    assert flight.said(DISPLAY, ros.subscriber) >= {"/nodes/cockpit"}
+    assert flight.said(DISPLAY, ros.subscribedBy) >= {"/nodes/cockpit"}
 
 
 def test_topic_subscriber_can_be_read_where_the_paper_has_a_dash_for_its_url_is_the_topic_s(flight: Any) -> None:

@@ -82,8 +82,8 @@ def test_a_node_tells_its_endpoints_its_parameters_and_what_it_provides(http: ht
     until(lambda: "/parameters/camera/exposure>" in said(http, "camera"), "the parameter")
     camera = said(http, "camera")
     endpoint = f"{http.base_url}topics/camera/image#publisher/camera"
-    assert f"<{ROS}endpoint> <{endpoint}>" in camera
-    assert f"<{endpoint}> <{ROS}topic> <{http.base_url}topics/camera/image>" in camera
+    assert f"<{ROS}hasEndpoint> <{endpoint}>" in camera
+    assert f"<{endpoint}> <{ROS}ofTopic> <{http.base_url}topics/camera/image>" in camera
     assert f'<{ROS}reliability> "reliable"' in camera
     assert f"<{ROS}provides> <{http.base_url}services/camera/change_state>" in camera
     rows = http.get("/queries/lifecycles?format=csv").text.splitlines()

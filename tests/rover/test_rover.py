@@ -30,7 +30,7 @@ def stopped(rover: Rover) -> None:
 def test_its_topics_have_the_types_of_the_standard_packages(rover: Rover) -> None:
     for topic, type in TYPES.items():
         told = rover.http.get(f"/topics{topic}", headers=TURTLE).text
-        assert f"ros:messageType <https://w3id.org/rosld/types/{type}>" in told
+        assert f"ros:hasMessageType <https://w3id.org/rosld/types/{type}>" in told
 
 
 def test_every_topic_that_it_publishes_has_a_message(rover: Rover) -> None:

@@ -57,7 +57,7 @@ def says(http: httpx.Client, url: str, predicate: str) -> list[str]:
 
 def test_an_action_says_what_it_takes_and_who_serves_it(plane: httpx.Client) -> None:
     base = str(plane.base_url)
-    assert says(plane, FLY, f"{ROS}actionType") == [f"<{TYPES}rosld_aircraft/action/Fly>"]
+    assert says(plane, FLY, f"{ROS}hasActionType") == [f"<{TYPES}rosld_aircraft/action/Fly>"]
     assert says(plane, FLY, f"{ROS}provider") == [f"<{base}nodes/aircraft>"]
     for part in ("goal", "result", "feedback"):
         [shape] = set(says(plane, FLY, f"{ROS}{part}Shape"))
@@ -94,7 +94,7 @@ def test_a_goal_is_created_told_of_by_events_and_has_a_result(plane: httpx.Clien
     assert {each["status"] for each in told} <= {"accepted", "executing", "succeeded"}
     assert says(plane, goal, f"{ROS}status") == [f"<{ROS}Succeeded>"]
     assert says(plane, goal, f"{ROS}statusWord") == ['"succeeded"']
-    assert says(plane, goal, f"{ROS}ended")
+    assert says(plane, goal, "http://www.w3.org/ns/prov#endedAtTime")
     assert says(plane, FLY, f"{ROS}hasGoal") == [f"<{goal}>"]
 
 
@@ -203,7 +203,7 @@ def test_goals_are_kept_in_number(serve: Callable[..., Any]) -> None:
 def test_goals_are_in_the_dataset_as_they_are_at_their_urls(plane: httpx.Client) -> None:
     goal = sent(plane, 0).headers["location"]
     until(plane, goal, "succeeded")
-    query = f"SELECT ?g ?of WHERE {{ GRAPH ?g {{ ?goal <{ROS}status> <{ROS}Succeeded> ; <{ROS}action> ?of }} }}"
+    query = f"SELECT ?g ?of WHERE {{ GRAPH ?g {{ ?goal <{ROS}status> <{ROS}Succeeded> ; <{ROS}isGoalOf> ?of }} }}"
     rows = plane.get("/sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"}).json()
     [row] = rows["results"]["bindings"]
     assert row["g"]["value"] == goal

@@ -139,7 +139,7 @@ def test_a_query_pays_for_the_topics_it_names_and_not_for_the_size_of_the_robot(
 
     monkeypatch.setattr(topic_resources, "topic_document", counted)
     http = serving()
-    assert len(rows(http, "SELECT ?t { ?t a ros:Topic ; ros:messageType <" + VECTOR + "> }")) == 2000
+    assert len(rows(http, "SELECT ?t { ?t a ros:Topic ; ros:hasMessageType <" + VECTOR + "> }")) == 2000
     assert subscribed(robot) == set()
     assert lifted == []  # what is asked of the graph needs no value
     wanted = {f"/t{number}" for number in range(0, 2000, every)}

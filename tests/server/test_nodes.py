@@ -58,7 +58,7 @@ def test_a_managed_node_tells_its_state_and_what_is_legal_in_it(http: httpx.Clie
     url = f"{http.base_url}nodes/camera"
     assert said(http, td.hasActionAffordance) == [f"{url}#transitions/configure", f"{url}#transitions/shutdown"]
     at = "#transitions/configure"
-    assert said(http, ros.goalState, at) == [ros.Configuring.value]
+    assert said(http, ros.targetState, at) == [ros.Configuring.value]
     assert said(http, htv.methodName, f"{at}/invoke") == ["POST"]
     assert said(http, hctl.hasTarget, f"{at}/invoke") == [url]
     assert said(http, ros.shape, at) == [f"{url}{at}/shape"]
@@ -71,9 +71,9 @@ def test_a_managed_node_tells_its_state_and_what_is_legal_in_it(http: httpx.Clie
 def test_a_node_tells_its_endpoints_with_their_quality_of_service_and_its_parameters(
     http: httpx.Client, said: Any, triples_of: Any
 ) -> None:
-    (endpoint,) = said(http, ros.endpoint)
+    (endpoint,) = said(http, ros.hasEndpoint)
     assert endpoint == f"{http.base_url}topics/chatter#publisher/camera"
-    assert said(http, ros.parameter) == [f"{http.base_url}parameters/camera/exposure"]
+    assert said(http, ros.hasParameter) == [f"{http.base_url}parameters/camera/exposure"]
     assert said(http, ros.provides) == [f"{http.base_url}services/camera/change_state"]
     document = triples_of(http.get("/nodes/camera", headers=TRIPLES))
     of_topic = triples_of(http.get("/topics/chatter", headers=TRIPLES))
@@ -82,9 +82,9 @@ def test_a_node_tells_its_endpoints_with_their_quality_of_service_and_its_parame
         for each in document
         if each.subject.value in (endpoint, f"{http.base_url}topics/chatter#qos/publisher/camera")
     }
-    assert {each.predicate for each in own} >= {ros.topic, ros.node, ros.qos, ros.reliability, ros.depth}
+    assert {each.predicate for each in own} >= {ros.onTopic, ros.ofNode, ros.hasQos, ros.reliability, ros.depth}
     assert own <= of_topic
-    (other,) = said(http, ros.endpoint, node="/nodes/plain")
+    (other,) = said(http, ros.hasEndpoint, node="/nodes/plain")
     assert other == f"{http.base_url}topics/chatter#subscriber/plain"
 
 

@@ -19,9 +19,9 @@ QUDT = "http://qudt.org/schema/qudt/"
 GRIPPER = """
 <#gripper> a map:ComplexResource ; map:path "/gripper/" ;
   map:property [ map:predicate ex:force ; map:member "/arm/grip" ; map:name "force" ] ,
-    [ map:predicate ex:x ; map:member "/arm/pose" ; map:field "pose.position.x" ; map:unit unit:M ;
-      map:quantityKind quantitykind:Length ] ,
-    [ map:predicate ex:y ; map:member "/arm/pose" ; map:field "pose.position.y" ; map:unit unit:M ] ;
+    [ map:predicate ex:x ; map:member "/arm/pose" ; map:field "pose.position.x" ; qudt:hasUnit unit:M ;
+      qudt:hasQuantityKind quantitykind:Length ] ,
+    [ map:predicate ex:y ; map:member "/arm/pose" ; map:field "pose.position.y" ; qudt:hasUnit unit:M ] ;
   map:action [ map:relation ex:home ; map:name "fold" ; map:service "/arm/home" ] ;
   map:link [ map:relation ex:arm ; map:target "/arm/" ] .
 """

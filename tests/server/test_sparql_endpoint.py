@@ -85,7 +85,7 @@ def test_a_graph_is_what_a_get_of_its_url_says(http: httpx.Client, triples_of: o
 
 
 def test_no_topic_is_found_twice(http: httpx.Client) -> None:
-    query = {"query": "SELECT ?t WHERE { ?t a ros:Topic ; ros:name ?n ; ros:messageType ?y }"}
+    query = {"query": "SELECT ?t WHERE { ?t a ros:Topic ; ros:name ?n ; ros:hasMessageType ?y }"}
     found = [row[0] for row in rows(http.get("/sparql", params=query, headers={"Accept": "text/csv"}))]
     assert len(found) == len(set(found)) >= 2
 

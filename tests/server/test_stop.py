@@ -298,7 +298,7 @@ def test_every_thing_description_has_the_stop(http: httpx.Client) -> None:
         assert told == {("invokeaction", "POST", href), ("queryaction", "GET", href), ("cancelaction", "DELETE", href)}
     paths = http.get("/openapi.json").json()["paths"]
     assert {"get", "post", "delete"} <= paths["/stop"].keys()
-    assert f"<{ROS}stop> <{http.base_url}stop>" in http.get("/", headers={"Accept": "application/n-triples"}).text
+    assert f"<{ROS}hasStop> <{http.base_url}stop>" in http.get("/", headers={"Accept": "application/n-triples"}).text
 
 
 def test_a_server_that_is_read_only_tells_the_robot_nothing_not_even_to_stop(robot: Stoppable) -> None:

@@ -63,7 +63,7 @@ def test_the_latest_message_has_its_type_time_number_and_publisher(http: httpx.C
     url = str(http.base_url.join(SPEED))
     node = NamedNode(f"{url}#message")
     about = {triple.predicate.value: triple.object for triple in found if triple.subject == node}
-    assert about[f"{ROS}publisher"] == NamedNode(str(http.base_url.join("/nodes/aircraft")))
+    assert about[f"{ROS}sentBy"] == NamedNode(str(http.base_url.join("/nodes/aircraft")))
     assert about[f"{ROS}received"].datatype.value.endswith("#dateTime")
     assert about[f"{TYPES}std_msgs/msg/Float64#data"].datatype.value.endswith("#double")
 
@@ -173,7 +173,7 @@ def test_a_state_that_was_seen_is_304_and_another_syntax_of_it_is_not(http: http
 
 def test_the_name_and_type_that_the_server_states_may_be_repeated_but_not_changed(http: httpx.Client) -> None:
     turtle = {"Content-Type": "text/turtle"}
-    same = f'<> <{ROS}name> "/cockpit/display" ; <{ROS}messageType> <{STRING}> . {message("same")}'
+    same = f'<> <{ROS}name> "/cockpit/display" ; <{ROS}hasMessageType> <{STRING}> . {message("same")}'
     assert http.put(DISPLAY, content=same, headers=turtle).status_code == 204
     other = f'<> <{ROS}name> "/elsewhere" . {message("other")}'
     answer = http.put(DISPLAY, content=other, headers=turtle)

@@ -125,7 +125,7 @@ OF_A_TOPIC = [
     f"SELECT ?v {{ ?t ros:latest ?m . ?m ?p ?v FILTER(?t = {SPEED} && STRENDS(STR(?p), '#data')) }}",
     f"SELECT ?v {{ ?m {DATA} ?v . ?t ros:latest ?m }}",
     f"SELECT ?v {{ GRAPH ?g {{ ?m {DATA} ?v }} FILTER(?g = {SPEED}) }}",
-    f"SELECT ?v {{ ?t ros:messageType ?k ; ros:latest ?m . ?m ?p ?v FILTER(?k = {FLOAT} && ?p = {DATA}) }}",
+    f"SELECT ?v {{ ?t ros:hasMessageType ?k ; ros:latest ?m . ?m ?p ?v FILTER(?k = {FLOAT} && ?p = {DATA}) }}",
     f"SELECT ?v {{ OPTIONAL {{ {SPEED} ros:latest ?m OPTIONAL {{ ?m {DATA} ?v }} }} }}",
     f"SELECT ?v {{ {SPEED} (ros:latest|ros:latestFrom)/{DATA} ?v }}",
 ]
@@ -159,8 +159,8 @@ def test_what_clients_say_of_live_resources_hides_none_of_them(start_server: Cal
     before = [ask(http, query)[0] for query in queries]
     assert all(before)
     assert http.put("/data/claims/1", content=claim, headers=TURTLE).is_success
-    other = f"<{http.base_url}topics/cockpit/display> <https://w3id.org/rosld#messageType> {FLOAT} ."
+    other = f"<{http.base_url}topics/cockpit/display> <https://w3id.org/rosld#hasMessageType> {FLOAT} ."
     assert http.put("/data/claims/2", content=other, headers=TURTLE).is_success
     assert [ask(http, query)[0] for query in queries] == before
-    assert len(ask(http, f"SELECT * {{ ?t ros:messageType {FLOAT} ; ros:rate ?r }}")[0]) == 2
+    assert len(ask(http, f"SELECT * {{ ?t ros:hasMessageType {FLOAT} ; ros:rate ?r }}")[0]) == 2
     assert served.stop() == 0

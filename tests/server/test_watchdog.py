@@ -69,7 +69,9 @@ def test_the_status_is_linked_from_the_entry_and_told_in_rdf_and_html() -> None:
     with served(MadeUp()) as http:
         url = str(http.base_url) + "status"
         entry = parse(http.get("", headers={"Accept": "application/n-triples"}).content, RdfFormat.N_TRIPLES)
-        assert [each.object for each in entry if each.predicate == NamedNode(f"{ROS}serverStatus")] == [NamedNode(url)]
+        assert [each.object for each in entry if each.predicate == NamedNode(f"{ROS}hasServerStatus")] == [
+            NamedNode(url)
+        ]
         told = parse(http.get("status", headers={"Accept": "text/turtle"}).content, RdfFormat.TURTLE, base_iri=url)
         said = {each.predicate.value: each.object for each in told}
         assert isinstance(said[f"{ROS}longestPause"], Literal)

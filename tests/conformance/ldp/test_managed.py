@@ -161,18 +161,18 @@ def test_managed_what_is_said_of_a_files_bytes_is_refused_where_it_is_not_so(
     place: Place, kinds: dict[str, str]
 ) -> None:
     url = kinds["NonRDFSource"]
-    for said in (f'<{DCTERMS}format> "image/png"', f"{ros.length} 12345"):
+    for said in (f'<{DCTERMS}format> "image/png"', f"{ros.byteLength} 12345"):
         answer = place.send("PUT", f"{url}.meta", f"<{url}> {said} .", TURTLE)
         assert answer.status_code == 409
         assert said.partition(" ")[0].strip("<>") in answer.json()["detail"]
-    place.put(f"{url}.meta", f'<{url}> {ros.length} 10 ; <{DCTERMS}format> "text/plain" .')
+    place.put(f"{url}.meta", f'<{url}> {ros.byteLength} 10 ; <{DCTERMS}format> "text/plain" .')
 
 
 def test_managed_of_what_is_no_file_or_container_nothing_of_theirs_is_lost(place: Place) -> None:
     """A catalogue says formats, and a document about containers what their membership is made of."""
     said = {
         dcterms.format: Literal("text/csv"),
-        ros.length: Literal("7", datatype=xsd.integer),
+        ros.byteLength: Literal("7", datatype=xsd.integer),
         ldp.hasMemberRelation: NamedNode("http://ex.org/has"),
         ldp.membershipResource: NamedNode("http://ex.org/it"),
         ldp.insertedContentRelation: NamedNode("http://ex.org/topic"),

@@ -28,7 +28,7 @@ from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import TYPES, LiftSettings, lifter
 from rosld.ontology.lower import Violation, lowerer
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import av, ldp, rdf, rdfs, ros, xsd
+from rosld.ontology.vocab import av, ldp, prov, rdf, rdfs, ros, xsd
 from rosld.server.html import (
     HEADERS,
     ICON,
@@ -126,7 +126,7 @@ def topic(path: str, kind: str, *more: tuple[NamedNode, object]) -> tuple[str, I
         (rdf.type, ldp.Resource),
         (rdf.type, ldp.RDFSource),
         (ros.name, f"/{path}"),
-        (ros.messageType, TYPES + kind),
+        (ros.hasMessageType, TYPES + kind),
         (ros.rate, Literal("10.0", datatype=xsd.double)),
         *more,
     )
@@ -137,7 +137,7 @@ def speed() -> Page:
     url, triples = topic(
         "aircraft/engine/speed",
         "std_msgs/msg/Float64",
-        (ros.publisher, f"{BASE}nodes/aircraft"),
+        (ros.publishedBy, f"{BASE}nodes/aircraft"),
         (ros.latest, f"{BASE}topics/aircraft/engine/speed#message"),
     )
     messages = (lifted("#message", schema("std_msgs/msg/Float64"), {"data": 700.0}),)
@@ -148,7 +148,7 @@ def display() -> Page:
     """A topic that can be written."""
     kind = schema("std_msgs/msg/String")
     url, triples = topic(
-        "cockpit/display", kind.ref.name, (ros.subscriber, f"{BASE}nodes/cockpit"), (ros.writable, Literal(True))
+        "cockpit/display", kind.ref.name, (ros.subscribedBy, f"{BASE}nodes/cockpit"), (ros.writable, Literal(True))
     )
     form = MessageForm(kind, value={"data": "Cleared for take-off"}, about="Everybody who subscribes will receive it.")
     allow = ("GET", "HEAD", "OPTIONS", "PATCH", "PUT")
@@ -166,8 +166,8 @@ def odometry() -> Page:
     url, triples = topic(
         "odom",
         kind.ref.name,
-        (ros.publisher, f"{BASE}nodes/base"),
-        (ros.publisher, f"{BASE}nodes/ekf"),
+        (ros.publishedBy, f"{BASE}nodes/base"),
+        (ros.publishedBy, f"{BASE}nodes/ekf"),
         (ros.latest, f"{BASE}topics/odom#message"),
         (ros.latestFrom, f"{BASE}topics/odom#from/base"),
         (ros.latestFrom, f"{BASE}topics/odom#from/ekf"),
@@ -183,7 +183,7 @@ def odometry() -> Page:
 def twist(refused: bool = False) -> Page:
     """A nested form, perhaps as the answer to one that did not fit."""
     kind = schema("geometry_msgs/msg/TwistStamped")
-    url, triples = topic("cmd_vel", kind.ref.name, (ros.subscriber, f"{BASE}nodes/base"))
+    url, triples = topic("cmd_vel", kind.ref.name, (ros.subscribedBy, f"{BASE}nodes/base"))
     form = MessageForm(kind, value={"twist": {"linear": {"x": 0.2}}})
     notices: tuple[Notice, ...] = ()
     if refused:
@@ -213,7 +213,7 @@ def image() -> Page:
     url, triples = topic(
         "camera/image_raw",
         kind.ref.name,
-        (ros.publisher, f"{BASE}nodes/camera"),
+        (ros.publishedBy, f"{BASE}nodes/camera"),
         (ros.unreachable, "the publisher /camera at http://camera:41231/ does not answer: host name unknown"),
         (ros.namespace, f"{BASE}topics/camera/image_raw/"),
         (ros.latest, f"{BASE}topics/camera/image_raw#message"),
@@ -231,10 +231,10 @@ def scan() -> Page:
     triples = said(
         url,
         (rdf.type, ros.Message),
-        (ros.topic, f"{BASE}topics/scan"),
-        (ros.bag, f"{BASE}bags/turtlebot.bag/"),
+        (ros.onTopic, f"{BASE}topics/scan"),
+        (ros.recordedIn, f"{BASE}bags/turtlebot.bag/"),
         (ros.index, 41),
-        (ros.message, f"{url}#message"),
+        (ros.recordedMessage, f"{url}#message"),
     )
     steps = tuple(
         Step(rel, f"{BASE}bags/turtlebot.bag/messages/{index}")
@@ -304,7 +304,7 @@ def service() -> Page:
         url,
         (rdf.type, ros.Service),
         (ros.name, "/aircraft/engine/set_speed"),
-        (ros.serviceType, f"{TYPES}rosld_aircraft/srv/SetNumber"),
+        (ros.hasServiceType, f"{TYPES}rosld_aircraft/srv/SetNumber"),
         (ros.provider, f"{BASE}nodes/aircraft"),
         (ros.requestShape, f"{BASE}shapes/rosld_aircraft/srv/SetNumber_Request"),
     )
@@ -320,9 +320,9 @@ def call() -> Page:
     triples = said(
         url,
         (rdf.type, ros.Call),
-        (ros.service, f"{BASE}services/aircraft/engine/set_speed"),
+        (ros.isCallOf, f"{BASE}services/aircraft/engine/set_speed"),
         (ros.state, ros.Failed),
-        (ros.created, Literal("2026-11-21T01:31:41.123456789Z", datatype=xsd.dateTime)),
+        (prov.startedAtTime, Literal("2026-11-21T01:31:41.123456789Z", datatype=xsd.dateTime)),
         (ros.request, f"{url}#request"),
         (ros.response, f"{url}#response"),
     )
@@ -340,7 +340,7 @@ def message_type() -> Page:
     url, iri = f"{BASE}types/geometry_msgs/msg/PoseStamped", f"{TYPES}geometry_msgs/msg/PoseStamped"
     triples = [
         *said(iri, (rdf.type, ros.MessageType), (ros.name, kind.ref.name), (ros.md5, kind.ref.hash or "")),
-        *said(iri, (ros.definition, kind.definition), (ros.field, f"{iri}#header"), (ros.field, f"{iri}#pose")),
+        *said(iri, (ros.definition, kind.definition), (ros.hasField, f"{iri}#header"), (ros.hasField, f"{iri}#pose")),
     ]
     for position, name in enumerate(("header", "pose")):
         triples += said(f"{iri}#{name}", (rdf.type, ros.Field), (ros.fieldName, name), (ros.position, position))
@@ -686,7 +686,7 @@ def entry(stale: bool = False) -> bytes:
         BASE,
         (rdf.type, ros.Graph),
         (ros.state, ros.Stale if stale else ros.Live),
-        (ros.master, f"{BASE}#master"),
+        (ros.hasMaster, f"{BASE}#master"),
     )
     master = said(f"{BASE}#master", (rdf.type, ros.Master), (ros.uri, "http://localhost:11311/"))
     counts = (

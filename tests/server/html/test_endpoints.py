@@ -40,5 +40,5 @@ def test_columns_that_nobody_fills_are_left_out_and_so_is_a_table_of_nothing() -
 def test_what_is_drawn_elsewhere_is_left_out_of_the_description_with_its_parts() -> None:
     document = node_document(node_views(GRAPH)["/a"], SPACE)
     assert len(describe(document, SITE)) > 1
-    (own,) = describe(document, SITE, without=(ros.endpoint, td.hasActionAffordance))
+    (own,) = describe(document, SITE, without=(ros.hasEndpoint, td.hasActionAffordance))
     assert own.title == "Description"

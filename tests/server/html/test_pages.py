@@ -135,9 +135,9 @@ def test_a_container_takes_its_columns_from_its_own_description() -> None:
 def test_lists_blank_nodes_and_fragments_are_drawn_in_place() -> None:
     here, part, cell, inner = NamedNode(URL), NamedNode(f"{URL}#part"), BlankNode(), BlankNode()
     body = drawn(
-        Triple(here, ros.qosMismatch, part),
+        Triple(here, ros.hasQosMismatch, part),
         Triple(part, ros.latched, Literal(True)),
-        Triple(here, ros.field, cell),
+        Triple(here, ros.hasField, cell),
         Triple(cell, rdf.first, inner),
         Triple(cell, rdf.rest, rdf.nil),
         Triple(inner, ros.name, Literal("within")),
@@ -160,10 +160,10 @@ def test_a_topics_page_says_who_does_not_hear_whom_and_what_quality_of_service_e
 def test_a_circle_of_nodes_is_drawn_once() -> None:
     here, one, other = NamedNode(URL), NamedNode(f"{URL}#one"), NamedNode(f"{URL}#other")
     body = drawn(
-        Triple(here, ros.node, one),
-        Triple(one, ros.node, other),
-        Triple(other, ros.node, one),
-        Triple(here, ros.node, here),
+        Triple(here, ros.ofNode, one),
+        Triple(one, ros.ofNode, other),
+        Triple(other, ros.ofNode, one),
+        Triple(here, ros.ofNode, here),
     )
     assert body.count('id="one"') == body.count('id="other"') == 1
 

@@ -42,6 +42,7 @@ GUIDE = Path(__file__).parents[3] / "docs" / "reference" / "resources.md"
 PREFIXES = """
 @prefix map: <https://w3id.org/rosld/mapping#> .
 @prefix av: <https://w3id.org/rosld/aircraft#> .
+@prefix qudt: <http://qudt.org/schema/qudt/> .
 @prefix ldp: <http://www.w3.org/ns/ldp#> .
 @prefix rdf: <http://www.w3.org/1999/02/22-rdf-syntax-ns#> .
 @prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
@@ -212,10 +213,10 @@ def test_a_member_is_named_from_the_path_on_or_from_the_root() -> None:
     assert one_property('map:member "/other/name"').member == "/other/name"
 
 
-def test_a_member_may_carry_a_field_a_unit_and_a_quantity_kind() -> None:
-    found = one_property(
-        'map:member "pose" ; map:field "position.x" ; map:unit unit:M ; map:quantityKind quantitykind:Length'
-    )
+@pytest.mark.parametrize(("unit", "kind"), [("qudt:hasUnit", "qudt:hasQuantityKind"), ("map:unit", "map:quantityKind")])
+def test_a_member_may_carry_a_field_a_unit_and_a_quantity_kind(unit: str, kind: str) -> None:
+    """In QUDT's words, or in those that mappings had of their own before."""
+    found = one_property(f'map:member "pose" ; map:field "position.x" ; {unit} unit:M ; {kind} quantitykind:Length')
     assert found.field == "position.x"
     assert found.measure == Measure(
         NamedNode("http://qudt.org/vocab/unit/M"), NamedNode("http://qudt.org/vocab/quantitykind/Length")
@@ -328,7 +329,8 @@ WRONG = {
     "an empty field": ('map:property [ map:predicate av:p ; map:member "p" ; map:field "" ]', "field"),
     "a field that ends a line": ('map:property [ map:predicate av:p ; map:member "p" ; map:field "x\\n" ]', "field"),
     "two fields": ('map:property [ map:predicate av:p ; map:member "p" ; map:field "x" , "y" ]', "field"),
-    "a unit that is no IRI": ('map:property [ map:predicate av:p ; map:member "p" ; map:unit "m" ]', "unit"),
+    "a unit that is no IRI": ('map:property [ map:predicate av:p ; map:member "p" ; qudt:hasUnit "m" ]', "hasUnit"),
+    "an old unit that is no IRI": ('map:property [ map:predicate av:p ; map:member "p" ; map:unit "m" ]', "unit"),
     "two units": ('map:property [ map:predicate av:p ; map:member "p" ; map:unit unit:M , unit:S ]', "unit"),
     "a quantity kind that is no IRI": (
         'map:property [ map:predicate av:p ; map:member "p" ; map:quantityKind "length" ]',

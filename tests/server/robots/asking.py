@@ -16,7 +16,7 @@ EX = "http://example.org/"
 PREFIXES = f"""
 @prefix map: <https://w3id.org/rosld/mapping#> . @prefix sh: <http://www.w3.org/ns/shacl#> .
 @prefix ex: <{EX}> . @prefix rdf: <{RDF}> . @prefix unit: <http://qudt.org/vocab/unit/> .
-@prefix quantitykind: <http://qudt.org/vocab/quantitykind/> .
+@prefix quantitykind: <http://qudt.org/vocab/quantitykind/> . @prefix qudt: <http://qudt.org/schema/qudt/> .
 """
 JSON = {"Accept": "application/json"}
 TURTLE = {"Content-Type": "text/turtle"}

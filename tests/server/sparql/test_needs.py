@@ -47,13 +47,13 @@ def one(*types: str, graphs: tuple[str, ...] | None = None, messages: bool = Tru
 @pytest.mark.parametrize(
     "query",
     [
-        "SELECT * { ?t a ros:Topic ; ros:messageType ?type ; ros:publisher ?n }",
+        "SELECT * { ?t a ros:Topic ; ros:hasMessageType ?type ; ros:publishedBy ?n }",
         "SELECT * { ?n a ros:Node ; ?p ?o }",
         "SELECT * { ?t ros:name ?name ; a ?class }",
-        "SELECT * { t:a ros:publisher ?n }",
+        "SELECT * { t:a ros:publishedBy ?n }",
         "ASK { ?s rdfs:label 'x' }",
         "SELECT (COUNT(*) AS ?n) { ?c ldp:contains ?t }",
-        "SELECT * { ?n ros:publishes/ros:messageType ?type }",
+        "SELECT * { ?n ros:publishes/ros:hasMessageType ?type }",
         "SELECT * { ?shape sh:property/sh:path ?path }",
         "SELECT ?x { VALUES ?x { 1 2 } }",
         "CONSTRUCT { ?t ros:latest ?x } WHERE { ?t ros:name ?x }",
@@ -75,7 +75,7 @@ def test_a_query_about_the_computation_graph_needs_no_values(query: str) -> None
         ("SELECT * { ?m pose:x|pose:y ?v }", one(POSE)),
         ("SELECT * { ?m twist:linear ?l . ?l v:x ?x }", one(TWIST, VECTOR)),
         ("SELECT * { ?m tf:transforms/rdf:rest*/rdf:first ?s . ?s st:child_frame_id ?f }", one(TF, STAMPED)),
-        (f"SELECT * {{ ?t ros:messageType <{TYPES}{POSE}> ; ros:rate ?r }}", one(POSE)),
+        (f"SELECT * {{ ?t ros:hasMessageType <{TYPES}{POSE}> ; ros:rate ?r }}", one(POSE)),
         ("SELECT * { GRAPH ?g { ?t ros:rate ?r . ?m pose:x ?x } }", one(POSE)),
         ("SELECT * { t:a ros:latest ?m . ?m pose:x ?x }", one(POSE, graphs=(A,))),
         ("SELECT * { <http://robot/topics/a#message> ?p ?o }", one(graphs=(A,), parameters=True)),
@@ -92,7 +92,7 @@ def test_a_query_about_the_computation_graph_needs_no_values(query: str) -> None
         ("SELECT * { ?t a ros:Topic ; ?p ?o }", one()),
         ("SELECT * { ?s ?p ?o }", one(parameters=True)),
         ("SELECT ?c (COUNT(*) AS ?n) { ?s a ?c } GROUP BY ?c", one()),
-        ("SELECT * { ?m ros:publisher ?n }", one()),
+        ("SELECT * { ?m ros:sentBy ?n }", one()),
         ("SELECT * { ?s !rdfs:label ?o }", one(parameters=True)),
         ("SELECT * { ?s (pose:x|rdfs:label)* ?o }", one(parameters=True)),
         ("SELECT * { ?s ros:neverHeardOf ?o }", one(parameters=True)),
@@ -158,7 +158,7 @@ def test_what_is_named_beside_the_patterns_is_looked_at_too_and_narrows_nothing(
 
 
 def test_a_type_that_is_named_beside_the_patterns_is_looked_at_too() -> None:
-    found = needs(f"SELECT * {{ VALUES ?k {{ <{TYPES}{POSE}> }} ?t ros:messageType ?k ; ros:rate ?r }}").demands
+    found = needs(f"SELECT * {{ VALUES ?k {{ <{TYPES}{POSE}> }} ?t ros:hasMessageType ?k ; ros:rate ?r }}").demands
     assert set(found) == {one(), one(POSE)}
 
 
@@ -230,8 +230,8 @@ def described(topic: str, kind: str) -> str:
     return (
         f"<{topic}> <{PLAIN}type> <{ROS}Topic> .\n"
         f'<{topic}> <{ROS}name> "{topic[-2:]}" .\n'
-        f"<{topic}> <{ROS}messageType> <{TYPES}{kind}> .\n"
-        f"<{topic}> <{ROS}publisher> <{BASE}nodes/n> .\n"
+        f"<{topic}> <{ROS}hasMessageType> <{TYPES}{kind}> .\n"
+        f"<{topic}> <{ROS}publishedBy> <{BASE}nodes/n> .\n"
     )
 
 
@@ -259,7 +259,7 @@ def live(topic: str, kind: str) -> str:
         described(topic, kind)
         + f'<{topic}> <{ROS}rate> "1"^^<http://www.w3.org/2001/XMLSchema#integer> .\n'
         + f"<{topic}> <{ROS}latest> <{node}> .\n"
-        + f"<{node}> <{ROS}publisher> <{BASE}nodes/n> .\n"
+        + f"<{node}> <{ROS}sentBy> <{BASE}nodes/n> .\n"
         + message(node, kind)
     )
 
@@ -312,12 +312,12 @@ FULL = dataset(None)
 variables = st.sampled_from(["?a", "?b", "?c"])
 predicates = st.sampled_from(
     [
-        "a", "ros:name", "ros:messageType", "ros:publisher", "ros:publishes", "ros:rate", "ros:latest", "ros:value",
-        "pose:x",
+        "a", "ros:name", "ros:hasMessageType", "ros:publishedBy", "ros:publishes", "ros:rate", "ros:latest",
+        "ros:value", "pose:x",
         "v:x", "twist:linear", "tf:transforms", "rdf:first", "rdf:rest", "ldp:contains", "ros:request", "?p", "?a",
         "ros:latest/pose:x", "ros:latest/tf:transforms/rdf:rest*/rdf:first", "rdf:rest*", "pose:x|v:x", "^ros:latest",
         "twist:linear?", "(ros:latest|twist:linear)+", "!ros:name", "!^ros:name", "(tf:transforms/rdf:first)/pose:x",
-        "^ros:publisher/ros:latest", "ros:publisher/^ros:publisher", "ros:latest*",
+        "^ros:publishedBy/ros:latest", "ros:publishedBy/^ros:publishedBy", "ros:latest*",
     ]
 )  # fmt: skip
 constants = st.sampled_from(
@@ -366,7 +366,7 @@ queries = st.one_of(
 
 fitting = st.sampled_from(
     [
-        "?t a ros:Topic .", "?t ros:name ?n .", "?t ros:messageType ?k .", "?t ros:latest ?m .", "?t ros:rate ?r .",
+        "?t a ros:Topic .", "?t ros:name ?n .", "?t ros:hasMessageType ?k .", "?t ros:latest ?m .", "?t ros:rate ?r .",
         "t:a ros:latest ?m .", "t:b ros:latest ?m .", "?m pose:x ?x .", "?m v:x ?x .", "?m twist:linear ?l .",
         "?l v:x ?x .", "?m tf:transforms ?l .", "?l rdf:rest* ?l2 .", "?l rdf:first ?m .", "?m a ?k .", "?m ?p ?o .",
         "?t ros:latest/pose:x ?x .", "?l ?p ?o .", "?t ?p ?o .", "VALUES ?t { t:a }", f"VALUES ?m {{ <{A}#message> }}",

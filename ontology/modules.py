@@ -1,0 +1,94 @@
+"""The modules of the ontology: each is one owl:Ontology, in the file of its name beside this one.
+
+The terms of `ros:` are in several modules. Whoever looks one up by its IRI comes to the core: so the core, as it is
+served, tells for each of them which module defines it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib.resources import files
+
+from pyoxigraph import NamedNode, RdfFormat, Triple, parse
+
+from rosld.ontology.vocab import av, mapping, owl, rdf, rdfs, ros
+
+ROOT = "https://w3id.org/rosld"
+VERSION = "0.2.0"
+CORE = "core"
+OWN = (CORE, "types", "interaction", "recording", "server", "mapping", "aircraft", "deprecated")
+"""The modules that define terms."""
+ALIGNMENTS = tuple(f"align-{name}" for name in ("sosa", "prov", "wot", "ldp", "dcat", "ease", "cora"))
+"""The modules that relate them to the terms of others."""
+MODULES = (*OWN, *ALIGNMENTS)
+_NAMESPACES = (ros.iri, mapping.iri, av.iri)
+
+
+def module_iri(name: str, version: str = "") -> str:
+    """The IRI of a module; with a version, that of this version of it."""
+    return "/".join((ROOT, *_path(name, version)))
+
+
+def module_url(name: str, base: str, version: str = "") -> str:
+    """Where a server at `base` has a module, or one version of it."""
+    return base + "/".join(("ontology", *_path(name, version)))
+
+
+def _path(name: str, version: str) -> Iterator[str]:
+    if version:
+        yield version
+    if name != CORE:
+        yield name
+
+
+@cache
+def module_triples(name: str) -> tuple[Triple, ...]:
+    """The triples of a module as its file has them."""
+    text = files("rosld.ontology").joinpath(f"{name}.ttl").read_bytes()
+    return tuple(quad.triple for quad in parse(text, format=RdfFormat.TURTLE))
+
+
+@cache
+def served_triples(name: str) -> tuple[Triple, ...]:
+    """The triples of a module as it is served: with the core, where each other term of `ros:` is defined."""
+    own = module_triples(name)
+    if name != CORE:
+        return own
+    return tuple(dict.fromkeys((*own, *(each for other in OWN if other != CORE for each in _signposts(other)))))
+
+
+def _signposts(name: str) -> Iterator[Triple]:
+    """Of each term of `ros:` that a module defines: its kind, its label, and that it is defined there."""
+    terms = {iri for iri, home in home_of_terms().items() if home == name and iri.startswith(ros.iri)}
+    told = (rdf.type, rdfs.label, rdfs.isDefinedBy, owl.deprecated)
+    for triple in module_triples(name):
+        if isinstance(triple.subject, NamedNode) and triple.subject.value in terms and triple.predicate in told:
+            yield triple
+
+
+@cache
+def home_of_terms() -> Mapping[str, str]:
+    """The module that defines each term, by the term's IRI."""
+    return {
+        triple.subject.value: name
+        for name in OWN
+        for triple in module_triples(name)
+        if triple.predicate == rdfs.isDefinedBy and isinstance(triple.subject, NamedNode)
+    }
+
+
+def term_url(iri: str, base: str) -> str | None:
+    """Where a server at `base` describes a term or a module; None for an IRI that is neither."""
+    if iri in _modules():
+        return base + _modules()[iri]
+    if iri.startswith(_NAMESPACES):
+        fragment = iri.partition("#")[2]
+        return f"{module_url(home_of_terms().get(iri, CORE), base)}#{fragment}"
+    return None
+
+
+@cache
+def _modules() -> Mapping[str, str]:
+    """The path of each module, by its IRI and by the IRI of its version."""
+    return {module_iri(name, version): module_url(name, "", version) for name in MODULES for version in ("", VERSION)}

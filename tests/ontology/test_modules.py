@@ -1,0 +1,312 @@
+"""The modules of the ontology, and the constants for its terms in Python, say the same."""
+
+from __future__ import annotations
+
+from collections import Counter
+from importlib.resources import files
+from itertools import combinations
+
+import pytest
+from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
+
+from rosld.ontology.modules import (
+    ALIGNMENTS,
+    CORE,
+    MODULES,
+    OWN,
+    VERSION,
+    home_of_terms,
+    module_iri,
+    module_triples,
+    served_triples,
+    term_url,
+)
+from rosld.ontology.vocab import (
+    PREFIXES,
+    Namespace,
+    av,
+    dcterms,
+    mapping,
+    owl,
+    rdf,
+    rdfs,
+    ros,
+    sh,
+    superseded_mapping,
+    xsd,
+)
+
+VANN, SKOS = "http://purl.org/vocab/vann/", "http://www.w3.org/2004/02/skos/core#"
+OURS: tuple[type[Namespace], ...] = (ros, mapping, av)
+EACH = pytest.mark.parametrize("name", MODULES)
+CURRENT = tuple(name for name in OWN if name != "deprecated")
+REPLACED_BY = NamedNode(dcterms.iri + "isReplacedBy")
+
+
+def objects(name: str, subject: NamedNode, predicate: NamedNode) -> list[object]:
+    return [each.object for each in module_triples(name) if (each.subject, each.predicate) == (subject, predicate)]
+
+
+def terms_of(*names: str) -> dict[NamedNode, str]:
+    """The terms that modules define, with the module of each."""
+    return {NamedNode(iri): home for iri, home in home_of_terms().items() if home in names}
+
+
+def every(*names: str) -> list[Triple]:
+    return [triple for name in names for triple in module_triples(name)]
+
+
+def test_every_file_is_a_module() -> None:
+    found = {each.name.removesuffix(".ttl") for each in files("rosld.ontology").iterdir() if each.name.endswith(".ttl")}
+    assert found == set(MODULES)
+
+
+@EACH
+def test_a_file_holds_one_ontology_with_its_title_version_licence_and_citation(name: str) -> None:
+    ontologies = {each.subject for each in module_triples(name) if each.object == owl.Ontology}
+    iri = NamedNode(module_iri(name))
+    assert ontologies == {iri}
+    assert objects(name, iri, NamedNode(owl.iri + "versionIRI")) == [NamedNode(module_iri(name, VERSION))]
+    assert objects(name, iri, NamedNode(owl.iri + "versionInfo")) == [Literal(VERSION)]
+    for term in ("title", "description", "creator", "created", "modified", "license", "bibliographicCitation"):
+        assert len(objects(name, iri, NamedNode(dcterms.iri + term))) == 1, term
+    assert len(objects(name, iri, NamedNode("http://purl.org/ontology/bibo/status"))) == 1
+
+
+@EACH
+def test_a_module_imports_the_modules_whose_terms_it_uses(name: str) -> None:
+    imports = set(objects(name, NamedNode(module_iri(name)), NamedNode(owl.iri + "imports")))
+    reached = {module_iri(name)}
+    while (
+        more := {
+            each.value
+            for one in reached
+            for module in MODULES
+            if module_iri(module) == one
+            for each in objects(module, NamedNode(one), NamedNode(owl.iri + "imports"))
+            if isinstance(each, NamedNode)
+        }
+        - reached
+    ):
+        reached |= more
+    homes = home_of_terms()
+    for triple in module_triples(name):
+        if triple.predicate in (REPLACED_BY, NamedNode(SKOS + "scopeNote")) or triple.predicate.value == rdfs.seeAlso:
+            continue
+        for term in (triple.subject, triple.object):
+            if isinstance(term, NamedNode) and term.value in homes:
+                assert module_iri(homes[term.value]) in reached, (triple, reached)
+    if name in ALIGNMENTS:
+        foreign = [
+            each for each in imports if isinstance(each, NamedNode) and not each.value.startswith("https://w3id")
+        ]
+        assert len(foreign) == 1
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_a_module_that_defines_terms_tells_their_prefix(name: str) -> None:
+    iri = NamedNode(module_iri(name))
+    [prefix], [namespace] = (
+        objects(name, iri, NamedNode(f"{VANN}preferredNamespace{end}")) for end in ("Prefix", "Uri")
+    )
+    assert isinstance(prefix, Literal)
+    assert isinstance(namespace, Literal)
+    assert PREFIXES[prefix.value] == namespace.value
+
+
+def test_every_term_is_a_constant_and_every_constant_is_a_term() -> None:
+    constants = {term for space in OURS for term in space.terms().values()}
+    assert set(terms_of(*CURRENT)) == constants
+
+
+def test_a_term_is_defined_once() -> None:
+    defined = Counter(each.subject for each in every(*OWN) if each.predicate == rdfs.isDefinedBy)
+    assert [term for term, times in defined.items() if times != 1] == []
+
+
+def test_every_term_has_an_english_label_and_comment() -> None:
+    for term, home in terms_of(*OWN).items():
+        assert objects(home, term, rdfs.isDefinedBy) == [NamedNode(module_iri(home))]
+        assert objects(home, term, rdf.type)
+        (label,), (comment,) = objects(home, term, rdfs.label), objects(home, term, rdfs.comment)
+        assert isinstance(label, Literal)
+        assert (label.language, bool(label.value)) == ("en", True)
+        assert isinstance(comment, Literal)
+        assert (comment.language, comment.value.endswith(".")) == ("en", True)
+
+
+def test_no_label_stands_for_two_terms() -> None:
+    labels = Counter(each.object.value.lower() for each in every(*OWN) if each.predicate == rdfs.label)
+    assert [label for label, times in labels.items() if times > 1] == []
+
+
+def test_no_two_terms_differ_by_case_alone() -> None:
+    found = Counter(term.value.lower() for term in terms_of(*CURRENT))
+    assert [iri for iri, times in found.items() if times > 1] == []
+
+
+def test_forty_terms_have_a_note_on_their_scope_and_an_example() -> None:
+    noted = {each.subject for each in every(*CURRENT) if each.predicate.value == f"{SKOS}scopeNote"}
+    shown = {each.subject for each in every(*CURRENT) if each.predicate.value == f"{SKOS}example"}
+    classes = {term for term, home in terms_of(*CURRENT).items() if owl.Class in objects(home, term, rdf.type)}
+    assert classes <= noted & shown
+    assert len(noted & shown) >= 40
+
+
+def test_classes_and_individuals_of_classes_begin_with_a_capital_and_properties_do_not() -> None:
+    for term, home in terms_of(*OWN).items():
+        types = objects(home, term, rdf.type)
+        local = term.value.partition("#")[2]
+        if not any(isinstance(each, NamedNode) and each.value.endswith("#Function") for each in types):
+            assert local[0].isupper() != (rdf.Property in types), term
+
+
+def test_domains_and_ranges_are_declared_classes_or_datatypes() -> None:
+    for name in MODULES:
+        classes = {each.subject for each in module_triples(name) if each.object == owl.Class}
+        for triple in module_triples(name):
+            if triple.predicate in (rdfs.domain, rdfs.range):
+                assert triple.object in classes | set(xsd.terms().values()), triple
+
+
+@EACH
+def test_every_term_that_a_module_uses_is_declared_in_it(name: str) -> None:
+    declared = {each.subject for each in module_triples(name) if each.predicate == rdf.type}
+    builtin = (rdf.iri, rdfs.iri, owl.iri, xsd.iri)
+    documents = (NamedNode(owl.iri + "imports"), NamedNode(owl.iri + "versionIRI"), rdfs.seeAlso, rdfs.isDefinedBy)
+    for triple in module_triples(name):
+        used = [triple.subject, triple.predicate]
+        used += (
+            [] if triple.predicate in documents or triple.predicate.value.startswith(dcterms.iri) else [triple.object]
+        )
+        for term in used:
+            if isinstance(term, NamedNode) and not term.value.startswith(builtin) and "/bibo/status/" not in term.value:
+                assert term in declared, triple
+
+
+def test_inverse_properties_have_domain_and_range_the_other_way_round() -> None:
+    homes = terms_of(*CURRENT)
+    pairs = [each for each in every(*CURRENT) if each.predicate == NamedNode(owl.iri + "inverseOf")]
+    assert len(pairs) >= 8
+    for pair in pairs:
+        assert isinstance(pair.subject, NamedNode)
+        assert isinstance(pair.object, NamedNode)
+        for one, other in ((pair.subject, pair.object), (pair.object, pair.subject)):
+            domain, range = objects(homes[one], one, rdfs.domain), objects(homes[other], other, rdfs.range)
+            assert not (domain and range) or domain == range, pair
+
+
+def test_states_are_individuals_of_the_sets_that_they_are_in() -> None:
+    sets = {each.subject for each in every(*CURRENT) if each.object == ros.OperationalState} | {
+        ros.PrimaryState,
+        ros.TransitionState,
+    }
+    individuals = {
+        term: set(objects(home, term, rdf.type))
+        for term, home in terms_of(*CURRENT).items()
+        if owl.NamedIndividual in objects(home, term, rdf.type) and set(objects(home, term, rdf.type)) & sets
+    }
+    assert len(individuals) == 25
+    assert individuals[ros.Succeeded] == {ros.CallState, ros.GoalStatus, owl.NamedIndividual}
+
+
+def test_classes_of_one_module_are_told_apart() -> None:
+    """By an owl:AllDisjointClasses: but classes and their subclasses, and the states, which overlap."""
+    disjoint = set()
+    for name in CURRENT:
+        for each in module_triples(name):
+            if each.predicate == NamedNode(owl.iri + "members"):
+                disjoint |= set(combinations(sorted(_members(name, each.object), key=str), 2))
+    assert len(disjoint) > 200
+    parents = {(each.subject, each.object) for each in every(*CURRENT) if each.predicate == rdfs.subClassOf}
+    assert not disjoint & (parents | {(b, a) for a, b in parents})
+
+
+def _members(name: str, first: object) -> list[NamedNode]:
+    found: list[NamedNode] = []
+    while isinstance(first, BlankNode):
+        [value] = [each.object for each in module_triples(name) if (each.subject, each.predicate) == (first, rdf.first)]
+        assert isinstance(value, NamedNode)
+        found.append(value)
+        [first] = [each.object for each in module_triples(name) if (each.subject, each.predicate) == (first, rdf.rest)]
+    return found
+
+
+def test_deprecated_terms_tell_what_has_taken_their_place() -> None:
+    homes = terms_of(*CURRENT)
+    for term in terms_of("deprecated"):
+        assert objects("deprecated", term, owl.deprecated) == [Literal(True)]
+        instead = objects("deprecated", term, REPLACED_BY)
+        assert instead
+        for each in instead:
+            assert isinstance(each, NamedNode)
+            assert each in homes or not each.value.startswith("https://w3id.org/rosld"), term
+
+
+def test_alignments_speak_of_terms_that_exist_and_define_none() -> None:
+    known = set(terms_of(*CURRENT)) | {NamedNode(module_iri(name, v)) for name in MODULES for v in ("", VERSION)}
+    for triple in every(*ALIGNMENTS):
+        for term in (triple.subject, triple.object):
+            if (
+                isinstance(term, NamedNode)
+                and term.value.startswith("https://w3id.org/rosld")
+                and VERSION not in term.value
+            ):
+                assert term in known, triple
+
+
+def test_no_term_that_sosa_has_given_up_is_used() -> None:
+    used = {term.value for each in every(*MODULES) for term in each if isinstance(term, NamedNode)}
+    ssn = "http://www.w3.org/ns/ssn/"
+    assert not {iri for iri in used if iri.startswith(ssn)}
+    assert not used & {f"http://www.w3.org/ns/sosa/{name}" for name in ("ObservableProperty", "ActuatableProperty")}
+
+
+def test_the_core_leads_to_every_module_and_to_every_other_term_of_its_namespace() -> None:
+    core = NamedNode(module_iri(CORE))
+    linked = set(objects(CORE, core, rdfs.seeAlso))
+    assert linked == {NamedNode(module_iri(name)) for name in MODULES if name != CORE}
+    served = set(served_triples(CORE))
+    for iri, home in home_of_terms().items():
+        if iri.startswith(ros.iri):
+            assert Triple(NamedNode(iri), rdfs.isDefinedBy, NamedNode(module_iri(home))) in served, iri
+
+
+@pytest.mark.parametrize(
+    ("iri", "place"),
+    [
+        (ros.Topic.value, "ontology#Topic"),
+        (ros.Call.value, "ontology/interaction#Call"),
+        (ros.MessageType.value, "ontology/types#MessageType"),
+        (f"{ros.iri}publisher", "ontology/deprecated#publisher"),
+        (f"{ros.iri}none", "ontology#none"),
+        (mapping.path.value, "ontology/mapping#path"),
+        (av.power.value, "ontology/aircraft#power"),
+        ("https://w3id.org/rosld", "ontology"),
+        ("https://w3id.org/rosld/align-prov", "ontology/align-prov"),
+        (f"https://w3id.org/rosld/{VERSION}/types", f"ontology/{VERSION}/types"),
+        ("https://w3id.org/rosld/none", None),
+    ],
+)
+def test_a_term_is_found_in_the_module_that_defines_it(iri: str, place: str | None) -> None:
+    assert term_url(iri, "http://h/") == (None if place is None else f"http://h/{place}")
+
+
+def test_the_shape_of_mappings_speaks_of_every_term_and_of_no_other() -> None:
+    text = files("rosld.shapes").joinpath("mapping.ttl").read_bytes()
+    triples = [quad.triple for quad in parse(text, format=RdfFormat.TURTLE, base_iri="http://x/")]
+    named = {each.object for each in triples if isinstance(each.object, NamedNode)}
+    spoken = {each for each in named if each.value.startswith(mapping.iri)}
+    assert spoken - set(superseded_mapping.terms().values()) == set(mapping.terms().values())
+
+
+def test_a_trailing_underscore_is_no_part_of_a_term() -> None:
+    assert sh.or_ == NamedNode("http://www.w3.org/ns/shacl#or")
+    assert sh.class_ == NamedNode("http://www.w3.org/ns/shacl#class")
+
+
+def test_prefixes_are_those_people_know() -> None:
+    assert issubclass(ros, Namespace)
+    assert PREFIXES["ros"] == "https://w3id.org/rosld#"
+    assert PREFIXES["ldp"] == "http://www.w3.org/ns/ldp#"
+    assert len(set(PREFIXES.values())) == len(PREFIXES)

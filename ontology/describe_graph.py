@@ -16,7 +16,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.namespaces import Kept
 from rosld.ontology.triples import CONTAINER, RDF_SOURCE, Statement, Value, about, boolean, each, integer, moment, text
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import dcterms, ldp, rdf, rdfs, ros, xsd
+from rosld.ontology.vocab import cora, dcterms, ldp, rdf, rdfs, ros, sosa, xsd
 
 _V = TypeVar("_V")
 
@@ -41,12 +41,16 @@ ROOMS: Mapping[str, str] = {
 """The containers at the top, with their titles."""
 
 
-def entry_document(graph: Graph, space: Space, system: str = "ROS", storage_problems: Sequence[str] = ()) -> Document:
-    """The entry point `/`: the distributed application (paper, Table 1), its master and state, and all the rooms.
+def entry_document(
+    graph: Graph, space: Space, system: str = "ROS", storage_problems: Sequence[str] = (), *, name: str = "robot"
+) -> Document:
+    """The entry point `/`: the distributed application (paper, Table 1), its machine, master, state, and all the rooms.
 
-    `system` names the kind of ROS system (`ROS 1`, `recording`, ...); `storage_problems` are the server's.
+    `system` names the kind of ROS system (`ROS 1`, `recording`, ...), `name` the robot; `storage_problems` are the
+    server's.
     """
-    entry, rooms = NamedNode(space.base), {room: NamedNode(space.container(room)) for room in ROOMS}
+    entry, robot = NamedNode(space.base), NamedNode(f"{space.base}#robot")
+    rooms = {room: NamedNode(space.container(room)) for room in ROOMS}
     ontology, sparql, graphs = (NamedNode(space.base + name) for name in ("ontology", "sparql", "graphs"))
     master = NamedNode(f"{space.base}#master") if graph.master else None
     triples = about(
@@ -55,6 +59,7 @@ def entry_document(graph: Graph, space: Space, system: str = "ROS", storage_prob
         *CONTAINER,
         (dcterms.title, text(f"The computation graph ({system})")),
         *_state(graph),
+        (ros.robot, robot),
         (ros.hasMaster, master),
         *(((ros.simulatedTime, boolean(True)),) if graph.simulated_time else ()),
         *each(ldp.contains, rooms.values()),
@@ -63,6 +68,9 @@ def entry_document(graph: Graph, space: Space, system: str = "ROS", storage_prob
         (rdfs.seeAlso, sparql),
         (rdfs.seeAlso, graphs),
         (rdfs.seeAlso, ontology),
+    )
+    triples += about(
+        robot, (rdf.type, sosa.Platform), (rdf.type, cora.Robot), (rdfs.label, text(name)), (sosa.hosts, entry)
     )
     if graph.master and master:
         uri = graph.master.uri
@@ -84,7 +92,7 @@ def entry_document(graph: Graph, space: Space, system: str = "ROS", storage_prob
         )
     status = NamedNode(f"{space.base}status")
     triples += about(status, *((ros.storageProblem, text(problem)) for problem in storage_problems))
-    triples += about(ontology, (rdfs.label, text("Vocabulary")))
+    triples += about(ontology, (rdfs.label, text("Ontology")))
     triples += about(sparql, (rdfs.label, text("SPARQL")))
     triples += about(graphs, (rdfs.label, text("Graph store")))
     return Document(space.base, tuple(triples), simulated_time=graph.simulated_time)

@@ -22,10 +22,10 @@ from rosld.adapters.model import (
     halves_of,
 )
 from rosld.ontology.document import Document
-from rosld.ontology.literals import DATATYPES, OCTETS
+from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
 from rosld.ontology.triples import RDF_SOURCE, Statement, about, boolean, double, each, integer, text
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import foaf, rdf, rdfs, ros, xsd
+from rosld.ontology.vocab import foaf, owl, rdf, rdfs, ros, schema_org, xsd
 
 
 def type_document(schema: Schema, space: Space, variants: Sequence[TypeRef] = ()) -> Document:
@@ -40,7 +40,7 @@ def type_document(schema: Schema, space: Space, variants: Sequence[TypeRef] = ()
     triples += about(
         kind,
         (rdf.type, _KINDS[type(schema)]),
-        (rdf.type, rdfs.Class if isinstance(schema, MessageSchema) else None),
+        *each(rdf.type, (rdfs.Class, owl.Class) if isinstance(schema, MessageSchema) else ()),
         (rdfs.subClassOf, ros.Message if isinstance(schema, MessageSchema) else None),
         (rdfs.label, text(schema.ref.name)),
         (ros.name, text(schema.ref.name)),
@@ -100,7 +100,7 @@ def _field(field: Field, position: int, kind: NamedNode, space: Space) -> list[S
     element = array.element if array else field.type
     return [
         (rdf.type, ros.Field),
-        (rdf.type, rdf.Property),
+        *each(rdf.type, _property_types(field.type)),
         (rdfs.label, text(field.name)),
         (ros.fieldName, text(field.name)),
         (ros.fieldType, text(written(field.type))),
@@ -110,8 +110,27 @@ def _field(field: Field, position: int, kind: NamedNode, space: Space) -> list[S
         (ros.arrayBound, integer(array.bound) if array else None),
         (ros.stringBound, integer(element.bound) if isinstance(element, Primitive) else None),
         (rdfs.domain, kind),
-        (rdfs.range, value_type(field.type, space)),
+        *_range(field.type, space),
     ]
+
+
+def _property_types(kind: FieldType) -> tuple[NamedNode, ...]:
+    """What kind of property a field is; of what may be left out, neither literals nor nodes alone are values."""
+    if isinstance(kind, Nested):
+        return (rdf.Property, owl.ObjectProperty)
+    return (rdf.Property,) if _may_be_elided(kind) else (rdf.Property, owl.DatatypeProperty)
+
+
+def _range(kind: FieldType, space: Space) -> list[Statement]:
+    """What the values of a field are; of what may be left out, all that they may be."""
+    if _may_be_elided(kind):
+        return each(schema_org.rangeIncludes, (value_type(kind, space), ros.Elided))
+    return [(rdfs.range, value_type(kind, space))]
+
+
+def _may_be_elided(kind: FieldType) -> bool:
+    """Whether a value may be too large to be written, so that a node stands for it."""
+    return isinstance(kind, Array) or (isinstance(kind, Primitive) and kind.name in STRINGS)
 
 
 def _constant(constant: Constant, position: int) -> list[Statement]:

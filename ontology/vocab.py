@@ -600,6 +600,13 @@ class prov(Namespace, iri="http://www.w3.org/ns/prov#"):
     wasInformedBy: NamedNode
 
 
+class schema_org(Namespace, iri="https://schema.org/"):
+    """Schema.org: domains and ranges that leave room for others."""
+
+    domainIncludes: NamedNode
+    rangeIncludes: NamedNode
+
+
 class qudt(Namespace, iri="http://qudt.org/schema/qudt/"):
     """QUDT: units and kinds of quantity."""
 
@@ -661,14 +668,36 @@ class av(Namespace, iri="https://w3id.org/rosld/aircraft#"):
     direction: NamedNode
 
 
-_SPACES = (ros, rdf, rdfs, owl, xsd, ldp, xhv, dcterms, foaf, acl, sh, sd, td, js, hctl, htv, prov, sosa, qudt, av)
+_SPACES = (
+    ros,
+    rdf,
+    rdfs,
+    owl,
+    xsd,
+    ldp,
+    xhv,
+    dcterms,
+    foaf,
+    acl,
+    sh,
+    sd,
+    td,
+    js,
+    hctl,
+    htv,
+    prov,
+    sosa,
+    cora,
+    qudt,
+    av,
+)
 
 PREFIXES: Mapping[str, str] = {space.__name__: space.iri for space in _SPACES} | {
     "map": mapping.iri,
     "unit": "http://qudt.org/vocab/unit/",
     "quantitykind": "http://qudt.org/vocab/quantitykind/",
     "skos": "http://www.w3.org/2004/02/skos/core#",
-    "schema": "https://schema.org/",
+    "schema": schema_org.iri,
     "vann": "http://purl.org/vocab/vann/",
 }
 """The prefixes under which people know these namespaces."""

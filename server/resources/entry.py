@@ -75,5 +75,5 @@ class EntryResource(Resource):
         return self.robot.states.get_or_make(
             self.url,
             (graph.revision, problems),
-            lambda: State(lambda: entry_document(graph, self.robot.space, system, problems)),
+            lambda: State(lambda: entry_document(graph, self.robot.space, system, problems, name=self.robot.name)),
         )

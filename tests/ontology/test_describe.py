@@ -32,6 +32,8 @@ from rosld.ontology.describe import (
     CallView,
     Members,
     NodeView,
+    Receipt,
+    activity_document,
     bag_document,
     bag_message_document,
     bag_messages_document,
@@ -51,7 +53,7 @@ from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import lifter
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import foaf, ldp, prov, rdf, rdfs, ros, xhv, xsd
+from rosld.ontology.vocab import cora, foaf, ldp, prov, rdf, rdfs, ros, schema_org, sosa, xhv, xsd
 
 SPACE = Space("http://127.0.0.1:8080/")
 LIBRARY = TypeLibrary(ros_version=1)
@@ -106,6 +108,15 @@ def test_the_entry_point_links_to_every_room_and_names_the_master() -> None:
     assert own(document, ros.state) == [ros.Live]
     assert said(document, url("#master"), ros.uri) == [Literal("http://localhost:11311/", datatype=xsd.anyURI)]
     assert said(document, url("topics/"), ros.count) == [Literal("3", datatype=xsd.integer)]
+
+
+def test_the_entry_point_leads_to_the_machine_that_hosts_it() -> None:
+    document = entry_document(GRAPH, SPACE, name="arm")
+    machine = url("#robot")
+    assert own(document, ros.robot) == [machine]
+    assert said(document, machine, rdf.type) == [sosa.Platform, cora.Robot]
+    assert said(document, machine, rdfs.label) == [Literal("arm")]
+    assert said(document, machine, sosa.hosts) == [NamedNode(SPACE.base)]
 
 
 def test_a_stale_graph_says_since_when_and_why() -> None:
@@ -390,9 +401,9 @@ def test_a_message_type_has_its_fields_in_order() -> None:
     xs, ps = NamedNode(f"{kind.value}#xs"), NamedNode(f"{kind.value}#ps")
     assert said(document, xs, ros.fieldType) == [Literal("float64[3]")]
     assert said(document, xs, ros.arrayLength) == [Literal("3", datatype=xsd.integer)]
-    assert said(document, xs, rdfs.range) == [rdf.JSON]
+    assert said(document, xs, schema_org.rangeIncludes) == [rdf.JSON, ros.Elided]
     assert said(document, ps, ros.nestedType) == [NamedNode("https://w3id.org/rosld/types/geometry_msgs/msg/Point")]
-    assert said(document, ps, rdfs.range) == [rdf.List]
+    assert said(document, ps, schema_org.rangeIncludes) == [rdf.List, ros.Elided]
     assert said(document, NamedNode(f"{kind.value}#A"), ros.value) == [Literal("3", datatype=xsd.byte)]
     assert said(document, NamedNode(f"{kind.value}#B"), ros.value) == [Literal("x y")]
     assert said(document, kind, ros.definition) == [Literal(schema.definition)]
@@ -530,3 +541,28 @@ def test_every_term_used_is_in_the_vocabulary(document: Document) -> None:
 def test_names_that_are_not_utf_8_are_shown_all_the_same() -> None:
     topic = Topic("/t", unreadable="bad \udcff byte")
     assert own(topic_document(topic, SPACE, GRAPH), ros.unreadable) == [Literal("bad ��� byte")]
+
+
+# Receipts
+
+
+def receipt(made: str | None) -> Receipt:
+    return Receipt(
+        1, "r1", "pilot", None, 1_000_000_000, 2_000_000_000, "POST", f"{SPACE.base}services/reset", "text/plain", 2,
+        None, "{}", False, ("call /reset",), (f"{SPACE.base}services/reset",), None, 201, made, None,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("made", ["calls/7", "goals/a", "holds/3"])
+def test_a_call_a_goal_or_a_hold_is_an_activity_that_the_write_informed(made: str) -> None:
+    """PROV-O: activities generate entities, and no activity is one."""
+    document = activity_document(receipt(f"{SPACE.base}{made}"), SPACE)
+    assert own(document, prov.generated) == [url("activity/r1#answer")]
+    assert said(document, url(made), prov.wasInformedBy) == [url("activity/r1")]
+
+
+@pytest.mark.parametrize("made", ["data/notes", "mappings/mine", "parameters/size"])
+def test_what_else_a_write_makes_is_generated_by_it(made: str) -> None:
+    document = activity_document(receipt(f"{SPACE.base}{made}"), SPACE)
+    assert own(document, prov.generated) == [url("activity/r1#answer"), url(made)]
+    assert prov.wasInformedBy not in {each.predicate for each in document.triples}

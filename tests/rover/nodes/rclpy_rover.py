@@ -63,8 +63,9 @@ def class_of(type: str) -> Any:
 
 
 def filled(made: Any, fields: Mapping[str, object]) -> Any:
-    """A message with these fields."""
+    """A message with these fields, which are all that it has."""
     types = made.get_fields_and_field_types()
+    assert types.keys() == fields.keys(), f"{type(made).__name__} has {types.keys()}, not {fields.keys()}"
     for name, value in fields.items():
         setattr(made, name, converted(types[name], getattr(made, name), value))
     return made

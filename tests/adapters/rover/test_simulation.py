@@ -1,0 +1,212 @@
+"""The simulation: the same commands lead to the same state, however often somebody looks."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rosld.adapters.rover.drive import STANDSTILL, Velocity
+from rosld.adapters.rover.navigation import Declined, Outcome, Pose, checked_goal, heading_of
+from rosld.adapters.rover.settings import DEFAULTS, PARAMETERS, problem_of
+from rosld.adapters.rover.simulation import DOCK, MOST_STEPS, STEP, Severity, Simulation, Start
+
+AHEAD = Velocity(0.5, 0.3)
+
+
+def begun(**start: object) -> Simulation:
+    return Simulation(Start(**start), 0.0)
+
+
+def texts(simulation: Simulation, severity: Severity) -> str:
+    return "; ".join(line.text for line in simulation.take_log() if line.severity is severity)
+
+
+def ended(simulation: Simulation, now: float, patience: float = 60.0) -> tuple[Outcome, str]:
+    """How the goal that is pursued ends, looked for as often as a clock would."""
+    for turn in range(round(patience / 0.05)):
+        simulation.advance(now + 0.05 * turn)
+        if found := simulation.take_ended():
+            return found[0].outcome, found[0].message
+    raise AssertionError("the goal never ended")
+
+
+@given(st.lists(st.floats(0.001, 0.5), max_size=30))
+def test_looking_often_changes_nothing(pauses: list[float]) -> None:
+    once, often = begun(), begun()
+    for each in (once, often):
+        each.command(AHEAD, 0.0)
+    now = 0.0
+    for pause in pauses:
+        now += pause
+        often.advance(now)
+    once.advance(now)
+    for each in (once, often):  # to a time by which both have made all steps
+        each.advance(now + 2 * STEP)
+    behind = abs(once.state.motion.driven - often.state.motion.driven)
+    assert behind <= 0.5 * STEP + 1e-9
+
+
+def test_the_same_commands_lead_to_the_same_state() -> None:
+    states = []
+    for _ in range(2):
+        simulation = begun()
+        simulation.command(AHEAD, 0.5)
+        simulation.navigate("a", Pose(3.0, 0.0, 1.0), 2.0)
+        for turn in range(200):
+            simulation.advance(2.0 + turn * 0.05)
+        states.append(simulation.state)
+    assert states[0] == states[1]
+
+
+def test_it_drives_on_without_any_further_command() -> None:
+    simulation = begun()
+    simulation.command(Velocity(0.2, 0.8), 0.0)
+    for now in range(1, 300):
+        simulation.advance(float(now))
+    assert simulation.state.motion.velocity == Velocity(0.2, 0.8)
+
+
+def test_time_passes_faster_at_a_higher_rate() -> None:
+    slow, fast = begun(), begun(rate=10.0)
+    slow.command(AHEAD, 0.0)
+    fast.command(AHEAD, 0.0)
+    slow.advance(10.0)
+    fast.advance(1.0)
+    assert math.isclose(slow.state.motion.driven, fast.state.motion.driven, abs_tol=0.5 * STEP + 1e-9)
+
+
+def test_a_machine_that_was_asleep_catches_up_with_seconds_and_not_with_hours() -> None:
+    simulation = begun()
+    simulation.command(Velocity(0.2, 0.8), 0.0)
+    simulation.advance(36_000.0)
+    assert simulation.state.motion.driven <= 0.2 * MOST_STEPS * STEP
+    simulation.advance(36_001.0)
+    assert simulation.state.motion.velocity == Velocity(0.2, 0.8)
+
+
+def test_a_velocity_that_is_no_number_is_told_in_the_log_and_not_driven() -> None:
+    simulation = begun()
+    simulation.command(AHEAD, 0.0)
+    simulation.command(Velocity(math.nan, 0.0), 0.1)
+    simulation.command(Velocity(0.0, math.inf), 0.2)
+    assert simulation.state.command == AHEAD
+    assert "no command" in texts(simulation, Severity.ERROR)
+
+
+def test_the_battery_is_drained_by_driving_and_the_motors_are_off_once_it_is_empty() -> None:
+    simulation = begun(battery=0.205)
+    simulation.command(AHEAD, 0.0)
+    simulation.advance(10.0)
+    assert simulation.state.battery.level < 0.2
+    assert "battery is low" in texts(simulation, Severity.WARN)
+    for now in range(11, 400):
+        simulation.advance(float(now))
+    assert simulation.state.battery.is_empty
+    assert simulation.state.motion.velocity == STANDSTILL
+    assert "battery is empty" in texts(simulation, Severity.ERROR)
+
+
+def test_it_charges_at_the_dock_until_it_drives_away() -> None:
+    simulation = begun(battery=0.5)
+    assert not simulation.dock(0.0).success
+    there = begun(battery=0.5, pose=Pose(*DOCK, 0.0))
+    assert there.dock(0.0).success
+    there.advance(10.0)
+    assert there.state.battery.level > 0.5
+    assert there.state.battery.current > 0
+    there.command(AHEAD, 10.0)
+    there.advance(11.0)
+    assert not there.state.is_docked
+    assert there.state.battery.current < 0
+
+
+def test_a_goal_is_reached_with_its_heading() -> None:
+    simulation = begun()
+    simulation.navigate("a", Pose(3.0, -1.5, -1.0), 0.0)
+    assert ended(simulation, 0.0) == (Outcome.SUCCEEDED, "arrived")
+    motion = simulation.state.motion
+    assert math.dist((motion.x, motion.y), (3.0, -1.5)) < 0.1
+    assert math.isclose(motion.heading, -1.0, abs_tol=0.05)
+    simulation.advance(70.0)
+    assert simulation.state.motion.velocity == STANDSTILL
+
+
+@pytest.mark.parametrize(
+    ("goal", "words"),
+    [
+        (Pose(30.0, 0.0, 0.0), "outside the map"),
+        (Pose(0.0, 2.6, 0.0), "an obstacle stands at"),
+        (Pose(3.5, 3.0, 0.0), "not on the map"),
+    ],
+)
+def test_a_goal_fails_in_words(goal: Pose, words: str) -> None:
+    simulation = begun()
+    simulation.navigate("a", goal, 0.0)
+    outcome, message = ended(simulation, 0.0)
+    assert outcome is Outcome.ABORTED
+    assert words in message
+
+
+def test_a_goal_ends_when_the_battery_does_when_it_is_canceled_and_when_another_comes() -> None:
+    weak = begun(battery=0.001)
+    weak.navigate("a", Pose(4.4, -3.4, 0.0), 0.0)
+    assert ended(weak, 0.0) == (Outcome.ABORTED, "the battery is empty")
+    simulation = begun()
+    simulation.navigate("a", Pose(4.4, -3.4, 0.0), 0.0)
+    assert not simulation.cancel("b", 0.5)
+    assert simulation.cancel("a", 0.5)
+    assert ended(simulation, 0.6) == (Outcome.CANCELED, "canceled")
+    simulation.navigate("c", Pose(4.4, -3.4, 0.0), 1.0)
+    simulation.navigate("d", Pose(0.0, 0.0, 0.0), 1.5)
+    assert ended(simulation, 1.5) == (Outcome.ABORTED, "another goal took its place")
+
+
+def test_a_command_does_not_end_a_goal() -> None:
+    simulation = begun()
+    simulation.navigate("a", Pose(4.4, 0.0, 0.0), 0.0)
+    simulation.command(STANDSTILL, 1.0)
+    simulation.advance(2.0)
+    assert simulation.state.motion.velocity.speed > 0
+
+
+def test_what_is_no_goal_is_declined() -> None:
+    for wrong in ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, math.nan), (1.0, 1.0, 1.0, 1.0)):
+        with pytest.raises(Declined, match="unit quaternion"):
+            heading_of(*wrong)
+    with pytest.raises(Declined, match="moon"):
+        checked_goal("moon", 0.0, 0.0, 0.0)
+    with pytest.raises(Declined, match="no place"):
+        checked_goal("map", math.nan, 0.0, 0.0)
+    assert math.isclose(heading_of(0.0, 0.0, math.sin(0.5), math.cos(0.5)), 1.0)
+
+
+def test_it_stops_by_itself_where_it_is_set_to() -> None:
+    simulation = begun()
+    simulation.configure({**DEFAULTS, "stop_before_obstacles": True}, 0.0)
+    simulation.command(Velocity(1.0), 0.0)
+    for now in range(1, 30):
+        simulation.advance(float(now))
+    assert not simulation.state.motion.is_bumped
+    assert 4.3 < simulation.state.motion.x < 4.6
+
+
+def test_parameters_take_what_they_declare_and_nothing_else() -> None:
+    assert all(problem_of(name, each.default) is None for name, each in PARAMETERS.items() if not each.is_read_only)
+    wrong = {
+        "max_speed": (7.0, math.nan, "fast", True, 0),
+        "scan_rate": (0, 21, 5.0),
+        "drive_mode": ("warp", 1),
+        "stop_before_obstacles": (1, "yes"),
+        "wheel_separation": (0.32,),
+    }
+    for name, values in wrong.items():
+        assert all(name in str(problem_of(name, value)) for value in values)
+
+
+@pytest.mark.parametrize("place", [(4.95, 0.0), (0.0, 2.6), (50.0, 0.0)])
+def test_it_does_not_begin_where_something_stands(place: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="cannot start"):
+        begun(pose=Pose(*place, 0.0))

@@ -10,7 +10,7 @@ from rosld.adapters.base import Published, Subscription
 from rosld.adapters.model import Encoding, NotFound, Refused, Sample, TypeRef
 from rosld.adapters.slots import Slot
 
-_MOST_ADVERTISED = 10_000
+_MAX_ADVERTISED = 10_000
 
 
 @dataclass(slots=True)
@@ -100,8 +100,8 @@ class LocalTopics:
             raise Refused(f"the topic {topic} carries {carried.name}, not this {kind.name}")
         if own is not None and own.latched == latch:
             return own
-        if own is None and len(self.advertised) >= _MOST_ADVERTISED:
-            raise Refused(f"rosld advertises {_MOST_ADVERTISED} topics already: DELETE one first")
+        if own is None and len(self.advertised) >= _MAX_ADVERTISED:
+            raise Refused(f"rosld advertises {_MAX_ADVERTISED} topics already: DELETE one first")
         self._advertisings += 1
         own = Advertised(kind, latch, epoch=self._advertisings, matched=int(topic in self._heard))
         self.advertised[topic] = own

@@ -19,7 +19,7 @@ from rosld.adapters import parameters
 from rosld.adapters.aircraft.flight import Declined, Flight
 from rosld.adapters.aircraft.fly import ACTION, Fly, accept, cancel, ended
 from rosld.adapters.aircraft.fly import TYPE as FLY
-from rosld.adapters.aircraft.graph import AIRCRAFT, DISPLAY, ROSLD, SPEED, Advertised, aircraft_graph
+from rosld.adapters.aircraft.graph import AIRCRAFT, DISPLAY, ROSLD, SPEED, aircraft_graph
 from rosld.adapters.aircraft.services import SERVICES
 from rosld.adapters.base import (
     AdapterOptions,
@@ -31,6 +31,7 @@ from rosld.adapters.base import (
     Subscription,
     Watch,
 )
+from rosld.adapters.local_topics import LocalTopics
 from rosld.adapters.model import (
     ActionSchema,
     Encoding,
@@ -53,7 +54,6 @@ from rosld.adapters.model import (
     without_lifecycle,
 )
 from rosld.adapters.model.library import TypeLibrary
-from rosld.adapters.slots import Slot
 
 PERIOD = 0.1
 """Seconds between two messages of the speed."""
@@ -70,7 +70,6 @@ _CAPABILITIES = Capabilities(
 )
 _KNOWN_TOPIC = frozenset({Operation.SUBSCRIBE, Operation.PUBLISH})
 _KNOWN_PARAMETER = frozenset({Operation.GET_PARAMETER, Operation.SET_PARAMETER, Operation.DELETE_PARAMETER})
-_MAX_ADVERTISED = 10_000
 
 
 def initial_parameters() -> parameters.Tree:
@@ -94,15 +93,15 @@ class Aircraft:
         self._types |= {name: self._library.find(TypeRef(service.type)).ref for name, service in SERVICES.items()}
         self._types[ACTION] = self._library.find(TypeRef(FLY)).ref
         self._speed = self._message(self._types[SPEED])
-        self._slots = {SPEED: Slot(), DISPLAY: Slot()}
-        self._advertised: dict[str, Advertised] = {}
-        self._advertisings = 0
+        own = {topic: self._types[topic] for topic in _TOPIC_TYPES}
+        self._topics = LocalTopics(
+            own, {DISPLAY}, Encoding.ROS1, ROSLD, lambda ref: self._message(ref).ref, self._revise
+        )
         self._parameters = initial_parameters()
         self._flight = Flight()
         self._fly: Fly | None = None
         self._sink: Sink | None = None
         self._timer: asyncio.TimerHandle | None = None
-        self._ticks = 0
         self._graph = self._as_it_is(1)
 
     @property
@@ -137,8 +136,8 @@ class Aircraft:
             words = "the aircraft is no longer there"
             self._told(self._fly, GoalEvent(time.time_ns(), GoalStatus.LOST, words, own=True))
             self._fly = None
-        for topic in tuple(self._advertised):
-            await self.unadvertise(topic)
+        for topic in tuple(self._topics.advertised):
+            self._topics.unadvertise(topic)
         self._sink = None
 
     def allows(self, ref: Ref) -> frozenset[Operation]:
@@ -161,11 +160,11 @@ class Aircraft:
 
     def known_types(self) -> Sequence[TypeRef]:
         """The types of the aircraft's topics, services and action, and of what rosld advertises."""
-        return list(dict.fromkeys([*self._types.values(), *(each.type for each in self._advertised.values())]))
+        return list(dict.fromkeys([*self._types.values(), *(each.type for each in self._topics.advertised.values())]))
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
         """Begin to look at a topic, whether or not it is there yet."""
-        return self._slot(topic).subscribe(depth)
+        return self._topics.subscribe(topic, depth)
 
     def age_ns(self, sample: Sample) -> int:
         """How long ago a sample was received."""
@@ -176,23 +175,11 @@ class Aircraft:
     ) -> Published:
         """Publish; nobody can come to match later, so that this never waits. Refused where the type is another."""
         self._reachable(deadline)
-        own = self._advertised.get(topic)
-        if own is None or own.latched != latch or own.type != type:
-            own = self._advertise(topic, type, latch)
-        own.sequence += 1
-        self._slot(topic).put(
-            Sample(data, Encoding.ROS1, own.type, ROSLD, time.time_ns(), own.sequence, own.epoch, latch)
-        )
-        return Published(own.matched)
+        return self._topics.publish(topic, type, data, latch)
 
     async def unadvertise(self, topic: str) -> None:
         """Stop advertising; what rosld sent there is gone with it."""
-        if self._advertised.pop(topic, None) is None:
-            raise NotFound(f"rosld does not advertise {topic}")
-        self._slots[topic].drop(ROSLD)
-        if topic not in _TOPIC_TYPES and not self._slots[topic].subscriptions:
-            del self._slots[topic]
-        self._revise()
+        self._topics.unadvertise(topic)
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """Call a service of the aircraft. Refused for another type, and for bytes that are no request."""
@@ -325,32 +312,8 @@ class Aircraft:
             event = replace(event, status=end.status, result=result)
         self._told(fly, event)
 
-    def _slot(self, topic: str) -> Slot:
-        slot = self._slots.get(topic)
-        if slot is None:
-            slot = self._slots[topic] = Slot()
-        return slot
-
-    def _advertise(self, topic: str, type: TypeRef, latch: bool) -> Advertised:
-        """Advertise a topic, or take note of another way of publishing on it."""
-        kind = self._message(type).ref
-        there = self._graph.topics.get(topic)
-        if there is not None and kind not in there.types:
-            carried = ", ".join(each.name for each in there.types)
-            raise Refused(f"the topic {topic} carries {carried}, not this {kind.name}")
-        own = self._advertised.get(topic)
-        if own is not None and own.latched == latch:
-            return own
-        if own is None and len(self._advertised) >= _MAX_ADVERTISED:
-            raise Refused(f"rosld advertises {_MAX_ADVERTISED} topics already: DELETE one first")
-        self._advertisings += 1
-        own = Advertised(kind, latch, epoch=self._advertisings, matched=int(topic == DISPLAY))
-        self._advertised[topic] = own
-        self._revise()
-        return own
-
     def _as_it_is(self, revision: int) -> Graph:
-        return aircraft_graph(revision, self._types, self._advertised, parameters.leaves(self._parameters))
+        return aircraft_graph(revision, self._types, self._topics.advertised, parameters.leaves(self._parameters))
 
     def _revise(self) -> None:
         self._graph = self._as_it_is(self._graph.revision + 1)
@@ -360,11 +323,10 @@ class Aircraft:
     def _tick(self, began: float, turn: int) -> None:
         """Publish the speed, and again at the next whole period; periods that a busy loop missed are left out."""
         loop = asyncio.get_running_loop()
-        self._ticks += 1
         speed = self._flight.speed_at(time.monotonic_ns())
         codec = self._speed.codec
         data = codec.encode(codec.build(self._speed.ref.name, {"data": speed}), Encoding.ROS1)
-        self._slots[SPEED].put(Sample(data, Encoding.ROS1, self._speed.ref, AIRCRAFT, time.time_ns(), self._ticks))
+        self._topics.say(SPEED, AIRCRAFT, data)
         self._fly_on(time.monotonic_ns())
         following = max(turn, int((loop.time() - began) / PERIOD)) + 1
         self._timer = loop.call_at(began + following * PERIOD, self._tick, began, following)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 from rosld.adapters.aircraft.fly import ACTION
 from rosld.adapters.aircraft.services import SERVICES
+from rosld.adapters.local_topics import Advertised
 from rosld.adapters.model import Action, Endpoint, Graph, Node, Parameter, Service, Topic, TypeRef, frozen
 
 AIRCRAFT = "/aircraft"
@@ -14,17 +14,6 @@ COCKPIT = "/cockpit"
 ROSLD = "/rosld"
 SPEED = "/aircraft/engine/speed"
 DISPLAY = "/cockpit/display"
-
-
-@dataclass(slots=True)
-class Advertised:
-    """A topic that rosld advertises; `epoch` tells one advertising from the next, `sequence` counts its messages."""
-
-    type: TypeRef
-    latched: bool
-    epoch: int
-    matched: int
-    sequence: int = 0
 
 
 def aircraft_graph(

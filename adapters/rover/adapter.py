@@ -167,7 +167,7 @@ class Rover:
         self._reachable(deadline)
         schema = self._message(type)
         if topic == CMD_VEL and schema.ref == self._types[CMD_VEL]:
-            velocity = requests.velocity_of(_decoded(schema, data, topic))
+            velocity = requests.velocity_of(_decode(schema, data, topic))
             published = self._topics.publish(topic, type, data, latch)
             self._simulation.command(velocity, time.monotonic())
             return published
@@ -185,7 +185,7 @@ class Rover:
         schema = self._library.find(self._types[service])
         assert isinstance(schema, ServiceSchema)
         _check_type(service, "service", schema.ref, type)
-        answer = self._serve(service, _decoded(schema.request, request, service))
+        answer = self._serve(service, _decode(schema.request, request, service))
         return encode(schema.response, answer._asdict())
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
@@ -194,7 +194,7 @@ class Rover:
         schema = self._action(action)
         _check_type(action, "action", schema.ref, type)
         try:
-            pose = requests.goal_of(_decoded(schema.goal, goal, action))
+            pose = requests.goal_of(_decode(schema.goal, goal, action))
         except Declined as declined:
             raise Refused(f"{action} rejected the goal: {declined}", words=str(declined)) from declined
         id = secrets.token_hex(16)
@@ -340,7 +340,7 @@ class _Nothing:
         """Nothing has to be given back."""
 
 
-def _decoded(schema: MessageSchema, data: bytes, name: str) -> Message:
+def _decode(schema: MessageSchema, data: bytes, name: str) -> Message:
     try:
         return schema.codec.decode(data, ENCODING)
     except ValueError as error:

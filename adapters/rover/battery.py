@@ -40,10 +40,10 @@ class Battery:
         return -self.drain * CAPACITY * 3600
 
 
-def used(battery: Battery, velocity: Velocity, lights: bool, docked: bool, seconds: float) -> Battery:
+def drain(battery: Battery, velocity: Velocity, lights: bool, docked: bool, seconds: float) -> Battery:
     """The battery a while later, during which the rover moved so."""
-    drain = _IDLE + _LIGHTS * lights + _METRE * abs(velocity.speed) + _RADIAN * abs(velocity.turn_rate)
+    share = _IDLE + _LIGHTS * lights + _METRE * abs(velocity.speed) + _RADIAN * abs(velocity.turn_rate)
     if docked:
-        drain = 0.0 if battery.level >= 1.0 else -_CHARGING
-    level = min(1.0, max(0.0, battery.level - drain * seconds))
-    return replace(battery, level=level, drain=drain if level > 0.0 else 0.0)
+        share = 0.0 if battery.level >= 1.0 else -_CHARGING
+    level = min(1.0, max(0.0, battery.level - share * seconds))
+    return replace(battery, level=level, drain=share if level > 0.0 else 0.0)

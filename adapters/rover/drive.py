@@ -77,7 +77,7 @@ def drive(motion: Motion, command: Velocity, limits: Limits, world: World, secon
     return Motion(
         x,
         y,
-        wrapped(motion.heading + turn_rate * seconds),
+        wrap_angle(motion.heading + turn_rate * seconds),
         Velocity(speed, turn_rate),
         motion.driven + abs(speed) * seconds,
         is_bumped,
@@ -96,18 +96,18 @@ def is_blocked_ahead(world: World, motion: Motion, distance: float) -> bool:
     return is_closer(world, motion, x, y)
 
 
-def wrapped(angle: float) -> float:
+def wrap_angle(angle: float) -> float:
     """An angle between -pi and pi."""
     return math.remainder(angle, math.tau)
 
 
-def _clamp(value: float, most: float) -> float:
-    return max(-most, min(most, value))
+def _clamp(value: float, limit: float) -> float:
+    return max(-limit, min(limit, value))
 
 
 def _approach(current: float, wanted: float, gain: float, loss: float) -> float:
     """A speed on its way to another: at most `gain` faster, or `loss` slower; through zero in two steps."""
     if current * wanted < 0:
         wanted = 0.0
-    most = gain if abs(wanted) > abs(current) else loss
-    return wanted if abs(wanted - current) <= most else current + math.copysign(most, wanted - current)
+    limit = gain if abs(wanted) > abs(current) else loss
+    return wanted if abs(wanted - current) <= limit else current + math.copysign(limit, wanted - current)

@@ -16,7 +16,7 @@ from rosld.adapters.rover import camera, png, scan
 from rosld.adapters.rover.battery import CAPACITY, CELLS
 from rosld.adapters.rover.drive import Motion, wheel_speeds
 from rosld.adapters.rover.grid import RESOLUTION, grid_of
-from rosld.adapters.rover.navigation import Ended, Journey, Pose, remaining
+from rosld.adapters.rover.navigation import Ended, Journey, Pose, remaining_length
 from rosld.adapters.rover.settings import NODE, Settings
 from rosld.adapters.rover.simulation import LogLine, Severity, State
 from rosld.adapters.rover.world import World
@@ -156,7 +156,7 @@ def camera_info(view: View) -> Fields:
 
 def occupancy_grid(view: View) -> Fields:
     """nav_msgs/OccupancyGrid."""
-    grid = grid_of(view.world.mapped())
+    grid = grid_of(view.world.as_mapped())
     return {
         "header": _header(view.time_ns, MAP),
         "info": {
@@ -241,7 +241,7 @@ def navigation_feedback(journey: Journey, motion: Motion, time_ns: int) -> Field
     """rosld_rover/NavigateTo's feedback."""
     return {
         "current_pose": pose_stamped(_pose_of(motion), time_ns),
-        "distance_remaining": remaining(journey, motion),
+        "distance_remaining": remaining_length(journey, motion),
     }
 
 

@@ -12,7 +12,7 @@ from rosld.adapters.rover.drive import (
     Motion,
     Velocity,
     is_blocked_ahead,
-    wrapped,
+    wrap_angle,
 )
 from rosld.adapters.rover.grid import grid_of
 from rosld.adapters.rover.planner import Point, length, way
@@ -83,7 +83,7 @@ def heading_of(x: float, y: float, z: float, w: float) -> float:
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def checked_goal(frame: str, x: float, y: float, heading: float) -> Pose:
+def check_goal(frame: str, x: float, y: float, heading: float) -> Pose:
     """The goal of these numbers. Declined for another frame, and for what is no number."""
     if frame not in FRAMES:
         raise Declined(f"the frame {frame!r} is not known: a goal is told in 'map'")
@@ -94,7 +94,7 @@ def checked_goal(frame: str, x: float, y: float, heading: float) -> Pose:
 
 def depart(id: str, goal: Pose, motion: Motion, world: World) -> Journey:
     """A goal that is taken on, with the way to it on the map."""
-    known = world.mapped()
+    known = world.as_mapped()
     place = f"({goal.x:g}, {goal.y:g})"
     if not known.contains(goal.x, goal.y):
         ends = f"x from {world.left:g} to {world.left + world.width:g}, y from {world.bottom:g} to "
@@ -106,12 +106,12 @@ def depart(id: str, goal: Pose, motion: Motion, world: World) -> Journey:
     return Journey(id, goal, corners, None if corners else f"no free way leads to {place}")
 
 
-def remaining(journey: Journey, motion: Motion) -> float:
+def remaining_length(journey: Journey, motion: Motion) -> float:
     """Metres of the way that are left."""
     return length((motion.x, motion.y), journey.corners)
 
 
-def passed(journey: Journey, motion: Motion) -> Journey:
+def drop_passed_corners(journey: Journey, motion: Motion) -> Journey:
     """The journey without the corners that have been reached."""
     corners = journey.corners
     while len(corners) > 1 and math.dist((motion.x, motion.y), corners[0]) < _PASSED:
@@ -124,9 +124,9 @@ def passed(journey: Journey, motion: Motion) -> Journey:
 def velocity_towards(journey: Journey, motion: Motion, limits: Limits) -> Velocity:
     """The velocity to command now: to the next corner, and at the end into the goal's heading."""
     if not journey.corners:
-        return Velocity(0.0, _turn(wrapped(journey.goal.heading - motion.heading), limits))
-    (x, y), rest = journey.corners[0], remaining(journey, motion)
-    aside = wrapped(math.atan2(y - motion.y, x - motion.x) - motion.heading)
+        return Velocity(0.0, _turn(wrap_angle(journey.goal.heading - motion.heading), limits))
+    (x, y), rest = journey.corners[0], remaining_length(journey, motion)
+    aside = wrap_angle(math.atan2(y - motion.y, x - motion.x) - motion.heading)
     if abs(aside) > _AHEAD:
         return Velocity(0.0, _turn(aside, limits))
     return Velocity(min(limits.speed, 0.05 + 1.2 * rest) * math.cos(aside), _turn(aside, limits))
@@ -141,7 +141,7 @@ def end_of(journey: Journey, motion: Motion, world: World, is_empty: bool) -> En
     if journey.problem is not None:
         return Ended(journey.id, Outcome.ABORTED, journey.problem)
     if not journey.corners:
-        turned = abs(wrapped(journey.goal.heading - motion.heading)) < _ALIGNED
+        turned = abs(wrap_angle(journey.goal.heading - motion.heading)) < _ALIGNED
         return Ended(journey.id, Outcome.SUCCEEDED, "arrived") if turned else None
     distance = min(_LOOK_AHEAD, math.dist((motion.x, motion.y), journey.corners[0]))
     if motion.velocity.speed > 0 and (motion.is_bumped or is_blocked_ahead(world, motion, distance)):

@@ -37,10 +37,10 @@ def with_values(values: Mapping[str, Value], given: Mapping[str, ParameterValue]
             raise NotFound(f"the parameter {name} belongs to no node: those of the rover begin with {_PREFIX}")
         short = name.removeprefix(_PREFIX)
         if short not in PARAMETERS:
-            raise _refused(name, f"{short} is not declared")
-        fit = _fitted(name, value)
+            raise _refusal(name, f"{short} is not declared")
+        fit = _fit(name, value)
         if (problem := problem_of(short, fit)) is not None:
-            raise _refused(name, problem)
+            raise _refusal(name, problem)
         changed[short] = cast(Value, fit)
     return changed
 
@@ -50,15 +50,15 @@ def refuse_deletion(names: Sequence[str]) -> None:
     for name in names:
         if name not in GRAPH_PARAMETERS:
             raise NotFound(f"there is no parameter {name}")
-        raise _refused(name, "it was declared by its node, which keeps it")
+        raise _refusal(name, "it was declared by its node, which keeps it")
 
 
-def _fitted(name: str, value: ParameterValue) -> ParameterValue:
+def _fit(name: str, value: ParameterValue) -> ParameterValue:
     """The value in the type that is declared, where it fits; the node judges all others."""
     descriptor = GRAPH_PARAMETERS[name].descriptor
     fit = None if descriptor is None or descriptor.type is None else fitted(value, descriptor.type)
     return value if fit is None else fit
 
 
-def _refused(name: str, words: str) -> Refused:
+def _refusal(name: str, words: str) -> Refused:
     return Refused(f"{NODE} refuses the parameter {name}: {words}", words=words, sent=Sent.YES)

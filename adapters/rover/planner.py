@@ -26,7 +26,7 @@ def way(grid: Grid, start: Point, goal: Point) -> tuple[Point, ...]:
     if first is None or last is None:
         return ()
     cells = _cells(grid, first, last)
-    return (*(grid.centre(cell) for cell in _straightened(grid, cells)[1:-1]), goal) if cells else ()
+    return (*(grid.centre(cell) for cell in _straighten(grid, cells)[1:-1]), goal) if cells else ()
 
 
 def length(start: Point, corners: Sequence[Point]) -> float:
@@ -80,7 +80,7 @@ def _back(came: Mapping[Cell, Cell], last: Cell) -> Sequence[Cell]:
     return cells[::-1]
 
 
-def _straightened(grid: Grid, cells: Sequence[Cell]) -> Sequence[Cell]:
+def _straighten(grid: Grid, cells: Sequence[Cell]) -> Sequence[Cell]:
     """Of these cells the first, the last, and those in between at which the way must bend."""
     kept = [cells[0]]
     for previous, cell in pairwise(cells):

@@ -6,7 +6,7 @@ from typing import Protocol, cast
 
 from rosld.adapters.model import Message
 from rosld.adapters.rover.drive import Velocity
-from rosld.adapters.rover.navigation import Pose, checked_goal, heading_of
+from rosld.adapters.rover.navigation import Pose, check_goal, heading_of
 
 
 class Vector(Protocol):
@@ -72,7 +72,7 @@ def goal_of(message: Message | NavigateToGoal) -> Pose:
     """Where a goal leads. Declined for one that is none."""
     stamped = cast(NavigateToGoal, message).pose
     at, turned = stamped.pose.position, stamped.pose.orientation
-    return checked_goal(stamped.header.frame_id, at.x, at.y, heading_of(turned.x, turned.y, turned.z, turned.w))
+    return check_goal(stamped.header.frame_id, at.x, at.y, heading_of(turned.x, turned.y, turned.z, turned.w))
 
 
 def switch_of(message: Message | SetBoolRequest) -> bool:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import NamedTuple
 
-from rosld.adapters.rover.battery import Battery, used
+from rosld.adapters.rover.battery import Battery, drain
 from rosld.adapters.rover.drive import RADIUS, STANDSTILL, Motion, Velocity, drive, is_blocked_ahead
 from rosld.adapters.rover.navigation import (
     Ended,
@@ -20,8 +20,8 @@ from rosld.adapters.rover.navigation import (
     Outcome,
     Pose,
     depart,
+    drop_passed_corners,
     end_of,
-    passed,
     velocity_towards,
 )
 from rosld.adapters.rover.settings import DEFAULTS, Settings, Value, settings_of
@@ -29,7 +29,7 @@ from rosld.adapters.rover.world import World, small_world
 
 STEP = 0.01
 """Seconds of a step."""
-MOST_STEPS = 1000
+MAX_STEPS = 1000
 """The most steps that are caught up with at once: a machine that was asleep is not to be busy with what it missed."""
 DOCK = (-4.3, -3.3)
 """Where the rover is charged."""
@@ -94,17 +94,17 @@ def step(state: State, settings: Settings, world: World) -> State:
     """The state a step later."""
     motion, command, journey, ended = state.motion, state.command, state.journey, state.ended
     if journey is not None:
-        journey = passed(journey, motion)
+        journey = drop_passed_corners(journey, motion)
         command = velocity_towards(journey, motion, settings.limits)
         if (end := end_of(journey, motion, world, state.battery.is_empty)) is not None:
             journey, command, ended = None, STANDSTILL, (*ended, end)
-    motion = drive(motion, _driven(state, command, settings, world), settings.limits, world, STEP)
+    motion = drive(motion, _limit_command(state, command, settings, world), settings.limits, world, STEP)
     is_docked = state.is_docked and motion.velocity.speed == 0
-    battery = used(state.battery, motion.velocity, state.has_lights, is_docked, STEP)
+    battery = drain(state.battery, motion.velocity, state.has_lights, is_docked, STEP)
     return State(motion, command, battery, state.has_lights, is_docked, journey, ended)
 
 
-def _driven(state: State, command: Velocity, settings: Settings, world: World) -> Velocity:
+def _limit_command(state: State, command: Velocity, settings: Settings, world: World) -> Velocity:
     """What of a command the base carries out: nothing without power, and not ahead where it is to stop by itself."""
     if state.battery.is_empty:
         return STANDSTILL
@@ -117,7 +117,7 @@ def _driven(state: State, command: Velocity, settings: Settings, world: World) -
 
 def rest(state: State, seconds: float) -> State:
     """The state after a while in which the rover was at rest."""
-    battery = used(state.battery, STANDSTILL, state.has_lights, state.is_docked, seconds)
+    battery = drain(state.battery, STANDSTILL, state.has_lights, state.is_docked, seconds)
     return replace(state, battery=battery)
 
 
@@ -162,7 +162,7 @@ class Simulation:
             self._become(rest(self.state, steps * STEP))
             return
         state = self.state
-        for _ in range(min(steps, MOST_STEPS)):
+        for _ in range(min(steps, MAX_STEPS)):
             state = step(state, self.settings, self.world)
         self._become(state)
 

@@ -11,7 +11,7 @@ from rosld.adapters.rover.simulation import Start, initial_state
 from rosld.adapters.rover.world import small_world
 
 _OPTIONS = ("battery", "pose", "rate")
-_MOST_RATE = 100.0
+_MAX_RATE = 100.0
 _EXAMPLE = "rover:?battery=0.21&pose=1,0,1.57&rate=10"
 
 
@@ -34,7 +34,7 @@ def read_source(text: str) -> Start:
     if "battery" in options:
         start = replace(start, battery=_number("battery", options["battery"], 0.0, 1.0))
     if "rate" in options:
-        start = replace(start, rate=_number("rate", options["rate"], 0.01, _MOST_RATE))
+        start = replace(start, rate=_number("rate", options["rate"], 0.01, _MAX_RATE))
     if "pose" in options:
         start = replace(start, pose=_pose(options["pose"]))
     initial_state(start, small_world())

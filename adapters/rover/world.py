@@ -71,7 +71,7 @@ class World:
     boxes: tuple[Box, ...]
     discs: tuple[Disc, ...]
 
-    def mapped(self) -> World:
+    def as_mapped(self) -> World:
         """The world as the rover's map has it."""
         boxes = tuple(box for box in self.boxes if box.is_mapped)
         return World(self.left, self.bottom, self.width, self.height, boxes, self.discs)

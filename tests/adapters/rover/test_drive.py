@@ -15,7 +15,7 @@ from rosld.adapters.rover.drive import (
     Velocity,
     drive,
     wheel_speeds,
-    wrapped,
+    wrap_angle,
 )
 from rosld.adapters.rover.world import small_world
 
@@ -73,5 +73,5 @@ def test_the_wheels_turn_against_each_other_on_the_spot() -> None:
 
 @given(st.floats(-100, 100))
 def test_a_wrapped_angle_is_the_same_direction(angle: float) -> None:
-    assert math.isclose(math.cos(wrapped(angle)), math.cos(angle), abs_tol=1e-9)
-    assert math.isclose(math.sin(wrapped(angle)), math.sin(angle), abs_tol=1e-9)
+    assert math.isclose(math.cos(wrap_angle(angle)), math.cos(angle), abs_tol=1e-9)
+    assert math.isclose(math.sin(wrap_angle(angle)), math.sin(angle), abs_tol=1e-9)

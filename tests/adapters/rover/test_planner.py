@@ -14,7 +14,7 @@ from rosld.adapters.rover.grid import RESOLUTION, grid_of
 from rosld.adapters.rover.planner import MARGIN, Point, length, way
 from rosld.adapters.rover.world import Box, World, small_world
 
-MAPPED = small_world().mapped()
+MAPPED = small_world().as_mapped()
 GRID = grid_of(MAPPED)
 PLACES = st.tuples(st.floats(-4.5, 4.5), st.floats(-3.5, 3.5))
 

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.adapters.rover.drive import STANDSTILL, Velocity
-from rosld.adapters.rover.navigation import Declined, Outcome, Pose, checked_goal, heading_of
+from rosld.adapters.rover.navigation import Declined, Outcome, Pose, check_goal, heading_of
 from rosld.adapters.rover.settings import DEFAULTS, PARAMETERS, problem_of
-from rosld.adapters.rover.simulation import DOCK, MOST_STEPS, STEP, Severity, Simulation, Start
+from rosld.adapters.rover.simulation import DOCK, MAX_STEPS, STEP, Severity, Simulation, Start
 
 AHEAD = Velocity(0.5, 0.3)
 
@@ -82,7 +82,7 @@ def test_a_machine_that_was_asleep_catches_up_with_seconds_and_not_with_hours() 
     simulation = begun()
     simulation.command(Velocity(0.2, 0.8), 0.0)
     simulation.advance(36_000.0)
-    assert simulation.state.motion.driven <= 0.2 * MOST_STEPS * STEP
+    assert simulation.state.motion.driven <= 0.2 * MAX_STEPS * STEP
     simulation.advance(36_001.0)
     assert simulation.state.motion.velocity == Velocity(0.2, 0.8)
 
@@ -177,9 +177,9 @@ def test_what_is_no_goal_is_declined() -> None:
         with pytest.raises(Declined, match="unit quaternion"):
             heading_of(*wrong)
     with pytest.raises(Declined, match="moon"):
-        checked_goal("moon", 0.0, 0.0, 0.0)
+        check_goal("moon", 0.0, 0.0, 0.0)
     with pytest.raises(Declined, match="no place"):
-        checked_goal("map", math.nan, 0.0, 0.0)
+        check_goal("map", math.nan, 0.0, 0.0)
     assert math.isclose(heading_of(0.0, 0.0, math.sin(0.5), math.cos(0.5)), 1.0)
 
 

@@ -62,26 +62,26 @@ def class_of(type: str) -> Any:
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
-def filled(made: Any, fields: Mapping[str, object]) -> Any:
+def fill(made: Any, fields: Mapping[str, object]) -> Any:
     """A message with these fields, which are all that it has."""
     types = made.get_fields_and_field_types()
     assert types.keys() == fields.keys(), f"{type(made).__name__} has {types.keys()}, not {fields.keys()}"
     for name, value in fields.items():
-        setattr(made, name, converted(types[name], getattr(made, name), value))
+        setattr(made, name, convert(types[name], getattr(made, name), value))
     return made
 
 
-def converted(type: str, empty: Any, value: Any) -> Any:
+def convert(type: str, empty: Any, value: Any) -> Any:
     """A value of a message for a field of a type, which has this value when it is empty."""
     if isinstance(value, Mapping):
-        return filled(empty, value)
+        return fill(empty, value)
     if type == "octet":
         return bytes([value])
     if isinstance(value, np.ndarray):
         return array.array(value.dtype.char, value.tobytes()) if type.startswith("sequence<") else value
     if isinstance(value, list):
         element = class_of(type.removeprefix("sequence<").removesuffix(">"))
-        return [filled(element(), each) for each in value]
+        return [fill(element(), each) for each in value]
     return value
 
 
@@ -146,10 +146,10 @@ class Rover(Node):
     def switch_lights(self, request: Any, response: Any) -> Any:
         answer = self.simulation.switch_lights(requests.switch_of(request), time.monotonic())
         self.say(LIGHTS, LATCHED[LIGHTS])
-        return filled(response, answer._asdict())
+        return fill(response, answer._asdict())
 
     def dock(self, _: Any, response: Any) -> Any:
-        return filled(response, self.simulation.dock(time.monotonic())._asdict())
+        return fill(response, self.simulation.dock(time.monotonic())._asdict())
 
     def judge(self, parameters: list[Any]) -> SetParametersResult:
         problems = [problem_of(each.name, each.value) for each in parameters if each.name in PARAMETERS]
@@ -180,7 +180,7 @@ class Rover(Node):
         ways = {Outcome.SUCCEEDED: handle.succeed, Outcome.ABORTED: handle.abort}
         ways.get(ended.outcome, handle.canceled)()
         result = messages.navigation_result(ended, self.simulation.state.motion, time.time_ns())
-        return filled(NavigateTo.Result(), result)
+        return fill(NavigateTo.Result(), result)
 
     def cancel(self, handle: Any) -> CancelResponse:
         canceled = self.simulation.cancel(bytes(handle.goal_id.uuid).hex(), time.monotonic())
@@ -214,12 +214,12 @@ class Rover(Node):
         if journey is not None and now >= self.due.get(NAVIGATE_TO, now):
             self.due[NAVIGATE_TO] = now + FEEDBACK_PERIOD
             feedback = messages.navigation_feedback(journey, motion, time.time_ns())
-            self.goals[journey.id].publish_feedback(filled(NavigateTo.Feedback(), feedback))
+            self.goals[journey.id].publish_feedback(fill(NavigateTo.Feedback(), feedback))
 
     def say(self, name: str, each: Periodic | Latched) -> None:
         simulation = self.simulation
         view = messages.View(simulation.state, simulation.settings, simulation.world, time.time_ns())
-        self.voices[name].publish(filled(class_of(each.type)(), each.say(view)))
+        self.voices[name].publish(fill(class_of(each.type)(), each.say(view)))
 
 
 def main(source: str) -> None:

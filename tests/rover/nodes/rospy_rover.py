@@ -56,33 +56,33 @@ def class_of(name):
     return get_message_class(name.replace("/msg/", "/"))
 
 
-def filled(made, fields):
+def fill(made, fields):
     """A message of ROS 1 with the fields of ROS 2's that it has, some of which are written in capitals."""
     types = dict(zip(made.__slots__, made._slot_types, strict=True))
     for name, value in fields.items():
         slot = name if name in types else name.upper()
         if slot in types:
-            setattr(made, slot, converted(types[slot], getattr(made, slot), value))
+            setattr(made, slot, convert(types[slot], getattr(made, slot), value))
     return made
 
 
-def converted(type, empty, value):
+def convert(type, empty, value):
     """A value of a message for a field of a type, which has this value when it is empty."""
     if type == "time":
         return rospy.Time(value["sec"], value["nanosec"])
     if isinstance(value, dict):
-        return filled(empty, value)
+        return fill(empty, value)
     if type == "uint8[]":
         return value.tobytes()
     if isinstance(value, list):
-        return [filled(get_message_class(type[:-2])(), each) for each in value]
+        return [fill(get_message_class(type[:-2])(), each) for each in value]
     return value.tolist() if hasattr(value, "tolist") else value
 
 
 # The action, whose messages Debian has no generator for
 
 
-def wrapped(name):
+def action_messages(name):
     """The texts of the messages that actionlib wraps the parts of an action in."""
     status = "Header header\nactionlib_msgs/GoalStatus status\n"
     return {
@@ -97,7 +97,7 @@ def action_classes(type):
     package, _, name = type.split("/")
     thirds = (DEFINITIONS / package / "action" / f"{name}.action").read_text().split("\n---\n")
     texts = {f"{package}/{name}{part}": text for part, text in zip(PARTS, thirds, strict=True)}
-    texts.update({f"{package}/{name}{part}": text for part, text in wrapped(name).items()})
+    texts.update({f"{package}/{name}{part}": text for part, text in action_messages(name).items()})
     for other in ("actionlib_msgs/GoalID", "actionlib_msgs/GoalStatus", "std_msgs/Header", "geometry_msgs/PoseStamped"):
         texts[other] = installed(other)
     for other in ("geometry_msgs/Pose", "geometry_msgs/Point", "geometry_msgs/Quaternion"):
@@ -124,7 +124,7 @@ def enumeration(generator, name, declared):
     return generator.enum(constants, f"The values of {name}")
 
 
-def reconfigurable():
+def config_type():
     """What dynamic_reconfigure generates of a .cfg: the parameters that are not read-only."""
     sys.argv[1:] = ["", "", "", ""]  # it insists on the folders that it would write files to
     generator = ParameterGenerator()
@@ -163,7 +163,7 @@ class Rover:
         for name in LATCHED:
             self.say(name, LATCHED[name])
         rospy.set_param("~wheel_separation", DEFAULTS["wheel_separation"])
-        self.server = Server(reconfigurable(), self.configure)
+        self.server = Server(config_type(), self.configure)
         rospy.Subscriber(CMD_VEL, class_of(CMD_VEL_TYPE), self.command, queue_size=10)
         rospy.Service(SET_LIGHTS, SetBool, self.switch_lights)
         rospy.Service(DOCK, Trigger, self.dock)
@@ -227,18 +227,18 @@ class Rover:
         motion, journey, time_ns = self.simulation.state.motion, self.simulation.state.journey, time.time_ns()
         for ended in self.simulation.take_ended():
             handle = self.goals.pop(ended.id)
-            result = filled(self.result(), messages.navigation_result(ended, motion, time_ns))
+            result = fill(self.result(), messages.navigation_result(ended, motion, time_ns))
             ways = {Outcome.SUCCEEDED: handle.set_succeeded, Outcome.ABORTED: handle.set_aborted}
             ways.get(ended.outcome, handle.set_canceled)(result, ended.message)
         if journey is not None and now >= self.due.get(NAVIGATE_TO, now):
             self.due[NAVIGATE_TO] = now + FEEDBACK_PERIOD
             feedback = messages.navigation_feedback(journey, motion, time_ns)
-            self.goals[journey.id].publish_feedback(filled(self.feedback(), feedback))
+            self.goals[journey.id].publish_feedback(fill(self.feedback(), feedback))
 
     def say(self, name, each):
         simulation = self.simulation
         view = messages.View(simulation.state, simulation.settings, simulation.world, time.time_ns())
-        self.publishers[name].publish(filled(class_of(each.type)(), each.say(view)))
+        self.publishers[name].publish(fill(class_of(each.type)(), each.say(view)))
 
 
 def main():

@@ -1,4 +1,4 @@
-"""Parameters as their nodes declare them (ROS 2): RDF, a SHACL shape, and held against what is to be set. Pure."""
+"""Parameters as their nodes declare them: RDF, a SHACL shape, and held against what is to be set. Pure."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from rosld.ontology.parameters import literal, plain
 from rosld.ontology.triples import about, boolean, double, integer, text
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import Violation, shortened
-from rosld.ontology.vocab import dcterms, rdf, ros, sh, xsd
+from rosld.ontology.vocab import dcterms, rdf, rdfs, ros, sh, xsd
 from rosld.shapes.affordance import value_shape_triples, within
-from rosld.shapes.components import component, phrase
+from rosld.shapes.components import component, listed, phrase
 from rosld.shapes.value import NO_MEASURE, Bounds, Measure, OpenShape, ScalarShape
 
 _MAX_CHOICES = 32
@@ -39,7 +39,9 @@ def declared_shape(descriptor: Descriptor, measure: Measure = NO_MEASURE) -> Sca
     kind = None if descriptor.type is None else _PRIMITIVES.get(descriptor.type)
     if kind is None:
         return OpenShape(measure=measure)
-    return ScalarShape(kind, _bounds(_range(descriptor)), measure, is_parameter=True)
+    return ScalarShape(
+        kind, replace(_bounds(_range(descriptor)), choices=_chosen(descriptor)), measure, is_parameter=True
+    )
 
 
 def declared_triples(descriptor: Descriptor, url: str, space: Space) -> list[Triple]:
@@ -59,13 +61,30 @@ def declared_triples(descriptor: Descriptor, url: str, space: Space) -> list[Tri
         return triples
     declared = declared_shape(descriptor)
     if isinstance(declared, ScalarShape):
-        declared = replace(declared, bounds=replace(declared.bounds, choices=_choices(descriptor.range)))
+        choices = declared.bounds.choices or _choices(descriptor.range)
+        declared = replace(declared, bounds=replace(declared.bounds, choices=choices))
     value = within(shape, "value")
     triples += value_shape_triples(declared, shape, ros.value, space)
     triples += about(shape, (sh.targetNode, subject))
     return triples + about(
-        value, (sh.datatype, _ARRAYS.get(type)), (sh.description, text(descriptor.constraints or None))
+        value,
+        (sh.datatype, _ARRAYS.get(type)),
+        (sh.description, text(descriptor.constraints or None)),
+        *((rdfs.comment, text(words)) for words in choice_words(descriptor)),
     )
+
+
+def choice_words(descriptor: Descriptor) -> tuple[str, ...]:
+    """What each of the choices is called and is about, in words; nothing of those that have neither."""
+    return tuple(
+        f"{choice.name or choice.value} = {choice.value}" + (f": {choice.description}" if choice.description else "")
+        for choice in descriptor.choices
+        if choice.name or choice.description
+    )
+
+
+def _chosen(descriptor: Descriptor) -> tuple[Literal, ...]:
+    return tuple(found for choice in descriptor.choices if (found := literal(choice.value)) is not None)
 
 
 _ARRAYS: Mapping[ParameterType, NamedNode] = {
@@ -119,6 +138,8 @@ def violations(descriptor: Descriptor, name: str, url: str, value: ParameterValu
     broken: tuple[NamedNode, str] | None = None
     if fit is None:
         broken = component(sh.datatype), f"is declared as {type.value}, which {written} is not"
+    elif descriptor.choices and fit not in [choice.value for choice in descriptor.choices]:
+        broken = component(sh.in_), f"must be one of {listed(_chosen(descriptor))}, not {written}"
     elif isinstance(fit, int | float) and not isinstance(fit, bool) and (range := _range(descriptor)) is not None:
         broken = _outside(range, fit, written)
     if broken is None:

@@ -18,7 +18,7 @@ from rosld.adapters.model.graph import (
     frozen,
 )
 from rosld.adapters.model.lifecycle import Lifecycle, LifecycleState, Transition, without_lifecycle
-from rosld.adapters.model.parameter import Descriptor, ParameterType, ParameterValue, Range, fitted
+from rosld.adapters.model.parameter import Choice, Descriptor, ParameterType, ParameterValue, Range, fitted
 from rosld.adapters.model.qos import Mismatch, Qos, mismatch_count, mismatches, read_profile
 from rosld.adapters.model.sample import Encoding, Sample
 from rosld.adapters.model.schema import (
@@ -44,6 +44,7 @@ __all__ = [
     "Action",
     "ActionSchema",
     "Array",
+    "Choice",
     "Codec",
     "Constant",
     "Default",

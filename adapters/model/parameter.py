@@ -1,4 +1,4 @@
-"""Parameters: what one can hold, and what its node declares of it where parameters are declared (ROS 2). Pure."""
+"""Parameters: what one can hold, and what its node declares of it: in ROS 2, and by dynamic_reconfigure. Pure."""
 
 from __future__ import annotations
 
@@ -61,11 +61,21 @@ class Range:
 
 
 @dataclass(frozen=True, slots=True)
+class Choice:
+    """One of the values that a parameter may have (dynamic_reconfigure): what it is called, and what it is about."""
+
+    value: bool | int | float | str
+    name: str = ""
+    description: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Descriptor:
-    """What a node declares of a parameter (rcl_interfaces/msg/ParameterDescriptor).
+    """What a node declares of a parameter (rcl_interfaces/ParameterDescriptor, dynamic_reconfigure/ParamDescription).
 
     `type` is None where the node does not tell, or where the type may change (`dynamic_typing`); the `range` is that of
-    an integer or a double, None for any other type. `constraints` are words about what no range can say.
+    an integer or a double, None for any other type. `constraints` are words about what no range can say. `choices` are
+    of the type, and the only values that it may have; none where it may have others.
     """
 
     type: ParameterType | None = None
@@ -74,6 +84,7 @@ class Descriptor:
     dynamic_typing: bool = False
     constraints: str = ""
     range: Range | None = None
+    choices: tuple[Choice, ...] = ()
 
 
 def fitted(value: ParameterValue, type: ParameterType) -> ParameterValue | None:

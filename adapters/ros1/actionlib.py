@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from rosld.adapters.model import Action, GoalStatus, TypeRef
+from rosld.adapters.ros1.wire_reader import WireReader
 
 _TIME = struct.Struct("<II")
 _LENGTH = struct.Struct("<I")
@@ -75,55 +75,29 @@ class Status(NamedTuple):
         return STATUSES.get(self.number)
 
 
-@dataclass(slots=True)
-class _Reader:
-    """Reads fields from a message one after another. Raises ValueError where it ends too early."""
-
-    data: bytes
-    at: int = 0
-
-    def skip(self, count: int) -> None:
-        if self.at + count > len(self.data):
-            raise ValueError("the message is cut off")
-        self.at += count
-
-    def number(self) -> int:
-        start = self.at
-        self.skip(_LENGTH.size)
-        return int(_LENGTH.unpack_from(self.data, start)[0])
-
-    def text(self) -> str:
-        length = self.number()
-        start = self.at
-        self.skip(length)
-        return self.data[start : self.at].decode("utf-8", "surrogateescape")
+class _Reader(WireReader):
+    """Reads the parts that actionlib's messages have in common."""
 
     def header(self) -> None:
+        """A std_msgs/Header, of which nothing is needed."""
         self.skip(4 + _TIME.size)
         self.text()
 
     def goal_id(self) -> str:
+        """The id in an actionlib_msgs/GoalID."""
         self.skip(_TIME.size)
         return self.text()
 
     def status(self) -> Status:
-        id = self.goal_id()
-        start = self.at
-        self.skip(1)
-        return Status(id, self.data[start], self.text())
-
-    def rest(self) -> bytes:
-        return self.data[self.at :]
+        """An actionlib_msgs/GoalStatus."""
+        return Status(self.goal_id(), self.skip(1)[0], self.text())
 
 
 def read_statuses(data: bytes) -> list[Status]:
     """The statuses in a GoalStatusArray. Raises ValueError."""
     reader = _Reader(data)
     reader.header()
-    count = reader.number()
-    if count > _MAX_STATUSES:
-        raise ValueError(f"{count} goals at once are more than {_MAX_STATUSES}")
-    return [reader.status() for _ in range(count)]
+    return reader.array(reader.status, _MAX_STATUSES)
 
 
 def read_told(data: bytes) -> tuple[Status, bytes]:

@@ -12,6 +12,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from rosld.adapters.base import Sink
 from rosld.adapters.model import (
@@ -40,9 +41,8 @@ from rosld.adapters.ros1.actionlib import (
 from rosld.adapters.ros1.graph import SystemState
 from rosld.adapters.ros1.publication import Link, Publication
 from rosld.adapters.ros1.publications import Publications
-from rosld.adapters.ros1.samples import Slot
 from rosld.adapters.ros1.sources import Nodes, TopicReader
-from rosld.adapters.ros1.subscription import Feed
+from rosld.adapters.ros1.subscription import MessageFeed
 from rosld.adapters.ros1.types import Types
 
 _DEPTH = 256
@@ -114,27 +114,6 @@ class _Followed:
     def is_ready(self) -> bool:
         """Whether what the server tells comes here now."""
         return all(self.readers[part].is_connected for part in ("status", "result", "feedback"))
-
-
-class _GoalFeed(Feed):
-    """What comes in on one topic of an action: every message is taken once, on the thread that reads."""
-
-    def __init__(self, topic: str, take: Callable[[bytes], None]) -> None:
-        super().__init__(topic, asyncio.get_running_loop(), {})
-        self.depth = _DEPTH
-        self._take = take
-        self._seen: dict[Slot, tuple[int, int]] = {}
-
-    def arrived(self) -> None:
-        """Take what is new."""
-        for slot in self.slots:
-            epoch, sequence = self._seen.get(slot, (-1, 0))
-            for value in slot.values:
-                if value.epoch != epoch or value.sequence > sequence:
-                    self._take(bytes(value.data))
-            if slot.values:
-                self._seen[slot] = slot.values[-1].epoch, slot.values[-1].sequence
-        self._seen = {slot: seen for slot, seen in self._seen.items() if slot in self.slots}
 
 
 class Actions:
@@ -310,7 +289,7 @@ class Actions:
                 known.listed_at = followed.connected_at
             takes = (self._take_statuses, self._take_result, self._take_feedback, self._take_goal)
             for part, take in zip(_PARTS, takes, strict=True):
-                feed = _GoalFeed(f"{action}/{part}", _check(action, take))
+                feed = MessageFeed(f"{action}/{part}", partial(take, action), _DEPTH)
                 followed.readers[part] = TopicReader(feed, self._nodes, self._types, 0)
             self.follow(self._system())
         if self._ticking is None:
@@ -488,18 +467,6 @@ def goal_definition(schema: ActionSchema) -> tuple[str, str]:
         *nested,
     ]
     return f"{package}/msg/{short}ActionGoal", SEPARATOR.join(parts)
-
-
-def _check(action: str, take: Callable[[str, bytes], None]) -> Callable[[bytes], None]:
-    """What takes a message, leaving out those that cannot be read."""
-
-    def taken(data: bytes) -> None:
-        try:
-            take(action, data)
-        except ValueError:
-            pass
-
-    return taken
 
 
 def _settle(decided: asyncio.Future[Status], status: Status) -> None:

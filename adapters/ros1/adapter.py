@@ -146,8 +146,15 @@ class Ros1Adapter:
             action = graph.actions.get(ref.name)
             return frozenset({Operation.SEND_GOAL} if action is not None and action.unusable is None else ())
         if ref.kind is Kind.PARAMETER:
-            return self._client.parameters.operations(ref.name) if self._client else frozenset()
+            return self._parameter_operations(ref.name)
         return frozenset()
+
+    def _parameter_operations(self, name: str) -> frozenset[Operation]:
+        """What can be done with a parameter: one that a node declares cannot be deleted, for the node keeps it."""
+        operations = self._client.parameters.operations(name) if self._client else frozenset()
+        parameter = self.graph.parameters.get(name)
+        is_declared = parameter is not None and parameter.descriptor is not None
+        return operations - {Operation.DELETE_PARAMETER} if is_declared else operations
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
         """The schema of a type. Raises UnknownType."""
@@ -250,16 +257,12 @@ class Ros1Adapter:
         return await thread.run(client.parameters.get(names, _until(deadline)))
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
-        """Set them, all of them checked before the first is sent. Raises Refused naming the parameter."""
+        """Set them, all of them checked before the first is sent. Raises Refused naming the parameter.
+
+        What a node declares by dynamic_reconfigure is set by the node, so that it takes effect; all else at the master.
+        """
         thread, client = self._running()
-
-        async def change() -> None:
-            try:
-                await client.parameters.set(values, _until(deadline))
-            finally:
-                client.refresh()
-
-        await thread.run(change())
+        await thread.run(client.set_parameters(values, _until(deadline)))
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
         """Delete them, trees whole. Raises NotFound."""

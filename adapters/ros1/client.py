@@ -14,8 +14,9 @@ from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
 from rosld.adapters.ros1.hosts import Hosts
 from rosld.adapters.ros1.leftovers import Leftovers
 from rosld.adapters.ros1.master import Looked, MasterApi
-from rosld.adapters.ros1.parameters import Parameters
+from rosld.adapters.ros1.parameters import Parameters, parts_of, with_parts
 from rosld.adapters.ros1.publications import Publications, addresses
+from rosld.adapters.ros1.reconfigurable import Reconfigurables
 from rosld.adapters.ros1.services import Services
 from rosld.adapters.ros1.sources import Nodes, TopicReader
 from rosld.adapters.ros1.subscription import Feed
@@ -29,7 +30,7 @@ _SHARE = 20  # a look may take one part in so many of our time, and the master's
 _LOOK_UPS = 8
 _SOON = 0.1
 _FIRST_PATIENCE = 1.0
-"""Seconds that opening waits for the removal of what a dead rosld left; after that it goes on beside."""
+"""Seconds that opening waits for what nodes declare, and for the removal of what a dead rosld left."""
 
 
 class Client:
@@ -56,6 +57,9 @@ class Client:
         self.actions = Actions(
             own_node, self._nodes, self.types, self.publications, lambda: self._system, publish_graph
         )
+        self.reconfigurables = Reconfigurables(
+            self._nodes, self.types, self.services, self.refresh_soon, self._parameters_changed
+        )
         self._removing: asyncio.Task[None] | None = None
         self._leftovers = Leftovers(self.master, self._hosts, own_node, lambda: self.publications.uri)
         self._readers: dict[str, TopicReader] = {}
@@ -78,6 +82,7 @@ class Client:
         await self.parameters.look()
         self.refresh()
         await self.services.asked(1.0)
+        await self.reconfigurables.heard(_FIRST_PATIENCE)
         self.refresh()
         loop = asyncio.get_running_loop()
         self._tasks += [loop.create_task(self._watch_system()), loop.create_task(self._watch_parameters())]
@@ -89,6 +94,7 @@ class Client:
         for reader in self._readers.values():
             reader.close()
         self.actions.close()
+        self.reconfigurables.close()
         await self.publications.close()
         self.master.close()
 
@@ -99,6 +105,17 @@ class Client:
         except RosError as error:
             self._lost(error)
         self.refresh()
+
+    async def set_parameters(self, values: Mapping[str, ParameterValue], until: float) -> None:
+        """Set them: those that nodes declare by the nodes, all others at the master. Raises Refused."""
+        self.parameters.check(values)
+        try:
+            made = await self.reconfigurables.set(parts_of(values), until)
+            self.parameters.note_set(made)
+            rest = {name: with_parts(name, value, made) for name, value in values.items() if name not in made}
+            await self.parameters.set(rest, until)
+        finally:
+            self.refresh()
 
     def look_soon(self) -> None:
         """Look at the master before the second is over."""
@@ -205,6 +222,7 @@ class Client:
         for topic, reader in self._readers.items():
             reader.follow(system.publishers.get(topic, ()))
         self.actions.follow(system)
+        self.reconfigurables.follow(system)
         self.services.follow(system.services.items())
         self.publications.register_again(system.publishers, asked_at)
         nodes = system.nodes()
@@ -263,7 +281,7 @@ class Client:
             Master(self.master.uri, str(run_id) if run_id is not None else None),
             self._own_node,
             self._system,
-            self.parameters.graph_parameters,
+            self.reconfigurables.among(self.parameters.graph_parameters),
             self.parameters.value("/use_sim_time") is True,
         )
 

@@ -95,6 +95,23 @@ def without(named: Mapping[str, Leaf], name: str) -> dict[str, Leaf]:
     return {each: leaf for each, leaf in named.items() if each != name and not each.startswith(below)}
 
 
+def parts_of(values: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
+    """Values that are to be set, and all that lies in those that are trees, by their names."""
+    found: dict[str, ParameterValue] = {}
+    for name, value in values.items():
+        found[name] = value
+        if isinstance(value, dict):
+            found |= parts_of({f"{name.rstrip('/')}/{key}": each for key, each in value.items()})
+    return found
+
+
+def with_parts(name: str, value: ParameterValue, parts: Mapping[str, ParameterValue]) -> ParameterValue:
+    """The value of a name with other parts in the places of those that have a new value."""
+    if name in parts or not isinstance(value, dict):
+        return parts.get(name, value)
+    return {key: with_parts(f"{name.rstrip('/')}/{key}", each, parts) for key, each in value.items()}
+
+
 def check(name: str, value: ParameterValue) -> None:
     """Whether a parameter can be set to this without loss. Raises Refused naming it, before anything is sent."""
     if words := _objection(value, 0):
@@ -198,12 +215,22 @@ class Parameters:
 
     async def set(self, values: Mapping[str, ParameterValue], until: float) -> None:
         """Set them all, one by one, after all were found settable. Raises Refused naming the parameter."""
-        for name, value in values.items():
-            self._check_settable(name)
-            check(name, value)
+        self.check(values)
         for name, value in values.items():
             with _Writing(self):
                 await self._master.set_parameter(name, value, _left(until))
+                self._see(assign(self.leaves, name, value))
+
+    def check(self, values: Mapping[str, ParameterValue]) -> None:
+        """Raise Refused, naming the parameter, where one could not be set to its value."""
+        for name, value in values.items():
+            self._check_settable(name)
+            check(name, value)
+
+    def note_set(self, values: Mapping[str, ParameterValue]) -> None:
+        """Nodes have just set these at the master."""
+        for name, value in values.items():
+            with _Writing(self):
                 self._see(assign(self.leaves, name, value))
 
     async def delete(self, names: Sequence[str], until: float) -> None:

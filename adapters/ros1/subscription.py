@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import operator
 from collections.abc import Callable, Mapping, Sequence
 
@@ -60,6 +61,31 @@ class Feed:
         self._woken = False
         for watch in self._watches:
             watch.wake()
+
+
+class MessageFeed(Feed):
+    """What comes in on one topic for the reading thread itself, where every message is taken once.
+
+    `take` raises ValueError for what cannot be read, which is passed over.
+    """
+
+    def __init__(self, topic: str, take: Callable[[bytes], None], depth: int) -> None:
+        super().__init__(topic, asyncio.get_running_loop(), {})
+        self.depth = depth
+        self._take = take
+        self._seen: dict[Slot, tuple[int, int]] = {}
+
+    def arrived(self) -> None:
+        """Take what is new."""
+        for slot in self.slots:
+            epoch, sequence = self._seen.get(slot, (-1, 0))
+            for value in slot.values:
+                if value.epoch != epoch or value.sequence > sequence:
+                    with contextlib.suppress(ValueError):
+                        self._take(bytes(value.data))
+            if slot.values:
+                self._seen[slot] = slot.values[-1].epoch, slot.values[-1].sequence
+        self._seen = {slot: seen for slot, seen in self._seen.items() if slot in self.slots}
 
 
 class WakingWatch:

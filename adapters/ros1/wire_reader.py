@@ -1,0 +1,56 @@
+"""Fields of ROS 1's messages read one after another, for messages that are the same in every ROS 1."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import TypeVar
+
+_T = TypeVar("_T")
+_BOOL, _LENGTH, _INT32, _FLOAT64 = struct.Struct("<?"), struct.Struct("<I"), struct.Struct("<i"), struct.Struct("<d")
+
+
+class WireReader:
+    """Reads the fields of one message in their order. Each method raises ValueError where the message is cut off."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._at = 0
+
+    def skip(self, count: int) -> bytes:
+        """The next so many bytes."""
+        start, self._at = self._at, self._at + count
+        if self._at > len(self._data):
+            raise ValueError("the message is cut off")
+        return self._data[start : self._at]
+
+    def length(self) -> int:
+        """A uint32."""
+        return int(_LENGTH.unpack(self.skip(_LENGTH.size))[0])
+
+    def int32(self) -> int:
+        """An int32."""
+        return int(_INT32.unpack(self.skip(_INT32.size))[0])
+
+    def float64(self) -> float:
+        """A float64."""
+        return float(_FLOAT64.unpack(self.skip(_FLOAT64.size))[0])
+
+    def bool(self) -> bool:
+        """A bool."""
+        return bool(_BOOL.unpack(self.skip(_BOOL.size))[0])
+
+    def text(self) -> str:
+        """A string; bytes that are no UTF-8 are surrogate escapes."""
+        return self.skip(self.length()).decode("utf-8", "surrogateescape")
+
+    def array(self, read: Callable[[], _T], limit: int) -> list[_T]:
+        """An array of what `read` reads. Raises ValueError where it is longer than the limit."""
+        count = self.length()
+        if count > limit:
+            raise ValueError(f"{count} elements are more than {limit}")
+        return [read() for _ in range(count)]
+
+    def rest(self) -> bytes:
+        """All that has not been read."""
+        return self._data[self._at :]

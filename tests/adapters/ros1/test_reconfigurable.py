@@ -1,0 +1,288 @@
+"""Parameters of dynamic_reconfigure, with its real server: described by the node, and set so that they take effect."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+from typing import Any
+
+import pytest
+
+from rosld.adapters.model import Choice, Descriptor, Kind, Operation, ParameterType, Range, Ref, Refused
+from rosld.adapters.ros1.reconfiguration import read_config, read_descriptors, request_of
+from tests.adapters.ros1.conftest import Opening
+from tests.adapters.ros1.system import RosSystem, require
+from tests.adapters.session import Session
+
+PLAIN = {"/arm/frame"}
+DECLARED = {
+    "/arm/speed": Descriptor(ParameterType.DOUBLE, "How fast it moves, in rad/s.", range=Range(0.0, 2.0)),
+    "/arm/offset": Descriptor(ParameterType.DOUBLE),
+    "/arm/joints": Descriptor(ParameterType.INTEGER, "How many joints it uses.", range=Range(1, 7)),
+    "/arm/mode": Descriptor(
+        ParameterType.INTEGER,
+        "How it moves",
+        range=Range(0, 3),
+        choices=(Choice(0, "Slow", "For people nearby"), Choice(1, "Fast"), Choice(3, "Broken", "Never")),
+    ),
+    "/arm/tool": Descriptor(
+        ParameterType.STRING,
+        "What it holds",
+        choices=(Choice("gripper", "Gripper", "Two fingers"), Choice("cup", "Cup")),
+    ),
+    "/arm/label": Descriptor(ParameterType.STRING, "What it is called, such as ü"),
+    "/arm/enabled": Descriptor(ParameterType.BOOLEAN, "Whether it moves at all."),
+    "/arm/gripper/force": Descriptor(ParameterType.INTEGER, "In newtons.", range=Range(0, 50)),
+}
+
+
+@pytest.fixture(scope="module")
+def arm(ros: RosSystem) -> RosSystem:
+    """The system with a node of two servers."""
+    require("a server of dynamic_reconfigure", "dynamic_reconfigure.server")
+    ros.node("reconfigurable_node.py")
+    return ros
+
+
+async def described(session: Session) -> None:
+    """Wait until everything that the node declares is known."""
+    parameters = lambda: session.graph.parameters  # noqa: E731
+    await session.until(lambda: all(one in parameters() and parameters()[one].descriptor for one in DECLARED))
+
+
+async def set_to(session: Session, **values: Any) -> None:
+    """Set parameters of the arm."""
+    named = {f"/arm/{name}": value for name, value in values.items()}
+    await session.adapter.set_parameters(named, deadline=session.deadline(20))
+
+
+async def value(session: Session, *names: str) -> list[Any]:
+    """The values of parameters of the arm."""
+    full = [f"/arm/{name}" for name in names]
+    found = await session.adapter.get_parameters(full, deadline=session.deadline(20))
+    return [found[name] for name in full]
+
+
+async def until_state(session: Session, true: Any) -> dict[str, Any]:
+    """The configuration that the node itself tells of, once something is true of it."""
+    subscription = await session.adapter.subscribe("/arm/state")
+    try:
+        while True:
+            (sample,) = await session.first(subscription)
+            told: dict[str, Any] = json.loads((await session.decoded(sample)).data)
+            if true(told):
+                return told
+            await session.until(lambda before=sample: subscription.latest()[0] is not before)
+    finally:
+        subscription.close()
+
+
+def test_what_a_node_declares_is_in_the_graph(arm: RosSystem, opened: Opening) -> None:
+    async def scenario() -> None:
+        async with opened(arm) as session:
+            await described(session)
+            for name, descriptor in DECLARED.items():
+                parameter = session.graph.parameters[name]
+                assert (parameter.node, parameter.descriptor) == ("/arm", descriptor)
+            for name in PLAIN:
+                parameter = session.graph.parameters[name]
+                assert (parameter.node, parameter.descriptor) == (None, None)
+
+    asyncio.run(scenario())
+
+
+def test_what_is_set_takes_effect(arm: RosSystem, opened: Opening) -> None:
+    async def scenario() -> None:
+        async with opened(arm) as session:
+            await described(session)
+            await set_to(session, speed=1, joints=4.0, tool="gripper", enabled=False)
+            state = await until_state(session, lambda state: state["joints"] == 4)
+            assert state == {"speed": 1.0, "joints": 4, "mode": 0, "tool": "gripper", "enabled": False}
+            assert await value(session, "speed", "joints", "enabled") == [1.0, 4, False]
+            await set_to(session, **{"gripper/force": 20, "label": "ü", "frame": "tool"})
+            assert await value(session, "gripper/force", "label", "frame") == [20, "ü", "tool"]
+
+    asyncio.run(scenario())
+
+
+def test_what_a_node_makes_of_a_value_is_what_is_read_afterwards(arm: RosSystem, opened: Opening) -> None:
+    async def scenario() -> None:
+        async with opened(arm) as session:
+            await described(session)
+            for asked, made in ((0.6, 0.5), (99.0, 2.0), (-1.0, 0.0)):
+                await set_to(session, speed=asked)
+                assert await value(session, "speed") == [made]
+
+    asyncio.run(scenario())
+
+
+def test_what_a_node_refuses_changes_nothing(arm: RosSystem, opened: Opening) -> None:
+    async def scenario() -> None:
+        async with opened(arm) as session:
+            await described(session)
+            await set_to(session, joints=3, mode=1)
+            with pytest.raises(Refused, match="this mode is broken"):
+                await set_to(session, joints=5, mode=3)
+            assert await value(session, "joints", "mode") == [3, 1]
+            await set_to(session, mode=0)
+
+    asyncio.run(scenario())
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [("speed", "fast"), ("speed", True), ("joints", 1.5), ("enabled", 1), ("label", 5), ("label", [1]), ("joints", {})],
+)
+def test_a_value_of_another_type_is_refused_before_anything_is_sent(
+    arm: RosSystem, opened: Opening, name: str, wrong: Any
+) -> None:
+    async def scenario() -> None:
+        async with opened(arm) as session:
+            await described(session)
+            before = await value(session, name, "frame")
+            with pytest.raises(Refused, match=f"/arm/{name}"):
+                await set_to(session, frame="elsewhere", **{name: wrong})
+            assert await value(session, name, "frame") == before
+
+    asyncio.run(scenario())
+
+
+def test_a_tree_that_is_set_whole_takes_effect_too(arm: RosSystem, opened: Opening) -> None:
+    async def scenario() -> None:
+        async with opened(arm) as session:
+            await described(session)
+            await session.adapter.set_parameters(
+                {"/arm/gripper": {"force": 30, "color": "red"}}, deadline=session.deadline(20)
+            )
+            assert await value(session, "gripper") == [{"force": 30, "color": "red"}]
+            updates = await session.adapter.subscribe("/arm/gripper/parameter_updates")
+            (sample,) = await session.first(updates)
+            assert [(one.name, one.value) for one in (await session.decoded(sample)).ints] == [("force", 30)]
+
+    asyncio.run(scenario())
+
+
+def test_what_a_node_decides_by_itself_is_told(arm: RosSystem, opened: Opening) -> None:
+    async def scenario() -> None:
+        async with opened(arm) as session:
+            await described(session)
+            await set_to(session, speed=0.0)
+            session.told.parameters.clear()
+            decide = asyncio.to_thread(
+                arm.run, "/usr/bin/rostopic", "pub", "-1", "/arm/decide", "std_msgs/String", "data: '{\"speed\": 1.5}'"
+            )
+            await asyncio.gather(decide, session.until(lambda: "/arm/speed" in session.told.parameters))
+            assert await value(session, "speed") == [1.5]
+
+    asyncio.run(scenario())
+
+
+def test_what_a_node_keeps_cannot_be_deleted(arm: RosSystem, opened: Opening) -> None:
+    async def scenario() -> None:
+        async with opened(arm) as session:
+            await described(session)
+
+            def allowed(name: str) -> bool:
+                return Operation.DELETE_PARAMETER in session.adapter.allows(Ref(Kind.PARAMETER, name))
+
+            assert allowed("/arm/frame")
+            assert not any(map(allowed, DECLARED))
+
+    asyncio.run(scenario())
+
+
+def test_looking_registers_nothing(arm: RosSystem, opened: Opening) -> None:
+    async def scenario() -> None:
+        before = arm.master.getSystemState("/test")[2]
+        async with opened(arm) as session:
+            await described(session)
+            assert arm.master.getSystemState("/test")[2] == before
+
+    asyncio.run(scenario())
+
+
+def test_a_node_that_comes_later_and_goes_is_noticed(lone_ros: RosSystem, opened: Opening) -> None:
+    require("a server of dynamic_reconfigure", "dynamic_reconfigure.server")
+
+    async def scenario() -> None:
+        async with opened(lone_ros) as session:
+            node = await asyncio.to_thread(lone_ros.node, "reconfigurable_node.py")
+            await described(session)
+            await asyncio.to_thread(node.kill)
+            await asyncio.to_thread(lone_ros.run, "/usr/bin/rosnode", "list")
+            for service in ("set_parameters", "gripper/set_parameters"):
+                uri = lone_ros.master.lookupService("/test", f"/arm/{service}")[2]
+                lone_ros.master.unregisterService("/arm", f"/arm/{service}", uri)
+            await session.until(lambda: not any(one.descriptor for one in session.graph.parameters.values()))
+            await set_to(session, speed=9.0)
+            assert await value(session, "speed") == [9.0]
+
+    asyncio.run(scenario())
+
+
+# The wire
+
+
+def genpy(ros: RosSystem, program: str, *arguments: str) -> str:
+    """What a program says that has dynamic_reconfigure's own classes of messages."""
+    return ros.run(
+        "/usr/bin/python3", "-c", f"import io, sys\nfrom dynamic_reconfigure.msg import *\n{program}", *arguments
+    )
+
+
+def test_a_configuration_is_written_and_read_as_genpy_does(ros: RosSystem) -> None:
+    require("the messages of dynamic_reconfigure", "dynamic_reconfigure.msg")
+    values = {"on": True, "off": False, "count": -5, "words": "ü 'x'", "nothing": "", "ratio": 0.1, "end": math.inf}
+    read = genpy(
+        ros,
+        "config = Config().deserialize(bytes.fromhex(sys.argv[1]))\n"
+        "print({one.name: one.value for one in config.bools + config.ints + config.strs + config.doubles})\n"
+        "config.groups.append(GroupState('Default', True, 0, 0))\n"
+        "found = io.BytesIO()\nconfig.serialize(found)\nprint(found.getvalue().hex())",
+        request_of(values).hex(),
+    )
+    told, octets, *_ = read.splitlines()
+    assert eval(told, {"inf": math.inf}) == values
+    assert read_config(bytes.fromhex(octets)) == values
+
+
+METHODS = {
+    "{'enum_description': 'x', 'enum': [{'name': 'A', 'value': 1, 'srcline': 5, 'type': 'int'}]}": (1,),
+    "{u'enum': [{u'name': u'A', u'value': 1}, {'name': 'B', 'value': 2.0}]}": (1, 2),
+    "{'enum': [{'value': 'one'}, {'value': 1.5}, {'value': True}, {'name': 'none'}, 'x', 7]}": (),
+    "": (),
+    "{}": (),
+    "[1, 2]": (),
+    "{'enum': 5}": (),
+    "{'enum': ": (),
+    "{'enum': [{'value': __import__('os')}]}": (),
+    "{'enum': [{'value': 1 + 1}]}": (),
+    "(" * 5000 + ")" * 5000: (),
+    "-" * 50_000 + "1": (),
+    "{'enum': [{'value': 1}]}" + " " * 200_000: (),
+}
+
+
+@pytest.mark.parametrize("method", METHODS, ids=range(len(METHODS)))
+def test_an_enumeration_is_read_from_what_is_plain_data(ros: RosSystem, method: str, tmp_path: Any) -> None:
+    require("the messages of dynamic_reconfigure", "dynamic_reconfigure.msg")
+    (tmp_path / "method").write_text(method)
+    octets = genpy(
+        ros,
+        "one = ParamDescription('x', 'int', 0, 'words', open(sys.argv[1]).read())\n"
+        "message = ConfigDescription([Group('Default', '', [one], 0, 0)], Config(), Config(), Config())\n"
+        "found = io.BytesIO()\nmessage.serialize(found)\nopen(sys.argv[1], 'wb').write(found.getvalue())",
+        str(tmp_path / "method"),
+    )
+    assert octets == ""
+    found = read_descriptors((tmp_path / "method").read_bytes())["x"]
+    assert tuple(choice.value for choice in found.choices) == METHODS[method]
+    assert (found.type, found.description, found.range) == (ParameterType.INTEGER, "words", None)
+
+
+@pytest.mark.parametrize("data", [b"", b"\1", b"\1\0\0\0", b"\xff" * 40, b"\0" * 7])
+def test_what_is_cut_off_is_no_message(data: bytes) -> None:
+    for read in (read_config, read_descriptors):
+        with pytest.raises(ValueError, match=r"cut off|more than"):
+            read(data)

@@ -34,7 +34,9 @@ class Capabilities:
 
     `system` names it ("ROS 1", "recording", ...); `encoding` is what `publish` and `call` take and `call` returns;
     `parameter_trees`: parameters form one tree of namespaces (ROS 1), so that a namespace can be read and deleted
-    whole; `writes`: anything can be written at all; `creates_topics`: a topic that is not there may be published;
+    whole; `parameter_server`: parameters that have no node in the graph are kept by a server, of whose changes nodes
+    are not told (ROS 1); `writes`: anything can be written at all; `creates_topics`: a topic that is not there may be
+    published;
     `qos`: publishers and subscribers have a quality of service; `hidden_names`: a name with a segment that begins with
     an underscore is hidden (ROS 2), and listings leave it out unasked.
     `mapping` and `limits` are documents that this kind of robot comes with (RDF, opaque to adapters), None for most.
@@ -47,6 +49,7 @@ class Capabilities:
     parameter_trees: bool
     qos: bool = False
     hidden_names: bool = False
+    parameter_server: bool = False
     mapping: Path | None = None
     limits: Path | None = None
 

@@ -76,10 +76,12 @@ def declared_triples(descriptor: Descriptor, url: str, space: Space) -> list[Tri
 
 def choice_words(descriptor: Descriptor) -> tuple[str, ...]:
     """What each of the choices is called and is about, in words; nothing of those that have neither."""
+    named = ((choice, choice.name not in ("", str(choice.value))) for choice in descriptor.choices)
     return tuple(
-        f"{choice.name or choice.value} = {choice.value}" + (f": {choice.description}" if choice.description else "")
-        for choice in descriptor.choices
-        if choice.name or choice.description
+        (f"{choice.name} = {choice.value}" if is_named else f"{choice.value}")
+        + (f": {choice.description}" if choice.description else "")
+        for choice, is_named in named
+        if is_named or choice.description
     )
 
 

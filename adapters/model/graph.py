@@ -133,7 +133,9 @@ class Service:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter that is a leaf: not a tree. `node` is its owner where parameters belong to nodes (ROS 2).
+    """A parameter that is a leaf: not a tree.
+
+    `node` is its owner where parameters belong to nodes (ROS 2), or a node heeds it (dynamic_reconfigure).
 
     `descriptor` is what that node declares of it, None where nothing is declared, or not known yet.
     """

@@ -38,7 +38,9 @@ from rosld.adapters.thread import IoThread
 
 DEFAULT_MASTER = "http://localhost:11311"
 _CLOSE = 1.7
-_CAPABILITIES = Capabilities("ROS 1", Encoding.ROS1, writes=True, creates_topics=True, parameter_trees=True)
+_CAPABILITIES = Capabilities(
+    "ROS 1", Encoding.ROS1, writes=True, creates_topics=True, parameter_trees=True, parameter_server=True
+)
 _instances = itertools.count()
 
 

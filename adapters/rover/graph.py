@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from rosld.adapters.local_topics import Advertised
 from rosld.adapters.model import (
     Action,
+    Choice,
     Descriptor,
     Endpoint,
     Graph,
@@ -84,8 +85,8 @@ def _descriptor(declared: Declaration) -> Descriptor:
         _TYPES[type(declared.default)],
         declared.description,
         declared.is_read_only,
-        constraints=declared.constraints,
         range=limits,
+        choices=tuple(Choice(value, description=words) for value, words in (declared.choices or {}).items()),
     )
 
 

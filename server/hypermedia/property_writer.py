@@ -47,6 +47,7 @@ from rosld.server.hypermedia.value import (
     scalar_field,
 )
 from rosld.server.robot.calls import UnreadableResponse
+from rosld.server.robot.declared_parameters import has_other_values
 from rosld.server.robot.publication import Publication, publish
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import passes_stop
@@ -73,6 +74,8 @@ class Written(Enum):
     DONE = "done"
     UNHEARD = "unheard"
     """It was published, but nobody was listening."""
+    OTHERWISE = "otherwise"
+    """It was set, and its node made another value of it."""
 
 
 # Who writes
@@ -229,16 +232,17 @@ async def carry_out(session: Session, planned: PlannedWrite) -> Written:
             return Written.DONE if published.matched else Written.UNHEARD
         case ParameterSource():
             assert isinstance(value, StoredValue)
-            await _set(session, writer.name, value.value)
+            return await _set(session, writer.name, value.value)
     return Written.DONE
 
 
-async def _set(session: Session, name: str, value: ParameterValue) -> None:
+async def _set(session: Session, name: str, value: ParameterValue) -> Written:
     deadline = session.deadline(session.settings.call_deadline)
     try:
         await session.adapter.set_parameters({name: value}, deadline=deadline)
     finally:
         session.announce_write(Kind.PARAMETER, name)
+    return Written.OTHERWISE if await has_other_values(session, {name: value}) else Written.DONE
 
 
 async def _call(session: Session, setter: Setter, request: bytes) -> None:

@@ -216,7 +216,7 @@ async def carried_out(robot: Robot, writes: Sequence[tuple[str, PlannedWrite]]) 
             written = await carry_out(robot, write)
         except (RosError, Problem) as error:
             raise _partly(error, name, done, [name for name, _ in writes[place + 1 :]]) from error
-        done.append({"name": name, "status": 204 if written is Written.DONE else 202})
+        done.append({"name": name, "status": 202 if written is Written.UNHEARD else 204})
     return Response(status_code=204)
 
 

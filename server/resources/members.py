@@ -234,7 +234,14 @@ class MemberResource(CommandResource):
         changed = () if plan.member.field is None else (plan.of.name,)
         async with self.robot.offers.turn(tree, self.name, changed=changed):
             written = await self._write(tree, plan, content, defaults=not is_strict(exchange))
-            return write_response(written, await carry_out(self.robot, written), exchange.accept)
+            return await self._answer(exchange, written)
+
+    async def _answer(self, exchange: Exchange, planned: PlannedWrite) -> Answer:
+        """Carry a write out: what it came to is shown where that is not what was asked for."""
+        written = await carry_out(self.robot, planned)
+        if written is Written.OTHERWISE:
+            return Shown(self, await self.state())
+        return write_response(planned, written, exchange.accept)
 
     async def _write(
         self, tree: ResourceTree, plan: PropertyPlan, content: object, *, defaults: bool = False
@@ -257,7 +264,7 @@ class MemberResource(CommandResource):
         written = await self._write(tree, plan, self._stated(plan, body))
 
         async def carried_out() -> bool:
-            return await carry_out(self.robot, written) is Written.DONE
+            return await carry_out(self.robot, written) is not Written.UNHEARD
 
         return RobotWrite(f"write {self.name} by {written.writer.name}", carried_out)
 
@@ -274,7 +281,7 @@ class MemberResource(CommandResource):
             require_writable(self.robot, plan, snapshot)
             content = self._whole(plan, snapshot, self._patch(exchange, plan, snapshot, data))
             written = await planned(self.robot, plan.of, content)
-            return write_response(written, await carry_out(self.robot, written), exchange.accept)
+            return await self._answer(exchange, written)
 
     async def _property(self) -> tuple[ResourceTree, PropertyPlan]:
         tree = await self.robot.offers.tree()

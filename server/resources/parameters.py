@@ -26,8 +26,9 @@ from rosld.ontology.parameters import (
     parameter_json,
     plain,
 )
+from rosld.ontology.triples import about, text
 from rosld.ontology.urls import encode_segment
-from rosld.ontology.vocab import ros
+from rosld.ontology.vocab import rdfs, ros
 from rosld.server.auth.enforcement import require_subtree
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction.trees import redact_tree
@@ -69,13 +70,25 @@ from rosld.server.rest.paging import (
 )
 from rosld.server.rest.path_item import Method, PathItem
 from rosld.server.rest.plan import Plan, RobotWrite
-from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Created, Resource, moved
+from rosld.server.rest.resource import (
+    BASIC_CONTAINER,
+    RDF_SOURCE,
+    READ,
+    RESOURCE,
+    Answer,
+    Created,
+    Resource,
+    Shown,
+    moved,
+)
 from rosld.server.rest.state import State
+from rosld.server.robot.declared_parameters import has_other_values
 from rosld.server.robot.write_policy import parameter_denied_reason, resources_only_reason
 from rosld.server.runtime.signals import call_every, combine_watches
-from rosld.shapes.parameter import constraint_url, declared_shape, declared_triples
+from rosld.shapes.parameter import choice_words, constraint_url, declared_shape, declared_triples
 from rosld.shapes.value import OpenShape
 
+_AT_START = "Kept by the parameter server: nodes may read it only when they start."
 _MAX_SLUG = 100
 _TRIPLES_BYTES = 40
 """Bytes of N-Triples, about, that a byte of plain JSON of a tree comes to."""
@@ -159,6 +172,13 @@ class _Parameters(CommandResource):
         finally:
             self._write(values)
 
+    async def _answer(self, asked: Mapping[str, ParameterValue]) -> Answer:
+        """What a write answers: 204, or what there is now where a node has made something else of what was asked."""
+        values = {name: value for each, whole in asked.items() for name, value in _values(each, whole)}
+        if await has_other_values(self.robot, values):
+            return Shown(self, await self.state())
+        return Response(status_code=204)
+
     async def _delete(self, gone: Sequence[str]) -> None:
         for name in gone:
             self._require_open(name, {})
@@ -218,6 +238,13 @@ class ParameterResource(_Parameters):
             alike="parameter",
         )
 
+    @property
+    def _note(self) -> str | None:
+        """What a value means that a server keeps for nodes, which they are not told of; None where it is a node's."""
+        parameter = self.robot.graph.parameters.get(self.name)
+        is_kept = parameter is not None and parameter.node is None
+        return _AT_START if is_kept and self.robot.adapter.capabilities.parameter_server else None
+
     def methods(self) -> frozenset[str]:
         methods = READ
         if self._can(Operation.SET_PARAMETER):
@@ -239,23 +266,23 @@ class ParameterResource(_Parameters):
 
     def shown(self, value: ParameterValue) -> State:
         """The state with this value, which is no tree. Raises Problem 406 for one that is nested too deep."""
-        plain, descriptor = self._plain(value), self._descriptor(self.name)
+        plain, descriptor, note = self._plain(value), self._descriptor(self.name), self._note
 
         def described() -> Document:
             document = parameter_document(self.name, value, self.robot.space)
-            if descriptor is None:
-                return document
-            declared = declared_triples(descriptor, self.url, self.robot.space)
-            return replace(document, triples=(*document.triples, *declared))
+            declared = () if descriptor is None else declared_triples(descriptor, self.url, self.robot.space)
+            noted = about(NamedNode(self.url), (rdfs.comment, text(note)))
+            return replace(document, triples=(*document.triples, *declared, *noted))
 
-        token = digest(plain if descriptor is None else plain + repr(descriptor).encode("utf-8", "surrogatepass"))
+        said = "" if descriptor is None and note is None else repr((descriptor, note))
+        token = digest(plain + said.encode("utf-8", "surrogatepass"))
         return self.robot.states.get_or_make(self.url, token, lambda: State(described, lambda: plain, token))
 
     async def forms(self) -> Sequence[Form]:
         methods, value = self.methods(), await self._value()
         forms: list[Form] = []
         if "PUT" in methods and value is not None:
-            forms.append(_form(plain(value), self._descriptor(self.name)))
+            forms.append(_form(plain(value), self._descriptor(self.name), self._note))
         if "DELETE" in methods:
             forms.append(DeleteForm("Delete the parameter"))
         return forms
@@ -267,7 +294,7 @@ class ParameterResource(_Parameters):
         self._check_place(value, before)
         await self._set({self.name: value})
         if before is not None:
-            return Response(status_code=204)
+            return await self._answer({self.name: value})
         if isinstance(value, dict):
             tree = ParameterTree(self.robot, names.segments(self.name))
             return Created(tree.url, tree, await tree.state())
@@ -331,7 +358,7 @@ class ParameterResource(_Parameters):
         _require_below(exchange, self.url, value)
         self._check_place(value, before)
         await self._set({self.name: value})
-        return Response(status_code=204)
+        return await self._answer({self.name: value})
 
 
 class ParameterTree(_Parameters):
@@ -534,17 +561,17 @@ class ParameterTree(_Parameters):
         merged = lower_json(merge_patch(parse_json(parameter_json(before or {})), patch))
         assert isinstance(merged, dict)
         if not self.robot.adapter.capabilities.parameter_trees:
-            await self._patch_node(dict(_values(self.name, before or {})), dict(_values(self.name, merged)))
-            return Response(status_code=204)
+            return await self._patch_node(dict(_values(self.name, before or {})), dict(_values(self.name, merged)))
         gone = [name for name in (before or {}) if name not in merged]
         changed = {name: value for name, value in merged.items() if not _same((before or {}).get(name), value)}
         prefix = "" if self.name == "/" else self.name
-        await self._set({f"{prefix}/{name}": value for name, value in changed.items()})
+        values = {f"{prefix}/{name}": value for name, value in changed.items()}
+        await self._set(values)
         if gone:
             await self._delete([f"{prefix}/{name}" for name in gone])
-        return Response(status_code=204)
+        return await self._answer(values)
 
-    async def _patch_node(self, before: Mapping[str, ParameterValue], after: Mapping[str, ParameterValue]) -> None:
+    async def _patch_node(self, before: Mapping[str, ParameterValue], after: Mapping[str, ParameterValue]) -> Answer:
         """Set what changes of this node's parameters at once, then delete what is gone."""
         changed = {name: value for name, value in after.items() if not _same(before.get(name), value)}
         gone = [name for name in before if name not in after]
@@ -558,13 +585,16 @@ class ParameterTree(_Parameters):
             await self._set(changed)
         if gone:
             await self._delete(gone)
+        return await self._answer(changed)
 
 
-def _form(value: Json, descriptor: Descriptor | None) -> Form:
+def _form(value: Json, descriptor: Descriptor | None, note: str | None) -> Form:
     """The form for a value, drawn from what is declared of the parameter; an open one where that does not say."""
     if descriptor is None:
-        return ParameterForm(value)
-    about = visible(" ".join(filter(None, (descriptor.description, descriptor.constraints))))
+        return ParameterForm(value, about=note or "")
+    choices = "; ".join(choice_words(descriptor))
+    words = (descriptor.description, descriptor.constraints, f"{choices}." if choices else "")
+    about = visible(" ".join(filter(None, words)))
     shape = declared_shape(descriptor)
     if isinstance(shape, OpenShape) or isinstance(value, dict | list):
         return ParameterForm(value, about=about)

@@ -31,6 +31,6 @@ async def planned(robot: Robot, own: Property, content: object, *, defaults: boo
 
 def write_response(plan: PlannedWrite, written: Written, accept: str | None) -> Response:
     """The answer to a write that was carried out: 204, or 202 where nobody was there to hear it."""
-    if written is Written.DONE:
-        return Response(status_code=204)
-    return render(no_subscriber_problem(plan.writer.name), accept).response()
+    if written is Written.UNHEARD:
+        return render(no_subscriber_problem(plan.writer.name), accept).response()
+    return Response(status_code=204)

@@ -316,7 +316,10 @@ class Dispatcher:
         rendering = await self._outcome(exchange, shown.resource, shown.state)
         if rendering is None:
             return RawResponse(204, b"", [location, *added])
-        return RawResponse(200, rendering.body, [*rendering.headers, location, *added])
+        headers = rendering.headers
+        if exchange.method == "PUT":  # what was sent is not what was saved (RFC 9110 9.3.4)
+            headers = [each for each in headers if each[0] != b"etag"]
+        return RawResponse(200, rendering.body, [*headers, location, *added])
 
     async def _as_preferred(self, exchange: Exchange, resource: Resource, response: Response) -> Response:
         """The representation after a write instead of an empty 204, where the request prefers it (RFC 7240 4.2)."""

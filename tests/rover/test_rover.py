@@ -158,3 +158,16 @@ def test_the_camera_gives_the_image_raw_and_as_a_file(rover: Rover) -> None:
 def test_it_has_no_mapping(rover: Rover) -> None:
     answer: httpx.Response = rover.http.get("/mappings/", headers={"Accept": "text/turtle"})
     assert "ldp:contains" not in answer.text
+
+
+def test_a_parameter_that_is_set_takes_effect_and_none_beyond_its_range_is(rover: Rover) -> None:
+    limit = "/parameters/rover/max_speed"
+    until(lambda: "#constraint" in rover.http.get(limit).headers.get("link", ""), "what the node declares")
+    assert rover.http.put(limit, json=1.5).status_code == 422
+    try:
+        assert rover.http.put(limit, json=0.2).status_code == 204
+        rover.drive(0.4, 1.0)
+        until(lambda: rover.velocity() == (0.2, 1.0), "the speed within the limit")
+    finally:
+        rover.http.put(limit, json=0.5)
+        stopped(rover)

@@ -19,6 +19,7 @@ PARTS = (
     "rights.py",
     "holds.py",
     "stop.py",
+    "kills.py",
     "pauses.py",
     "clients.py",
 )

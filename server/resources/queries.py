@@ -156,7 +156,7 @@ class Runner:
         """The page: with results where all parameters are there, with the reason where they are not."""
         results: Results | None = None
         notices: tuple[Notice, ...] = ()
-        status = 200
+        status, also = 200, dict[str, str]()
         if given or all(one.default is not None for one in query.parameters):
             try:
                 request = QueryRequest(bind(query, given, self.base), timeout=timeout)
@@ -164,7 +164,7 @@ class Runner:
                     self.service, request, disconnect.of(exchange.request.receive), exchange.permissions
                 )
             except Problem as problem:
-                notices, status = (Notice(problem.detail, Tone.ERROR),), problem.status
+                notices, status, also = (Notice(problem.detail, Tone.ERROR),), problem.status, problem.headers
         page = QueryPage(
             self.pages.site_for(exchange.permissions),
             html.StoredQuery(resource.url, query.name, query.purpose, query.text),
@@ -174,7 +174,8 @@ class Runner:
             results,
             notices,
         )
-        headers = {**standing_headers(resource), **self.pages.headers, "vary": "Accept", "cache-control": "no-cache"}
+        standing = {**standing_headers(resource), **self.pages.headers, "vary": "Accept", "cache-control": "no-cache"}
+        headers = {**also, **standing}
         return Response(html.render_query(page), status, headers, "text/html; charset=utf-8")
 
 

@@ -345,6 +345,6 @@ class SparqlResource(Resource):
         notices = () if problem is None else (Notice(problem.detail, Tone.ERROR),)
         examples = tuple(each for each in self._examples() if permissions.may_read(each.url))
         page = SparqlPage(self._pages.site_for(permissions), text, examples, results, notices)
-        headers = {**self._pages.headers, "Vary": "Accept", "Cache-Control": "no-cache"}
-        status = 200 if problem is None else problem.status
+        status, also = (200, {}) if problem is None else (problem.status, problem.headers)
+        headers = {**also, **self._pages.headers, "Vary": "Accept", "Cache-Control": "no-cache"}
         return Response(html.render_sparql(page), status, headers, "text/html; charset=utf-8")

@@ -7,9 +7,7 @@ import select
 import signal
 import socket
 import sys
-import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -19,6 +17,7 @@ from urllib.parse import quote, urlsplit
 import httpx
 import pytest
 
+from tests.server.sparql.killing import OF_SPARQL, OPTIONS, REQUESTS, STREAMS, Load, kill
 from tests.server.sparql.processes import children_of, command_of, query_processes
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="it looks at /proc")
@@ -26,7 +25,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="it looks at /pr
 # `Served` of conftest.py arrives as what its fixture starts.
 Served = Any
 PATIENCE = 60.0
-KILLS = 12
+KILLS = 20
 ACCEPT = {"Accept": "text/csv, application/problem+json;q=0.9"}
 TURTLE = {"Content-Type": "text/turtle"}
 HEAVY = "SELECT (COUNT(*) AS ?n) { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l }"
@@ -126,53 +125,26 @@ def test_values_of_many_types_in_order_do_not_end_the_server(served: Served) -> 
     assert answered(served, "ASK { <data/p#s> ?p ?o }")
 
 
-def test_killed_again_and_again_under_load_it_costs_queries_a_503_and_others_nothing(served: Served) -> None:
+def test_killed_again_and_again_under_load_it_costs_queries_a_503_and_others_nothing(
+    serve: Callable[..., Served],
+) -> None:
+    served = serve("aircraft", *OPTIONS)
     answered(served, name(served))
-    ended = threading.Event()
-    seen: Counter[tuple[str, int]] = Counter()
-    without_retry: list[str] = []
-
-    def load(what: str, send: Callable[[httpx.Client, int], httpx.Response]) -> None:
-        with httpx.Client(base_url=served.url, timeout=PATIENCE) as client:
-            turn = 0
-            while not ended.wait(0.005):
-                turn += 1
-                answer = send(client, turn)
-                seen[what, answer.status_code] += 1
-                if answer.status_code == 503 and "retry-after" not in answer.headers:
-                    without_retry.append(answer.text)
-
-    def query(client: httpx.Client, turn: int) -> httpx.Response:
-        text = (
-            f"{name(served)} #{turn}" if turn % 2 else f"SELECT (COUNT(*) AS ?n) {{ ?s a ?c FILTER(?c != <h:{turn}>) }}"
-        )
-        return client.get("/sparql", params={"query": text}, headers=ACCEPT)
-
-    def get(client: httpx.Client, turn: int) -> httpx.Response:
-        return client.get("/topics/cockpit/display")
-
-    def put(client: httpx.Client, turn: int) -> httpx.Response:
-        return client.put("/data/load", content=f"<> <http://h/v> {turn} .", headers=TURTLE)
-
-    loads = [threading.Thread(target=load, args=each) for each in (("query", query), ("get", get), ("put", put))]
-    for each in loads:
-        each.start()
-    last = None
-    for _ in range(KILLS):
-        last = process_of(served, last)
-        before = seen["query", 200]
-        until = time.monotonic() + PATIENCE
-        while seen["query", 200] == before:  # it is at work again
-            assert time.monotonic() < until, dict(seen)
-            select.select([], [], [], 0.01)
-        os.kill(last, signal.SIGKILL)
-    ended.set()
-    for each in loads:
-        each.join()
-    assert {status for what, status in seen if what == "query"} <= {200, 503}, dict(seen)
-    assert {status for what, status in seen if what == "get"} == {200}, dict(seen)
-    assert {status for what, status in seen if what == "put"} <= {201, 204}, dict(seen)
-    assert not without_retry
+    load = Load(served.url)
+    try:
+        for _ in kill(served, load, KILLS):
+            pass
+    finally:
+        load.end()
+    assert not load.wrong
+    assert not load.without_retry
+    for kind in REQUESTS:
+        may_be = {200, 204, 503} if kind in OF_SPARQL else {200, 201, 204}
+        assert load.statuses_of(kind) <= may_be, (kind, load.statuses)
+        assert load.statuses_of(kind) & {200, 201, 204}, (kind, load.statuses)
+    assert {load.statuses[kind, 200] for kind in STREAMS} == {1}
+    assert all(load.events[kind] > KILLS for kind in STREAMS), load.events
+    assert any(load.statuses[kind, 503] for kind in OF_SPARQL), load.statuses
     assert answered(served, name(served))
 
 

@@ -163,9 +163,18 @@ class Child:
             taken.set_result(None)
 
     def _receive(self) -> None:
-        assert self._socket is not None
+        """Take all that has come.
+
+        To its end: where the process was killed with requests unread, uvloop tells of it once, and of nothing after.
+        """
+        while self._socket is not None:
+            self._read(self._socket)
+            if self._socket is None or not _is_readable(self._socket):
+                return
+
+    def _read(self, connection: socket.socket) -> None:
         try:
-            data, descriptors, _, _ = socket.recv_fds(self._socket, _RECEIVED, 64, socket.MSG_CMSG_CLOEXEC)
+            data, descriptors, _, _ = socket.recv_fds(connection, _RECEIVED, 64, socket.MSG_CMSG_CLOEXEC)
         except (BlockingIOError, InterruptedError):
             return
         except OSError:
@@ -177,3 +186,14 @@ class Child:
             return
         for message in self._buffer.feed(data):
             self._on_reply(cast("Reply", message), self._descriptors)
+
+
+def _is_readable(connection: socket.socket) -> bool:
+    """Whether there are bytes, or an end, to be read."""
+    try:
+        connection.recv(1, socket.MSG_PEEK)
+    except (BlockingIOError, InterruptedError):
+        return False
+    except OSError:
+        return True
+    return True

@@ -7,16 +7,22 @@ import logging
 import os
 import pickle
 import signal
+import socket
+import subprocess
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import pytest
+import uvloop
 
 from rosld.server.dataset import Edit, MemoryStore
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.limits import Limits
+from rosld.server.sparql.process.child import Child
 from rosld.server.sparql.process.client import QueryProcess
+from rosld.server.sparql.process.frames import AtWork, Cancel, Kind, Reply, packed
 from rosld.server.sparql.process.work import Dump, Graphs
 
 LIMITS = Limits(20.0, 256 * 1024 * 1024)
@@ -185,3 +191,32 @@ async def test_work_that_was_thought_to_be_short_cannot_hold_the_process_for_lon
     assert (await refused(process, Do(endless, may_fork=False))).status in (500, 503)
     await process.ready(time.monotonic() + 20)
     assert await done(process, Do(count)) == b"0"
+
+
+@pytest.mark.parametrize("new_loop", [asyncio.new_event_loop, uvloop.new_event_loop])
+def test_a_death_is_noticed_also_with_requests_unread_and_replies_on_their_way(
+    new_loop: Callable[[], asyncio.AbstractEventLoop], tmp_path: Path
+) -> None:
+    seen: list[object] = []
+    ours, theirs = socket.socketpair()
+    ours.setblocking(False)
+    (tmp_path / "at-work").write_bytes(bytes(AtWork.SIZE))
+    loop, lost = new_loop(), asyncio.Event()
+
+    def on_lost() -> None:
+        seen.append("lost")
+        lost.set()
+
+    with (tmp_path / "at-work").open("r+b") as file, subprocess.Popen(["true"]) as popen:
+        spawned = (popen, ours, AtWork(file.fileno()))
+        child = Child(spawned, loop, lambda reply, descriptors: seen.append(reply), on_lost)
+        child.send(packed(Cancel(1)))
+        theirs.sendall(packed(Reply(Kind.WAITING, 2)))
+        theirs.close()
+
+        try:
+            loop.run_until_complete(asyncio.wait_for(lost.wait(), 20))
+        finally:
+            child.close()
+            loop.close()
+    assert seen == [Reply(Kind.WAITING, 2), "lost"]

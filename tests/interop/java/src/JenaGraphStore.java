@@ -29,7 +29,7 @@ final class JenaGraphStore {
     }
 
     private RDFConnection connection() {
-        return JenaQuery.builder(url).build();
+        return JenaQuery.connection(url);
     }
 
     private String fresh() {
@@ -196,6 +196,7 @@ final class JenaGraphStore {
                 Checks.fails(HttpException.class, "4", () -> connection.put(model("a")));
                 Checks.fails(HttpException.class, "4", () -> connection.load(model("a")));
                 Checks.fails(HttpException.class, "4", connection::delete);
+                Checks.yes(!connection.isClosed(), "closed");
                 Checks.yes(!connection.queryAsk("ASK { GRAPH <" + url
                     + "graphs> { <http://example.org/s> <http://example.org/p> 'a' } }"), "written");
             }

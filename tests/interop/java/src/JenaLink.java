@@ -9,6 +9,8 @@ import org.apache.jena.graph.Node;
 import org.apache.jena.graph.NodeFactory;
 import org.apache.jena.query.Dataset;
 import org.apache.jena.query.DatasetFactory;
+import org.apache.jena.query.Query;
+import org.apache.jena.query.QueryFactory;
 import org.apache.jena.query.ReadWrite;
 import org.apache.jena.query.TxnType;
 import org.apache.jena.rdfconnection.RDFConnection;
@@ -24,6 +26,7 @@ import org.apache.jena.sparql.exec.http.QueryExecutionHTTP;
 import org.apache.jena.sparql.exec.http.UpdateExecutionHTTP;
 import org.apache.jena.sparql.graph.GraphFactory;
 import org.apache.jena.system.Txn;
+import org.apache.jena.update.UpdateFactory;
 
 /** Jena's RDFLink, calls of RDFConnection for whole datasets, its transactions, builders and headers. */
 final class JenaLink {
@@ -42,13 +45,13 @@ final class JenaLink {
     }
 
     private RDFLink link() {
-        return RDFLinkHTTP.newBuilder().destination(url)
-            .queryEndpoint("sparql").updateEndpoint("sparql").gspEndpoint("graphs").build();
+        return Calls.noted(RDFLink.class, RDFLinkHTTP.newBuilder().destination(url)
+            .queryEndpoint("sparql").updateEndpoint("sparql").gspEndpoint("graphs").build());
     }
 
     /** One whose graph store is asked for all graphs. */
     private RDFConnection datasets() {
-        return JenaQuery.builder(url).gspEndpoint("graphs?all").build();
+        return Calls.noted(RDFConnection.class, JenaQuery.builder(url).gspEndpoint("graphs?all").build());
     }
 
     private Node fresh() {
@@ -87,6 +90,7 @@ final class JenaLink {
 
     private void run(Checks checks) {
         queries(checks);
+        parsed(checks);
         graphs(checks);
         datasets(checks);
         transactions(checks);
@@ -123,6 +127,39 @@ final class JenaLink {
         });
     }
 
+    private void parsed(Checks checks) {
+        checks.check("queries that were parsed before", () -> {
+            Node graph = fresh();
+            Query select = QueryFactory.create("SELECT ?o { GRAPH <" + graph.getURI() + "> { <urn:s> <urn:p> ?o } }");
+            try (RDFLink link = link()) {
+                link.update(UpdateFactory.create(insert(graph)));
+                link.queryRowSet(select, rows -> Checks.equal("a", rows.next().get("o").getLiteralLexicalForm()));
+                link.querySelect(select, row -> Checks.equal("a", row.get("o").getLiteralLexicalForm()));
+                Checks.yes(link.queryAsk(QueryFactory.create(ask(graph))), "false");
+                holds(link.queryConstruct(QueryFactory.create(construct(graph))), "a");
+                Checks.yes(!link.queryDescribe(QueryFactory.create("DESCRIBE <urn:s>")).isEmpty(), "nothing");
+                try (QueryExec execution = link.query(select)) {
+                    Checks.yes(execution.select().hasNext(), "nothing");
+                }
+            }
+        });
+        checks.check("an update of one operation", () -> {
+            Node graph = fresh();
+            try (RDFLink link = link()) {
+                link.update(UpdateFactory.create(insert(graph)).getOperations().get(0));
+                Checks.yes(link.isRemote() && !link.isClosed() && link.queryAsk(ask(graph)), "false");
+            }
+        });
+        checks.check("queryConstructDataset, of triples in the default graph", () -> {
+            Node graph = fresh();
+            try (RDFLink link = link()) {
+                link.update(insert(graph));
+                holds(link.queryConstructDataset(construct(graph)).getDefaultGraph(), "a");
+                holds(link.queryConstructDataset(QueryFactory.create(construct(graph))).getDefaultGraph(), "a");
+            }
+        });
+    }
+
     private void graphs(Checks checks) {
         checks.check("put, load, get, delete of a graph", () -> {
             Node graph = fresh();
@@ -148,9 +185,18 @@ final class JenaLink {
                 Checks.yes(link.get().size() > 500, "too small");
             }
         });
+        checks.check("a link does not write the default graph, which is the union", () -> {
+            String path = file(".ttl", "<urn:s> <urn:p> 'default' .").toString();
+            try (RDFLink link = link()) {
+                for (Checks.Check write : List.<Checks.Check>of(() -> link.put(path), () -> link.load(path),
+                    () -> link.put(graph("default")), () -> link.load(graph("default")), link::delete))
+                    Checks.fails(HttpException.class, "405", write);
+                Checks.yes(!link.queryAsk("ASK { ?s <urn:p> 'default' }"), "written");
+            }
+        });
         checks.check("files are not written to the default graph", () -> {
             String path = file(".ttl", "<urn:s> <urn:p> 'default' .").toString();
-            try (RDFConnection connection = JenaQuery.builder(url).build()) {
+            try (RDFConnection connection = JenaQuery.connection(url)) {
                 Checks.fails(HttpException.class, "4", () -> connection.put(path));
                 Checks.fails(HttpException.class, "4", () -> connection.load(path));
                 Checks.yes(!connection.queryAsk("ASK { ?s <urn:p> 'default' }"), "written");
@@ -173,6 +219,19 @@ final class JenaLink {
                 holds(connection.fetchDataset().asDatasetGraph().getGraph(graph), "a", "b");
                 connection.putDataset(dataset(graph, "c"));
                 holds(connection.fetchDataset().asDatasetGraph().getGraph(graph), "c");
+            }
+        });
+        checks.check("putDataset, loadDataset, getDataset of a link", () -> {
+            Node graph = fresh();
+            String quads = "<urn:s> <urn:p> \"c\" <" + graph.getURI() + "> .\n";
+            try (RDFLink link = Calls.noted(RDFLink.class, RDFLinkHTTP.newBuilder().destination(url)
+                .queryEndpoint("sparql").updateEndpoint("sparql").gspEndpoint("graphs?all").build())) {
+                link.putDataset(dataset(graph, "a").asDatasetGraph());
+                link.loadDataset(dataset(graph, "b").asDatasetGraph());
+                holds(link.getDataset().getGraph(graph), "a", "b");
+                link.putDataset(file(".nq", quads).toString());
+                link.loadDataset(file(".nq", quads.replace("c", "d")).toString());
+                holds(link.getDataset().getGraph(graph), "c", "d");
             }
         });
         checks.check("putDataset and loadDataset of files", () -> {
@@ -212,7 +271,7 @@ final class JenaLink {
     private void transactions(Checks checks) {
         checks.check("begin, update, commit", () -> {
             Node graph = fresh();
-            try (RDFConnection connection = JenaQuery.builder(url).build()) {
+            try (RDFConnection connection = JenaQuery.connection(url)) {
                 connection.begin(ReadWrite.WRITE);
                 Checks.yes(connection.isInTransaction(), "none");
                 connection.update(insert(graph));
@@ -222,7 +281,7 @@ final class JenaLink {
             }
         });
         checks.check("a transaction that reads", () -> {
-            try (RDFConnection connection = JenaQuery.builder(url).build()) {
+            try (RDFConnection connection = JenaQuery.connection(url)) {
                 Checks.yes(Txn.calculateRead(connection, () -> connection.queryAsk("ASK { ?s ?p ?o }")), "false");
                 connection.begin(TxnType.READ);
                 Checks.yes(connection.fetch().size() > 500, "too small");

@@ -40,12 +40,17 @@ final class JenaQuery {
             .queryEndpoint("sparql").updateEndpoint("sparql").gspEndpoint("graphs");
     }
 
+    /** In the default configuration; its calls are noted. */
+    static RDFConnection connection(String url) {
+        return Calls.noted(RDFConnection.class, builder(url).build());
+    }
+
     static void run(String url) {
         new JenaQuery(url).run(new Checks("JenaQuery"));
     }
 
     private RDFConnection connection() {
-        return builder(url).build();
+        return connection(url);
     }
 
     private String select() {

@@ -20,7 +20,7 @@ final class JenaUpdate {
     }
 
     private RDFConnection connection() {
-        return JenaQuery.builder(url).build();
+        return JenaQuery.connection(url);
     }
 
     private String fresh() {

@@ -12,6 +12,7 @@ public final class Main {
         Rdf4jConnection.run(url);
         Rdf4jFederation.run(url);
         Rdf4jRio.run(url);
+        Calls.run();
         System.exit(0);
     }
 }

@@ -9,7 +9,9 @@ import java.util.List;
 import java.util.Map;
 import java.util.Set;
 import java.util.TreeSet;
+import org.eclipse.rdf4j.common.iteration.CloseableIteration;
 import org.eclipse.rdf4j.common.transaction.IsolationLevels;
+import org.eclipse.rdf4j.common.transaction.TransactionSetting;
 import org.eclipse.rdf4j.model.IRI;
 import org.eclipse.rdf4j.model.Resource;
 import org.eclipse.rdf4j.model.Statement;
@@ -19,6 +21,7 @@ import org.eclipse.rdf4j.model.impl.SimpleValueFactory;
 import org.eclipse.rdf4j.query.GraphQuery;
 import org.eclipse.rdf4j.query.QueryLanguage;
 import org.eclipse.rdf4j.query.QueryResults;
+import org.eclipse.rdf4j.query.TupleQuery;
 import org.eclipse.rdf4j.query.Update;
 import org.eclipse.rdf4j.query.impl.SimpleDataset;
 import org.eclipse.rdf4j.repository.RepositoryConnection;
@@ -55,7 +58,8 @@ final class Rdf4jConnection {
 
     private Checks.Check with(Task task) {
         return () -> {
-            try (RepositoryConnection connection = repository.getConnection()) {
+            try (RepositoryConnection connection = Calls.noted(RepositoryConnection.class,
+                repository.getConnection())) {
                 task.run(connection);
             }
         };
@@ -94,6 +98,24 @@ final class Rdf4jConnection {
             String name = graph.stringValue().substring(url.length());
             Checks.yes(connection.prepareBooleanQuery(QueryLanguage.SPARQL, "ASK { GRAPH <" + name
                 + "> { ?s ?p 'a' } }", url).evaluate(), "false");
+        }));
+        checks.check("queries of each form, by their language", with(connection -> {
+            IRI graph = with(connection, "a");
+            String where = "{ GRAPH <" + graph + "> { ?s <urn:p> ?o } }";
+            for (TupleQuery query : List.of(connection.prepareTupleQuery(QueryLanguage.SPARQL, "SELECT ?o " + where),
+                connection.prepareTupleQuery(QueryLanguage.SPARQL, "SELECT ?o " + where, url),
+                (TupleQuery) connection.prepareQuery(QueryLanguage.SPARQL, "SELECT ?o " + where)))
+                Checks.equal("a", QueryResults.asList(query.evaluate()).get(0).getValue("o").stringValue());
+            String construct = "CONSTRUCT { ?s ?p ?o } WHERE { GRAPH <" + graph + "> { ?s ?p ?o FILTER(?p = <urn:p>) } }";
+            for (GraphQuery query : List.of(connection.prepareGraphQuery(QueryLanguage.SPARQL, construct),
+                connection.prepareGraphQuery(QueryLanguage.SPARQL, construct, url),
+                (GraphQuery) connection.prepareQuery(QueryLanguage.SPARQL, construct, url)))
+                Checks.equal(1, QueryResults.asModel(query.evaluate()).size());
+            Checks.yes(connection.prepareBooleanQuery(QueryLanguage.SPARQL, "ASK " + where).evaluate(), "false");
+            IRI other = fresh();
+            connection.prepareUpdate(QueryLanguage.SPARQL, "INSERT DATA { GRAPH <" + other
+                + "> { <urn:s> <urn:p> 'b' } }").execute();
+            holds(connection, other, "b");
         }));
         checks.check("an update with a base", with(connection -> {
             IRI graph = fresh();
@@ -138,11 +160,16 @@ final class Rdf4jConnection {
             Checks.yes(connection.hasStatement(S, P, value, false), "not in the union");
             Checks.yes(!connection.hasStatement(S, P, value, false, two), "there");
         }));
-        checks.check("size of several graphs", with(connection -> {
-            IRI one = with(connection, "a");
-            IRI two = with(connection, "b");
-            Checks.yes(connection.size(one, two) > connection.size(two), connection.size(one, two));
-        }));
+        checks.check("size of graphs, which RDF4J counts in quad mode alone", () -> {
+            SPARQLRepository quads = new SPARQLRepository(url + "sparql", url + "sparql");
+            quads.enableQuadMode(true);
+            try (RepositoryConnection connection = quads.getConnection()) {
+                IRI one = with(connection, "a", "b");
+                IRI two = with(connection, "c");
+                Checks.equal(connection.size(two) + 1, connection.size(one));
+                Checks.equal(connection.size(one) + connection.size(two), connection.size(one, two));
+            }
+        });
         checks.check("export of several graphs, exportStatements of the union", with(connection -> {
             IRI one = with(connection, "exported");
             IRI two = with(connection, "b");
@@ -162,6 +189,8 @@ final class Rdf4jConnection {
             Checks.equal(0, QueryResults.asList(connection.getNamespaces()).size());
             Checks.equal(null, connection.getNamespace("rdf"));
             connection.setNamespace("u", "urn:");
+            connection.removeNamespace("u");
+            connection.clearNamespaces();
             Checks.equal(null, connection.getNamespace("u"));
         }));
     }
@@ -193,7 +222,9 @@ final class Rdf4jConnection {
         checks.check("add of a page by its URL and syntax", with(connection -> {
             IRI graph = fresh();
             connection.add(URI.create(url + "nodes/aircraft").toURL(), RDFFormat.TURTLE, graph);
-            Checks.yes(connection.size(graph) > 3, "too small");
+            connection.add(URI.create(url + "data/rdf4j/").toURL(), "urn:base", RDFFormat.TURTLE, graph);
+            for (String name : List.of("nodes/aircraft", "data/rdf4j/"))
+                Checks.yes(connection.hasStatement(VALUES.createIRI(url + name), null, null, false, graph), name);
         }));
         checks.check("add of a statement that names its graph", with(connection -> {
             IRI graph = fresh();
@@ -219,6 +250,20 @@ final class Rdf4jConnection {
                 connection.remove(found, to);
             }
             holds(connection, to, "b");
+        }));
+        checks.check("add and remove of an iteration", with(connection -> {
+            IRI graph = with(connection, "a", "b");
+            IRI to = fresh();
+            for (String value : List.of("a", "b"))
+                try (CloseableIteration<Statement> found = connection.getStatements(S, P, VALUES.createLiteral(value),
+                    graph)) {
+                    connection.add(found, to);
+                }
+            holds(connection, to, "a", "b");
+            try (CloseableIteration<Statement> found = connection.getStatements(S, P, VALUES.createLiteral("b"), graph)) {
+                connection.remove(found, to);
+            }
+            holds(connection, to, "a");
         }));
         checks.check("add without a graph is refused", with(connection -> Checks.fails(RepositoryException.class, "",
             () -> connection.add(S, P, VALUES.createLiteral("in the default graph")))));
@@ -270,6 +315,17 @@ final class Rdf4jConnection {
             Checks.yes(!connection.isActive(), "active");
             holds(connection, graph, "a", "b");
         }));
+        checks.check("begin with settings, commit in one phase", with(connection -> {
+            IRI graph = with(connection, "a");
+            connection.setIsolationLevel(IsolationLevels.NONE);
+            Checks.equal(IsolationLevels.NONE, connection.getIsolationLevel());
+            connection.begin(new TransactionSetting[0]);
+            connection.add(S, P, VALUES.createLiteral("b"), graph);
+            Checks.fails(UnsupportedOperationException.class, "2-phase", connection::prepare);
+            connection.commit();
+            holds(connection, graph, "a", "b");
+        }));
+        checks.check("setAutoCommit", with(connection -> setAutoCommit(connection)));
         checks.check("a commit that is refused writes nothing", with(connection -> {
             IRI graph = with(connection, "a");
             connection.begin();
@@ -280,12 +336,25 @@ final class Rdf4jConnection {
         }));
     }
 
+    @SuppressWarnings("deprecation")
+    private void setAutoCommit(RepositoryConnection connection) {
+        IRI graph = with(connection, "a");
+        connection.setAutoCommit(false);
+        Checks.yes(!connection.isAutoCommit(), "still");
+        connection.add(S, P, VALUES.createLiteral("b"), graph);
+        connection.setAutoCommit(true);
+        holds(connection, graph, "a", "b");
+    }
+
     private void repositories(Checks checks) {
         checks.check("a repository of one endpoint, with headers", () -> {
             SPARQLRepository one = new SPARQLRepository(url + "sparql");
             one.setAdditionalHttpHeaders(Map.of("Cache-Control", "no-cache"));
-            try (RepositoryConnection connection = one.getConnection()) {
+            try (RepositoryConnection connection = Calls.noted(RepositoryConnection.class, one.getConnection())) {
                 Checks.yes(connection.isOpen() && !connection.isEmpty(), "empty");
+                connection.setParserConfig(connection.getParserConfig());
+                Checks.equal(connection.getRepository(), one);
+                Checks.equal(P, connection.getValueFactory().createIRI(P.stringValue()));
             } finally {
                 one.shutDown();
             }

@@ -37,9 +37,7 @@ def main() -> int:
         if other or (refused and kind not in OF_SPARQL):
             load.wrong.append(f"{kind}: {counts}")
     load.wrong += [f"{kind}: {number} without Retry-After" for kind, number in load.without_retry.items()]
-    print(
-        f"{times} kills; queries are answered again after {statistics.median(pauses):.2f} s, {max(pauses):.2f} s at most"
-    )
+    print(f"{times} kills; answered again after {statistics.median(pauses):.2f} s, {max(pauses):.2f} s at most")
     for words in load.wrong:
         print(words)
     return int(served.stop() != 0 or bool(load.wrong))

@@ -17,8 +17,14 @@ from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import subscribers_of, zero_message
 from rosld.server.robot.write_policy import type_conflict
 
-RATE = 20.0
-"""Hz: how often zero is published."""
+RATE, FIRST_RATE = 20.0, 100.0
+"""Hz: how often zero is published, and how often at first.
+
+A base that meets a publisher for the first time loses what comes before it knows of it: each pause would be one that
+it drives on in.
+"""
+FIRST_SECONDS = 0.3
+"""How long it is published that often."""
 SECONDS = 1.0
 """How long zero is published after a subscriber got it first."""
 _PATIENCE = 2.0
@@ -58,20 +64,23 @@ class ZeroPublisher:
         zero = held_message(schema, message, encoding, restamp=True, clock=not session.graph.simulated_time)
         if name not in session.adapter.published:
             self._advertised.add(name)
-        self.end(name)
+        before = self._running.get(name)
+        if before is not None and not before.is_heard:
+            return await before.reached()  # the robot is stopped again, which makes it no faster
+        if before is not None:
+            before.cancel()
         repetition = self._running[name] = _Repetition(session, name, zero, subscribers_of(topic, session.graph))
         return await repetition.reached()
 
-    def end(self, name: str) -> None:
-        """Publish zero no more on a topic; nothing happens where it is not published."""
-        before = self._running.pop(name, None)
-        if before is not None:
-            before.cancel()
-
     async def withdraw(self) -> None:
-        """Publish no more zero, and stop advertising what was advertised for that alone."""
-        for name in list(self._running):
-            self.end(name)
+        """Wait until zero was published for its second, and stop advertising what was advertised for that alone.
+
+        A stop is never cut short: that a message was handed over does not mean that the base has it yet.
+        """
+        running, self._running = list(self._running.values()), {}
+        await asyncio.gather(*(each.over() for each in running))
+        if self._running:
+            return  # the robot was stopped anew meanwhile
         names, self._advertised = self._advertised & self._session.adapter.published, set()
         for name in sorted(names):
             with contextlib.suppress(RosError):
@@ -100,6 +109,15 @@ class _Repetition:
             await asyncio.wait_for(self._heard_by_all.wait(), _ALL_SECONDS)
         return self._reached
 
+    @property
+    def is_heard(self) -> bool:
+        """Whether a subscriber got it, or its time is over."""
+        return self._heard.done()
+
+    async def over(self) -> None:
+        """Wait until its time is over."""
+        await asyncio.wait([self._task])
+
     def cancel(self) -> None:
         """Publish no more."""
         self._task.cancel()
@@ -107,11 +125,12 @@ class _Repetition:
     async def _run(self) -> None:
         pending: set[asyncio.Task[None]] = set()
         try:
-            while self._loop.time() < self._until:
+            begun = self._loop.time()
+            while (now := self._loop.time()) < self._until:
                 pending = {one for one in pending if not one.done()}
                 if len(pending) < _ABREAST:
                     pending.add(self._loop.create_task(self._publish()))
-                await asyncio.sleep(1 / RATE)
+                await asyncio.sleep(1 / (FIRST_RATE if now < begun + FIRST_SECONDS else RATE))
         finally:
             for one in pending:
                 one.cancel()

@@ -196,9 +196,12 @@ def test_what_was_advertised_to_stop_the_robot_is_withdrawn_with_the_stop(base: 
     assert sorted(base.withdrawn) == sorted(set(COMMANDS) - {"/cmd_vel"})
 
 
-def test_the_release_ends_the_zeros_so_that_they_do_not_come_between_commands(base: Base, http: httpx.Client) -> None:
+def test_a_release_waits_for_the_second_of_zeros_so_that_none_comes_between_commands(
+    base: Base, http: httpx.Client
+) -> None:
     stop(http)
     assert http.delete("/stop").status_code == 204
+    assert all(len(base.sent[each]) >= 15 for each in COMMANDS)
     held = http.post("/topics/cmd_vel", params={"rate": 50, "lease": 5}, json=AHEAD)
     assert held.status_code == 201
     until(lambda: base.sent["/cmd_vel"].count(AHEAD) >= 25, "half a second of commands")

@@ -184,7 +184,7 @@ def main() -> int:
     more, hourly = grown(samples), slope(warm(samples)) * 3600
     print(f"ros2 memory, {options.topics} topics of 50 Hz, {len(samples)} looks: {hourly:+.1f} MB an hour, ", end="")
     print(f"grown by {more:.1f} MB after the warm-up (at most {options.most:g} MB)")
-    return 0 if more <= options.limit else 1
+    return 0 if more <= options.most else 1
 
 
 if __name__ == "__main__":

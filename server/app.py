@@ -43,7 +43,7 @@ from rosld.server.resources.updating.service import Updates
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.large import LargeDocuments
-from rosld.server.rest.pages import Pages
+from rosld.server.rest.pages import PageRenderer
 from rosld.server.routing.dispatcher import Dispatcher
 from rosld.server.routing.router import ROOMS, Router
 from rosld.server.runtime.watchdog import Watchdog
@@ -63,9 +63,9 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     """The ASGI app that serves this adapter; its lifespan opens and closes the adapter, raising what `open` raises."""
     robot = Robot(adapter, settings)
     large = LargeDocuments(robot.workers)
-    pages = Pages(robot, robot.stops, large)
+    pages = PageRenderer(robot, robot.stops, large)
     process = QueryProcess(settings.query_concurrency, settings.query_queue)
-    kept = RecordGraphs(robot.records, robot.space.base, robot.queries.said, ELSEWHERE)
+    kept = RecordGraphs(robot.records, robot.space.base, robot.queries.description, ELSEWHERE)
     mentions = Mentions(robot.space.base, robot.space.types)
     receipts = ReceiptGraphs(robot.receipts, robot.space)
     source = Dataset(robot)
@@ -100,7 +100,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         None if settings.auth is None else Authenticator(settings.auth, robot.space, partial(types_at, robot))
     )
     if authenticator is not None:
-        authenticator.changed.watch(broadcasters.stir)
+        authenticator.changed.watch(broadcasters.wake_all)
     router.add(acl_room(authenticator))
     dispatcher = Dispatcher(robot.instance_id, pages, broadcasters, keyed_lock, large, partial(near_urls, robot))
     allowance = ClientLimits(
@@ -132,7 +132,7 @@ def middleware(
     robot: Robot,
     router: Router,
     dispatcher: Dispatcher,
-    pages: Pages,
+    pages: PageRenderer,
     names: OriginPolicy,
     admission: Admission,
     authenticator: Authenticator | None,
@@ -205,7 +205,7 @@ class Application:
         To be called when the server is told to end, before it waits for requests.
         """
         self.robot.holds.close("rosld ended")
-        self.broadcasters.end()
+        self.broadcasters.close()
 
 
 class HttpApplication:

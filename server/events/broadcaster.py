@@ -65,7 +65,7 @@ class Waiter:
         if woken is not None and not woken.done():
             woken.set_result(None)
 
-    def asleep(self) -> asyncio.Future[None]:
+    def sleep(self) -> asyncio.Future[None]:
         """What to await in order to sleep."""
         self._woken = self._loop.create_future()
         return self._woken
@@ -79,11 +79,11 @@ class Broadcaster:
     is made of may be something else now.
     """
 
-    def __init__(self, resource: Resource, general: Signal) -> None:
+    def __init__(self, resource: Resource, changes: Signal) -> None:
         self.version = 1
         self.readers = 0
         self._resource = resource
-        self._general = general
+        self._general = changes
         self._follows: Watch | None = None
         self._watch: Watch | None = None
         self._is_outdated = True
@@ -92,11 +92,11 @@ class Broadcaster:
         self._moment: Observation | None = None
         self._seen = 0
 
-    def begin(self) -> None:
+    def start(self) -> None:
         """Follow the resource. Its own watch is made by the first look."""
         self._follows = self._general.watch(self._outdate)
 
-    def end(self) -> None:
+    def stop(self) -> None:
         """Follow it no more."""
         for watch in (self._follows, self._watch):
             if watch is not None:
@@ -107,18 +107,18 @@ class Broadcaster:
         if self.version == version:
             self._waiters[waiter] = None
             try:
-                await waiter.asleep()
+                await waiter.sleep()
             finally:
                 self._waiters.pop(waiter, None)
 
-    def at_hand(self) -> Observation | None:
+    def current(self) -> Observation | None:
         """What `look` would tell, if it need not read for it."""
         return self._moment if self._seen == self.version else None
 
-    async def look(self) -> Observation:
+    async def observe(self) -> Observation:
         """What the resource is like now: the very same object while that does not change."""
         async with self._turn:
-            moment = self.at_hand()
+            moment = self.current()
             if moment is None:
                 version = self.version
                 moment = await self._read()
@@ -148,20 +148,20 @@ class Broadcaster:
         self._is_outdated = False
         watch: Watch | None = None
         try:
-            watch = await self._resource.watch(self.stir)
+            watch = await self._resource.watch(self.wake_all)
         except BaseException:
             self._is_outdated = True
             raise
         finally:
-            old, self._watch = self._watch, watch or call_every(_LOOK_AGAIN_SECONDS, self.stir)
+            old, self._watch = self._watch, watch or call_every(_LOOK_AGAIN_SECONDS, self.wake_all)
             if old is not None:
                 old.close()
 
     def _outdate(self) -> None:
         self._is_outdated = True
-        self.stir()
+        self.wake_all()
 
-    def stir(self) -> None:
+    def wake_all(self) -> None:
         """Wake all readers."""
         self.version += 1
         if self._waiters:
@@ -173,15 +173,15 @@ class Broadcaster:
 class Broadcasters:
     """The feeds of one server and all that read them; `general` is given whenever anything changed."""
 
-    def __init__(self, general: Signal, max_of_address: int = MAX_OF_ADDRESS) -> None:
-        self._general = general
+    def __init__(self, changes: Signal, max_of_address: int = MAX_OF_ADDRESS) -> None:
+        self._general = changes
         self._max_of_address = max_of_address
         self._of_address: Counter[str | None] = Counter()
         self._broadcasters: dict[Resource, Broadcaster] = {}
         self._held: set[asyncio.Task[None]] = set()
         self._is_over = False
 
-    def require_room(self, client: tuple[str, int] | Address | None = None) -> None:
+    def require_capacity(self, client: tuple[str, int] | Address | None = None) -> None:
         """Raises a 503 Problem where there are as many readers as there may be, or the server is about to end.
 
         Raises a 429 Problem where as many as may be come from the address of this client, this machine's included.
@@ -194,7 +194,7 @@ class Broadcasters:
             raise Problem(503, f"{why} Come back later, or read without a stream.", headers={"Retry-After": "10"})
 
     @contextlib.contextmanager
-    def reading(self, scope: Scope) -> Iterator[None]:
+    def count_reader(self, scope: Scope) -> Iterator[None]:
         """Count a stream or a waiting request among those of its client's address."""
         address = _address_of(scope.get("client"))
         self._of_address[address] += 1
@@ -206,22 +206,24 @@ class Broadcasters:
                 del self._of_address[address]
 
     @contextlib.contextmanager
-    def following(self, resource: Resource) -> Iterator[Broadcaster]:
+    def subscribe(self, resource: Resource) -> Iterator[Broadcaster]:
         """The feed of a resource, which is watched as long as somebody follows it."""
         broadcaster = self._broadcasters.get(resource)
         if broadcaster is None:
             broadcaster = self._broadcasters[resource] = Broadcaster(resource, self._general)
-            broadcaster.begin()
+            broadcaster.start()
         broadcaster.readers += 1
         try:
             yield broadcaster
         finally:
             broadcaster.readers -= 1
             if not broadcaster.readers:
-                broadcaster.end()
+                broadcaster.stop()
                 del self._broadcasters[resource]
 
-    async def hold(self, work: Coroutine[None, None, None], receive: Receive, seconds: float | None = None) -> bool:
+    async def run_for_client(
+        self, work: Coroutine[None, None, None], receive: Receive, seconds: float | None = None
+    ) -> bool:
         """Do work for a client until it is done, the client has gone, the time is over or the server ends.
 
         True where it was done. What was not is cancelled, and has ended when this returns.
@@ -241,12 +243,12 @@ class Broadcasters:
             working.result()
         return done
 
-    def stir(self) -> None:
+    def wake_all(self) -> None:
         """Have all readers look again: what they may read may be something else now."""
         for broadcaster in tuple(self._broadcasters.values()):
-            broadcaster.stir()
+            broadcaster.wake_all()
 
-    def end(self) -> None:
+    def close(self) -> None:
         """End all streams and waits, and let no more begin."""
         self._is_over = True
         for task in tuple(self._held):

@@ -18,7 +18,7 @@ from rosld.server.auth.authenticator import UNRESTRICTED, AuthContext
 from rosld.server.auth.permissions import Permissions
 from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Observation
-from rosld.server.events.subscriptions import Subscription
+from rosld.server.events.subscriptions import ChannelRequest
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
@@ -31,7 +31,7 @@ _SECOND = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class ReceiverState:
     """What the receiver of a channel knows of its topic: the name of its state, None where it was not there.
 
     `container` is that state while somebody receives, where it tells of members: to say which one came or went.
@@ -48,7 +48,7 @@ class Channel:
     token: str
     terms: Terms
     resource: Resource
-    told: Told
+    last_sent: ReceiverState
     since: float
     """Since when (monotonic, s) nobody receives."""
     receiver: asyncio.Task[None] | None = None
@@ -90,7 +90,7 @@ class Channels:
 
     def open(
         self,
-        wish: Subscription,
+        wish: ChannelRequest,
         type: str,
         resource: Resource,
         state: State,
@@ -106,8 +106,8 @@ class Channels:
         url, source = place(token)
         times = (wish.interval, wish.start_at, wish.end_at)
         terms = Terms(url, type, resource.url, source, wish.accept, *times, wish.state)
-        known = wish.state if wish.state is not None else self.name(state)
-        channel = Channel(token, terms, resource, Told(known), time.monotonic(), auth=auth)
+        known = wish.state if wish.state is not None else self.state_name(state)
+        channel = Channel(token, terms, resource, ReceiverState(known), time.monotonic(), auth=auth)
         self._kept[token] = channel
         return channel
 
@@ -130,7 +130,7 @@ class Channels:
         return self._kept.get(channel.token) is channel
 
     @contextlib.contextmanager
-    def receiving(self, channel: Channel) -> Iterator[None]:
+    def attach_receiver(self, channel: Channel) -> Iterator[None]:
         """The task at hand receives from a channel: whoever did before is ended, being most often the same client."""
         task = asyncio.current_task()
         if channel.receiver is not None:
@@ -142,24 +142,24 @@ class Channels:
             if channel.receiver is task:
                 channel.receiver = None
                 channel.since = time.monotonic()
-                channel.told = replace(channel.told, container=None)
+                channel.last_sent = replace(channel.last_sent, container=None)
 
-    def name(self, state: State) -> str:
+    def state_name(self, state: State) -> str:
         """The name of a state: the state part of the entity tags of its representations."""
         return f"{state.scope or self._instance_id}-{state.tag}"
 
-    def news(self, channel: Channel, moment: Observation) -> tuple[Activity | None, Told]:
+    def next_notification(self, channel: Channel, observation: Observation) -> tuple[Activity | None, ReceiverState]:
         """What is to be told of a moment, None where it is nothing new, and what is known then.
 
         A state that cannot be read (the robot does not answer) is no news: it is told when it can be read again.
         """
-        told, topic = channel.told, channel.terms.topic
-        if isinstance(moment.state, Problem):
-            if not _is_absent(moment.state) or told.name is None:
+        told, topic = channel.last_sent, channel.terms.topic
+        if isinstance(observation.state, Problem):
+            if not _is_absent(observation.state) or told.name is None:
                 return None, told
-            return Activity("Delete", topic), Told(None)
-        name = self.name(moment.state)
-        now = Told(name, moment.state if _tells_members(channel.resource, moment.state) else None)
+            return Activity("Delete", topic), ReceiverState(None)
+        name = self.state_name(observation.state)
+        now = ReceiverState(name, observation.state if _tells_members(channel.resource, observation.state) else None)
         if told.name is None:
             return Activity("Create", topic, state=name), now
         if query_params.is_state(told.name, name):
@@ -187,7 +187,7 @@ def _is_absent(problem: Problem) -> bool:
     return problem.status in (404, 410) or problem.status < 400
 
 
-def _changed(topic: str, before: State | None, now: Told, permissions: Permissions) -> Activity:
+def _changed(topic: str, before: State | None, now: ReceiverState, permissions: Permissions) -> Activity:
     """Which member came or went, where it is one that may be known; else that the topic changed."""
     if before is not None and now.container is not None:
         old, new = _members(before), _members(now.container)

@@ -37,9 +37,9 @@ class Delivery:
 
     async def run(self) -> None:
         """Deliver until the topic is gone for good, or this is cancelled."""
-        with self._channels.receiving(self._channel):
+        with self._channels.attach_receiver(self._channel):
             await self._pause(self._channel.seconds_to_start)
-            with self._broadcasters.following(self._channel.resource) as broadcaster:
+            with self._broadcasters.subscribe(self._channel.resource) as broadcaster:
                 await self._follow(broadcaster)
 
     async def _follow(self, broadcaster: Broadcaster) -> None:
@@ -53,7 +53,7 @@ class Delivery:
                     continue
             await self._pause(self._channel.due - time.monotonic())
             version = broadcaster.version
-            moment = broadcaster.at_hand() or await broadcaster.look()
+            moment = broadcaster.current() or await broadcaster.observe()
             may_read = self._channel.auth.is_valid()
             if may_read:
                 await self._tell(moment)
@@ -63,14 +63,14 @@ class Delivery:
 
     async def _tell(self, moment: Observation) -> None:
         channel = self._channel
-        news, told = self._channels.news(channel, moment)
+        news, told = self._channels.next_notification(channel, moment)
         if news is None:
-            channel.told = told
+            channel.last_sent = told
             return
-        chunk = message(moment, news, channel.terms.accept)
+        chunk = notification(moment, news, channel.terms.accept)
         channel.due = time.monotonic() + channel.terms.interval
         await self._send(chunk)
-        channel.told = told
+        channel.last_sent = told
 
     async def _wait(self, broadcaster: Broadcaster, waiter: Waiter, version: int) -> None:
         """Until the topic may have changed, or it has been quiet for a while."""
@@ -96,12 +96,12 @@ class Delivery:
             await self._idle(b"\n")
 
 
-def message(moment: Observation, news: Activity, media_type: str) -> bytes:
+def notification(observation: Observation, activity: Activity, media_type: str) -> bytes:
     """The notification that tells the news of a moment: made once for all channels that tell the same."""
-    key = f"{media_type} {news}"
-    found = moment.chunks.get(key)
+    key = f"{media_type} {activity}"
+    found = observation.chunks.get(key)
     if found is None:
-        found = moment.chunks[key] = _write(news, media_type)
+        found = observation.chunks[key] = _write(activity, media_type)
     return found
 
 

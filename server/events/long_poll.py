@@ -13,7 +13,7 @@ from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 
 
-async def changed_since(
+async def wait_for_change(
     broadcasters: Broadcasters,
     resource: Resource,
     after: str,
@@ -25,21 +25,21 @@ async def changed_since(
 
     False at once where the client has gone or the server ends. Raises a 503 or 429 Problem where too many wait already.
     """
-    broadcasters.require_room(request.client)
+    broadcasters.require_capacity(request.client)
 
     async def changes() -> None:
-        with broadcasters.following(resource) as broadcaster:
+        with broadcasters.subscribe(resource) as broadcaster:
             await _until_other(broadcaster, after, name)
 
-    with broadcasters.reading(request.scope):
-        return await broadcasters.hold(changes(), request.receive, seconds)
+    with broadcasters.count_reader(request.scope):
+        return await broadcasters.run_for_client(changes(), request.receive, seconds)
 
 
 async def _until_other(broadcaster: Broadcaster, after: str, name: Callable[[State], str]) -> None:
     waiter = Waiter()
     while True:
         version = broadcaster.version
-        state = (await broadcaster.look()).state
+        state = (await broadcaster.observe()).state
         if isinstance(state, Problem) or not query_params.is_state(after, name(state)):
             return
         await broadcaster.wait(waiter, version)

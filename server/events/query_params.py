@@ -19,7 +19,7 @@ def stream_is_preferred(accept: str | None, offers: tuple[str, ...]) -> bool:
     return negotiation.choose(accept, (*offers, EVENT_STREAM)) == EVENT_STREAM
 
 
-def rate(query: Mapping[str, str]) -> float:
+def parse_rate(query: Mapping[str, str]) -> float:
     """`?rate=`: at most so many events a second. More than can be had gives what can be had. A 400 Problem else."""
     wanted = _number(query, "rate", DEFAULT_RATE)
     if wanted is None or wanted < MIN_RATE:
@@ -30,7 +30,7 @@ def rate(query: Mapping[str, str]) -> float:
     return min(wanted, MAX_RATE)
 
 
-def timeout(query: Mapping[str, str]) -> float:
+def parse_timeout(query: Mapping[str, str]) -> float:
     """`?timeout=`: at most so many seconds to wait. A 400 Problem for what is no number."""
     wanted = _number(query, "timeout", DEFAULT_TIMEOUT)
     if wanted is None:

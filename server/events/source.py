@@ -24,7 +24,7 @@ def headers_of(channel: Channel) -> list[tuple[bytes, bytes]]:
     ]
 
 
-class Source(Response):
+class ChannelStream(Response):
     """The notifications of a channel, until its reader leaves, it ends, or the server does."""
 
     def __init__(
@@ -50,6 +50,6 @@ class Source(Response):
         await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
         await sent(b"")
         delivery = Delivery(self._channels, self._broadcasters, self._channel, told, sent)
-        with self._broadcasters.reading(scope):
-            await self._broadcasters.hold(delivery.run(), receive, self._channel.seconds_left)
+        with self._broadcasters.count_reader(scope):
+            await self._broadcasters.run_for_client(delivery.run(), receive, self._channel.seconds_left)
         await send({"type": "http.response.body", "body": b"", "more_body": False})

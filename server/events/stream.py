@@ -67,19 +67,19 @@ class StreamFormat:
     variant: str
     render: Callable[[State], Awaitable[bytes]]
     name: Callable[[State], str]
-    still: Callable[[], bool] = _always
+    is_valid: Callable[[], bool] = _always
     """Whether the reader may still read."""
-    told: Callable[[Problem], Problem] = _whole
+    redact_problem: Callable[[Problem], Problem] = _whole
     """A problem as the reader may be told of it."""
-    edition: Callable[[], Hashable] = _only_one
+    version: Callable[[], Hashable] = _only_one
     """Changes whenever what is told beside the state does: every page says whether the robot is stopped."""
 
-    async def chunk(self, moment: Observation) -> bytes:
+    async def chunk(self, observation: Observation) -> bytes:
         """The event that tells of a moment: made once for all who read this variant."""
-        key = self.variant, self.edition()
-        chunk = moment.chunks.get(key)
+        key = self.variant, self.version()
+        chunk = observation.chunks.get(key)
         if chunk is None:
-            chunk = moment.chunks[key] = await self._event(moment.state)
+            chunk = observation.chunks[key] = await self._event(observation.state)
         return chunk
 
     async def _event(self, state: State | Problem) -> bytes:
@@ -89,7 +89,7 @@ class StreamFormat:
             problem = state
         except Problem as error:  # this state cannot be told in this format
             problem = error
-        problem = self.told(problem)
+        problem = self.redact_problem(problem)
         name = GONE if problem.status in (404, 410) or problem.status < 400 else PROBLEM
         return frame.event(render(problem).body, name=name)
 
@@ -124,27 +124,27 @@ class EventStream(Response):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send it."""
-        with self._broadcasters.reading(scope), self._lease as seconds:
+        with self._broadcasters.count_reader(scope), self._lease as seconds:
             self._quiet = seconds or KEEP_ALIVE_SECONDS
             await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-            await self._broadcasters.hold(self._tell(send), receive)
+            await self._broadcasters.run_for_client(self._tell(send), receive)
         await send({"type": "http.response.body", "body": b"", "more_body": False})
 
     async def _tell(self, send: Send) -> None:
         await self._send(send, frame.opening(RETRY_SECONDS))
-        with self._broadcasters.following(self._resource) as broadcaster:
+        with self._broadcasters.subscribe(self._resource) as broadcaster:
             await self._follow(broadcaster, send)
 
     async def _follow(self, broadcaster: Broadcaster, send: Send) -> None:
         waiter = Waiter()
         version = broadcaster.version
-        told, edition = await broadcaster.look(), self._stream_format.edition()
+        told, edition = await broadcaster.observe(), self._stream_format.version()
         if not self._is_known(told.state):
             await self._event(send, told)
         with self._alarm(waiter):
             while not told.is_final:
                 await broadcaster.wait(waiter, version)
-                if not self._stream_format.still():
+                if not self._stream_format.is_valid():
                     return
                 if broadcaster.version == version:
                     await self._keep_alive(send)
@@ -152,11 +152,11 @@ class EventStream(Response):
                 if (seconds := self._bucket.wait(time.monotonic())) > 0.0:
                     await asyncio.sleep(seconds)
                 version = broadcaster.version
-                moment = broadcaster.at_hand() or await broadcaster.look()
-                if not self._stream_format.still():
+                moment = broadcaster.current() or await broadcaster.observe()
+                if not self._stream_format.is_valid():
                     return
-                if moment is not told or self._stream_format.edition() != edition:
-                    told, edition = moment, self._stream_format.edition()
+                if moment is not told or self._stream_format.version() != edition:
+                    told, edition = moment, self._stream_format.version()
                     await self._event(send, moment)
 
     def _is_known(self, state: State | Problem) -> bool:

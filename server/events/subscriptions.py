@@ -37,7 +37,7 @@ _MAX_LENGTH = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Subscription:
+class ChannelRequest:
     """A channel as it is wished: `interval` in seconds, times in ns since 1970, `accept` the media type agreed on."""
 
     topic: str
@@ -61,7 +61,7 @@ def check_profile(content_type: str | None) -> None:
             raise Problem(415, f"The profile {one[:_MAX_LENGTH]!r} is unknown here: leave it out.")
 
 
-def read_subscription(data: bytes, media_type: str, service: str, channel_type: str, now: int) -> Subscription:
+def read_subscription(data: bytes, media_type: str, service: str, channel_type: str, now: int) -> ChannelRequest:
     """The channel that a request to `service`, which makes channels of one type, wishes; `now` in ns since 1970.
 
     Raises BodyError for what cannot be read, Problems (422) for what cannot be had, each naming the value.
@@ -74,7 +74,7 @@ def read_subscription(data: bytes, media_type: str, service: str, channel_type: 
     start_at, end_at = (_date_time(_text(body, channel, term)) for term in (notify.startAt, notify.endAt))
     if end_at is not None and end_at <= max(now, start_at or now):
         raise _refused(f"endAt {_text(body, channel, notify.endAt)} is over before anything begins: name a later time.")
-    return Subscription(
+    return ChannelRequest(
         topic=_topic(body, channel),
         accept=_accept(_text(body, channel, notify.accept)),
         interval=_interval(_text(body, channel, notify.rate)),

@@ -26,7 +26,7 @@ CLOSE_SECONDS = 0.5
 """How long a receiver that takes nothing may keep the server from saying why it closes."""
 
 
-def check_reader(site: OriginPolicy, origin: str | None) -> None:
+def check_origin(site: OriginPolicy, origin: str | None) -> None:
     """Raises a 403 Problem for a page that nothing is shared with: browsers let every page open a WebSocket."""
     if origin is None or site.allows_any_origin or origin.lower() in site.origins or origin in site.shared_origins:
         return
@@ -44,10 +44,10 @@ def check_request(site: OriginPolicy, scope: Scope) -> None:
     """Raises Problems for a handshake that names another server (421), or is a page's that nothing is shared with."""
     check_host(site, headers_of(scope, b"host"))
     origins = headers_of(scope, b"origin")
-    check_reader(site, origins[0] if origins else None)
+    check_origin(site, origins[0] if origins else None)
 
 
-async def refuse(scope: Scope, send: Send, problem: Problem) -> None:
+async def reject_handshake(scope: Scope, send: Send, problem: Problem) -> None:
     """Answer a handshake with a problem instead (RFC 6455 4.2.2)."""
     if "websocket.http.response" not in scope.get("extensions", {}):
         await send({"type": "websocket.close", "code": 1008, "reason": problem.title})
@@ -58,7 +58,7 @@ async def refuse(scope: Scope, send: Send, problem: Problem) -> None:
     await send({"type": "websocket.http.response.body", "body": rendered.body})
 
 
-class Receiver:
+class WebSocketReceiver:
     """One connection that receives from a channel."""
 
     def __init__(self, channels: Channels, broadcasters: Broadcasters, channel: Channel) -> None:
@@ -81,7 +81,7 @@ class Receiver:
                     return {"type": "http.disconnect"}
 
         delivery = Delivery(self._channels, self._broadcasters, self._channel, said, None)
-        is_done = await self._broadcasters.hold(delivery.run(), heard, self._channel.seconds_left)
+        is_done = await self._broadcasters.run_for_client(delivery.run(), heard, self._channel.seconds_left)
         if not self._has_left:
             code, reason = self._ending(is_done)
             await _closed(send, code, reason)

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from rosld.server.html.forms import Form, MessageForm, ValueForm
-from rosld.server.html.labels import sentence, words
+from rosld.server.html.labels import capitalize, split_words
 from rosld.server.html.page import Offer
 from rosld.server.html.values import plain_value
-from rosld.server.html.view import visible
+from rosld.server.html.view import escape_controls
 from rosld.server.hypermedia.value import Reading
 from rosld.server.hypermedia.views import (
     ActionAffordance,
@@ -45,18 +45,18 @@ def property_form(affordance: PropertyAffordance, reading: Reading) -> ValueForm
     return ValueForm(
         affordance.shape,
         value=plain_value(reading.value),
-        about=visible(affordance.description or ""),
+        about=escape_controls(affordance.description or ""),
         label=affordance.title or affordance.name,
     )
 
 
 def _member_forms(view: ComplexView) -> Iterator[ValueForm]:
-    settable = [member for member in view.members if is_set_in_place(member)]
+    settable = [member for member in view.members if is_scalar_member(member)]
     for member in settable[:MAX_FORMS]:
         yield replace(property_form(member.affordance, member.reading), action=member.affordance.url)
 
 
-def is_set_in_place(member: Member) -> bool:
+def is_scalar_member(member: Member) -> bool:
     """Whether a member can be set by one input: a scalar that is all of its property."""
     return member.affordance.write and member.field is None and isinstance(member.affordance.shape, ScalarShape)
 
@@ -65,7 +65,7 @@ def action_form(affordance: ActionAffordance) -> MessageForm | None:
     """The form that invokes an action, just a button where nothing is to be sent; None where it cannot be invoked."""
     if affordance.request is None:
         return None
-    button = affordance.title or sentence(words(affordance.name))
+    button = affordance.title or capitalize(split_words(affordance.name))
     return MessageForm(affordance.request, "POST", affordance.title or affordance.name, button)
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from rosld.ontology.vocab import ros
-from rosld.server.html.description import values_of
+from rosld.server.html.description import objects_of
 from rosld.server.html.page import EntryPage, Page
 
-RATE = 3
+MAX_RATE = 3
 """At most so many times a second a page is brought up to date."""
 
 _ROOMS = frozenset(
@@ -15,13 +15,13 @@ _ROOMS = frozenset(
 _UNDERWAY = frozenset({ros.Accepted, ros.Executing, ros.Canceling})
 
 
-def is_live(page: Page | EntryPage) -> bool:
+def is_refreshed(page: Page | EntryPage) -> bool:
     """Whether a page follows its resource. One that answers a form stays as it is: its reader is in the midst of it."""
     if page.notices or not page.document.url.startswith(page.site.base):
         return False
     room, _, name = page.document.url.removeprefix(page.site.base).partition("/")
     if room == "calls" and name:
-        return ros.Running in values_of(page.document, ros.state)
+        return ros.Running in objects_of(page.document, ros.state)
     if room == "goals" and name:
-        return not _UNDERWAY.isdisjoint(values_of(page.document, ros.status))
+        return not _UNDERWAY.isdisjoint(objects_of(page.document, ros.status))
     return room in _ROOMS and not any(form.violations for form in getattr(page, "forms", ()))

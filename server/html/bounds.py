@@ -20,7 +20,7 @@ _ONLY_IN_XPATH = re.compile(r"\\[A-Za-z]|\[[^\]]*\[|\(\?")
 """What a pattern may hold that XPath and a browser read differently: classes by letter, subtraction, options."""
 
 
-def number(text: str) -> Decimal | None:
+def parse_number(text: str) -> Decimal | None:
     """The finite number that a text is, None for all others; endless ones count as none."""
     try:
         found = Decimal(text.strip())
@@ -31,7 +31,7 @@ def number(text: str) -> Decimal | None:
 
 def same_value(one: str, other: str) -> bool:
     """Whether two texts are the same value: `1` and `1.0` are."""
-    return one == other or (number(one) is not None and number(one) == number(other))
+    return one == other or (parse_number(one) is not None and parse_number(one) == parse_number(other))
 
 
 def number_range(kind: Primitive, bounds: Bounds) -> tuple[str, str]:
@@ -71,7 +71,7 @@ def _decimal(value: int | None) -> Decimal | None:
 
 
 def _bound(literal: Literal | None) -> Decimal | None:
-    return None if literal is None else number(literal.value)
+    return None if literal is None else parse_number(literal.value)
 
 
 def _next(literal: Literal | None, rounded: Decimal | None, step: int) -> Decimal | None:
@@ -89,7 +89,7 @@ def option_texts(kind: Primitive | None, bounds: Bounds) -> tuple[str, ...]:
 
 
 def _option(kind: Primitive | None, choice: Literal) -> str:
-    found = number(choice.value) if kind is not None and kind.name in RANGES else None
+    found = parse_number(choice.value) if kind is not None and kind.name in RANGES else None
     return str(int(found)) if found is not None and found == found.to_integral_value() else choice.value
 
 
@@ -100,7 +100,7 @@ def browser_pattern(bounds: Bounds) -> str:
     return f".*(?:{bounds.pattern}).*"
 
 
-def demanded(bounds: Bounds) -> str:
+def describe_bounds(bounds: Bounds) -> str:
     """What is demanded, in a sentence; empty where that is nothing, or the options say it."""
     if bounds.choices:
         return ""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rosld.server.html.site import Anchor, Site, readable
-from rosld.server.html.view import visible
+from rosld.server.html.site import Anchor, Site, readable_path
+from rosld.server.html.view import escape_controls
 
 
 def breadcrumb(site: Site, url: str) -> tuple[Anchor, ...]:
@@ -28,5 +28,5 @@ def _crumb(site: Site, url: str, text: str) -> Anchor:
 
 
 def _words(segment: str) -> str:
-    text = readable(segment)
-    return visible(text[1:] if text.startswith("~") else text) or "(empty)"
+    text = readable_path(segment)
+    return escape_controls(text[1:] if text.startswith("~") else text) or "(empty)"

@@ -14,7 +14,7 @@ from rosld.server.html.labels import label, local_name
 from rosld.server.html.page import Term
 from rosld.server.html.site import Site
 from rosld.server.html.terms import term_view
-from rosld.server.html.view import Many, Row, Rows, View, visible
+from rosld.server.html.view import TableListView, TableRow, TableView, View, escape_controls
 
 _DEEPEST = 12
 _FIRST = (
@@ -34,7 +34,7 @@ class Section:
     """A subject of the document and what is said of it. `id` is its fragment on the page, `kind` its type in words."""
 
     title: str
-    body: Rows
+    body: TableView
     id: str = ""
     kind: str = ""
 
@@ -69,7 +69,7 @@ def describe(document: Document, site: Site, *, without: Iterable[NamedNode] = (
     if own is not None:
         walk.drawn.add(main)
         rows = _rows(walk, {predicate: own[predicate] for predicate in own if predicate not in skipped}, 0)
-        sections.append(Section("Description", Rows(rows)))
+        sections.append(Section("Description", TableView(rows)))
     hidden = _shown_elsewhere(found, main, skipped)
     sections.extend(_others(walk, hidden))
     return tuple(section for section in sections if section.body.rows)
@@ -110,7 +110,7 @@ def _others(walk: _Walk, hidden: set[Subject]) -> Iterator[Section]:
         if isinstance(subject, BlankNode) and subject in walk.outline.nested:
             continue
         walk.drawn.add(subject)
-        body = Rows(_rows(walk, walk.outline.subjects[subject], 0))
+        body = TableView(_rows(walk, walk.outline.subjects[subject], 0))
         yield Section(_title(walk, subject), body, fragment(subject, walk.url), _kind(walk.outline.subjects[subject]))
 
 
@@ -124,8 +124,8 @@ def _title(walk: _Walk, subject: Subject) -> str:
     if isinstance(subject, BlankNode):
         return "Something without a name"
     if subject.value.startswith(f"{walk.url}#"):
-        return visible(local_name(subject.value))
-    return visible(walk.site.short(subject.value))
+        return escape_controls(local_name(subject.value))
+    return escape_controls(walk.site.short_name(subject.value))
 
 
 def fragment(subject: Subject, url: str) -> str:
@@ -133,12 +133,12 @@ def fragment(subject: Subject, url: str) -> str:
     if isinstance(subject, BlankNode) or "#" not in subject.value:
         return ""
     if subject.value.startswith((f"{url}#", ros.iri, mapping.iri, av.iri)):
-        return visible(subject.value.partition("#")[2])
+        return escape_controls(subject.value.partition("#")[2])
     return ""
 
 
-def _rows(walk: _Walk, statements: Statements, depth: int) -> tuple[Row, ...]:
-    rows: list[Row] = []
+def _rows(walk: _Walk, statements: Statements, depth: int) -> tuple[TableRow, ...]:
+    rows: list[TableRow] = []
     for predicate in sorted(statements, key=_rank):
         if walk.left <= 0:
             break
@@ -159,17 +159,17 @@ def _ordered(predicate: NamedNode, terms: list[Term]) -> list[Term]:
     return sorted(terms, key=lambda term: term in _QUIET_TYPES)
 
 
-def _row(walk: _Walk, predicate: NamedNode, terms: list[Term], depth: int) -> Row:
+def _row(walk: _Walk, predicate: NamedNode, terms: list[Term], depth: int) -> TableRow:
     views = tuple(_view(walk, term, depth) for term in terms)
-    tables = tuple(view for view in views if isinstance(view, Rows))
+    tables = tuple(view for view in views if isinstance(view, TableView))
     if len(tables) > 1 and len(tables) == len(views):
-        views = (Many(len(tables), tables),)
+        views = (TableListView(len(tables), tables),)
     name = "type" if predicate == rdf.type else label(predicate.value)
-    return Row(name, views, about=_about(walk.site, predicate), term=walk.site.anchor(predicate.value))
+    return TableRow(name, views, about=_about(walk.site, predicate), term=walk.site.anchor(predicate.value))
 
 
 def _about(site: Site, predicate: NamedNode) -> str:
-    return visible(site.compact(predicate.value))
+    return escape_controls(site.prefixed_name(predicate.value))
 
 
 def _view(walk: _Walk, term: Term, depth: int) -> View:
@@ -178,7 +178,7 @@ def _view(walk: _Walk, term: Term, depth: int) -> View:
     if isinstance(term, NamedNode | BlankNode) and _nests(walk, term, depth):
         walk.drawn.add(term)
         rows = _rows(walk, walk.outline.subjects[term], depth + 1)
-        return Rows(rows, id="" if isinstance(term, BlankNode) else fragment(term, walk.url))
+        return TableView(rows, id="" if isinstance(term, BlankNode) else fragment(term, walk.url))
     return term_view(term, walk.site, walk.url)
 
 
@@ -193,15 +193,16 @@ def _nests(walk: _Walk, term: Subject, depth: int) -> bool:
 
 def _list(walk: _Walk, terms: list[Term], depth: int) -> View:
     if depth >= _DEEPEST:
-        return Many(len(terms), ())
+        return TableListView(len(terms), ())
     views = [_view(walk, term, depth + 1) for term in terms]
     tables = tuple(
-        view if isinstance(view, Rows) else Rows((Row(str(index), (view,)),)) for index, view in enumerate(views)
+        view if isinstance(view, TableView) else TableView((TableRow(str(index), (view,)),))
+        for index, view in enumerate(views)
     )
-    return Many(len(terms), tables)
+    return TableListView(len(terms), tables)
 
 
-def values_of(document: Document, predicate: NamedNode) -> list[Term]:
+def objects_of(document: Document, predicate: NamedNode) -> list[Term]:
     """The objects of `predicate` for the resource itself."""
     own = NamedNode(document.url)
     return [triple.object for triple in document.triples if triple.subject == own and triple.predicate == predicate]
@@ -209,5 +210,5 @@ def values_of(document: Document, predicate: NamedNode) -> list[Term]:
 
 def first_text(document: Document, predicate: NamedNode) -> str:
     """The first literal of `predicate` for the resource itself, or an empty text."""
-    found = (term.value for term in values_of(document, predicate) if isinstance(term, Literal))
-    return visible(next(found, ""))
+    found = (term.value for term in objects_of(document, predicate) if isinstance(term, Literal))
+    return escape_controls(next(found, ""))

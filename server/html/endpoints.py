@@ -12,7 +12,7 @@ from rosld.ontology.outline import Statements, outline
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.html.labels import label
 from rosld.server.html.site import Anchor, Site
-from rosld.server.html.view import visible
+from rosld.server.html.view import escape_controls
 
 _MAX_ROWS = 200
 _COLUMNS = ("Role", "Reliability", "Durability", "History", "More")
@@ -28,20 +28,20 @@ class EndpointRow:
 
     anchor: Anchor
     cells: tuple[str, ...]
-    wrong: str = ""
+    problem: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Endpoints:
+class EndpointTable:
     """The endpoints of a topic, by node, or those of a node, by topic; `left_out` are too many to be shown."""
 
     heading: str
     columns: tuple[str, ...]
     rows: tuple[EndpointRow, ...]
-    left_out: int = 0
+    omitted: int = 0
 
 
-def endpoints(document: Document, site: Site) -> Endpoints | None:
+def endpoint_table(document: Document, site: Site) -> EndpointTable | None:
     """The table of the endpoints of the document's resource, None where it tells of none."""
     subjects = outline(document.triples).subjects
     own = subjects.get(NamedNode(document.url), {})
@@ -51,7 +51,7 @@ def endpoints(document: Document, site: Site) -> Endpoints | None:
     of_node = ros.Node in own.get(rdf.type, ())
     rows = [_row(each, subjects, ros.ofTopic if of_node else ros.ofNode, site) for each in found[:_MAX_ROWS]]
     told = [place for place in range(len(_COLUMNS)) if any(row.cells[place] for row in rows)]
-    return Endpoints(
+    return EndpointTable(
         "Topic" if of_node else "Node",
         tuple(_COLUMNS[place] for place in told),
         tuple(replace(row, cells=tuple(row.cells[place] for place in told)) for row in rows),
@@ -74,9 +74,9 @@ def _row(
     reliability, durability = (_first(qos, predicate) for predicate in _TOLD)
     history, depth = _first(qos, ros.history), _first(qos, ros.depth)
     conflicting = [each.value for each in said.get(ros.conflictingType, ()) if isinstance(each, NamedNode)]
-    wrong = [_first(said, ros.unreachable), *(f"uses {site.short(each)}" for each in conflicting)]
+    wrong = [_first(said, ros.unreachable), *(f"uses {site.short_name(each)}" for each in conflicting)]
     return EndpointRow(
-        site.anchor(other) or Anchor("", visible(other), other),
+        site.anchor(other) or Anchor("", escape_controls(other), other),
         (
             role,
             _space_out(reliability),
@@ -84,7 +84,7 @@ def _row(
             " ".join(filter(None, (_space_out(history), depth))),
             ", ".join(_more(said, qos)),
         ),
-        visible("; ".join(filter(None, wrong))),
+        escape_controls("; ".join(filter(None, wrong))),
     )
 
 
@@ -102,7 +102,9 @@ def _more(said: Statements, qos: Statements) -> Iterable[str]:
 
 def _first(statements: Statements, predicate: NamedNode) -> str:
     """The first literal of a predicate; empty where there is none."""
-    return visible(next((each.value for each in statements.get(predicate, ()) if isinstance(each, Literal)), ""))
+    return escape_controls(
+        next((each.value for each in statements.get(predicate, ()) if isinstance(each, Literal)), "")
+    )
 
 
 def _space_out(word: str) -> str:

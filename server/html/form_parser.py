@@ -12,7 +12,7 @@ from rosld.ontology.literals import STRINGS
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import xsd
 from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD, PARAMETER_TYPES, TYPE_FIELD, VALUE_FIELD
-from rosld.server.html.inputs import FLOATS, MAX_TEXT, is_fieldset, is_octets
+from rosld.server.html.inputs import FLOATS, MAX_TEXT, is_base64, is_fieldset
 from rosld.server.html.terms import NUMBERS
 from rosld.shapes.value import Bounds, MessageShape, OpenShape, ScalarShape, ValueShape
 
@@ -159,7 +159,7 @@ class _Reading:
 
 def _reader(kind: FieldType) -> _Reader:
     if not isinstance(kind, Primitive):
-        return _read_base64 if is_octets(kind) else _read_json
+        return _read_base64 if is_base64(kind) else _read_json
     if kind.name in STRINGS:
         return _read_string
     if kind.name == "bool":

@@ -13,22 +13,22 @@ from typing import ClassVar, Literal, TypeAlias
 
 from rosld.adapters.model import MessageSchema
 from rosld.ontology.violations import Violation
-from rosld.server.html.bounds import demanded
+from rosld.server.html.bounds import describe_bounds
 from rosld.server.html.inputs import (
     MAX_TEXT,
     Control,
-    Filling,
     Input,
+    InputValues,
     Json,
-    can_be_typed,
-    choice,
+    choice_input,
     controls,
     editable_json,
+    is_editable_text,
     number_text,
-    primitive,
+    scalar_input,
 )
 from rosld.server.html.units import unit_symbol
-from rosld.server.html.view import visible
+from rosld.server.html.view import escape_controls
 from rosld.server.http import csrf
 from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
 
@@ -60,17 +60,17 @@ class MessageForm:
     value: Json = None
     action: str = ""
     about: str = ""
-    typed: Pairs | None = None
+    submitted: Pairs | None = None
     violations: tuple[Violation, ...] = ()
 
-    def refilled(self, pairs: Pairs, violations: Iterable[Violation]) -> MessageForm:
+    def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> MessageForm:
         """The same form as it was sent, with what does not fit beside its fields."""
-        return replace(self, typed=tuple(pairs), violations=tuple(violations))
+        return replace(self, submitted=tuple(pairs), violations=tuple(violations))
 
     @property
     def controls(self) -> tuple[Control, ...]:
         """Its inputs."""
-        return controls(self.schema, self.value, _filling(self.typed, self.violations))
+        return controls(self.schema, self.value, _filling(self.submitted, self.violations))
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,17 +84,17 @@ class ParameterForm:
     button: str = "Set"
     action: str = ""
     about: str = ""
-    typed: Pairs | None = None
+    submitted: Pairs | None = None
     violations: tuple[Violation, ...] = ()
 
-    def refilled(self, pairs: Pairs, violations: Iterable[Violation]) -> ParameterForm:
+    def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> ParameterForm:
         """The same form as it was sent, with what does not fit beside its field."""
-        return replace(self, typed=tuple(pairs), violations=tuple(violations))
+        return replace(self, submitted=tuple(pairs), violations=tuple(violations))
 
     @property
     def controls(self) -> tuple[Control, ...]:
         """Its inputs: the type, and the value."""
-        return _open_controls(self.value, self.typed, self.violations)
+        return _open_controls(self.value, self.submitted, self.violations)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,13 +113,13 @@ class ValueForm:
     value: Json = None
     action: str = ""
     about: str = ""
-    typed: Pairs | None = None
+    submitted: Pairs | None = None
     violations: tuple[Violation, ...] = ()
     label: str = "value"
 
-    def refilled(self, pairs: Pairs, violations: Iterable[Violation]) -> ValueForm:
+    def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> ValueForm:
         """The same form as it was sent, with what does not fit beside its fields."""
-        return replace(self, typed=tuple(pairs), violations=tuple(violations))
+        return replace(self, submitted=tuple(pairs), violations=tuple(violations))
 
     @property
     def type(self) -> str:
@@ -137,24 +137,24 @@ class ValueForm:
         """Its inputs."""
         match self.shape:
             case MessageShape(schema, fields, bounds):
-                filling = replace(_filling(self.typed, self.violations), bounds=bounds)
+                filling = replace(_filling(self.submitted, self.violations), bounds=bounds)
                 return controls(schema, self.value, filling, fields)
             case ScalarShape(kind, bounds, measure):
                 filling = self._of_one(bounds)
-                return (primitive(kind, self.label, VALUE_FIELD, self.value, filling, _symbol(measure)),)
+                return (scalar_input(kind, self.label, VALUE_FIELD, self.value, filling, _symbol(measure)),)
             case OpenShape(bounds, measure) if bounds.choices:
                 present = _parameter_text(self.value)
                 filling = self._of_one(bounds)
-                return (choice(None, self.label, VALUE_FIELD, present, bounds, filling, _symbol(measure)),)
+                return (choice_input(None, self.label, VALUE_FIELD, present, bounds, filling, _symbol(measure)),)
             case OpenShape(bounds, measure):
-                of_type, value = _open_controls(self.value, self.typed, self.violations)
-                note = " ".join(filter(None, (value.note, visible(demanded(bounds)))))
+                of_type, value = _open_controls(self.value, self.submitted, self.violations)
+                note = " ".join(filter(None, (value.note, escape_controls(describe_bounds(bounds)))))
                 return (of_type, replace(value, note=note, unit=_symbol(measure)))
 
-    def _of_one(self, bounds: Bounds) -> Filling:
+    def _of_one(self, bounds: Bounds) -> InputValues:
         """What the one input of a scalar is filled with: nothing that does not fit can be about anything else."""
-        typed = dict(self.typed) if self.typed is not None else None if self.value is not None else {}
-        return Filling(typed, _errors(self.violations), {VALUE_FIELD: bounds})
+        typed = dict(self.submitted) if self.submitted is not None else None if self.value is not None else {}
+        return InputValues(typed, _errors(self.violations), {VALUE_FIELD: bounds})
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,12 +189,12 @@ class ChoiceForm:
 Form: TypeAlias = MessageForm | ParameterForm | ValueForm | DeleteForm | ChoiceForm
 
 
-def _filling(typed: Pairs | None, violations: Iterable[Violation]) -> Filling:
+def _filling(typed: Pairs | None, violations: Iterable[Violation]) -> InputValues:
     errors: dict[str, str] = {}
     for violation in violations:
         known = errors.get(violation.path)
         errors[violation.path] = f"{known}; {violation.message}" if known else violation.message
-    return Filling(None if typed is None else dict(typed), errors)
+    return InputValues(None if typed is None else dict(typed), errors)
 
 
 def _errors(violations: Iterable[Violation]) -> Mapping[str, str]:
@@ -203,34 +203,34 @@ def _errors(violations: Iterable[Violation]) -> Mapping[str, str]:
 
 
 def _symbol(measure: Measure) -> str:
-    return "" if measure.unit is None else visible(unit_symbol(measure.unit.value))
+    return "" if measure.unit is None else escape_controls(unit_symbol(measure.unit.value))
 
 
 def _open_controls(value: Json, pairs: Pairs | None, violations: Iterable[Violation]) -> tuple[Input, Input]:
     """The type, and the value."""
     typed = None if pairs is None else dict(pairs)
-    kind = kind_of(value) if typed is None else typed.get(TYPE_FIELD, "string")
+    kind = parameter_type_of(value) if typed is None else typed.get(TYPE_FIELD, "string")
     text = _parameter_text(value) if typed is None else typed.get(VALUE_FIELD, "")
-    error = visible("; ".join(violation.message for violation in violations))
+    error = escape_controls("; ".join(violation.message for violation in violations))
     return (
         Input(TYPE_FIELD, "type", "select", kind, options=PARAMETER_TYPES),
         replace(_parameter_input(kind, text), error=error),
     )
 
 
-def kind_of(value: Json) -> str:
+def parameter_type_of(value: Json) -> str:
     """Which of `PARAMETER_TYPES` a present value is typed as; a string where there is none."""
     if isinstance(value, bool):
         return "boolean"
     if isinstance(value, int | float):
         return "number"
     if value is None or isinstance(value, str):
-        return "string" if can_be_typed(value or "") else "JSON"
+        return "string" if is_editable_text(value or "") else "JSON"
     return "JSON"
 
 
 def _parameter_text(value: Json) -> str:
-    if value is None or (isinstance(value, str) and can_be_typed(value)):
+    if value is None or (isinstance(value, str) and is_editable_text(value)):
         return value or ""
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -243,4 +243,4 @@ def _parameter_input(kind: str, text: str) -> Input:
     if len(text) > MAX_TEXT:
         return Input(VALUE_FIELD, "value", "textarea", note="The present value is too long to be edited here.")
     several = kind == "JSON" or "\n" in text
-    return Input(VALUE_FIELD, "value", "textarea" if several else "text", visible(text), required=False)
+    return Input(VALUE_FIELD, "value", "textarea" if several else "text", escape_controls(text), required=False)

@@ -11,9 +11,16 @@ from typing import ClassVar, TypeAlias
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
 from rosld.ontology.field_defaults import stated_default
 from rosld.ontology.literals import OCTETS, STRINGS, base64_text
-from rosld.server.html.bounds import browser_pattern, demanded, number_range, number_step, option_texts, same_value
+from rosld.server.html.bounds import (
+    browser_pattern,
+    describe_bounds,
+    number_range,
+    number_step,
+    option_texts,
+    same_value,
+)
 from rosld.server.html.messages import type_name
-from rosld.server.html.view import visible
+from rosld.server.html.view import escape_controls
 from rosld.shapes.value import UNBOUNDED, Bounds
 
 Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
@@ -75,33 +82,33 @@ Control: TypeAlias = Input | Fieldset
 
 
 @dataclass(frozen=True, slots=True)
-class Filling:
+class InputValues:
     """What a form is filled with: what was `typed` into it last time, else a value; `errors` and `bounds` by path."""
 
-    typed: Mapping[str, str] | None = None
+    submitted: Mapping[str, str] | None = None
     errors: Mapping[str, str] | None = None
     bounds: Mapping[str, Bounds] = field(default_factory=dict)
 
     def text(self, path: str, otherwise: str) -> str:
         """What stands in the input of `path`."""
-        return otherwise if self.typed is None else self.typed.get(path, "")
+        return otherwise if self.submitted is None else self.submitted.get(path, "")
 
     def error(self, path: str) -> str:
         """What does not fit at `path` itself."""
-        return visible((self.errors or {}).get(path, ""))
+        return escape_controls((self.errors or {}).get(path, ""))
 
-    def below(self, path: str) -> str:
+    def error_below(self, path: str) -> str:
         """What does not fit at `path` or anywhere below it, for a field that has no inputs of its own below."""
         found = (
             message if name == path else f"{name}: {message}"
             for name, message in (self.errors or {}).items()
             if name == path or name.startswith((f"{path}.", f"{path}["))
         )
-        return visible("; ".join(found))
+        return escape_controls("; ".join(found))
 
 
 def controls(
-    schema: MessageSchema, value: Json, filling: Filling, only: Container[str] | None = None
+    schema: MessageSchema, value: Json, filling: InputValues, only: Container[str] | None = None
 ) -> tuple[Control, ...]:
     """The inputs for a message of `schema`; `value` is plain JSON, and defaults stand where it has nothing.
 
@@ -112,13 +119,13 @@ def controls(
 
 
 def _controls(
-    schema: MessageSchema, fields: Iterable[Field], prefix: str, value: Json, filling: Filling
+    schema: MessageSchema, fields: Iterable[Field], prefix: str, value: Json, filling: InputValues
 ) -> tuple[Control, ...]:
     values = value if isinstance(value, Mapping) else {}
     return tuple(_control(schema, each, f"{prefix}{each.name}", values.get(each.name), filling) for each in fields)
 
 
-def _control(schema: MessageSchema, each: Field, path: str, value: Json, filling: Filling) -> Control:
+def _control(schema: MessageSchema, each: Field, path: str, value: Json, filling: InputValues) -> Control:
     if is_fieldset(schema, each.type):
         assert isinstance(each.type, Nested)
         inner = _controls(schema, schema.types[each.type.name].fields, f"{path}.", value, filling)
@@ -126,16 +133,16 @@ def _control(schema: MessageSchema, each: Field, path: str, value: Json, filling
     if value is None:
         value = default(schema, each)
     if isinstance(each.type, Primitive):
-        return primitive(each.type, each.name, path, value, filling)
+        return scalar_input(each.type, each.name, path, value, filling)
     return _json(each.type, each.name, path, value, filling)
 
 
 def is_fieldset(schema: MessageSchema, kind: FieldType) -> bool:
     """Whether a field is drawn as inputs of its own: a nested message that is not too large."""
-    return isinstance(kind, Nested) and leaves(schema, kind.name) <= MAX_LEAVES
+    return isinstance(kind, Nested) and count_inputs(schema, kind.name) <= MAX_LEAVES
 
 
-def leaves(schema: MessageSchema, name: str) -> int:
+def count_inputs(schema: MessageSchema, name: str) -> int:
     """How many inputs all fields of a type come to; counting stops above `MAX_LEAVES`, however deep types nest."""
     count = 0
     waiting = [name]
@@ -147,22 +154,22 @@ def leaves(schema: MessageSchema, name: str) -> int:
     return count
 
 
-def primitive(kind: Primitive, label: str, path: str, value: Json, filling: Filling, unit: str = "") -> Input:
+def scalar_input(kind: Primitive, label: str, path: str, value: Json, filling: InputValues, unit: str = "") -> Input:
     """The input for one scalar, within its bounds; `value` is plain JSON."""
     bounds = filling.bounds.get(path, UNBOUNDED)
     if bounds.choices:
-        return choice(kind, label, path, _plain_text(kind, value), bounds, filling, unit)
+        return choice_input(kind, label, path, _plain_text(kind, value), bounds, filling, unit)
     if kind.name == "bool":
         checked = filling.text(path, "true" if value is True else "")
-        error = filling.below(path)
+        error = filling.error_below(path)
         return Input(path, label, "checkbox", checked and "true", hint="bool", error=error, required=False)
     if kind.name in STRINGS:
         return _text(kind, label, path, value, bounds, filling)
     return _number(kind, label, path, value, bounds, filling, unit)
 
 
-def choice(
-    kind: Primitive | None, label: str, path: str, present: str, bounds: Bounds, filling: Filling, unit: str = ""
+def choice_input(
+    kind: Primitive | None, label: str, path: str, present: str, bounds: Bounds, filling: InputValues, unit: str = ""
 ) -> Input:
     """A select of the values that a scalar may have; `kind` is None where ROS declares none."""
     options = option_texts(kind, bounds)
@@ -171,10 +178,10 @@ def choice(
         path,
         label,
         "select",
-        visible(next((option for option in options if same_value(option, text)), text)),
+        escape_controls(next((option for option in options if same_value(option, text)), text)),
         hint=kind.name if kind is not None else "",
-        error=filling.below(path),
-        options=tuple(map(visible, options)),
+        error=filling.error_below(path),
+        options=tuple(map(escape_controls, options)),
         unit=unit,
     )
 
@@ -187,42 +194,44 @@ def _plain_text(kind: Primitive, value: Json) -> str:
     return number_text(value)
 
 
-def _text(kind: Primitive, label: str, path: str, value: Json, bounds: Bounds, filling: Filling) -> Input:
-    present = value if isinstance(value, str) and can_be_typed(value) else None
+def _text(kind: Primitive, label: str, path: str, value: Json, bounds: Bounds, filling: InputValues) -> Input:
+    present = value if isinstance(value, str) and is_editable_text(value) else None
     text = filling.text(path, present or "")
-    fixed = "The present value cannot be edited here." if present is None and filling.typed is None else ""
+    fixed = "The present value cannot be edited here." if present is None and filling.submitted is None else ""
     longest = [each for each in (kind.bound, bounds.max_length) if each is not None]
     return Input(
         path,
         label,
         "textarea" if "\n" in text or "\r" in text else "text",
-        visible(text),
+        escape_controls(text),
         hint=type_name(kind),
-        note=visible(" ".join(filter(None, (fixed, demanded(bounds))))),
-        error=filling.below(path),
+        note=escape_controls(" ".join(filter(None, (fixed, describe_bounds(bounds))))),
+        error=filling.error_below(path),
         required=bool(bounds.min_length),
-        pattern=visible(browser_pattern(bounds)),
+        pattern=escape_controls(browser_pattern(bounds)),
         minlength=str(bounds.min_length or ""),
         maxlength=str(min(longest)) if longest else "",
     )
 
 
-def can_be_typed(text: str) -> bool:
+def is_editable_text(text: str) -> bool:
     """Whether a browser sends a text back as it got it: not too long, and without control characters."""
-    return len(text) <= MAX_TEXT and visible(text) == text and "\r" not in text
+    return len(text) <= MAX_TEXT and escape_controls(text) == text and "\r" not in text
 
 
-def _number(kind: Primitive, label: str, path: str, value: Json, bounds: Bounds, filling: Filling, unit: str) -> Input:
+def _number(
+    kind: Primitive, label: str, path: str, value: Json, bounds: Bounds, filling: InputValues, unit: str
+) -> Input:
     text = filling.text(path, number_text(value))
     least, greatest = number_range(kind, bounds)
     return Input(
         path,
         label,
         "number" if _browser_reads(text) else "text",
-        visible(text),
+        escape_controls(text),
         hint=kind.name,
-        note=visible(demanded(bounds)),
-        error=filling.below(path),
+        note=escape_controls(describe_bounds(bounds)),
+        error=filling.error_below(path),
         min=least,
         max=greatest,
         step=number_step(kind, bounds),
@@ -245,7 +254,7 @@ def _browser_reads(text: str) -> bool:
         return False
 
 
-def _json(kind: FieldType, label: str, path: str, value: Json, filling: Filling) -> Input:
+def _json(kind: FieldType, label: str, path: str, value: Json, filling: InputValues) -> Input:
     present = json_text(kind, value)
     text = filling.text(path, present or "")
     too_long = "The present value is too long to be edited here."
@@ -253,28 +262,28 @@ def _json(kind: FieldType, label: str, path: str, value: Json, filling: Filling)
         path,
         label,
         "textarea",
-        visible(text),
+        escape_controls(text),
         hint=type_name(kind),
-        note=too_long if present is None and filling.typed is None else _how(kind),
-        error=filling.below(path),
-        required=not is_octets(kind),
+        note=too_long if present is None and filling.submitted is None else _how(kind),
+        error=filling.error_below(path),
+        required=not is_base64(kind),
     )
 
 
 def _how(kind: FieldType) -> str:
-    if is_octets(kind):
+    if is_base64(kind):
         return "base64"
     return "JSON object" if isinstance(kind, Nested) else "JSON array"
 
 
-def is_octets(kind: FieldType) -> bool:
+def is_base64(kind: FieldType) -> bool:
     """Whether a field's plain JSON is one string of base64."""
     return isinstance(kind, Array) and isinstance(kind.element, Primitive) and kind.element.name in OCTETS
 
 
 def json_text(kind: FieldType, value: Json) -> str | None:
     """The text for a field that is edited as JSON (or base64); None where it is elided or too long for that."""
-    if is_octets(kind):
+    if is_base64(kind):
         return value if isinstance(value, str) and len(value) <= MAX_TEXT else None
     if not isinstance(value, list if isinstance(kind, Array) else Mapping):
         return None
@@ -288,7 +297,7 @@ def json_text(kind: FieldType, value: Json) -> str | None:
 def editable_json(value: Json, indent: int | None = None) -> str:
     """A value as JSON that a browser sends back as it is."""
     text = json.dumps(value, ensure_ascii=False, indent=indent)
-    return text if visible(text) == text else json.dumps(value, indent=indent)
+    return text if escape_controls(text) == text else json.dumps(value, indent=indent)
 
 
 def _is_of_messages(kind: FieldType) -> bool:
@@ -324,6 +333,6 @@ class _Defaults:
             return "" if kind.name in STRINGS else False if kind.name == "bool" else 0
         if isinstance(kind, Nested):
             return {each.name: self.of(each, depth + 1) for each in self._schema.types[kind.name].fields}
-        if is_octets(kind):
+        if is_base64(kind):
             return base64_text(bytes(min(kind.length or 0, MAX_TEXT)))
         return [self._unstated(kind.element, depth + 1) for _ in range(kind.length or 0)]

@@ -29,15 +29,15 @@ def local_name(iri: str) -> str:
 def label(iri: str) -> str:
     """The words for a predicate: `hasMessageType` is "message type"."""
     name = local_name(iri)
-    return _WORDS.get(name) or words(name).removeprefix("has ")
+    return _WORDS.get(name) or split_words(name).removeprefix("has ")
 
 
-def words(name: str) -> str:
+def split_words(name: str) -> str:
     """`messageType` and `message_type` as "message type"; abbreviations in capitals stay as they are."""
     parts = _HUMP.sub(" ", name.replace("_", " ")).split()
     return " ".join(part if part.isupper() else part.lower() for part in parts) or name
 
 
-def sentence(text: str) -> str:
+def capitalize(text: str) -> str:
     """`text` with a capital at its beginning."""
     return text[:1].upper() + text[1:]

@@ -8,19 +8,19 @@ from pyoxigraph import Literal, NamedNode
 
 from rosld.ontology.document import Document
 from rosld.ontology.vocab import ldp, rdf, rdfs, ros
-from rosld.server.html.description import values_of
+from rosld.server.html.description import objects_of
 from rosld.server.html.labels import label
-from rosld.server.html.page import Cell, Listing
+from rosld.server.html.page import Cell, MemberColumns
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.terms import cell_view
-from rosld.server.html.view import View, visible
+from rosld.server.html.view import View, escape_controls
 
 _MAX_COLUMNS = 4
 _NO_COLUMNS = frozenset({rdf.type, ros.name, rdfs.label, rdfs.comment, ros.namespace})
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class ListingRow:
     """A member of a container: its link, its cells, and the container of the same name, where there is one."""
 
     anchor: Anchor
@@ -29,18 +29,18 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True)
-class Contents:
+class ContainerTable:
     """The table of a container: `members`, and `namespaces` that have no member of their name."""
 
     columns: tuple[str, ...]
-    members: tuple[Entry, ...]
+    members: tuple[ListingRow, ...]
     namespaces: tuple[Anchor, ...]
     total: int
 
 
-def contents(document: Document, site: Site, listing: Listing | None) -> Contents | None:
+def container_table(document: Document, site: Site, listing: MemberColumns | None) -> ContainerTable | None:
     """The table of a document that contains something (or is said to be a listing), else None."""
-    urls = [term.value for term in values_of(document, ldp.contains) if isinstance(term, NamedNode)]
+    urls = [term.value for term in objects_of(document, ldp.contains) if isinstance(term, NamedNode)]
     if not urls and listing is None:
         return None
     columns, cells = (listing.columns, listing.cells) if listing and listing.columns else _columns(document, urls)
@@ -52,11 +52,11 @@ def contents(document: Document, site: Site, listing: Listing | None) -> Content
     anchors = {url: _anchor(site, url, document.url) for url in urls}
     containers = {url for url in urls if url.endswith("/") and url.removesuffix("/") not in anchors}
     members = tuple(
-        Entry(anchors[url], _cells(cells.get(url, ()), len(columns), site), anchors.get(f"{url}/"))
+        ListingRow(anchors[url], _cells(cells.get(url, ()), len(columns), site), anchors.get(f"{url}/"))
         for url in urls
         if not url.endswith("/")
     )
-    return Contents(columns, members, tuple(anchors[url] for url in urls if url in containers), total)
+    return ContainerTable(columns, members, tuple(anchors[url] for url in urls if url in containers), total)
 
 
 def _seen(cell: Cell, site: Site) -> Cell:
@@ -66,9 +66,9 @@ def _seen(cell: Cell, site: Site) -> Cell:
 
 def _anchor(site: Site, url: str, container: str) -> Anchor:
     """The link to a member under its name within the container."""
-    found = site.anchor(url) or Anchor("", visible(url), url)
-    inner = site.short(url).removeprefix(site.short(container)).lstrip("/")
-    return Anchor(found.href, visible(inner or found.text), url, found.external)
+    found = site.anchor(url) or Anchor("", escape_controls(url), url)
+    inner = site.short_name(url).removeprefix(site.short_name(container)).lstrip("/")
+    return Anchor(found.href, escape_controls(inner or found.text), url, found.external)
 
 
 def _cells(cells: tuple[Cell, ...], width: int, site: Site) -> tuple[tuple[View, ...], ...]:

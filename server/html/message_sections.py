@@ -9,32 +9,32 @@ from pyoxigraph import NamedNode
 
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.vocab import ros
-from rosld.server.html.labels import label, sentence
+from rosld.server.html.labels import capitalize, label
 from rosld.server.html.messages import message_view
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.terms import iri_view
-from rosld.server.html.timestamps import moment
-from rosld.server.html.view import Rows, View, visible
+from rosld.server.html.timestamps import time_view
+from rosld.server.html.view import TableView, View, escape_controls
 
 _TITLES = {ros.latest: "Latest message", ros.recordedMessage: "Message", ros.heldMessage: "Message"}
 NEWEST = "#message"
 
 
 @dataclass(frozen=True, slots=True)
-class Carried:
+class MessageSection:
     """A message on a page: its fragment, what came with it, and its fields."""
 
     id: str
     title: str
     type: Anchor | None
-    body: Rows
+    body: TableView
     received: View | None = None
     sequence: int | None = None
     publisher: View | None = None
     aside: bool = False
 
 
-def carried(document: Document, site: Site) -> tuple[Carried, ...]:
+def message_sections(document: Document, site: Site) -> tuple[MessageSection, ...]:
     """The sections of a document's messages; those of single publishers stand aside when there are several."""
     roles = _roles(document)
     return tuple(
@@ -52,7 +52,7 @@ def _roles(document: Document) -> Mapping[str, NamedNode]:
     }
 
 
-def _section(document: Document, site: Site, each: LiftedMessage, role: NamedNode) -> Carried:
+def _section(document: Document, site: Site, each: LiftedMessage, role: NamedNode) -> MessageSection:
     schema = each.lifter.schema
     body = message_view(
         schema,
@@ -62,12 +62,12 @@ def _section(document: Document, site: Site, each: LiftedMessage, role: NamedNod
     )
     envelope = each.envelope
     publisher = envelope.publisher if envelope else None
-    return Carried(
-        id=visible(each.node.removeprefix("#")),
+    return MessageSection(
+        id=escape_controls(each.node.removeprefix("#")),
         title=_title(role, publisher, site),
         type=site.anchor(f"{site.types}{schema.ref.name}"),
         body=body,
-        received=moment(envelope.received_ns) if envelope else None,
+        received=time_view(envelope.received_ns) if envelope else None,
         sequence=envelope.sequence if envelope else None,
         publisher=iri_view(publisher, site) if publisher else None,
         aside=role == ros.latestFrom,
@@ -76,5 +76,5 @@ def _section(document: Document, site: Site, each: LiftedMessage, role: NamedNod
 
 def _title(role: NamedNode, publisher: str | None, site: Site) -> str:
     if role == ros.latestFrom and publisher:
-        return f"Latest from {visible(site.short(publisher))}"
-    return _TITLES.get(role) or sentence(label(role.value))
+        return f"Latest from {escape_controls(site.short_name(publisher))}"
+    return _TITLES.get(role) or capitalize(label(role.value))

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from rosld.adapters.model import Array, Field, Message, MessageSchema, MessageType, Nested, Primitive
 from rosld.ontology.literals import OCTETS, STRINGS
-from rosld.server.html.timestamps import duration, moment
-from rosld.server.html.view import Many, Octets, Row, Rows, Series, Text, View, text_view
+from rosld.server.html.timestamps import duration_view, time_view
+from rosld.server.html.view import ArrayView, BytesView, TableListView, TableRow, TableView, TextView, View, text_view
 
 TIME = "builtin_interfaces/msg/Time"
 DURATION = "builtin_interfaces/msg/Duration"
@@ -44,7 +44,7 @@ def message_view(
     fields: tuple[Field, ...] | None = None,
     simulated_time: bool = False,
     octets: str | None = None,
-) -> Rows:
+) -> TableView:
     """The table of a message, or of some of its `fields`.
 
     `octets` is the reference of a field's bytes but for the field's path, None without.
@@ -54,18 +54,20 @@ def message_view(
     return _rows(kind, message, "", 0, drawing)
 
 
-def _rows(kind: MessageType, message: Message, path: str, depth: int, drawing: _Drawing) -> Rows:
+def _rows(kind: MessageType, message: Message, path: str, depth: int, drawing: _Drawing) -> TableView:
     if depth > _DEEPEST:
-        return Rows((Row("…", (Text("nested too deeply to be shown here", tone="quiet"),)),), kind.name)
-    rows: list[Row] = []
+        return TableView((TableRow("…", (TextView("nested too deeply to be shown here", tone="quiet"),)),), kind.name)
+    rows: list[TableRow] = []
     for each in kind.fields:
         if drawing.left <= 0:
-            rows.append(Row("…", (Text("too much to be shown here; the other formats have all of it", tone="quiet"),)))
+            rows.append(
+                TableRow("…", (TextView("too much to be shown here; the other formats have all of it", tone="quiet"),))
+            )
             break
         drawing.left -= 1
         value = _value(each, getattr(message, each.attribute), f"{path}{each.name}", depth, drawing)
-        rows.append(Row(each.name, (value,), hint=type_name(each.type)))
-    return Rows(tuple(rows), kind.name, short=depth > 0 and _is_short(kind))
+        rows.append(TableRow(each.name, (value,), hint=type_name(each.type)))
+    return TableView(tuple(rows), kind.name, short=depth > 0 and _is_short(kind))
 
 
 def _is_short(kind: MessageType) -> bool:
@@ -77,7 +79,7 @@ def _is_short(kind: MessageType) -> bool:
 
 def _value(each: Field, value: object, path: str, depth: int, drawing: _Drawing) -> View:
     if isinstance(each.type, Primitive):
-        return scalar(each.type, value)
+        return scalar_view(each.type, value)
     if isinstance(each.type, Nested):
         return _nested(each.type, cast(Message, value), f"{path}.", depth, drawing)
     return _array(each.type, value, path, depth, drawing)
@@ -93,10 +95,10 @@ def _time(name: str, message: Message, drawing: _Drawing) -> View:
     seconds, nanoseconds = int(getattr(message, "sec", 0)), int(getattr(message, "nanosec", 0))
     raw = f"{seconds}.{nanoseconds:09d}"
     if name == DURATION:
-        return duration(seconds, nanoseconds)
+        return duration_view(seconds, nanoseconds)
     if drawing.simulated or (seconds == 0 and nanoseconds == 0):
-        return Text(f"{raw} s")
-    return moment(seconds * 1_000_000_000 + nanoseconds, raw)
+        return TextView(f"{raw} s")
+    return time_view(seconds * 1_000_000_000 + nanoseconds, raw)
 
 
 def _array(kind: Array, value: object, path: str, depth: int, drawing: _Drawing) -> View:
@@ -105,29 +107,29 @@ def _array(kind: Array, value: object, path: str, depth: int, drawing: _Drawing)
     values = cast("Sequence[object]", value)
     if isinstance(kind.element, Nested):
         return _messages(kind.element, values, path, depth, drawing)
-    return series(kind.element, values)
+    return series_view(kind.element, values)
 
 
 def _messages(kind: Nested, values: Sequence[object], path: str, depth: int, drawing: _Drawing) -> View:
-    items: list[Rows] = []
+    items: list[TableView] = []
     for index, message in enumerate(islice(values, _ITEMS)):
         if drawing.left <= 0:
             break
         view = _nested(kind, cast(Message, message), f"{path}.{index}.", depth, drawing)
-        items.append(view if isinstance(view, Rows) else Rows((Row(str(index), (view,)),)))
-    return Many(len(values), tuple(items), kind.name)
+        items.append(view if isinstance(view, TableView) else TableView((TableRow(str(index), (view,)),)))
+    return TableListView(len(values), tuple(items), kind.name)
 
 
 def _octets(values: npt.NDArray[Any], path: str, drawing: _Drawing) -> View:
     href = f"{drawing.octets}{quote(path, safe='')}" if drawing.octets is not None and len(values) else None
-    return Octets(len(values), bytes(values[:16].tobytes()).hex(" "), href)
+    return BytesView(len(values), bytes(values[:16].tobytes()).hex(" "), href)
 
 
-def scalar(kind: Primitive, value: object) -> View:
+def scalar_view(kind: Primitive, value: object) -> View:
     """A primitive value, floats with the shortest digits that read back the same."""
     if isinstance(value, str):
         return text_view(value)
-    return Text(_number(kind, value), tone="number")
+    return TextView(_number(kind, value), tone="number")
 
 
 def _number(kind: Primitive, value: object) -> str:
@@ -144,25 +146,25 @@ def _float(text: str) -> str:
     return {"nan": "NaN", "inf": "INF", "-inf": "-INF"}.get(text, text)
 
 
-def series(kind: Primitive, values: Sequence[object]) -> Series:
+def series_view(kind: Primitive, values: Sequence[object]) -> ArrayView:
     """An array of scalars: the first few, and up to 2,000 of the rest on request."""
     head = _join(kind, values[:_HEAD])
     if len(values) <= _HEAD:
-        return Series(len(values), head)
+        return ArrayView(len(values), head)
     full = _join(kind, values[:_SHOWN])
-    return Series(len(values), head, full + (" …" if len(values) > _SHOWN else ""))
+    return ArrayView(len(values), head, full + (" …" if len(values) > _SHOWN else ""))
 
 
 def _join(kind: Primitive, values: Sequence[object]) -> str:
     if kind.name in STRINGS:
-        return ", ".join(f"“{text_of(value)}”" for value in values)
+        return ", ".join(f"“{element_text(value)}”" for value in values)
     return ", ".join(_number(kind, value) for value in values)
 
 
-def text_of(value: object) -> str:
+def element_text(value: object) -> str:
     """One string of an array, on one line and not too long."""
     view = text_view(str(value).replace("\n", "⏎"))
-    return view.text if isinstance(view, Text) else ""
+    return view.text if isinstance(view, TextView) else ""
 
 
 def type_name(kind: Primitive | Nested | Array) -> str:

@@ -15,12 +15,12 @@ from rosld.ontology.vocab import ros
 from rosld.server.html.forms import Form
 from rosld.server.html.labels import label
 from rosld.server.html.page import Csrf, Offer
-from rosld.server.html.site import Anchor, Site, readable
+from rosld.server.html.site import Anchor, Site, readable_path
 from rosld.server.html.terms import iri_view
-from rosld.server.html.timestamps import moment
+from rosld.server.html.timestamps import time_view
 from rosld.server.html.units import unit_symbol
 from rosld.server.html.values import value_view
-from rosld.server.html.view import Go, Row, Rows, Text, View, visible
+from rosld.server.html.view import LinkView, TableRow, TableView, TextView, View, escape_controls
 from rosld.server.hypermedia.value import Reading
 from rosld.server.hypermedia.views import (
     ActionAffordance,
@@ -46,13 +46,13 @@ class FormTarget:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class PropertyValueView:
     """A value as it is told; without a `view`, `words` say why there is none, and `failed` if that should not be."""
 
     view: View | None
     unit: Anchor | None = None
-    read: View | None = None
-    words: str = ""
+    read_at: View | None = None
+    message: str = ""
     failed: bool = False
 
 
@@ -62,9 +62,9 @@ class PropertyRow:
 
     anchor: Anchor
     relation: Anchor | None
-    told: Told
-    posted: FormTarget | None = None
-    change: Anchor | None = None
+    value: PropertyValueView
+    form: FormTarget | None = None
+    edit_link: Anchor | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,63 +73,63 @@ class ActionRow:
 
     anchor: Anchor
     relation: Anchor | None
-    posted: FormTarget | None = None
+    form: FormTarget | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class LinkRow:
     """A link of a complex resource: its relation in words, and where it leads."""
 
-    words: str
+    label: str
     anchor: Anchor
     relation: Anchor | None
 
 
 @dataclass(frozen=True, slots=True)
-class DrawnComplex:
+class ComplexOffer:
     """A complex resource. `below` are the complex resources in it that no link leads to."""
 
     kind: ClassVar[str] = "complex"
     properties: tuple[PropertyRow, ...]
     actions: tuple[ActionRow, ...]
     links: tuple[LinkRow, ...]
-    below: tuple[Anchor, ...]
+    children: tuple[Anchor, ...]
     part_of: Anchor | None
     mapping: Anchor | None
 
     @property
-    def settable(self) -> bool:
+    def has_settable(self) -> bool:
         """Whether a property can be set from here."""
-        return any(row.posted or row.change for row in self.properties)
+        return any(row.form or row.edit_link for row in self.properties)
 
 
 @dataclass(frozen=True, slots=True)
-class DrawnProperty:
+class PropertyOffer:
     """A property by itself; `facts` are its type and what it measures, `behind` what it is read from and written to."""
 
     kind: ClassVar[str] = "property"
-    told: Told
+    value: PropertyValueView
     facts: tuple[View, ...]
-    behind: Rows
+    sources: TableView
     part_of: Anchor | None
     relation: Anchor | None
 
 
 @dataclass(frozen=True, slots=True)
-class DrawnAction:
+class ActionOffer:
     """An action by itself; `behind` is what it invokes."""
 
     kind: ClassVar[str] = "action"
-    callable: bool
-    behind: Rows
+    is_callable: bool
+    sources: TableView
     part_of: Anchor | None
     relation: Anchor | None
 
 
-Drawn: TypeAlias = DrawnComplex | DrawnProperty | DrawnAction
+OfferView: TypeAlias = ComplexOffer | PropertyOffer | ActionOffer
 
 
-def posted_forms(forms: Iterable[Form], allow: Iterable[str], csrf: Csrf, site: Site) -> tuple[FormTarget, ...]:
+def form_targets(forms: Iterable[Form], allow: Iterable[str], csrf: Csrf, site: Site) -> tuple[FormTarget, ...]:
     """The forms of a page with their tokens.
 
     Those to the page's own URL as far as `allow` permits their methods, those to others unless this server is
@@ -145,18 +145,18 @@ def _posted(forms: Iterable[Form], allowed: frozenset[str], csrf: Csrf, site: Si
             if form.method in allowed:
                 yield FormTarget(form, "", csrf(""))
             continue
-        href = site.href(form.action) if site.local(form.action) else None
+        href = site.href(form.action) if site.page_url(form.action) else None
         if href is not None and not site.read_only and site.may(form.method, form.action):
             yield FormTarget(form, href, csrf(form.action))
 
 
-def draw(offer: Offer, site: Site, posted: Iterable[FormTarget]) -> Drawn:
+def offer_view(offer: Offer, site: Site, posted: Iterable[FormTarget]) -> OfferView:
     """What is on offer, with the forms that post elsewhere than to its page beside what they are about."""
     match offer:
         case ComplexView():
             return _complex(offer, site, {each.form.action: each for each in posted if each.form.action})
         case PropertyView(affordance, reading):
-            return DrawnProperty(
+            return PropertyOffer(
                 value_of(affordance, reading, None, site),
                 tuple(_facts(affordance.shape, site)),
                 _behind(site, (ros.readsFrom, offer.reads_from), (ros.writesTo, offer.writes_to)),
@@ -164,7 +164,7 @@ def draw(offer: Offer, site: Site, posted: Iterable[FormTarget]) -> Drawn:
                 _term(affordance.predicate, site),
             )
         case ActionView(affordance):
-            return DrawnAction(
+            return ActionOffer(
                 affordance.request is not None,
                 _behind(site, (ros.invokes, (offer.invokes,))),
                 site.anchor(offer.part_of),
@@ -172,14 +172,14 @@ def draw(offer: Offer, site: Site, posted: Iterable[FormTarget]) -> Drawn:
             )
 
 
-def _complex(view: ComplexView, site: Site, posted: Mapping[str, FormTarget]) -> DrawnComplex:
+def _complex(view: ComplexView, site: Site, posted: Mapping[str, FormTarget]) -> ComplexOffer:
     linked = {link.target for link in view.links}
-    return DrawnComplex(
+    return ComplexOffer(
         tuple(_property_row(member, site, posted) for member in view.members),
         tuple(_action_row(action, site, posted) for action in view.actions),
         tuple(_link_rows(view.links, site)),
         tuple(
-            _named(child, readable(child.removeprefix(view.url)), site)
+            _named(child, readable_path(child.removeprefix(view.url)), site)
             for child in view.children
             if child not in linked
         ),
@@ -191,7 +191,7 @@ def _complex(view: ComplexView, site: Site, posted: Mapping[str, FormTarget]) ->
 def _named(url: str, name: str, site: Site) -> Anchor:
     """A link to a resource under a name of its own."""
     found = site.anchor(url) or Anchor("", "", url)
-    return Anchor(found.href, visible(name), url, found.external)
+    return Anchor(found.href, escape_controls(name), url, found.external)
 
 
 def _term(term: NamedNode | None, site: Site) -> Anchor | None:
@@ -209,7 +209,7 @@ def _property_row(member: Member, site: Site, posted: Mapping[str, FormTarget]) 
 
 
 def _action_row(action: ActionAffordance, site: Site, posted: Mapping[str, FormTarget]) -> ActionRow:
-    anchor = _named(action.url, site.short(action.url), site)
+    anchor = _named(action.url, site.short_name(action.url), site)
     return ActionRow(anchor, _term(action.relation, site), posted.get(action.url))
 
 
@@ -217,22 +217,22 @@ def _link_rows(links: Iterable[LinkAffordance], site: Site) -> Iterator[LinkRow]
     for link in links:
         anchor = site.anchor(link.target)
         if anchor is not None:
-            yield LinkRow(visible(label(link.relation.value)), anchor, _term(link.relation, site))
+            yield LinkRow(escape_controls(label(link.relation.value)), anchor, _term(link.relation, site))
 
 
-def value_of(affordance: PropertyAffordance, reading: Reading, field: str | None, site: Site) -> Told:
+def value_of(affordance: PropertyAffordance, reading: Reading, field: str | None, site: Site) -> PropertyValueView:
     """The value of a property, or one field of it, with its unit and when it was read."""
-    read = moment(reading.read_ns) if reading.read_ns is not None else None
+    read = time_view(reading.read_ns) if reading.read_ns is not None else None
     if reading.value is not None:
-        return Told(value_view(reading.value, site, field), _unit(affordance, site), read)
+        return PropertyValueView(value_view(reading.value, site, field), _unit(affordance, site), read)
     if reading.failure is not None:
-        return Told(None, read=read, words=visible(reading.failure), failed=True)
-    return Told(None, read=read, words="no value yet" if affordance.read else "can only be written")
+        return PropertyValueView(None, read_at=read, message=escape_controls(reading.failure), failed=True)
+    return PropertyValueView(None, read_at=read, message="no value yet" if affordance.read else "can only be written")
 
 
 def _unit(affordance: PropertyAffordance, site: Site) -> Anchor | None:
     unit = None if isinstance(affordance.shape, MessageShape) else affordance.shape.measure.unit
-    symbol = visible(unit_symbol(unit.value)) if unit is not None else ""
+    symbol = escape_controls(unit_symbol(unit.value)) if unit is not None else ""
     if unit is None or not symbol:
         return None
     return Anchor(site.href(unit.value) or "", symbol, unit.value, external=True)
@@ -245,25 +245,29 @@ def _facts(shape: ValueShape, site: Site) -> Iterator[View]:
             yield iri_view(f"{site.types}{schema.ref.name}", site)
             return
         case ScalarShape(kind):
-            yield Text(kind.name)
+            yield TextView(kind.name)
         case OpenShape():
             pass
     if shape.measure.quantity_kind is not None:
         yield iri_view(shape.measure.quantity_kind.value, site)
 
 
-def _behind(site: Site, *relations: tuple[NamedNode, Iterable[str]]) -> Rows:
+def _behind(site: Site, *relations: tuple[NamedNode, Iterable[str]]) -> TableView:
     """The topics, services and parameters behind something, by their relation to it."""
     rows = []
     for relation, urls in relations:
         views = tuple(_source(url, site) for url in urls)
         if views:
             term = site.anchor(relation.value)
-            rows.append(Row(label(relation.value), views, about=visible(site.compact(relation.value)), term=term))
-    return Rows(tuple(rows))
+            rows.append(
+                TableRow(
+                    label(relation.value), views, about=escape_controls(site.prefixed_name(relation.value)), term=term
+                )
+            )
+    return TableView(tuple(rows))
 
 
 def _source(url: str, site: Site) -> View:
     anchor = site.anchor(url)
     kind = url.removeprefix(site.base).partition("/")[0]
-    return Go(anchor, _KINDS.get(kind, "")) if anchor is not None else Text(visible(url), tone="iri")
+    return LinkView(anchor, _KINDS.get(kind, "")) if anchor is not None else TextView(escape_controls(url), tone="iri")

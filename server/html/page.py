@@ -26,7 +26,7 @@ Offer: TypeAlias = views.View
 """What a page below `/resources/` is drawn from."""
 
 
-class Tone(Enum):
+class NoticeLevel(Enum):
     """How loud a notice is."""
 
     INFO = "info"
@@ -51,7 +51,7 @@ class Notice:
     """
 
     text: str
-    tone: Tone = Tone.INFO
+    level: NoticeLevel = NoticeLevel.INFO
     violations: tuple[Violation, ...] = ()
     link: NoticeLink | None = None
 
@@ -84,13 +84,13 @@ THING = Alternate("Thing Description", "application/td+json", "td")
 """What a complex resource can be read as besides (WoT Thing Description 1.1)."""
 
 
-def no_token(action: str) -> str:
+def no_csrf_token(action: str) -> str:
     """The token of forms on pages that have none."""
     return ""
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class SequenceLink:
     """A link of a sequence such as the messages of a recording: `rel` is first, prev, next or last."""
 
     rel: str
@@ -98,7 +98,7 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
-class Listing:
+class MemberColumns:
     """What a container's table shows beside names: the headings, and each member's cells by its URL.
 
     What is told of here without being a direct member (a name in a namespace below) gets a row of its own.
@@ -126,10 +126,10 @@ class Page:
     document: Document
     allow: tuple[str, ...] = ("GET", "HEAD", "OPTIONS")
     forms: tuple[Form, ...] = ()
-    csrf: Csrf = no_token
+    csrf: Csrf = no_csrf_token
     notices: tuple[Notice, ...] = ()
-    listing: Listing | None = None
-    steps: tuple[Step, ...] = ()
+    listing: MemberColumns | None = None
+    steps: tuple[SequenceLink, ...] = ()
     summary: str = ""
     alternates: tuple[Alternate, ...] = ALTERNATES
     offer: Offer | None = None
@@ -137,7 +137,7 @@ class Page:
 
 
 @dataclass(frozen=True, slots=True)
-class Count:
+class EntryCount:
     """A line of the entry page: how many there are of what, and where. `first`: it is where to begin."""
 
     label: str
@@ -153,14 +153,14 @@ class EntryPage:
 
     site: Site
     document: Document
-    counts: tuple[Count, ...]
+    counts: tuple[EntryCount, ...]
     example: str | None = None
     notices: tuple[Notice, ...] = ()
     alternates: tuple[Alternate, ...] = ALTERNATES
 
 
 @dataclass(frozen=True, slots=True)
-class StoredQuery:
+class StoredQueryLink:
     """A stored query: where it is, its purpose in a sentence, its text."""
 
     url: str
@@ -170,7 +170,7 @@ class StoredQuery:
 
 
 @dataclass(frozen=True, slots=True)
-class QueryParameter:
+class StoredQueryParameter:
     """A parameter of a stored query and what it is for; `value` as given or by default."""
 
     name: str
@@ -179,7 +179,7 @@ class QueryParameter:
 
 
 @dataclass(frozen=True, slots=True)
-class Results:
+class PageResults:
     """The answer to a query: rows of a SELECT (or of a graph, as subject, predicate, object), or a boolean.
 
     `rows` is read as far as the page shows them: `limit` rows, and one more to know whether there are more.
@@ -198,8 +198,8 @@ class SparqlPage:
 
     site: Site
     query: str = ""
-    examples: tuple[StoredQuery, ...] = ()
-    results: Results | None = None
+    examples: tuple[StoredQueryLink, ...] = ()
+    results: PageResults | None = None
     notices: tuple[Notice, ...] = ()
 
 
@@ -208,9 +208,9 @@ class QueryPage:
     """The page of a stored query."""
 
     site: Site
-    query: StoredQuery
-    parameters: tuple[QueryParameter, ...] = ()
-    results: Results | None = None
+    query: StoredQueryLink
+    parameters: tuple[StoredQueryParameter, ...] = ()
+    results: PageResults | None = None
     notices: tuple[Notice, ...] = ()
 
 

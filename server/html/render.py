@@ -13,21 +13,21 @@ from jinja2 import DictLoader, Environment, StrictUndefined
 from pyoxigraph import NamedNode
 
 from rosld.ontology.vocab import ldp, ros, td
-from rosld.server.html.auto_refresh import RATE, is_live
+from rosld.server.html.auto_refresh import MAX_RATE, is_refreshed
 from rosld.server.html.breadcrumb import breadcrumb
 from rosld.server.html.description import describe, first_text
-from rosld.server.html.endpoints import endpoints
-from rosld.server.html.folding import folded_groups
+from rosld.server.html.endpoints import endpoint_table
+from rosld.server.html.folding import group_sections
 from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD, Form, ValueForm
-from rosld.server.html.labels import sentence
-from rosld.server.html.listing import contents
-from rosld.server.html.message_sections import carried
-from rosld.server.html.offer import FormTarget, draw, posted_forms
-from rosld.server.html.page import THING, EntryPage, Notice, Page, ProblemPage, QueryPage, SparqlPage, Tone
+from rosld.server.html.labels import capitalize
+from rosld.server.html.listing import container_table
+from rosld.server.html.message_sections import message_sections
+from rosld.server.html.offer import FormTarget, form_targets, offer_view
+from rosld.server.html.page import THING, EntryPage, Notice, NoticeLevel, Page, ProblemPage, QueryPage, SparqlPage
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.stop_steps import stop_steps
-from rosld.server.html.tables import table
-from rosld.server.html.view import visible
+from rosld.server.html.tables import results_table
+from rosld.server.html.view import escape_controls
 from rosld.server.hypermedia.views import ComplexView, PropertyView
 
 CONTENT_SECURITY_POLICY = "; ".join(
@@ -70,7 +70,7 @@ _NOTICED = (
 )
 _DRAWN = (ldp.contains, ros.hasEndpoint, ros.stopStep, ros.warning, td.hasActionAffordance, td.hasEventAffordance)
 """What a page shows as a table or a form, and keeps folded beside that."""
-_LOUDEST_FIRST = (Tone.ERROR, Tone.WARNING, Tone.GOOD, Tone.INFO)
+_LOUDEST_FIRST = (NoticeLevel.ERROR, NoticeLevel.WARNING, NoticeLevel.GOOD, NoticeLevel.INFO)
 _STEPS = {"first": "First", "prev": "Previous", "next": "Next", "last": "Last"}
 _FORMATS = (
     ("html", "a table on this page"),
@@ -123,7 +123,7 @@ class _Frame:
     def navigation(self) -> tuple[tuple[Anchor, bool], ...]:
         """The sections of the site, and whether the page lies in each."""
         anchors = [
-            Anchor(f"{self.site.root}{name}/", sentence(name), f"{self.site.base}{name}/")
+            Anchor(f"{self.site.root}{name}/", capitalize(name), f"{self.site.base}{name}/")
             for name in self.site.sections
         ]
         anchors.append(Anchor(f"{self.site.root}sparql", "SPARQL", f"{self.site.base}sparql"))
@@ -143,7 +143,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["grouped"] = lambda number: f"{number:,}"
-    environment.globals |= {"csrf_field": CSRF_FIELD, "method_field": METHOD_FIELD, "live_rate": RATE}
+    environment.globals |= {"csrf_field": CSRF_FIELD, "method_field": METHOD_FIELD, "live_rate": MAX_RATE}
     return environment
 
 
@@ -156,7 +156,7 @@ def prepare_pages() -> None:
 
 def _printable(value: object) -> object:
     """What the templates print: escaping makes text harmless, this makes it something HTML can hold."""
-    return visible(value) if type(value) is str else value
+    return escape_controls(value) if type(value) is str else value
 
 
 def _render(template: str, frame: _Frame, **values: object) -> bytes:
@@ -165,9 +165,9 @@ def _render(template: str, frame: _Frame, **values: object) -> bytes:
 
 
 def _frame(site: Site, title: str, url: str, notices: tuple[Notice, ...], live: bool = False) -> _Frame:
-    stale = (Notice(f"The robot cannot be seen: {site.stale}", Tone.WARNING),) if site.stale else ()
-    ordered = sorted(stale + notices, key=lambda notice: _LOUDEST_FIRST.index(notice.tone))
-    return _Frame(site, visible(title), breadcrumb(site, url), url, tuple(ordered), live)
+    stale = (Notice(f"The robot cannot be seen: {site.stale}", NoticeLevel.WARNING),) if site.stale else ()
+    ordered = sorted(stale + notices, key=lambda notice: _LOUDEST_FIRST.index(notice.level))
+    return _Frame(site, escape_controls(title), breadcrumb(site, url), url, tuple(ordered), live)
 
 
 def render_page(page: Page) -> bytes:
@@ -175,10 +175,10 @@ def render_page(page: Page) -> bytes:
 
     Notices, what is on offer or messages, contents, forms as far as allowed, and all that is said of it.
     """
-    posted = posted_forms(_fitting(page), page.allow, page.csrf, page.site)
+    posted = form_targets(_fitting(page), page.allow, page.csrf, page.site)
     return _render(
         "page.html",
-        _frame(page.site, page.title, page.document.url, page.notices + _own_notices(page), is_live(page)),
+        _frame(page.site, page.title, page.document.url, page.notices + _own_notices(page), is_refreshed(page)),
         page=page,
         forms=[each for each in posted if not (isinstance(page.offer, ComplexView) and each.form.action)],
         formats=[
@@ -202,7 +202,7 @@ def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
     document, site = page.document, page.site
     if page.offer is not None:
         return {
-            "offer": draw(page.offer, site, posted),
+            "offer": offer_view(page.offer, site, posted),
             "messages": (),
             "asides": (),
             "contents": None,
@@ -212,19 +212,19 @@ def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
             "told": None,
             "folded": describe(document, site),
         }
-    messages = carried(document, site)
+    messages = message_sections(document, site)
     own = {each.predicate for each in document.triples if each.subject == NamedNode(document.url)}
     left = own.intersection(_DRAWN[1:])
     sections = describe(document, site, without=_DRAWN)
-    groups = folded_groups(sections[1:])
+    groups = group_sections(sections[1:])
     return {
         "offer": None,
         "messages": [each for each in messages if not each.aside],
         "asides": [each for each in messages if each.aside],
-        "contents": contents(document, site, page.listing),
+        "contents": container_table(document, site, page.listing),
         "sections": sections[:1] if groups else sections,
         "groups": groups,
-        "endpoints": endpoints(document, site),
+        "endpoints": endpoint_table(document, site),
         "told": stop_steps(document, site),
         "folded": describe(document, site, without=own - left) if left else (),
     }
@@ -235,9 +235,9 @@ def _own_notices(page: Page) -> tuple[Notice, ...]:
     if page.offer is not None:
         return ()
     found = ((words, first_text(page.document, predicate)) for predicate, words in _NOTICED)
-    notices = tuple(Notice(f"{words}: {text}", Tone.WARNING) for words, text in found if text)
+    notices = tuple(Notice(f"{words}: {text}", NoticeLevel.WARNING) for words, text in found if text)
     warning = "" if page.site.stop_warning else first_text(page.document, ros.warning)  # which every page shows
-    return (Notice(warning, Tone.ERROR), *notices) if warning else notices
+    return (Notice(warning, NoticeLevel.ERROR), *notices) if warning else notices
 
 
 def _curl(url: str, accept: str) -> str:
@@ -263,7 +263,7 @@ def render_entry(page: EntryPage) -> bytes:
     )
     return _render(
         "entry.html",
-        _frame(page.site, page.site.name, page.site.base, page.notices, is_live(page)),
+        _frame(page.site, page.site.name, page.site.base, page.notices, is_refreshed(page)),
         page=page,
         counts=[(count, page.site.href(count.url)) for count in page.counts],
         sections=describe(page.document, page.site, without=(ldp.contains,)),
@@ -278,11 +278,11 @@ def render_sparql(page: SparqlPage) -> bytes:
         "sparql.html",
         _frame(page.site, "SPARQL", f"{page.site.base}sparql", page.notices),
         page=page,
-        query=visible(query),
+        query=escape_controls(query),
         lines=max(8, min(24, query.count("\n") + 2)),
         action=f"{page.site.root}sparql",
         formats=_FORMATS,
-        results=table(page.results, page.site) if page.results else None,
+        results=results_table(page.results, page.site) if page.results else None,
         examples=[(each, page.site.href(each.url)) for each in page.examples],
         endpoint=f"{page.site.base}sparql",
     )
@@ -297,7 +297,7 @@ def render_query(page: QueryPage) -> bytes:
         action=page.site.href(page.query.url),
         edit=f"{page.site.root}sparql?query={quote(page.query.text.encode('utf-8', 'replace'), safe='')}",
         formats=_FORMATS,
-        results=table(page.results, page.site) if page.results else None,
+        results=results_table(page.results, page.site) if page.results else None,
     )
 
 

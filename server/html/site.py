@@ -80,7 +80,7 @@ class Site:
         """The path of the base, ending in a slash."""
         return urlsplit(self.base).path
 
-    def local(self, iri: str) -> str | None:
+    def page_url(self, iri: str) -> str | None:
         """The URL on this server that describes `iri`: itself, or the page of a type or of a term of the vocabulary."""
         if iri.startswith(self.base) or iri == self.base:
             return iri
@@ -96,7 +96,7 @@ class Site:
         """
         if _UNSAFE.search(iri) or not iri.lower().startswith(("http://", "https://")):
             return None
-        url = self.local(iri)
+        url = self.page_url(iri)
         if url is None:
             return iri
         if not self.may("GET", url):
@@ -111,18 +111,18 @@ class Site:
             return None
         if here and iri.startswith(f"{here}#"):
             fragment = iri.removeprefix(here)
-            return Anchor(fragment, readable(fragment), iri)
-        return Anchor(href, self.short(iri), iri, external=self.local(iri) is None)
+            return Anchor(fragment, readable_path(fragment), iri)
+        return Anchor(href, self.short_name(iri), iri, external=self.page_url(iri) is None)
 
-    def short(self, iri: str) -> str:
+    def short_name(self, iri: str) -> str:
         """How `iri` is called on a page: a ROS name, a type's name, `prefix:name`, or else itself."""
         if iri.startswith(self.types):
-            return readable(iri.removeprefix(self.types))
+            return readable_path(iri.removeprefix(self.types))
         if iri.startswith(self.base):
             return self._local_name(iri.removeprefix(self.base))
-        return self.compact(iri)
+        return self.prefixed_name(iri)
 
-    def compact(self, iri: str) -> str:
+    def prefixed_name(self, iri: str) -> str:
         """`prefix:name` for a term of a known vocabulary, else the IRI."""
         for prefix, namespace in PREFIXES.items():
             if iri.startswith(namespace) and iri != namespace:
@@ -132,7 +132,7 @@ class Site:
     def _local_name(self, rest: str) -> str:
         path, hash_, fragment = rest.partition("#")
         path, query_, query = path.partition("?")
-        return (_place(path) or self.name) + readable(f"{query_}{query}{hash_}{fragment}")
+        return (_place(path) or self.name) + readable_path(f"{query_}{query}{hash_}{fragment}")
 
 
 def _place(path: str) -> str:
@@ -140,13 +140,13 @@ def _place(path: str) -> str:
     try:
         kind, segments, is_container = locate(f"/{path}")
     except ValueError:
-        return readable(path)
+        return readable_path(path)
     if is_container and not segments:
         return f"{kind}/" if kind else ""
     name = "/".join(segments) + ("/" if is_container else "")
     return f"/{name}" if kind in _NAMED else name or kind
 
 
-def readable(path: str) -> str:
+def readable_path(path: str) -> str:
     """A path as people read it: percent-encoding undone, what is not UTF-8 replaced."""
     return unquote(path, errors="replace")

@@ -13,7 +13,7 @@ from rosld.ontology.vocab import rdfs, ros
 from rosld.server.html.labels import label
 from rosld.server.html.page import Term
 from rosld.server.html.site import Anchor, Site
-from rosld.server.html.view import visible
+from rosld.server.html.view import escape_controls
 
 _TONES = {ros.Succeeded: "good", ros.Failed: "error", ros.Running: "warning"}
 
@@ -56,10 +56,10 @@ def stop_steps(document: Document, site: Site) -> StopSteps | None:
 def _row(said: Statements, site: Site) -> StepRow:
     state = next((term for term in said.get(ros.state, ()) if isinstance(term, NamedNode)), ros.NotSent)
     about = next((term for term in said.get(ros.touches, ()) if isinstance(term, NamedNode)), None)
-    words = visible(_text(said.get(ros.words, ())))
+    words = escape_controls(_text(said.get(ros.words, ())))
     tone = _TONES.get(state, "")
     return StepRow(
-        visible(_text(said.get(rdfs.label, ()))),
+        escape_controls(_text(said.get(rdfs.label, ()))),
         None if about is None else site.anchor(about.value),
         _text(said.get(ros.subscriberCount, ())),
         "" if state == ros.NotSent else label(state.value),

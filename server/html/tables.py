@@ -7,31 +7,31 @@ from itertools import islice
 
 from pyoxigraph import Literal
 
-from rosld.server.html.page import Results, Term
+from rosld.server.html.page import PageResults, Term
 from rosld.server.html.site import Site
 from rosld.server.html.terms import cell_view, term_view
-from rosld.server.html.view import View, visible
+from rosld.server.html.view import View, escape_controls
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class ResultsTable:
     """Rows of views under headings; `cut` says that there were more rows than are shown."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[View | None, ...], ...]
-    cut: bool = False
+    is_truncated: bool = False
     boolean: bool | None = None
     note: str = ""
 
 
-def table(results: Results, site: Site) -> Table:
+def results_table(results: PageResults, site: Site) -> ResultsTable:
     """The table of a query's results: at most `results.limit` rows are read and shown."""
-    columns = tuple(visible(name) for name in results.variables)
+    columns = tuple(escape_controls(name) for name in results.variables)
     if results.boolean is not None:
-        return Table(columns, (), boolean=results.boolean, note=results.note)
+        return ResultsTable(columns, (), boolean=results.boolean, note=results.note)
     taken = list(islice(results.rows, results.limit + 1))
     rows = tuple(tuple(_view(term, site) for term in row) for row in taken[: results.limit])
-    return Table(columns, rows, cut=len(taken) > results.limit, note=results.note)
+    return ResultsTable(columns, rows, is_truncated=len(taken) > results.limit, note=results.note)
 
 
 def _view(term: Term | None, site: Site) -> View | None:

@@ -9,8 +9,8 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.ontology.vocab import rdf, xsd
 from rosld.server.html.page import Cell, Term
 from rosld.server.html.site import Site
-from rosld.server.html.timestamps import from_text
-from rosld.server.html.view import Go, Octets, Series, Text, View, text_view, visible
+from rosld.server.html.timestamps import time_view_of_text
+from rosld.server.html.view import ArrayView, BytesView, LinkView, TextView, View, escape_controls, text_view
 
 _PLAIN = frozenset({xsd.string, rdf.langString})
 NUMBERS = frozenset(
@@ -28,7 +28,7 @@ def term_view(term: Term, site: Site, here: str = "") -> View:
     if isinstance(term, Literal):
         return literal_view(term, site)
     if isinstance(term, BlankNode):
-        return Text(f"_:{term.value}", tone="quiet")
+        return TextView(f"_:{term.value}", tone="quiet")
     return _triple_view(term)
 
 
@@ -37,40 +37,40 @@ def cell_view(cell: Cell, site: Site) -> View:
     if isinstance(cell, str):
         return text_view(cell)
     if isinstance(cell, Literal) and (cell.datatype in NUMBERS or cell.datatype == xsd.boolean):
-        return Text(visible(cell.value), tone="number")
+        return TextView(escape_controls(cell.value), tone="number")
     return term_view(cell, site)
 
 
 def iri_view(iri: str, site: Site, here: str = "") -> View:
     """An IRI as a link, or as text where it must not be one (`javascript:` and its like)."""
     anchor = site.anchor(iri, here)
-    return Text(visible(iri), tone="iri") if anchor is None else Go(anchor)
+    return TextView(escape_controls(iri), tone="iri") if anchor is None else LinkView(anchor)
 
 
 def literal_view(literal: Literal, site: Site) -> View:
     """A literal by its datatype: times readable, arrays shortened, bytes counted, everything else as it is written."""
     datatype = literal.datatype
-    hint = hint_of(literal, site)
+    hint = literal_hint(literal, site)
     if datatype == xsd.dateTime:
-        return from_text(visible(literal.value), hint)
+        return time_view_of_text(escape_controls(literal.value), hint)
     if datatype == rdf.JSON:
         return _json_view(literal.value)
     if datatype == xsd.base64Binary:
-        return Octets(len(literal.value) * 3 // 4 - literal.value[-2:].count("="), hint=hint)
+        return BytesView(len(literal.value) * 3 // 4 - literal.value[-2:].count("="), hint=hint)
     if datatype in NUMBERS:
-        return Text(visible(literal.value), hint, tone="number")
+        return TextView(escape_controls(literal.value), hint, tone="number")
     return text_view(literal.value, hint)
 
 
-def hint_of(literal: Literal, site: Site) -> str:
+def literal_hint(literal: Literal, site: Site) -> str:
     """The quiet word beside a literal: its language, or its datatype unless it is a plain string."""
     if literal.language:
         return literal.language if literal.language != "en" else ""
     if literal.datatype in _PLAIN:
         return ""
     if literal.datatype.value.startswith(xsd.iri):
-        return visible(literal.datatype.value.removeprefix(xsd.iri))
-    return visible(site.compact(literal.datatype.value))
+        return escape_controls(literal.datatype.value.removeprefix(xsd.iri))
+    return escape_controls(site.prefixed_name(literal.datatype.value))
 
 
 def _json_view(text: str) -> View:
@@ -81,9 +81,9 @@ def _json_view(text: str) -> View:
     if not isinstance(value, list):
         return text_view(text, "JSON")
     items = [each if isinstance(each, str) else json.dumps(each, ensure_ascii=False) for each in value[:2_000]]
-    head, full = visible(", ".join(items[:_HEAD])), visible(", ".join(items))
-    return Series(len(value), head, full if len(value) > _HEAD else None, hint="JSON")
+    head, full = escape_controls(", ".join(items[:_HEAD])), escape_controls(", ".join(items))
+    return ArrayView(len(value), head, full if len(value) > _HEAD else None, hint="JSON")
 
 
 def _triple_view(triple: Triple) -> View:
-    return Text(visible(f"<<{triple}>>"), tone="iri")
+    return TextView(escape_controls(f"<<{triple}>>"), tone="iri")

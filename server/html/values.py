@@ -10,8 +10,8 @@ from rosld.server.html.inputs import Json, editable_json
 from rosld.server.html.messages import message_view
 from rosld.server.html.site import Site
 from rosld.server.html.terms import cell_view
-from rosld.server.html.view import Text, View, text_view, visible
-from rosld.server.hypermedia.value import MessageValue, Value, literal, plain_json
+from rosld.server.html.view import TextView, View, escape_controls, text_view
+from rosld.server.hypermedia.value import MessageValue, Value, plain_json, value_literal
 
 _LIFTING = LiftSettings()
 
@@ -19,9 +19,9 @@ _LIFTING = LiftSettings()
 def value_view(value: Value, site: Site, field: str | None = None) -> View:
     """How a value is shown; with `field`, one scalar of it by its dotted path."""
     try:
-        scalar = literal(value, field)
+        scalar = value_literal(value, field)
     except ValueError as error:
-        return Text(visible(str(error)), tone="none")
+        return TextView(escape_controls(str(error)), tone="none")
     if scalar is not None:
         return cell_view(scalar, site)
     if isinstance(value, MessageValue):

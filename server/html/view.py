@@ -14,7 +14,7 @@ _UNASSIGNED = re.compile(r"[\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff\x80-\x9f]")
 
 
 @dataclass(frozen=True, slots=True)
-class Text:
+class TextView:
     """A value as text; `full` is all of a long one, `hint` its type, `tone` a class of style."""
 
     kind: ClassVar[str] = "text"
@@ -25,7 +25,7 @@ class Text:
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class BlockView:
     """Text of several lines, such as the definition of a type or a query."""
 
     kind: ClassVar[str] = "block"
@@ -34,7 +34,7 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True)
-class Go:
+class LinkView:
     """A link."""
 
     kind: ClassVar[str] = "link"
@@ -43,7 +43,7 @@ class Go:
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class TimeView:
     """A time: for machines (`iso`), for people, and as it was given."""
 
     kind: ClassVar[str] = "moment"
@@ -53,7 +53,7 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class ArrayView:
     """An array of scalars: its length, its beginning, and (where there is more) as much of the whole as is shown."""
 
     kind: ClassVar[str] = "series"
@@ -64,7 +64,7 @@ class Series:
 
 
 @dataclass(frozen=True, slots=True)
-class Octets:
+class BytesView:
     """Bytes: how many, the first of them in hexadecimal, and where they are (None: nowhere by themselves)."""
 
     kind: ClassVar[str] = "octets"
@@ -75,7 +75,7 @@ class Octets:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class TableRow:
     """A named value (or several); `hint` is quiet, `term` links to what the name means."""
 
     label: str
@@ -88,46 +88,47 @@ class Row:
     def nested(self) -> bool:
         """Whether the values are tables of their own."""
         return any(
-            value.kind in ("many", "block") or (isinstance(value, Rows) and not value.short) for value in self.values
+            value.kind in ("many", "block") or (isinstance(value, TableView) and not value.short)
+            for value in self.values
         )
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class TableView:
     """A table of named values. `id` is the fragment it has on the page; `short` ones (a few numbers) take one line."""
 
     kind: ClassVar[str] = "rows"
-    rows: tuple[Row, ...]
+    rows: tuple[TableRow, ...]
     hint: str = ""
     id: str = ""
     short: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Many:
+class TableListView:
     """An array of tables, of which `items` are shown."""
 
     kind: ClassVar[str] = "many"
     count: int
-    items: tuple[Rows, ...]
+    items: tuple[TableView, ...]
     hint: str = ""
 
 
-View: TypeAlias = Text | Block | Go | Moment | Series | Octets | Rows | Many
+View: TypeAlias = TextView | BlockView | LinkView | TimeView | ArrayView | BytesView | TableView | TableListView
 
 
-def visible(text: str) -> str:
+def escape_controls(text: str) -> str:
     """`text` with what HTML cannot hold made visible: control characters as their pictures, surrogates replaced."""
     return _UNASSIGNED.sub("\ufffd", text.translate(_PICTURES))
 
 
 def text_view(text: str, hint: str = "", tone: str = "") -> View:
     """How a string is shown: several lines as a block, a long one shortened."""
-    shown = visible(text)
+    shown = escape_controls(text)
     if not shown:
-        return Text("empty", hint, tone="none")
+        return TextView("empty", hint, tone="none")
     if "\n" in shown:
-        return Block(shown, hint)
+        return BlockView(shown, hint)
     if len(shown) > _LONG:
-        return Text(shown[: _LONG // 4], hint, full=shown, tone=tone)
-    return Text(shown, hint, tone=tone)
+        return TextView(shown[: _LONG // 4], hint, full=shown, tone=tone)
+    return TextView(shown, hint, tone=tone)

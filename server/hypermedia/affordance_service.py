@@ -19,12 +19,12 @@ from rosld.ontology.urls import Space
 from rosld.ontology.violations import in_words
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, Reader, TopicSource, Writer
-from rosld.server.hypermedia.conditions import Verdicts, url_of
+from rosld.server.hypermedia.conditions import ConditionResults, url_of
 from rosld.server.hypermedia.conventions import CONVENTIONS, Conventions, catalogue, needed_types
 from rosld.server.hypermedia.mapping import Condition, MappingSet
 from rosld.server.hypermedia.mappings import Mappings
-from rosld.server.hypermedia.property_writer import writer_of
-from rosld.server.hypermedia.readings import Readings
+from rosld.server.hypermedia.property_writer import current_writer
+from rosld.server.hypermedia.readings import PropertyReader
 from rosld.server.hypermedia.resource_tree import (
     ActionPlan,
     ComplexPlan,
@@ -32,7 +32,7 @@ from rosld.server.hypermedia.resource_tree import (
     PropertyPlan,
     ResourceTree,
 )
-from rosld.server.hypermedia.shape import as_declared, field_shape, value_shape
+from rosld.server.hypermedia.shape import field_shape, value_shape, with_descriptor
 from rosld.server.hypermedia.value import Reading
 from rosld.server.hypermedia.views import (
     ActionAffordance,
@@ -65,7 +65,7 @@ class Snapshot:
     """One look at some properties: the readings by name, and the verdicts that follow from them."""
 
     readings: Mapping[str, Reading]
-    verdicts: Verdicts
+    results: ConditionResults
 
 
 class AffordanceService(Generic[T]):
@@ -75,7 +75,7 @@ class AffordanceService(Generic[T]):
         self,
         session: Session,
         mappings: Mappings,
-        readings: Readings,
+        readings: PropertyReader,
         states: VersionCache[T],
         limits: Callable[[], Limits],
     ) -> None:
@@ -93,7 +93,7 @@ class AffordanceService(Generic[T]):
 
     # The layout
 
-    def at_hand(self) -> ResourceTree | None:
+    def cached_tree(self) -> ResourceTree | None:
         """The layout if it is of the graph, the types and the mappings of now: at once."""
         kept, session = self._kept, self._session
         if kept is None or kept[0] is not session.graph or kept[2] is not self._mappings.mapping_set:
@@ -101,17 +101,17 @@ class AffordanceService(Generic[T]):
         return kept[3] if kept[1] == session.schemas.count else None
 
     @property
-    def latest(self) -> ResourceTree | None:
+    def last_tree(self) -> ResourceTree | None:
         """The layout that was made last, which may be of before a change."""
         return None if self._kept is None else self._kept[3]
 
     async def tree(self) -> ResourceTree:
         """The layout of now; the types of services that are new are learnt before."""
-        found = self.at_hand()
+        found = self.cached_tree()
         if found is not None:
             return found
         async with self._making:
-            return self.at_hand() or await self._made()
+            return self.cached_tree() or await self._made()
 
     async def _made(self) -> ResourceTree:
         session = self._session
@@ -159,9 +159,9 @@ class AffordanceService(Generic[T]):
 
     # Looking
 
-    def known(self, reads: Sequence[Property]) -> tuple[Reading, ...] | None:
+    def cached_readings(self, reads: Sequence[Property]) -> tuple[Reading, ...] | None:
         """The readings of these properties if all are still good: at once."""
-        known = self._readings.known
+        known = self._readings.cached
         found = []
         for one in reads:
             reading = known(one)
@@ -170,17 +170,19 @@ class AffordanceService(Generic[T]):
             found.append(reading)
         return tuple(found)
 
-    async def look(self, reads: Sequence[Property], *, anew: bool = False) -> tuple[Reading, ...]:
+    async def read(self, reads: Sequence[Property], *, refresh: bool = False) -> tuple[Reading, ...]:
         """The readings of these properties, read together under one deadline; `anew`: none from before this call."""
         session = self._session
         deadline = session.deadline(session.settings.read_deadline)
-        found = await self._readings.read(reads, deadline=deadline, anew=anew)
+        found = await self._readings.read(reads, deadline=deadline, refresh=refresh)
         return tuple(found[one.name] for one in reads)
 
-    async def state(self, url: str, tree: ResourceTree, reads: Sequence[Property], make: Callable[[Snapshot], T]) -> T:
+    async def cached_state(
+        self, url: str, tree: ResourceTree, reads: Sequence[Property], make: Callable[[Snapshot], T]
+    ) -> T:
         """The state of the resource at `url` that follows from some properties: kept while their readings are good."""
         states = self._states
-        readings = self.known(reads) or await self.look(reads)
+        readings = self.cached_readings(reads) or await self.read(reads)
         version = (tree, readings, self._is_open)
         found = states.find(url, version)
         return found if found is not None else states.put(url, version, make(self.snapshot(tree, readings)))
@@ -188,7 +190,7 @@ class AffordanceService(Generic[T]):
     def snapshot(self, tree: ResourceTree, readings: Iterable[Reading]) -> Snapshot:
         """What follows from readings."""
         by_name = {reading.name: reading for reading in readings}
-        return Snapshot(by_name, Verdicts(tree, by_name, self._session.space, self._session.lifting))
+        return Snapshot(by_name, ConditionResults(tree, by_name, self._session.space, self._session.lifting))
 
     def max_age(self, readings: Sequence[Reading]) -> int:
         """For how many seconds these readings may be shown by others: 0 where one can change at any moment."""
@@ -209,8 +211,8 @@ class AffordanceService(Generic[T]):
 
     def complex_view(self, plan: ComplexPlan, snapshot: Snapshot) -> ComplexView:
         """A complex resource with all that it offers now. Raises a 404 Problem where it is not there."""
-        verdicts = snapshot.verdicts
-        self.require(plan.exists_when, verdicts, plan.path)
+        verdicts = snapshot.results
+        self.require_exists(plan.exists_when, verdicts, plan.path)
         space = self._session.space
         mapped = plan.mapped
         return ComplexView(
@@ -218,8 +220,8 @@ class AffordanceService(Generic[T]):
             plan.path,
             tuple(
                 Member(
-                    self.member_affordance(one, self._is_open and verdicts.hold(one.guards)),
-                    snapshot.readings[one.of.name],
+                    self.member_affordance(one, self._is_open and verdicts.hold(one.write_conditions)),
+                    snapshot.readings[one.source.name],
                     one.field,
                 )
                 for one in plan.members
@@ -242,35 +244,35 @@ class AffordanceService(Generic[T]):
 
     def property_view(self, plan: PropertyPlan, snapshot: Snapshot) -> PropertyView:
         """A property by itself. Raises a 404 Problem where it is not there."""
-        self.require(plan.exists_when, snapshot.verdicts, plan.of.name)
-        own, space = plan.of, self._session.space
-        affordance = self.member_affordance(plan.member, self._is_open and snapshot.verdicts.hold(plan.guards))
+        self.require_exists(plan.exists_when, snapshot.results, plan.source.name)
+        own, space = plan.source, self._session.space
+        affordance = self.member_affordance(plan.member, self._is_open and snapshot.results.hold(plan.write_conditions))
         reading = snapshot.readings[own.name]
         return PropertyView(
             affordance,
             reading,
             tuple(_source_url(way, space) for way in own.readers),
             tuple(_source_url(way, space) for way in own.writers),
-            url_of(plan.home, space),
+            url_of(plan.parent, space),
             plan.member.field,
         )
 
     def action_view(self, plan: ActionPlan, snapshot: Snapshot) -> ActionView:
         """An action by itself. Raises a 404 Problem where it is not on offer."""
-        self.require((*plan.exists_when, *plan.conditions), snapshot.verdicts, plan.name)
+        self.require_exists((*plan.exists_when, *plan.conditions), snapshot.results, plan.name)
         space = self._session.space
         invokes = space.action(plan.service) if plan.sends_goals else space.service(plan.service)
         affordance = replace(self.action_affordance(plan), is_open=self._is_open)
-        return ActionView(affordance, invokes, url_of(plan.home, space))
+        return ActionView(affordance, invokes, url_of(plan.parent, space))
 
     @property
     def _is_open(self) -> bool:
         """Whether anything is on offer now: nothing is while the robot is stopped."""
         return not self._session.is_stopped
 
-    def require(self, conditions: Iterable[Condition], verdicts: Verdicts, name: str) -> None:
+    def require_exists(self, conditions: Iterable[Condition], verdicts: ConditionResults, name: str) -> None:
         """Raise a 404 Problem with the reason where a condition of something's being there does not hold."""
-        broken = verdicts.report(conditions)
+        broken = verdicts.violations(conditions)
         if broken:
             raise Problem(
                 404, f"{name} is not on offer now: {in_words(broken)}.", title="Not on offer now", violations=broken
@@ -278,24 +280,24 @@ class AffordanceService(Generic[T]):
 
     # What can be done
 
-    async def hold(
+    async def conditions_hold(
         self, tree: ResourceTree, reads: Sequence[Property], *conditions: Sequence[Condition]
     ) -> Sequence[bool]:
         """Whether all of each group of conditions hold now. Raises RosError where that cannot be read."""
         if not any(conditions):
             return [True] * len(conditions)
-        verdicts = self.snapshot(tree, self.known(reads) or await self.look(reads)).verdicts
+        verdicts = self.snapshot(tree, self.cached_readings(reads) or await self.read(reads)).results
         return [verdicts.hold(each) for each in conditions]
 
     def member_affordance(self, plan: MemberPlan, write: bool) -> PropertyAffordance:
         """A property as it can be used; `write`: its conditions hold. What has no URL of its own affords nothing."""
-        own, mapped, session = plan.of, plan.mapped, self._session
-        url = url_of(plan.at or own.name, session.space)
+        own, mapped, session = plan.source, plan.mapped, self._session
+        url = url_of(plan.url_name or own.name, session.space)
         measure = mapped.measure if mapped else NO_MEASURE
         shape = value_shape(own.kind, self._limits(), url, measure)
         declared = self._declared(own)
         if declared is not None:
-            shape = as_declared(shape, declared)
+            shape = with_descriptor(shape, declared)
         if plan.field is not None:
             shape = field_shape(shape, plan.field, self._limits().bounds_of_resource(url), measure)
         return PropertyAffordance(
@@ -303,9 +305,9 @@ class AffordanceService(Generic[T]):
             url,
             shape,
             mapped.predicate if mapped else None,
-            read=plan.at is not None and bool(own.readers),
-            write=plan.at is not None and write and self.is_writable(own),
-            observe=plan.at is not None and is_observable(own),
+            read=plan.url_name is not None and bool(own.readers),
+            write=plan.url_name is not None and write and self.is_writable(own),
+            observe=plan.url_name is not None and is_observable(own),
             description=None if declared is None else declared.description or None,
         )
 
@@ -326,7 +328,7 @@ class AffordanceService(Generic[T]):
 
     def is_writable(self, own: Property) -> bool:
         """Whether ROS and the settings let a property be written now, whatever conditions say."""
-        return writer_of(self._session, own) is not None
+        return current_writer(self._session, own) is not None
 
     def is_callable(self, plan: ActionPlan) -> bool:
         """Whether ROS and the settings let an action be invoked now, whatever conditions say."""
@@ -338,13 +340,13 @@ class AffordanceService(Generic[T]):
         return Operation.CALL in session.adapter.allows(Ref(Kind.SERVICE, plan.service))
 
     @asynccontextmanager
-    async def turn(self, tree: ResourceTree, *names: str, changed: Iterable[str] = ()) -> AsyncIterator[None]:
+    async def lock(self, tree: ResourceTree, *names: str, modified: Iterable[str] = ()) -> AsyncIterator[None]:
         """Hold what hangs together with these names by conditions: nobody else writes it through rosld meanwhile.
 
-        The same holds for the properties `changed`, whose new values are made of their old ones. Raises a 503 Problem
+        The same holds for the properties `modified`, whose new values are made of their old ones. Raises a 503 Problem
         where the others take too long.
         """
-        keys = sorted({*tree.turns(names), *changed})
+        keys = sorted({*tree.lock_names(names), *modified})
         locks = [self._turns.setdefault(key, asyncio.Lock()) for key in keys]
         if not locks:
             yield
@@ -360,15 +362,15 @@ class AffordanceService(Generic[T]):
     def _on_write(self, kind: Kind, name: str) -> None:
         """Something was written to a topic, service or parameter: values that may have changed are no longer fresh."""
         if self._kept is not None:
-            affected = self._kept[3].affected(kind, name)
-            self._readings.end(affected)
+            affected = self._kept[3].affected_by(kind, name)
+            self._readings.invalidate(affected)
             for each in affected:
                 self._changes.emit(each)
 
 
 def conventions_of(settings: Settings) -> Conventions:
     """The conventions with what the settings add. Raises ValueError for a template or a glob that makes no sense."""
-    return CONVENTIONS.extended(getters=settings.getter, setters=settings.setter, excluded=settings.exclude_service)
+    return CONVENTIONS.extend(getters=settings.getter, setters=settings.setter, excluded=settings.exclude_service)
 
 
 def _mapped_actions(mapping_set: MappingSet) -> set[str]:

@@ -13,10 +13,10 @@ from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf
 from rosld.server.hypermedia.mapping import Condition
 from rosld.server.hypermedia.resource_tree import ResourceTree, segments_of
-from rosld.server.hypermedia.value import MessageValue, Reading, lifted, literal
+from rosld.server.hypermedia.value import MessageValue, Reading, lift_value, value_literal
 
 
-class Verdicts:
+class ConditionResults:
     """The verdicts on the conditions of one layout, given one set of readings; each is made once."""
 
     def __init__(
@@ -30,13 +30,13 @@ class Verdicts:
 
     def hold(self, conditions: Iterable[Condition]) -> bool:
         """Whether all of them hold."""
-        return not any(self.broken(condition) for condition in conditions)
+        return not any(self.violations_of(condition) for condition in conditions)
 
-    def report(self, conditions: Iterable[Condition]) -> tuple[Violation, ...]:
+    def violations(self, conditions: Iterable[Condition]) -> tuple[Violation, ...]:
         """Everything that keeps them from holding."""
-        return tuple(violation for condition in conditions for violation in self.broken(condition))
+        return tuple(violation for condition in conditions for violation in self.violations_of(condition))
 
-    def broken(self, condition: Condition) -> tuple[Violation, ...]:
+    def violations_of(self, condition: Condition) -> tuple[Violation, ...]:
         """What keeps a condition from holding: nothing where it holds. A state that cannot be read fulfils nothing."""
         known = self._broken.get(condition.iri)
         if known is None:
@@ -85,7 +85,7 @@ def value_triples(
     if value is None:
         return []
     try:
-        scalar = literal(value, field)
+        scalar = value_literal(value, field)
     except ValueError:
         return []
     if scalar is not None:
@@ -93,7 +93,7 @@ def value_triples(
     if not isinstance(value, MessageValue):
         return []
     node = f"#{reading.name.rpartition('/')[2]}"
-    document = Document(subject.value, (), (lifted(value, node, lifting),))
+    document = Document(subject.value, (), (lift_value(value, node, lifting),))
     return [Triple(subject, predicate, NamedNode(subject.value + node)), *document.all_triples()]
 
 

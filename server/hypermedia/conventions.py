@@ -34,7 +34,7 @@ from rosld.server.hypermedia.catalogue import (
     ValueKind,
     Writer,
 )
-from rosld.server.hypermedia.type_inference import answered_fields, kind_of, lowers
+from rosld.server.hypermedia.type_inference import is_convertible, value_fields, value_kind
 
 SchemaOf: TypeAlias = Callable[[TypeRef], "Schema | None"]
 
@@ -64,7 +64,7 @@ class Conventions:
         for glob in self.excluded:
             _check_glob(glob)
 
-    def extended(
+    def extend(
         self, getters: Iterable[str] = (), setters: Iterable[str] = (), excluded: Iterable[str] = ()
     ) -> Conventions:
         """These and more; the templates given here come first. Raises ValueError with a sentence for the user."""
@@ -243,7 +243,7 @@ def _by_property(
 
 
 def _getter(service: str, schema: ServiceSchema) -> Getter | None:
-    fields = answered_fields(schema)
+    fields = value_fields(schema)
     return Getter(service, schema, fields) if fields else None
 
 
@@ -265,11 +265,11 @@ def _property(
     """
     kind: ValueKind = OpenKind()
     if topic is not None and topic.schema is not None:
-        kind = kind_of(topic.schema, topic.schema.type.fields)
-    getter = next((one for one in getters if lowers(kind_of(one.schema.response, one.fields), kind)), None)
+        kind = value_kind(topic.schema, topic.schema.type.fields)
+    getter = next((one for one in getters if is_convertible(value_kind(one.schema.response, one.fields), kind)), None)
     if getter is not None and isinstance(kind, OpenKind):
-        kind = kind_of(getter.schema.response, getter.fields)
-    setter = next((one for one in setters if lowers(kind, _asked(one))), None)
+        kind = value_kind(getter.schema.response, getter.fields)
+    setter = next((one for one in setters if is_convertible(kind, _asked(one))), None)
     if setter is not None and isinstance(kind, OpenKind):
         kind = _asked(setter)
     writable = topic if topic is not None and topic.schema is not None else None
@@ -285,4 +285,4 @@ def _property(
 
 def _asked(setter: Setter) -> ValueKind:
     request = setter.schema.request
-    return kind_of(request, request.type.fields)
+    return value_kind(request, request.type.fields)

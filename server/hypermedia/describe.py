@@ -21,7 +21,7 @@ from rosld.ontology.lift import LiftSettings
 from rosld.ontology.triples import CONTAINER, RDF_SOURCE, Statement, about, boolean, each, text
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, hctl, htv, ldp, mapping, qudt, rdf, rdfs, ros, td
-from rosld.server.hypermedia.value import MessageValue, Reading, lifted, literal, picked_json, plain_json
+from rosld.server.hypermedia.value import MessageValue, Reading, field_json, lift_value, plain_json, value_literal
 from rosld.server.hypermedia.views import (
     ActionAffordance,
     ActionView,
@@ -125,15 +125,15 @@ def complex_document(
     affordances: list[Triple] = []
     for member in view.members:
         one = member.affordance
-        said = _said(member.reading, member.field, view.url, fragment(one.name), lifting)
+        said = _said(member.reading, member.field, view.url, fragment_of(one.name), lifting)
         own = NamedNode(one.url)
         values += about(subject, (one.predicate, said.term)) if one.predicate else about(own, (rdf.value, said.term))
         values += about(own, (ros.unreadable, said.failure))
         messages += said.messages
-        affordances += _property_affordance(one, subject, fragment("properties", one.name), space)
+        affordances += _property_affordance(one, subject, fragment_of("properties", one.name), space)
     for action in view.actions:
         values += about(subject, (action.relation, NamedNode(action.url))) if action.relation else ()
-        affordances += _action_affordance(action, subject, fragment("actions", action.name), space)
+        affordances += _action_affordance(action, subject, fragment_of("actions", action.name), space)
     values += [Triple(subject, link.relation, NamedNode(link.target)) for link in view.links]
     values += about(subject, *each(ldp.contains, map(NamedNode, _contained(view))))
     values += about(subject, *each(dcterms.hasPart, map(NamedNode, view.children)))
@@ -190,12 +190,12 @@ def _said(reading: Reading, field: str | None, document: str, node: str, lifting
     if value is None:
         return _Said(failure=text(reading.failure))
     try:
-        term = literal(value, field)
+        term = value_literal(value, field)
     except ValueError as error:
         return _Said(failure=text(str(error)))
     if term is not None or not isinstance(value, MessageValue):
         return _Said(term)
-    return _Said(NamedNode(document + node), (lifted(value, node, lifting),))
+    return _Said(NamedNode(document + node), (lift_value(value, node, lifting),))
 
 
 def _json(reading: Reading, field: str | None, lifting: LiftSettings) -> bytes:
@@ -204,12 +204,12 @@ def _json(reading: Reading, field: str | None, lifting: LiftSettings) -> bytes:
     if value is None:
         return b"null"
     try:
-        return plain_json(value, lifting) if field is None else picked_json(value, field)
+        return plain_json(value, lifting) if field is None else field_json(value, field)
     except ValueError:
         return b"null"
 
 
-def fragment(*parts: str) -> str:
+def fragment_of(*parts: str) -> str:
     """A fragment: its parts encoded and joined by slashes. Dots are escaped, for a dot leads to a nested message."""
     return "#" + "/".join(quote(part, safe="").replace(".", "%2E") for part in parts)
 

@@ -17,19 +17,19 @@ _OF_THINGS = {"unit": "x-unit"}
 """What only Thing Descriptions have words for, and the extensions that stand for it."""
 
 
-def as_read(schema: DataSchema) -> Schema:
+def read_schema(schema: DataSchema) -> Schema:
     """The schema of a value that the server writes."""
     return cast(Schema, _rename(schema))
 
 
-def as_sent(schema: DataSchema) -> Schema:
+def write_schema(schema: DataSchema) -> Schema:
     """The schema of a value that a client writes: without what only the server says (`readOnly`)."""
     return cast(Schema, _rename(_without_read_only(schema)))
 
 
-def as_patch(schema: DataSchema) -> Schema:
+def patch_schema(schema: DataSchema) -> Schema:
     """The schema of a JSON merge patch of a value (RFC 7396): of an object any of its members, else the whole value."""
-    return _part(as_sent(schema))
+    return _part(write_schema(schema))
 
 
 def _part(schema: Schema) -> Schema:
@@ -39,7 +39,7 @@ def _part(schema: Schema) -> Schema:
     return {"type": "object", "properties": {name: _part(cast(Schema, each)) for name, each in members.items()}}
 
 
-def or_null(schema: Schema) -> Schema:
+def nullable(schema: Schema) -> Schema:
     """The schema of a value that may not be there."""
     return {"anyOf": [schema, NOTHING]} if schema else schema
 

@@ -74,7 +74,7 @@ class ComplexResource:
     links: tuple[MappedLink, ...] = ()
     exists_when: tuple[Condition, ...] = ()
     title: str | None = None
-    stops: tuple[StopCommand, ...] = ()
+    stop_commands: tuple[StopCommand, ...] = ()
 
     def conditions(self) -> Iterator[Condition]:
         """Every condition of it, of its properties, actions and links."""
@@ -94,7 +94,7 @@ class MappingSet:
     revision: int = 0
     resources: Mapping[str, ComplexResource] = field(default_factory=dict)
 
-    def stops(self) -> Iterator[tuple[StopCommand, str]]:
+    def stop_commands(self) -> Iterator[tuple[StopCommand, str]]:
         """The steps that stop the robot, each with the IRI of the complex resource that asks for it."""
         for resource in self.resources.values():
-            yield from ((each, resource.iri) for each in resource.stops)
+            yield from ((each, resource.iri) for each in resource.stop_commands)

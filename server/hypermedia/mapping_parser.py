@@ -69,20 +69,20 @@ class MappingDocument:
     resources: tuple[ComplexResource, ...]
 
 
-class MappingRefused(LoweringError):
+class InvalidMapping(LoweringError):
     """A document that is no mapping, or none that can be in force beside the others."""
 
 
-def read_mapping(data: bytes, media_type: str, url: str, *, judged: bool = False) -> MappingDocument:
+def read_mapping(data: bytes, media_type: str, url: str, *, is_valid: bool = False) -> MappingDocument:
     """The mapping that `data` describes, its relative IRIs resolved against `url`; `judged` as in `mapping_of`.
 
     Raises BodyError for what cannot be parsed, MappingRefused for what is no mapping, ValueError for a media type that
     is no RDF syntax. Takes seconds for the largest documents: call it off the loop.
     """
-    return mapping_of(parse_body(data, media_type, url), url, judged=judged)
+    return mapping_of(parse_body(data, media_type, url), url, is_valid=is_valid)
 
 
-def load_mapping(path: Path, space: Space, name: str | None = None, *, judged: bool = False) -> MappingDocument:
+def load_mapping(path: Path, space: Space, name: str | None = None, *, is_valid: bool = False) -> MappingDocument:
     """The mapping in a file, by its `name` (the file's by default) under `/mappings/`; `judged` as in `mapping_of`.
 
     Raises OSError where there is no such file, and ValueError for one that is no mapping: each with the file's name.
@@ -93,26 +93,26 @@ def load_mapping(path: Path, space: Space, name: str | None = None, *, judged: b
         raise ValueError(f"{path} is no mapping that can be read: its name must end in {known}.")
     try:
         return read_mapping(
-            path.read_bytes(), syntax.media_type, space.url("mappings", (name or path.stem,)), judged=judged
+            path.read_bytes(), syntax.media_type, space.url("mappings", (name or path.stem,)), is_valid=is_valid
         )
     except ValueError as error:
         raise ValueError(f"{path} is no mapping: {error}") from error
 
 
-def mapping_of(body: RdfBody, url: str, *, judged: bool = False) -> MappingDocument:
+def mapping_of(body: RdfBody, url: str, *, is_valid: bool = False) -> MappingDocument:
     """The mapping that the triples of a body describe. Raises MappingRefused.
 
     Where it was `judged` by the shape of mappings before, it is not judged by it again: that takes its time.
     """
     triples = tuple(_triples(body))
     if len(triples) > MAX_TRIPLES:
-        raise MappingRefused(
+        raise InvalidMapping(
             Violation("", f"a mapping has at most {MAX_TRIPLES} triples; make several documents of it")
         )
     if strange := next((each for each in triples if Triple in (type(each.subject), type(each.object))), None):
-        raise MappingRefused(Violation("", "a mapping has no triple terms", brief(strange)))
+        raise InvalidMapping(Violation("", "a mapping has no triple terms", brief(strange)))
     reader = _Reader(url, _conditions_named(triples, url))
-    if not judged:
+    if not is_valid:
         reader.permissions()
     return MappingDocument(url, triples, reader.resources())
 
@@ -277,7 +277,7 @@ class _Reader:
         """Raise what was noted, if anything was."""
         if self.found:
             violations = sorted(self.found, key=lambda one: (one.path, one.message, one.value or ""))
-            raise MappingRefused(*violations[:_MAX_VIOLATIONS])
+            raise InvalidMapping(*violations[:_MAX_VIOLATIONS])
 
     def check_terms(self) -> None:
         """No term of `map:` or of SHACL is misspelt: an unknown one would silently mean nothing."""

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from rosld.ontology.namespaces import Kept
 from rosld.ontology.violations import Violation
 from rosld.server.hypermedia.mapping import ComplexResource, Condition, MappedAction, MappingSet
-from rosld.server.hypermedia.mapping_parser import MappingDocument, MappingRefused
+from rosld.server.hypermedia.mapping_parser import InvalidMapping, MappingDocument
 
 
 class Mappings:
@@ -19,11 +19,11 @@ class Mappings:
     `given` are those to begin with. Who changes what is kept of them takes their `turn`.
     """
 
-    def __init__(self, given: Iterable[MappingDocument] = ()) -> None:
+    def __init__(self, initial: Iterable[MappingDocument] = ()) -> None:
         self._documents: Mapping[str, MappingDocument] = MappingProxyType({})
         self._mapping_set = MappingSet()
-        self.given = tuple(given)
-        self.turn = asyncio.Lock()
+        self.given = tuple(initial)
+        self.lock = asyncio.Lock()
         for document in self.given:
             self.replace(document)
 
@@ -71,7 +71,7 @@ def _check(document: MappingDocument, others: Iterable[MappingDocument]) -> None
         for iri in sorted(conditions & named):
             found.append(Violation(iri, f"{other.url} describes this condition already; give this one its own IRI"))
     if found:
-        raise MappingRefused(*found)
+        raise InvalidMapping(*found)
 
 
 def _claims(document: MappingDocument) -> tuple[set[str], set[str]]:
@@ -102,7 +102,7 @@ def related(mapping_set: MappingSet, relation: str) -> frozenset[str]:
     return _index(mapping_set).related.get(relation, frozenset())
 
 
-def guards_of_member(mapping_set: MappingSet, name: str) -> tuple[Condition, ...]:
+def write_conditions_of(mapping_set: MappingSet, name: str) -> tuple[Condition, ...]:
     """All conditions under which a member may be written, of every mapping that maps it, by its full name."""
     return _index(mapping_set).guards.get(name, ())
 
@@ -122,7 +122,7 @@ def dependents(mapping_set: MappingSet, about: str) -> frozenset[str]:
     return _index(mapping_set).dependents.get(about, frozenset())
 
 
-def component(mapping_set: MappingSet, path: str) -> frozenset[str]:
+def connected_paths(mapping_set: MappingSet, path: str) -> frozenset[str]:
     """The paths that hang together with this one, itself among them.
 
     From a complex resource to what its conditions are about, any number of steps in either direction. A condition about
@@ -131,7 +131,7 @@ def component(mapping_set: MappingSet, path: str) -> frozenset[str]:
     return _index(mapping_set).components.get(path) or frozenset({path})
 
 
-def covering(mapping_set: MappingSet, path: str) -> tuple[ComplexResource, ...]:
+def mapped_above(mapping_set: MappingSet, path: str) -> tuple[ComplexResource, ...]:
     """The mapped resources at and above a path or name, the outermost first."""
     above = (path[: position + 1] for position, char in enumerate(path) if char == "/")
     return tuple(mapping_set.resources[each] for each in above if each in mapping_set.resources)

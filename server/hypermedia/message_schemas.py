@@ -47,14 +47,14 @@ class MessageSchemas:
         if schema is None:
             return OBJECT
         key = self._key(schema.ref)
-        return self._shared(key, lambda: json_schema.as_read(message_schema(schema, self.lifting)))
+        return self._shared(key, lambda: json_schema.read_schema(message_schema(schema, self.lifting)))
 
-    def sent(self, schema: MessageSchema | None) -> DataSchema:
+    def write(self, schema: MessageSchema | None) -> DataSchema:
         """What a message may be when it is sent, which is another schema: what is left out has its default."""
         if schema is None:
             return OBJECT
         key = f"{self._key(schema.ref)}.sent"
-        return self._shared(key, lambda: json_schema.as_sent(message_schema(schema, self.lifting, sent=True)))
+        return self._shared(key, lambda: json_schema.write_schema(message_schema(schema, self.lifting, sent=True)))
 
     def _shared(self, key: str, make: Callable[[], DataSchema]) -> DataSchema:
         if key not in self.by_key:

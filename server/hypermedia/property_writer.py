@@ -42,9 +42,9 @@ from rosld.server.hypermedia.value import (
     MessageValue,
     StoredValue,
     Value,
-    declined,
-    part_of,
+    refusal_text,
     scalar_field,
+    select_fields,
 )
 from rosld.server.robot.calls import UnreadableResponse
 from rosld.server.robot.declared_parameters import has_other_values
@@ -68,7 +68,7 @@ class PlannedWrite:
     data: bytes = b""
 
 
-class Written(Enum):
+class WriteOutcome(Enum):
     """What became of a write."""
 
     DONE = "done"
@@ -81,7 +81,7 @@ class Written(Enum):
 # Who writes
 
 
-def writer_of(session: Session, property: Property) -> Writer | None:
+def current_writer(session: Session, property: Property) -> Writer | None:
     """What writes the property now: the first of its writers that may; None where none may."""
     return next((one for one in property.writers if _refusal(session, one) is None), None)
 
@@ -147,7 +147,7 @@ def plan_write(session: Session, property: Property, content: object, *, default
     Raises a 405 Problem where nothing writes it now, and LoweringError for what does not fit; the `path` of a violation
     is "" for a scalar.
     """
-    writer = writer_of(session, property)
+    writer = current_writer(session, property)
     match writer:
         case Setter(schema=service):
             return _planned(session, property, writer, service.request, content, defaults)
@@ -167,7 +167,7 @@ def _parameter_value(kind: ValueKind, content: object) -> ParameterValue:
             fitted = _fitted(primitive, content)
             return fitted if isinstance(fitted, bool | int | float) else value
         case MessageKind(schema=schema, fields=fields):
-            lowerer(part_of(schema, fields)).from_json(content)
+            lowerer(select_fields(schema, fields)).from_json(content)
     return value
 
 
@@ -182,13 +182,13 @@ def _fitted(kind: Primitive, content: object) -> object:
 def _planned(
     session: Session, property: Property, writer: Writer, schema: MessageSchema, content: object, defaults: bool
 ) -> PlannedWrite:
-    message = lowered(schema, content, session.lifting, defaults=defaults)
+    message = lower_content(schema, content, session.lifting, defaults=defaults)
     data = schema.codec.encode(message, session.adapter.capabilities.encoding)
     url = session.space.service(writer.name) if isinstance(writer, Setter) else session.space.topic(writer.name)
     return PlannedWrite(property.name, writer, MessageValue(schema, message, schema.type.fields, url), data)
 
 
-def lowered(schema: MessageSchema, content: object, lifting: LiftSettings, *, defaults: bool = False) -> Message:
+def lower_content(schema: MessageSchema, content: object, lifting: LiftSettings, *, defaults: bool = False) -> Message:
     """The message of `schema` that carries a content: in its one field if that is a scalar, else field by field.
 
     Fields that are missing have their `defaults`, or do not fit.
@@ -218,7 +218,7 @@ def _from_literal(schema: MessageSchema, field: Field | None, content: Literal, 
 # Carrying it out
 
 
-async def carry_out(session: Session, planned: PlannedWrite) -> Written:
+async def carry_out(session: Session, planned: PlannedWrite) -> WriteOutcome:
     """Move the session. Raises RosError as the adapter does, Refused where the setter answers that it will not."""
     writer, value = planned.writer, planned.value
     match writer:
@@ -229,20 +229,20 @@ async def carry_out(session: Session, planned: PlannedWrite) -> Written:
             passes = passes_stop(session, writer.name, value.schema, value.message)
             publication = Publication(writer.name, value.schema.ref, planned.data, passes_stop=passes)
             published = await publish(session, publication)
-            return Written.DONE if published.matched else Written.UNHEARD
+            return WriteOutcome.DONE if published.matched else WriteOutcome.UNHEARD
         case ParameterSource():
             assert isinstance(value, StoredValue)
             return await _set(session, writer.name, value.value)
-    return Written.DONE
+    return WriteOutcome.DONE
 
 
-async def _set(session: Session, name: str, value: ParameterValue) -> Written:
+async def _set(session: Session, name: str, value: ParameterValue) -> WriteOutcome:
     deadline = session.deadline(session.settings.call_deadline)
     try:
         await session.adapter.set_parameters({name: value}, deadline=deadline)
     finally:
         session.announce_write(Kind.PARAMETER, name)
-    return Written.OTHERWISE if await has_other_values(session, {name: value}) else Written.DONE
+    return WriteOutcome.OTHERWISE if await has_other_values(session, {name: value}) else WriteOutcome.DONE
 
 
 async def _call(session: Session, setter: Setter, request: bytes) -> None:
@@ -256,7 +256,7 @@ async def _call(session: Session, setter: Setter, request: bytes) -> None:
         message = response.codec.decode(answer, session.adapter.capabilities.encoding)
     except ValueError as error:
         raise UnreadableResponse(f"the answer of {setter.name} cannot be read: {error}", sent=Sent.YES) from error
-    words = declined(response, message)
+    words = refusal_text(response, message)
     if words is not None:
         sentence = f"{setter.name} refused the value" + (f": {words}" if words else "")
         raise Refused(sentence, words=words or None, sent=Sent.YES)

@@ -15,8 +15,8 @@ from rosld.adapters.base import Adapter
 from rosld.adapters.model import MessageSchema, names
 from rosld.ontology.urls import Space
 from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource
-from rosld.server.hypermedia.single_flight_cache import Ask, Room, SingleFlightCache
-from rosld.server.hypermedia.sources import NOTHING, ReadResult, Seen, Sources, decoded, late
+from rosld.server.hypermedia.single_flight_cache import Fetch, SingleFlightCache, Slot
+from rosld.server.hypermedia.sources import NO_VALUE, ReadResult, SourceReader, TopicLook, decode_value, timeout_message
 from rosld.server.hypermedia.value import Reading
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topic_view import TopicView
@@ -54,7 +54,7 @@ class _Kept:
     reading: Reading
 
 
-class Readings:
+class PropertyReader:
     """The readings of one robot's properties.
 
     A topic's value is good until another message comes; that of a getter or a parameter, or its failure, for
@@ -68,17 +68,17 @@ class Readings:
         self._schemas = schemas
         self._space = space
         self._freshness = freshness
-        self._sources = Sources(adapter, topics, schemas, patience)
+        self._sources = SourceReader(adapter, topics, schemas, patience)
         self._kept: dict[str, _Kept] = {}
         self._silent: set[str] = set()
         self._turns = count(1)
-        self._looks: SingleFlightCache[str, Seen] = SingleFlightCache(0.0, self._turns)
+        self._looks: SingleFlightCache[str, TopicLook] = SingleFlightCache(0.0, self._turns)
         self._getters: SingleFlightCache[str, ReadResult] = SingleFlightCache(freshness, self._turns)
         self._parameters: SingleFlightCache[str, ReadResult] = SingleFlightCache(freshness, self._turns)
         self._rooms: WeakValueDictionary[str, asyncio.Semaphore] = WeakValueDictionary()
         self._parameter_room = asyncio.Semaphore(_PARAMETER_CALLS)
 
-    def known(self, property: Property) -> Reading | None:
+    def cached(self, property: Property) -> Reading | None:
         """The reading that is still good, the very same object as before: at once, asking nobody."""
         kept = self._kept.get(property.name)
         if kept is None:
@@ -93,13 +93,15 @@ class Readings:
             return None
         return kept.reading
 
-    async def read(self, properties: Sequence[Property], *, deadline: float, anew: bool = False) -> dict[str, Reading]:
+    async def read(
+        self, properties: Sequence[Property], *, deadline: float, refresh: bool = False
+    ) -> dict[str, Reading]:
         """The readings of these properties by name, read side by side. Never raises; returns by `deadline` (loop time).
 
         `anew`: getters and parameters are asked after this call began, whatever is known of them.
         """
         seconds = deadline - asyncio.get_running_loop().time()
-        attempt = _Attempt(deadline, seconds, next(self._turns) if anew else 0)
+        attempt = _Attempt(deadline, seconds, next(self._turns) if refresh else 0)
         readings: dict[str, Reading] = {}
         stored, others = [], []
         for one in properties:
@@ -109,7 +111,7 @@ class Readings:
                 continue
             kept = self._kept.get(one.name)
             if kept is not None and kept.property != one:
-                self.end((one.name,))  # what is known is of other sources
+                self.invalidate((one.name,))  # what is known is of other sources
             if one.readers and isinstance(one.readers[0], ParameterSource):
                 stored.append(one)
             else:
@@ -120,12 +122,12 @@ class Readings:
             readings |= together | {one.name: one for one in single}
         return readings
 
-    def end(self, names: Iterable[str]) -> None:
+    def invalidate(self, names: Iterable[str]) -> None:
         """The freshness of these properties ends now: who reads them from now on gets what is asked from now on."""
         for name in names:
             self._kept.pop(name, None)
-            self._getters.end(name)
-            self._parameters.end(name)
+            self._getters.invalidate(name)
+            self._parameters.invalidate(name)
 
     async def stop(self) -> None:
         """Cancel what runs."""
@@ -134,7 +136,7 @@ class Readings:
 
     def _standing(self, property: Property, since: int) -> Reading | None:
         """What is known, as far as it does for who wants nothing older than `since`: what comes by itself is new."""
-        reading = self.known(property)
+        reading = self.cached(property)
         return reading if reading is None or reading.fresh_until is None or not since else None
 
     async def _one(self, property: Property, attempt: _Attempt) -> Reading:
@@ -165,7 +167,7 @@ class Readings:
 
     def _keep(self, property: Property, view: TopicView | None, results: Sequence[_Result]) -> Reading:
         """The reading that sources come to: the value of the last, or the failures of all."""
-        found = results[-1].found if results else NOTHING
+        found = results[-1].found if results else NO_VALUE
         until = min((one.until for one in results), default=inf) if found.value is None else results[-1].until
         failures = [one.found.failure for one in results if one.found.failure is not None]
         failure = "; ".join(failures) if failures and found.value is None else None
@@ -185,14 +187,14 @@ class Readings:
         """The latest message of a topic, and the view that it is in (None where there is no message)."""
         view = self._topics.find_view(topic)
         if view is None and topic in self._silent and self._topics.last_view(topic) is not None:
-            return None, self._for_now(NOTHING)  # it was waited for once
+            return None, self._for_now(NO_VALUE)  # it was waited for once
         schema = self._schemas.find_cached(view.newest.schema) if view is not None and view.newest is not None else None
         failure = None
         if not isinstance(schema, MessageSchema):
-            (question,) = self._looks.ask((topic,), self._seen, nullcontext())
+            (question,) = self._looks.fetch((topic,), self._seen, nullcontext())
             answers = await question.wait(attempt.deadline)
             if answers is None:
-                return None, _Result(ReadResult(None, late(topic, attempt.seconds), None), 0.0)
+                return None, _Result(ReadResult(None, timeout_message(topic, attempt.seconds), None), 0.0)
             view, schema, failure = answers[topic]
         newest = view.newest if view is not None else None
         if newest is None:
@@ -201,20 +203,20 @@ class Readings:
         self._silent.discard(topic)
         if not isinstance(schema, MessageSchema):
             return view, self._for_now(ReadResult(None, failure, newest.received_ns))
-        found = decoded(topic, newest, schema, self._space.topic(topic))
+        found = decode_value(topic, newest, schema, self._space.topic(topic))
         return view, _Result(found, inf) if found.value is not None else self._for_now(found)
 
     def _for_now(self, found: ReadResult) -> _Result:
         return _Result(found, asyncio.get_running_loop().time() + self._freshness)
 
-    async def _seen(self, topics: Sequence[str]) -> Mapping[str, Seen]:
-        return {topic: await self._sources.look(topic) for topic in topics}
+    async def _seen(self, topics: Sequence[str]) -> Mapping[str, TopicLook]:
+        return {topic: await self._sources.read_topic(topic) for topic in topics}
 
     async def _call(self, name: str, getter: Getter, attempt: _Attempt) -> _Result:
         """What the getter of a property answers."""
 
         async def ask(keys: Sequence[str]) -> Mapping[str, ReadResult]:
-            return {name: await self._sources.call(getter, self._space.url("resources", names.segments(name)))}
+            return {name: await self._sources.call_getter(getter, self._space.url("resources", names.segments(name)))}
 
         room = self._rooms.setdefault(getter.name, asyncio.Semaphore(_CALLS))
         return (await self._asked(self._getters, {name: getter.name}, ask, room, attempt))[name]
@@ -223,7 +225,7 @@ class Readings:
         """The values of parameters (the names of properties lead to theirs)."""
 
         async def ask(keys: Sequence[str]) -> Mapping[str, ReadResult]:
-            found = await self._sources.parameters([sources[key] for key in keys])
+            found = await self._sources.read_parameters([sources[key] for key in keys])
             return {key: found[sources[key]] for key in keys}
 
         return await self._asked(self._parameters, sources, ask, self._parameter_room, attempt)
@@ -232,21 +234,21 @@ class Readings:
         self,
         answers: SingleFlightCache[str, ReadResult],
         sources: Mapping[str, str],
-        ask: Ask[str, ReadResult],
-        room: Room,
+        ask: Fetch[str, ReadResult],
+        room: Slot,
         attempt: _Attempt,
     ) -> Mapping[str, _Result]:
         """The answers of sources (properties' names lead to their names), as far as they come in time."""
         found: dict[str, ReadResult] = {}
-        unknown = [key for key in sources if answers.kept(key, attempt.since) is None]
-        for question in answers.ask(unknown, ask, room, attempt.since):
+        unknown = [key for key in sources if answers.find(key, attempt.since) is None]
+        for question in answers.fetch(unknown, ask, room, attempt.since):
             found |= await question.wait(attempt.deadline) or {}
         results = {}
         for key, name in sources.items():
-            kept = answers.kept(key, attempt.since)
+            kept = answers.find(key, attempt.since)
             if kept is not None:
                 results[key] = _Result(kept.value, kept.until)
             else:
-                late_ = ReadResult(None, late(name, attempt.seconds), None)
+                late_ = ReadResult(None, timeout_message(name, attempt.seconds), None)
                 results[key] = _Result(found.get(key, late_), 0.0)
         return results

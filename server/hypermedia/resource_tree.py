@@ -18,11 +18,11 @@ from rosld.server.hypermedia.catalogue import Catalogue, Getter, Property, Sette
 from rosld.server.hypermedia.mapping import ComplexResource, Condition, MappedLink, MappedProperty, MappingSet
 from rosld.server.hypermedia.mappings import (
     actions_by_service,
-    component,
-    covering,
+    connected_paths,
     dependents,
-    guards_of_member,
+    mapped_above,
     members_of,
+    write_conditions_of,
 )
 
 _P = TypeVar("_P")
@@ -37,9 +37,9 @@ class MemberPlan:
     """
 
     name: str
-    of: Property
-    at: str | None
-    guards: tuple[Condition, ...]
+    source: Property
+    url_name: str | None
+    write_conditions: tuple[Condition, ...]
     mapped: MappedProperty | None = None
 
     @property
@@ -76,9 +76,9 @@ class ActionPlan:
         return None
 
     @property
-    def home(self) -> str:
+    def parent(self) -> str:
         """The path of the complex resource that it lies in."""
-        return home_of(self.name)
+        return parent_of_name(self.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ class ComplexPlan:
     exists_when: tuple[Condition, ...]
     mapped: ComplexResource | None
     reads: tuple[Property, ...]
-    conditional: bool
+    is_conditional: bool
 
     @property
     def parent(self) -> str | None:
@@ -123,26 +123,26 @@ class PropertyPlan:
     """A property by itself, or one field of it under a name of its own, as a mapping may have it."""
 
     name: str
-    of: Property
+    source: Property
     exists_when: tuple[Condition, ...]
-    guards: tuple[Condition, ...]
+    write_conditions: tuple[Condition, ...]
     mapped: MappedProperty | None
     reads: tuple[Property, ...]
 
     @property
-    def home(self) -> str:
+    def parent(self) -> str:
         """The path of the complex resource that it lies in."""
-        return home_of(self.name)
+        return parent_of_name(self.name)
 
     @property
     def member(self) -> MemberPlan:
         """The same as a part of its complex resource."""
-        return MemberPlan(self.name.rpartition("/")[2], self.of, self.name, self.guards, self.mapped)
+        return MemberPlan(self.name.rpartition("/")[2], self.source, self.name, self.write_conditions, self.mapped)
 
     @property
-    def conditional(self) -> bool:
+    def is_conditional(self) -> bool:
         """Whether what it offers depends on conditions."""
-        return bool(self.exists_when or self.guards)
+        return bool(self.exists_when or self.write_conditions)
 
 
 def path_of(namespace: tuple[str, ...]) -> str:
@@ -160,7 +160,7 @@ def parent_of(path: str) -> str | None:
     return None if path == "/" else path[:-1].rpartition("/")[0] + "/"
 
 
-def home_of(name: str) -> str:
+def parent_of_name(name: str) -> str:
     """The path of the complex resource that a name lies in: `/aircraft/` of `/aircraft/power`."""
     return name.rpartition("/")[0] + "/"
 
@@ -222,16 +222,16 @@ class ResourceTree:
         """The action of a name, None where there is none."""
         return _kept(self._actions, name, self._action)
 
-    def instead(self, service: str) -> str | None:
+    def replacement(self, service: str) -> str | None:
         """The action that a mapping offers a service as, None where no mapping speaks of it."""
         found = self._claimed.get(service)
         return found[0][0].path + found[0][1].name if found else None
 
     def exists_when(self, path: str) -> tuple[Condition, ...]:
         """What must hold for the resource at a path, and for all that lies in it, to be there."""
-        return _once(each for resource in covering(self.mapping_set, path) for each in resource.exists_when)
+        return _once(each for resource in mapped_above(self.mapping_set, path) for each in resource.exists_when)
 
-    def state_of(self, about: str) -> tuple[Property, ...]:
+    def state_properties(self, about: str) -> tuple[Property, ...]:
         """The properties that are the state of a complex resource (a path) or of a property (a name)."""
         if not about.endswith("/"):
             found = self.catalogue.properties.get(about)
@@ -247,20 +247,20 @@ class ResourceTree:
             if about + leaf in self.catalogue.properties
         )
 
-    def reads(self, conditions: Iterable[Condition]) -> tuple[Property, ...]:
+    def properties_in(self, conditions: Iterable[Condition]) -> tuple[Property, ...]:
         """The properties that must be read to judge these conditions."""
         return self._reads((), conditions)
 
-    def turns(self, names: Iterable[str]) -> tuple[str, ...]:
+    def lock_names(self, names: Iterable[str]) -> tuple[str, ...]:
         """What a write to these names must have its turn at, in an order that all writes share.
 
         Nothing where no condition hangs together with them.
         """
         paths = {path for name in names for path in self._concerned(name)}
-        components = (component(self.mapping_set, path) for path in paths)
+        components = (connected_paths(self.mapping_set, path) for path in paths)
         return tuple(sorted({min(found) for found in components if len(found) > 1 or _has_conditions(self, found)}))
 
-    def affected(self, kind: Kind, name: str) -> frozenset[str]:
+    def affected_by(self, kind: Kind, name: str) -> frozenset[str]:
         """The properties whose values may be others after a write to a topic, service or parameter.
 
         Those of its complex resources, of every resource that has a condition about one of them, and what their
@@ -276,12 +276,12 @@ class ResourceTree:
     def _find_affected(self, kind: Kind, name: str) -> frozenset[str]:
         ways = {Kind.TOPIC: self.catalogue.by_topic, Kind.SERVICE: self.catalogue.by_service}
         own = ways.get(kind, self.catalogue.by_parameter).get(name, name)
-        paths = {home_of(name), *self._concerned(own)}
+        paths = {parent_of_name(name), *self._concerned(own)}
         if kind is Kind.SERVICE:
             paths |= {resource.path for resource, _ in self._claimed.get(name, ())}
         paths |= {path for each in (*paths, own) for path in dependents(self.mapping_set, each)}
         judged = {condition.about for path in paths for condition in self._conditions(path)}
-        return frozenset({own, *(one.name for each in (*paths, *judged) for one in self.state_of(each))})
+        return frozenset({own, *(one.name for each in (*paths, *judged) for one in self.state_properties(each))})
 
     def _conditions(self, path: str) -> Iterator[Condition]:
         """What a complex resource, and what it offers, depends on."""
@@ -293,12 +293,12 @@ class ResourceTree:
     def _concerned(self, name: str) -> frozenset[str]:
         """The complex resources that a property or action belongs to, and those with conditions about it."""
         mapping = {resource.path for resource in self.mapping_set.resources.values() if name in members_of(resource)}
-        return frozenset({home_of(name), *mapping, *dependents(self.mapping_set, name)})
+        return frozenset({parent_of_name(name), *mapping, *dependents(self.mapping_set, name)})
 
     def _reads(self, own: Iterable[Property], conditions: Iterable[Condition]) -> tuple[Property, ...]:
         found = {one.name: one for one in own}
         for condition in conditions:
-            found |= {one.name: one for one in self.state_of(condition.about)}
+            found |= {one.name: one for one in self.state_properties(condition.about)}
         return tuple(found.values())
 
     def _complex(self, path: str) -> ComplexPlan | None:
@@ -317,20 +317,20 @@ class ResourceTree:
         conditions = _once(
             (
                 *exists,
-                *(each for one in members for each in one.guards),
+                *(each for one in members for each in one.write_conditions),
                 *(each for action in actions for each in action.conditions),
                 *(each for link in links for each in link.conditions),
                 *(each for child in children for each in child.conditions),
             )
         )
-        reads = self._reads((one.of for one in members), conditions)
+        reads = self._reads((one.source for one in members), conditions)
         return ComplexPlan(path, members, actions, links, children, exists, mapped, reads, bool(conditions))
 
     def _derived_members(self, path: str) -> tuple[MemberPlan, ...]:
-        properties = self.state_of(path)
+        properties = self.state_properties(path)
         return tuple(
             MemberPlan(
-                one.name[len(path) :], self._unclaimed(one), one.name, guards_of_member(self.mapping_set, one.name)
+                one.name[len(path) :], self._unclaimed(one), one.name, write_conditions_of(self.mapping_set, one.name)
             )
             for one in properties
         )
@@ -340,7 +340,7 @@ class ResourceTree:
         for one in mapped.properties:
             member = self.catalogue.properties.get(one.member)
             if member is not None:
-                guards = guards_of_member(self.mapping_set, one.member)
+                guards = write_conditions_of(self.mapping_set, one.member)
                 at = one.member if one.field is None else mapped.path + one.name
                 free = one.field is None or self._picked.get(at) is one
                 found.append(MemberPlan(one.name, self._unclaimed(member), at if free else None, guards, one))
@@ -359,13 +359,13 @@ class ResourceTree:
         return LinkPlan(link.relation, link.target, _once((*link.available_when, *self.exists_when(link.target))))
 
     def _property(self, name: str) -> PropertyPlan | None:
-        home = home_of(name)
+        home = parent_of_name(name)
         mapped = self._picked.get(name) or self._as_mapped(home, name)
         member = name if mapped is None else mapped.member
         found = self.catalogue.properties.get(member)
         if found is None:
             return None
-        exists, guards = self.exists_when(home), guards_of_member(self.mapping_set, member)
+        exists, guards = self.exists_when(home), write_conditions_of(self.mapping_set, member)
         return PropertyPlan(
             name, self._unclaimed(found), exists, guards, mapped, self._reads((found,), (*exists, *guards))
         )
@@ -376,13 +376,13 @@ class ResourceTree:
         properties = resource.properties if resource is not None else ()
         return next((one for one in properties if one.member == name and one.field is None), None)
 
-    def elsewhere(self, name: str) -> str | None:
+    def remapped_property(self, name: str) -> str | None:
         """The property that a mapping calls so in the complex resource it lies in, taking it from elsewhere."""
-        home = self.mapping_set.resources.get(home_of(name))
+        home = self.mapping_set.resources.get(parent_of_name(name))
         called = () if home is None else (one for one in home.properties if home.path + one.name == name)
         return next((one.member for one in called if one.member != name and one.member in self.properties), None)
 
-    def shown_of(self, name: str) -> Iterator[tuple[str, str | None]]:
+    def names_of(self, name: str) -> Iterator[tuple[str, str | None]]:
         """The names under which a property answers, each with the field that is shown there (None: all of it)."""
         yield name, None
         for at, mapped in self._picked.items():
@@ -400,7 +400,7 @@ class ResourceTree:
             if derived is None or derived.service in self._claimed:
                 return None
             service, relation, conditions = derived.service, None, ()
-        exists = self.exists_when(home_of(name))
+        exists = self.exists_when(parent_of_name(name))
         sends_goals = service not in self._services
         schema = self._goals[service] if sends_goals else self._schemas.get(service)
         return ActionPlan(

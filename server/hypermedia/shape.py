@@ -28,7 +28,7 @@ def value_shape(kind: ValueKind, limits: Limits, url: str, measure: Measure) -> 
             return OpenShape(bounds, measure)
 
 
-def as_declared(shape: ValueShape, descriptor: Descriptor) -> ValueShape:
+def with_descriptor(shape: ValueShape, descriptor: Descriptor) -> ValueShape:
     """The shape of a value that is a parameter's, with what the node declares of that."""
     if isinstance(shape, MessageShape):
         return shape

@@ -11,21 +11,21 @@ from typing import Generic, TypeAlias, TypeVar
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 
-Ask: TypeAlias = Callable[[Sequence[K]], Awaitable[Mapping[K, V]]]
+Fetch: TypeAlias = Callable[[Sequence[K]], Awaitable[Mapping[K, V]]]
 """Answers all of the keys together; it never raises."""
 
-Room: TypeAlias = "AbstractAsyncContextManager[None]"
+Slot: TypeAlias = "AbstractAsyncContextManager[None]"
 """Where a question waits for its turn, such as a semaphore."""
 
 _MAX_ENTRIES = 65536
 
 
 @dataclass(frozen=True, slots=True)
-class Answer(Generic[V]):
+class CacheEntry(Generic[V]):
     """What was answered to a question begun at the turn `begun`; kept until the loop time `until`."""
 
     value: V
-    begun: int
+    started: int
     until: float
 
 
@@ -34,7 +34,7 @@ class PendingFetch(Generic[K, V]):
 
     def __init__(self, keys: Sequence[K]) -> None:
         self.keys = keys
-        self.begun = 0
+        self.started = 0
         self.task: asyncio.Task[Mapping[K, V]]
 
     async def wait(self, deadline: float) -> Mapping[K, V] | None:
@@ -54,18 +54,18 @@ class SingleFlightCache(Generic[K, V]):
     def __init__(self, freshness: float, turns: Iterator[int]) -> None:
         self._freshness = freshness
         self._turns = turns
-        self._kept: dict[K, Answer[V]] = {}
+        self._kept: dict[K, CacheEntry[V]] = {}
         self._under_way: dict[K, PendingFetch[K, V]] = {}
         self._tasks: set[asyncio.Task[Mapping[K, V]]] = set()
 
-    def kept(self, key: K, since: int = 0) -> Answer[V] | None:
+    def find(self, key: K, since: int = 0) -> CacheEntry[V] | None:
         """The answer if it is fresh and its question began after the turn `since`."""
         answer = self._kept.get(key)
-        if answer is None or answer.begun <= since or answer.until <= asyncio.get_running_loop().time():
+        if answer is None or answer.started <= since or answer.until <= asyncio.get_running_loop().time():
             return None
         return answer
 
-    def ask(self, keys: Iterable[K], ask: Ask[K, V], room: Room, since: int = 0) -> Sequence[PendingFetch[K, V]]:
+    def fetch(self, keys: Iterable[K], start: Fetch[K, V], slot: Slot, since: int = 0) -> Sequence[PendingFetch[K, V]]:
         """The questions that will answer all keys: those under way that begin after `since`, and one for the others.
 
         It begins once there is `room`.
@@ -74,19 +74,19 @@ class SingleFlightCache(Generic[K, V]):
         others = []
         for key in keys:
             question = self._under_way.get(key)
-            if question is not None and (question.begun == 0 or question.begun > since):
+            if question is not None and (question.started == 0 or question.started > since):
                 shared[question] = None
             else:
                 others.append(key)
         if others:
-            shared[self._begin(others, ask, room)] = None
+            shared[self._begin(others, start, slot)] = None
         return tuple(shared)
 
-    def end(self, key: K) -> None:
+    def invalidate(self, key: K) -> None:
         """The freshness of an answer ends, and that of a question that has begun: who asks from now on asks anew."""
         self._kept.pop(key, None)
         question = self._under_way.get(key)
-        if question is not None and question.begun:
+        if question is not None and question.started:
             del self._under_way[key]
 
     async def stop(self) -> None:
@@ -96,7 +96,7 @@ class SingleFlightCache(Generic[K, V]):
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
 
-    def _begin(self, keys: Sequence[K], ask: Ask[K, V], room: Room) -> PendingFetch[K, V]:
+    def _begin(self, keys: Sequence[K], ask: Fetch[K, V], room: Slot) -> PendingFetch[K, V]:
         question: PendingFetch[K, V] = PendingFetch(keys)
         question.task = asyncio.get_running_loop().create_task(self._run(question, ask, room))
         self._tasks.add(question.task)
@@ -104,11 +104,11 @@ class SingleFlightCache(Generic[K, V]):
         self._under_way.update(dict.fromkeys(keys, question))
         return question
 
-    async def _run(self, question: PendingFetch[K, V], ask: Ask[K, V], room: Room) -> Mapping[K, V]:
+    async def _run(self, question: PendingFetch[K, V], ask: Fetch[K, V], room: Slot) -> Mapping[K, V]:
         answers: Mapping[K, V] = {}
         try:
             async with room:
-                question.begun = next(self._turns)
+                question.started = next(self._turns)
                 answers = await ask(question.keys)
             return answers
         finally:
@@ -122,6 +122,6 @@ class SingleFlightCache(Generic[K, V]):
                 del self._under_way[key]
                 if key in answers and self._freshness > 0:
                     self._kept.pop(key, None)
-                    self._kept[key] = Answer(answers[key], question.begun, until)
+                    self._kept[key] = CacheEntry(answers[key], question.started, until)
         while len(self._kept) > _MAX_ENTRIES:
             del self._kept[next(iter(self._kept))]

@@ -12,7 +12,7 @@ from rosld.adapters.base import Adapter
 from rosld.adapters.model import Message, MessageSchema, ParameterValue, Refused, RosError, Sample, TimedOut
 from rosld.ontology.parameters import parameter_json
 from rosld.server.hypermedia.catalogue import Getter
-from rosld.server.hypermedia.value import MessageValue, StoredValue, Value, declined
+from rosld.server.hypermedia.value import MessageValue, StoredValue, Value, refusal_text
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topic_view import TopicView
 from rosld.server.robot.topics import LiveTopics
@@ -28,10 +28,10 @@ class ReadResult(NamedTuple):
     read_ns: int | None
 
 
-NOTHING = ReadResult(None, None, None)
+NO_VALUE = ReadResult(None, None, None)
 
 
-class Seen(NamedTuple):
+class TopicLook(NamedTuple):
     """What came of a look at a topic: its view, and the schema of the newest message or why that is not known."""
 
     view: TopicView
@@ -39,12 +39,12 @@ class Seen(NamedTuple):
     failure: str | None = None
 
 
-def late(name: str, seconds: float) -> str:
+def timeout_message(name: str, seconds: float) -> str:
     """The failure of what has not answered in time."""
     return f"{name} has not answered within {round(seconds, 1):g} s"
 
 
-def decoded(topic: str, sample: Sample, schema: MessageSchema, origin: str) -> ReadResult:
+def decode_value(topic: str, sample: Sample, schema: MessageSchema, origin: str) -> ReadResult:
     """The value in a sample of a topic."""
     try:
         message = schema.codec.decode(sample.data, sample.encoding)
@@ -53,7 +53,7 @@ def decoded(topic: str, sample: Sample, schema: MessageSchema, origin: str) -> R
     return ReadResult(MessageValue(schema, message, schema.type.fields, origin), None, sample.received_ns)
 
 
-class Sources:
+class SourceReader:
     """The sources of one robot. Nothing here raises: what goes wrong is a failure that names the ROS thing."""
 
     def __init__(self, adapter: Adapter, topics: LiveTopics, schemas: Schemas, patience: float) -> None:
@@ -62,24 +62,24 @@ class Sources:
         self._schemas = schemas
         self._patience = patience
 
-    async def look(self, topic: str) -> Seen:
+    async def read_topic(self, topic: str) -> TopicLook:
         """A look at a topic: waits a moment for its first message."""
         view = TopicView()
         try:
             view = await self._topics.read(topic)
             newest = view.newest
-            return Seen(view) if newest is None else Seen(view, await self._schemas.message(newest.schema))
+            return TopicLook(view) if newest is None else TopicLook(view, await self._schemas.message(newest.schema))
         except Exception as error:
-            return Seen(view, None, self._failure(topic, error))
+            return TopicLook(view, None, self._failure(topic, error))
 
-    async def call(self, getter: Getter, origin: str) -> ReadResult:
+    async def call_getter(self, getter: Getter, origin: str) -> ReadResult:
         """The answer of a getter, within the patience."""
         response = getter.schema.response
         try:
             message = await self._answer(getter)
         except Exception as error:
             return ReadResult(None, self._failure(getter.name, error), time.time_ns())
-        words = declined(response, message, getter.fields)
+        words = refusal_text(response, message, getter.fields)
         if words is not None:
             return ReadResult(None, f"{getter.name} refused" + (f": {words}" if words else ""), time.time_ns())
         return ReadResult(MessageValue(response, message, getter.fields, origin), None, time.time_ns())
@@ -92,7 +92,7 @@ class Sources:
         asked = self._adapter.call(getter.name, schema.ref, request, deadline=deadline)
         return schema.response.codec.decode(await asyncio.wait_for(asked, self._patience), encoding)
 
-    async def parameters(self, names: Sequence[str]) -> Mapping[str, ReadResult]:
+    async def read_parameters(self, names: Sequence[str]) -> Mapping[str, ReadResult]:
         """The values of parameters, within the patience, fetched together."""
         deadline = asyncio.get_running_loop().time() + self._patience
         try:
@@ -105,7 +105,7 @@ class Sources:
     def _failure(self, name: str, error: Exception) -> str:
         match error:
             case TimedOut() | asyncio.TimeoutError() | TimeoutError():
-                return late(name, self._patience)
+                return timeout_message(name, self._patience)
             case Refused():
                 return f"{name} refused: {error.words or error.sentence}"
             case RosError():

@@ -19,13 +19,13 @@ MAX_ELEMENTS = 64
 _WORDS = frozenset({"message", "status_message"})
 
 
-def answered_fields(schema: ServiceSchema) -> tuple[Field, ...]:
+def value_fields(schema: ServiceSchema) -> tuple[Field, ...]:
     """The fields of the response that are a value; none where this type is no getter's.
 
     A getter's request is empty and its response is light and more than a status. The status is `bool success` and, with
     it, the string `message` or `status_message`.
     """
-    if schema.request.type.fields or not is_light(schema.response):
+    if schema.request.type.fields or not is_small(schema.response):
         return ()
     fields = schema.response.type.fields
     answered = tuple(field for field in fields if not _is_success(field))
@@ -42,7 +42,7 @@ def _is_words(field: Field) -> bool:
     return field.name in _WORDS and isinstance(field.type, Primitive) and field.type.name in STRINGS
 
 
-def is_light(schema: MessageSchema) -> bool:
+def is_small(schema: MessageSchema) -> bool:
     """Whether messages of this type are always small: every array in it is short, and none may grow as it likes."""
     return _widest(schema, schema.ref.name, {}) <= MAX_ELEMENTS
 
@@ -63,14 +63,14 @@ def _repeated(schema: MessageSchema, field: Field, known: dict[str, float]) -> f
     return times * _widest(schema, kind.name, known) if isinstance(kind, Nested) else times
 
 
-def kind_of(schema: MessageSchema, fields: tuple[Field, ...]) -> ScalarKind | MessageKind:
+def value_kind(schema: MessageSchema, fields: tuple[Field, ...]) -> ScalarKind | MessageKind:
     """The kind of value that these fields of a message are: one primitive is a scalar, all else a message."""
     if len(fields) == 1 and isinstance(fields[0].type, Primitive):
         return ScalarKind(fields[0].type)
     return MessageKind(schema, fields)
 
 
-def lowers(value: ValueKind, into: ValueKind) -> bool:
+def is_convertible(value: ValueKind, into: ValueKind) -> bool:
     """Whether a value of one kind can be sent as another: the same fields, or one scalar each of one family.
 
     An integer may be sent as a float, but a float not as an integer. Only a single value can tell whether it is too

@@ -96,7 +96,7 @@ def scalar_field(fields: tuple[Field, ...]) -> Field | None:
     return fields[0] if len(fields) == 1 and isinstance(fields[0].type, Primitive) else None
 
 
-def part_of(schema: MessageSchema, fields: tuple[Field, ...]) -> MessageSchema:
+def select_fields(schema: MessageSchema, fields: tuple[Field, ...]) -> MessageSchema:
     """The schema with only these of its fields; messages built by it have ROS's defaults in the others."""
     return schema if fields == schema.type.fields else _part_of(schema, fields)
 
@@ -131,7 +131,7 @@ class _PartCodec:
         return {field.attribute: getattr(message, field.attribute) for field in self._schema.type.fields}
 
 
-def declined(schema: MessageSchema, response: Message, value: tuple[Field, ...] = ()) -> str | None:
+def refusal_text(schema: MessageSchema, response: Message, value: tuple[Field, ...] = ()) -> str | None:
     """The words of a response that says `bool success` false, "" where it has none; None where it says no such thing.
 
     The fields of its `value` are no status.
@@ -159,10 +159,10 @@ def plain_json(value: Value, lifting: LiftSettings) -> bytes:
     field = scalar_field(value.fields)
     if field is not None:
         return _json(cast(Primitive, field.type), getattr(value.message, field.attribute))
-    return lifter(part_of(value.schema, value.fields), lifting).json(value.message, value.origin)
+    return lifter(select_fields(value.schema, value.fields), lifting).json(value.message, value.origin)
 
 
-def picked_json(value: Value, field: str) -> bytes:
+def field_json(value: Value, field: str) -> bytes:
     """One scalar of the value, by its path (`pose.position.x`), as plain JSON.
 
     Raises ValueError, with a sentence, where there is no such scalar.
@@ -184,7 +184,7 @@ def _json(kind: Primitive, value: object) -> bytes:
 # RDF
 
 
-def literal(value: Value, field: str | None = None) -> Literal | None:
+def value_literal(value: Value, field: str | None = None) -> Literal | None:
     """The literal of a scalar, or of the one at the path `field`; None for a whole message or tree of parameters.
 
     Raises ValueError, with a sentence, where there is no scalar at `field`.
@@ -209,9 +209,9 @@ def _literal(kind: Primitive, value: object) -> Literal:
         return Literal(base64_text(octets(text)), datatype=NamedNode(BASE64))
 
 
-def lifted(value: MessageValue, node: str, lifting: LiftSettings) -> LiftedMessage:
+def lift_value(value: MessageValue, node: str, lifting: LiftSettings) -> LiftedMessage:
     """The message as the node at the fragment `node` (`#value`) of a document, with those fields that are its value."""
-    lift = lifter(part_of(value.schema, value.fields), lifting)
+    lift = lifter(select_fields(value.schema, value.fields), lifting)
     return LiftedMessage(node, lift, value.message, source=value.origin)
 
 
@@ -219,7 +219,7 @@ def lifted(value: MessageValue, node: str, lifting: LiftSettings) -> LiftedMessa
 
 
 def _scalar_at(value: MessageValue, path: str) -> tuple[Primitive, object]:
-    kind, found = field_at(part_of(value.schema, value.fields), value.message, path)
+    kind, found = field_at(select_fields(value.schema, value.fields), value.message, path)
     if not isinstance(kind, Primitive):
         raise ValueError(f"the field {path!r} of {value.schema.ref.name} is no scalar")
     return kind, found
@@ -242,7 +242,7 @@ def _stored_at(value: ParameterValue, path: str) -> ParameterValue:
 # Identity
 
 
-def token(reading: Reading) -> str:
+def version_key(reading: Reading) -> str:
     """A short text that differs whenever the value or the failure does; when it was read does not matter."""
     value = reading.value
     if isinstance(value, MessageValue):

@@ -18,7 +18,7 @@ from rosld.ontology.lower import LoweringError, Violation, lowerer, parse_json
 from rosld.ontology.violations import shortened
 from rosld.ontology.vocab import rdf
 from rosld.server.hypermedia.catalogue import Getter, Property, Setter, TopicSource
-from rosld.server.hypermedia.value import WHOLE, MessageValue, part_of, plain_json
+from rosld.server.hypermedia.value import WHOLE, MessageValue, plain_json, select_fields
 
 
 class _Layout(NamedTuple):
@@ -28,7 +28,7 @@ class _Layout(NamedTuple):
     fields: tuple[Field, ...]
 
 
-def rdf_content(
+def content_from_rdf(
     body: RdfBody,
     subject: NamedNode,
     predicate: NamedNode,
@@ -73,7 +73,7 @@ def _describe(
         expected = f"a node of type {' or '.join(map(str, layouts))}" if layouts else "a literal"
         stated = ", ".join(map(str, kinds)) or f"{node} without a type"
         raise LoweringError(Violation("", f"expected {expected}", shortened(stated)))
-    part = part_of(found.schema, found.fields)
+    part = select_fields(found.schema, found.fields)
     message = lowerer(part, lifting).from_graph(body, node, document)
     return parse_json(plain_json(MessageValue(found.schema, message, found.fields, document), WHOLE))
 

@@ -41,7 +41,7 @@ class Pattern(NamedTuple):
         """Its variables."""
         return frozenset(each for each in self if isinstance(each, Variable))
 
-    def bound(self, bindings: Bindings) -> Pattern:
+    def substitute(self, bindings: Bindings) -> Pattern:
         """With variables replaced by what they are bound to."""
         return Pattern(*(bindings.get(each, each) if isinstance(each, Variable) else each for each in self))
 
@@ -162,7 +162,7 @@ def _shown(node: Node | Term) -> str:
 # Applying
 
 
-def applied(patch: N3Patch, before: Iterable[Triple]) -> list[Triple]:
+def apply_patch(patch: N3Patch, before: Iterable[Triple]) -> list[Triple]:
     """The triples after a patch: what it deletes is gone, what it inserts comes last, all else is untouched.
 
     Terms match as they are spelt. Raises 409 Problems where solid:where does not match in exactly one way, where what
@@ -170,11 +170,11 @@ def applied(patch: N3Patch, before: Iterable[Triple]) -> list[Triple]:
     """
     there = dict.fromkeys(before)
     bindings = _match(patch, list(there))
-    deletes = [_triple(pattern.bound(bindings)) for pattern in patch.deletes]
+    deletes = [_triple(pattern.substitute(bindings)) for pattern in patch.deletes]
     for triple in deletes:
         if triple not in there:
             raise Problem(409, f"What is to be deleted is not there: {triple} . Read the resource again.")
-    inserts = [_triple(pattern.bound(bindings)) for pattern in patch.inserts]
+    inserts = [_triple(pattern.substitute(bindings)) for pattern in patch.inserts]
     gone = frozenset(deletes)
     return list(dict.fromkeys([*(triple for triple in there if triple not in gone), *inserts]))
 
@@ -212,7 +212,7 @@ class _Search:
 
     def solutions(self, patterns: Sequence[Pattern], bindings: Bindings) -> Iterator[Bindings]:
         """The ways to bind the variables so that all patterns are there; one may come more than once."""
-        rest = [pattern.bound(bindings) for pattern in patterns]
+        rest = [pattern.substitute(bindings) for pattern in patterns]
         fewest: Sequence[Triple] = ()
         chosen: Pattern | None = None
         open_: list[Pattern] = []

@@ -27,11 +27,11 @@ def merge_patch(target: object, patch: object) -> object:
     return merged
 
 
-class Grown(Exception):
+class TooManyTriples(Exception):
     """More triples came of a patch than there may be."""
 
 
-def updated(
+def apply_update(
     data: bytes, before: Iterable[Triple], base: str, limit: int | None = None, *, by_value: bool = False
 ) -> RdfBody:
     """The triples of one resource after a SPARQL Update, whose default graph is that resource's own.
@@ -55,7 +55,7 @@ def updated(
     except (OSError, RuntimeError, ValueError) as error:
         raise Problem(422, f"The update cannot be carried out: {error}.") from error
     if limit is not None and len(store) > limit:
-        raise Grown
+        raise TooManyTriples
     return indexed(store if by_value else map(_as_said, store), base)
 
 
@@ -72,7 +72,7 @@ def _in_store(triple: Triple) -> Quad:
 _FUNCTIONS = {NamedNode(name): function for name, function in FUNCTIONS.items()}
 
 
-def deletes(update: bytes) -> bool:
+def has_deletes(update: bytes) -> bool:
     """Whether a SPARQL Update has an operation that deletes. Raises a 400 Problem for what is no UTF-8."""
     return any(token.is_word("DELETE") for token in tokens(_text(update)))
 

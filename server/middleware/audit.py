@@ -29,7 +29,7 @@ class Audit:
         response = await self._next(exchange)
         if response.status_code in _REFUSED:
             self._note_refusal(exchange, response.status_code)
-        if exchange.account.is_write:
+        if exchange.audit.is_write:
             response.raw_headers = [*response.raw_headers, self._recorder.note(exchange, scope, response)]
         return response
 
@@ -40,6 +40,6 @@ class Audit:
         """
         if exchange.agent == ANONYMOUS:
             if status in ABSENT:
-                exchange.account.mark_read_only()
+                exchange.audit.mark_read_only()
         elif enforcement.is_write(exchange.method, enforcement.location_of(exchange.request.scope, self._space)):
-            exchange.account.begin()
+            exchange.audit.begin()

@@ -20,9 +20,9 @@ from rosld.server.http.problem_details import render
 from rosld.server.http.tokens import redact_tokens
 from rosld.server.middleware.handler import Handler
 from rosld.server.middleware.rate_limits import Admission
-from rosld.server.rest.errors import problem_of, problem_of_body, problem_of_shortage
+from rosld.server.rest.errors import problem_of, problem_of_body, problem_of_out_of_memory
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.pages import Pages
+from rosld.server.rest.pages import PageRenderer
 from rosld.server.runtime.memory import is_out_of_memory
 from rosld.server.sparql.protocol import UPDATE
 from rosld.server.storage.record import StorageError
@@ -33,7 +33,7 @@ _log = logging.getLogger("rosld")
 class ErrorResponses:
     """Answers what is raised with a page or problem details (RFC 9457) that say what the agent may know."""
 
-    def __init__(self, next: Handler, admission: Admission, pages: Pages, space: Space) -> None:
+    def __init__(self, next: Handler, admission: Admission, pages: PageRenderer, space: Space) -> None:
         self._next = next
         self._admission = admission
         self._pages = pages
@@ -60,19 +60,19 @@ class ErrorResponses:
             error = Problem(507, str(error)) if error.full else Problem(503, str(error), headers={"Retry-After": "1"})
         elif is_out_of_memory(error):
             _log.error("%s %s: %s", exchange.method, scope["path"], error or "no memory is left")
-            error = problem_of_shortage(error, is_write=self._would_write(exchange))
+            error = problem_of_out_of_memory(error, is_write=self._would_write(exchange))
         if not isinstance(error, Problem):
             _log.exception("%s %s failed", exchange.method, scope["path"], exc_info=error)
             error = Problem(500, "The server failed on this request; its log says more.")
         error = redact_problem(error, exchange.permissions, enforcement.location_of(scope, self._space))
-        exchange.account.set_refusal(error.detail)
+        exchange.audit.set_refusal(error.detail)
         path = quote(scope["raw_path"].lstrip(b"/"), safe="/%:@!$&'()*+,;=~")
         url = redact_tokens(self._space.base + path)
         return self._pages.problem(exchange, error, url) or render(error, exchange.accept, url=url).response()
 
     def _would_write(self, exchange: Exchange) -> bool:
         """Whether a request is a write, as far as it was read: of a form for `/sparql`, only its content tells."""
-        if exchange.account.is_write or exchange.method in ("PUT", "PATCH"):
+        if exchange.audit.is_write or exchange.method in ("PUT", "PATCH"):
             return True
         is_write = enforcement.is_write(exchange.method, enforcement.location_of(exchange.request.scope, self._space))
         return exchange.essence == UPDATE or is_write

@@ -29,7 +29,7 @@ class Recorder:
 
     def note(self, exchange: Exchange, scope: Scope, response: Response) -> Header:
         """Note a write, and say where its receipt is (a Link field). `scope` is the request as it came."""
-        account, body = exchange.account, exchange.received
+        account, body = exchange.audit, exchange.consumed_body
         kept, digest = (None, None) if body is None else excerpt(body)
         length = account.length if body is None else len(body)
         if account.sent is not None:

@@ -30,7 +30,7 @@ class NoTokensInUrls:
         may_have_one = len(asked) > LENGTH and (_MARK in asked or b"%" in asked)
         if may_have_one and exchange.method != "DELETE" and contains_token(asked.decode("latin-1")):
             if enforcement.is_write(exchange.method, enforcement.location_of(scope, self._space)):
-                exchange.account.begin()
+                exchange.audit.begin()
             sentence = "The URL has a token in it: send it as 'Authorization: Bearer TOKEN', and have it replaced."
             raise Problem(400, sentence)
         return self._next(exchange)

@@ -27,12 +27,14 @@ class WebSockets:
         client = scope["client"]
         if not self._admission.may_open(client[0] if client else None):
             await asyncio.sleep(RETRY_SECONDS)
-            await websocket.refuse(scope, send, Problem(429, "You open too many WebSockets a second: open fewer."))
+            await websocket.reject_handshake(
+                scope, send, Problem(429, "You open too many WebSockets a second: open fewer.")
+            )
             return
         try:
             websocket.check_request(self._site, scope)
             receiver = self._notifications.receiver(scope)
         except Problem as problem:
-            await websocket.refuse(scope, send, problem)
+            await websocket.reject_handshake(scope, send, problem)
             return
         await receiver(scope, receive, send)

@@ -25,7 +25,7 @@ from rosld.server.openapi.components import (
     schema_of,
 )
 from rosld.server.openapi.path import Path
-from rosld.server.rest.path_item import UrlParameter
+from rosld.server.rest.path_item import QueryParameter
 
 VERSION = "3.1.1"
 _ORDER = ("GET", "HEAD", "OPTIONS", "PUT", "POST", "PATCH", "DELETE")
@@ -163,7 +163,7 @@ def _parameters(path: Path, method: str) -> Iterator[Json]:
         yield from map(_query, path.write(method).query)
 
 
-def _query(one: UrlParameter) -> Json:
+def _query(one: QueryParameter) -> Json:
     found: dict[str, Json] = {"name": one.name, "in": "query", "description": one.about, "schema": one.schema}
     return {**found, "required": True} if one.required else found
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from rosld.server.rest.path_item import USUAL, Method, PathItem
+from rosld.server.rest.path_item import USUAL_STATUSES, PathItem, WriteMethod
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +23,6 @@ class Path:
     accepts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     segments: Mapping[str, str] = field(default_factory=dict)
 
-    def write(self, method: str) -> Method:
+    def write(self, method: str) -> WriteMethod:
         """What is told of a method that writes."""
-        return self.item.writes.get(method, USUAL)
+        return self.item.writes.get(method, USUAL_STATUSES)

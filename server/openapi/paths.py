@@ -155,7 +155,7 @@ class Paths:
             plan = self.tree.complex(path)
             if plan is not None:
                 yield self._of(url_of(path, space))
-                properties = [one.at for one in plan.members if one.at is not None]
+                properties = [one.url_name for one in plan.members if one.url_name is not None]
                 for name in dict.fromkeys((*properties, *(one.name for one in plan.actions))):
                     yield self._of(url_of(name, space))
 

@@ -31,7 +31,7 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.prepared import bytes_response
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
-from rosld.server.rest.resource_headers import standing_headers
+from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.robot.session import used_types
 
 _ABOUT = (
@@ -86,13 +86,13 @@ class OpenApiResource(Resource):
         media_type = negotiation.choose(exchange.accept, MEDIA_TYPES)
         if media_type is None:
             raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(MEDIA_TYPES)}.")
-        hidden = exchange.flag("hidden") and self.robot.adapter.capabilities.hidden_names
+        hidden = exchange.query_flag("hidden") and self.robot.adapter.capabilities.hidden_names
         kept = await self._describe(hidden)
         data = kept.data
         if exchange.auth is not UNRESTRICTED:
             data = await self._for_agent(kept, hidden, exchange.permissions, exchange.auth.public)
         etag = ETag(f"{self.robot.instance_id}-{_digest(data)}", media_type.partition("/")[2].replace(".", "-"))
-        return bytes_response(exchange, data, media_type, etag, standing_headers(self).items())
+        return bytes_response(exchange, data, media_type, etag, resource_headers(self).items())
 
     async def _for_agent(self, kept: _Described, hidden: bool, permissions: Permissions, public: Permissions) -> bytes:
         """The description as it is for an agent, kept for as long as it is the same."""

@@ -15,7 +15,7 @@ from rosld.server.storage import Records
 from rosld.server.storage.packing import unpack
 from rosld.shapes.limits import Limits, read_limits
 
-ROOM = "shapes/"
+ROUTE = "shapes/"
 MAX_TRIPLES = 5000
 """Of a document that is kept: all of them are looked at again whenever one changes."""
 _log = logging.getLogger("rosld")
@@ -24,12 +24,12 @@ _log = logging.getLogger("rosld")
 class ActiveLimits:
     """The limits of all documents together. Every change is whole or none."""
 
-    def __init__(self, given: Sequence[Sequence[Triple]], space: Space) -> None:
-        self.now = Limits.of(given, space)
+    def __init__(self, initial: Sequence[Sequence[Triple]], space: Space) -> None:
+        self.current = Limits.of(initial, space)
         """All of them; a change makes another object."""
-        self.turn = asyncio.Lock()
+        self.lock = asyncio.Lock()
         """Held while a write is judged and done."""
-        self._given = tuple(given)
+        self._given = tuple(initial)
         self._kept: dict[str, tuple[Triple, ...]] = {}
         self._space = space
 
@@ -52,17 +52,17 @@ class ActiveLimits:
     def replace(self, url: str, graph: tuple[Triple, ...]) -> None:
         """Put a document into force that was found good, in the place of the one of the same URL."""
         self._kept[url] = graph
-        self.now = Limits.of(self._with(), self._space)
+        self.current = Limits.of(self._with(), self._space)
 
     def remove(self, url: str) -> None:
         """Take the document of this URL out of force; nothing happens where there is none."""
         if self._kept.pop(url, None) is not None:
-            self.now = Limits.of(self._with(), self._space)
+            self.current = Limits.of(self._with(), self._space)
 
-    def begin(self, records: Records) -> None:
+    def load_stored(self, records: Records) -> None:
         """Put into force what was kept by an earlier run. What cannot be used (any more) is logged and left aside."""
         last = 0
-        while found := records.members(ROOM, after=last):
+        while found := records.members(ROUTE, after=last):
             last = found[-1].number
             for member in found:
                 record, url = records.get(member.path), self._space.base + member.path
@@ -78,7 +78,7 @@ class ActiveLimits:
         return [*self._given, *kept.values()]
 
 
-def given_limits(settings: Settings, adapter: Adapter, space: Space) -> Iterator[tuple[Triple, ...]]:
+def initial_limits(settings: Settings, adapter: Adapter, space: Space) -> Iterator[tuple[Triple, ...]]:
     """The limits to begin with: the robot's own, and those of the settings. Raises ValueError with the file's name."""
     shipped = adapter.capabilities.limits
     for path in (*((shipped,) if shipped is not None else ()), *settings.shapes):

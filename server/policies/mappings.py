@@ -17,28 +17,28 @@ from rosld.server.storage import Model, Put, Records
 from rosld.server.storage.describe import to_ntriples
 from rosld.server.storage.packing import unpack
 
-ROOM = "mappings/"
+ROUTE = "mappings/"
 _log = logging.getLogger("rosld")
 
 
-def mapping_kept(triples: bytes, url: str) -> MappingDocument:
+def stored_mapping(triples: bytes, url: str) -> MappingDocument:
     """The mapping that is kept as these N-Triples. Raises MappingRefused."""
     return mapping_of(indexed(parse(triples, RdfFormat.N_TRIPLES), url), url)
 
 
-def given_mappings(settings: Settings, adapter: Adapter, space: Space) -> Iterator[MappingDocument]:
+def initial_mappings(settings: Settings, adapter: Adapter, space: Space) -> Iterator[MappingDocument]:
     """The mapping documents to begin with: the robot's own, and those of the settings. Raises ValueError.
 
     What is shipped was judged when it was made.
     """
     shipped = adapter.capabilities.mapping
     if shipped is not None:
-        yield load_mapping(shipped, space, adapter.capabilities.system, judged=True)
+        yield load_mapping(shipped, space, adapter.capabilities.system, is_valid=True)
     for path in settings.mapping:
         yield load_mapping(path, space)
 
 
-async def keep_mappings(mappings: Mappings, records: Records, settings: Settings, space: Space) -> None:
+async def load_stored_mappings(mappings: Mappings, records: Records, settings: Settings, space: Space) -> None:
     """Keep the mappings to begin with, and put those into force that were kept by an earlier run.
 
     What the robot comes with gives way to what clients made of it; what the settings name does not.
@@ -52,11 +52,11 @@ async def keep_mappings(mappings: Mappings, records: Records, settings: Settings
         elif records.get(path) is None or document.url in named:
             await records.write(Put(path, Model.RDF_SOURCE, to_ntriples(document.triples)))
             begun.add(document.url)
-    for member in records.members(ROOM):
+    for member in records.members(ROUTE):
         record, url = records.get(member.path), space.base + member.path
         if record is None or url in begun or (url in mappings.documents and url in named):
             continue
         try:
-            mappings.replace(mapping_kept(unpack(record.triples), url))
+            mappings.replace(stored_mapping(unpack(record.triples), url))
         except ValueError as error:
             _log.error("The mapping %s is kept and not in force: %s", url, error)

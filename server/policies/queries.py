@@ -19,13 +19,13 @@ from rosld.server.sparql.stored import StoredQuery, outline, read, shipped
 from rosld.server.sparql.syntax.lexer import Bounds
 from rosld.server.storage import Blob, Model, Record, RecordChange, Records
 
-ROOM = "queries/"
+ROUTE = "queries/"
 _KEPT = 256
 """Texts that are remembered."""
 _T = TypeVar("_T")
 
 
-class Queries:
+class StoredQueries:
     """The stored queries. What is kept is read when it is asked for, so that records are the only copy."""
 
     def __init__(self, records: Records, space: Space, bounds: Bounds) -> None:
@@ -33,23 +33,23 @@ class Queries:
         self.bounds = bounds
         self.version = records.version
         """The number of the last change of records in the room: it rises, from one run to the next too."""
-        self.turn = asyncio.Lock()
+        self.lock = asyncio.Lock()
         """Held while a write is judged and done."""
         self._records = records
         self._space = space
         self._outlines: _Remembered[StoredQuery] = _Remembered(_KEPT)
         self._checked: _Remembered[StoredQuery | str] = _Remembered(_KEPT)
 
-    def changed(self, change: RecordChange) -> None:
+    def on_record_change(self, change: RecordChange) -> None:
         """A record has changed."""
-        if change.path.startswith(ROOM):
+        if change.path.startswith(ROUTE):
             self.version = max(self.version, change.version)
 
-    def kept(self, *, limit: int | None = None) -> Iterator[Record]:
+    def stored_records(self, *, limit: int | None = None) -> Iterator[Record]:
         """What clients keep in the room, in the order in which it was made; the first `limit` of it."""
         last = 0
         while limit is None or limit > 0:
-            found = self._records.members(ROOM, after=last, limit=1000 if limit is None else min(limit, 1000))
+            found = self._records.members(ROUTE, after=last, limit=1000 if limit is None else min(limit, 1000))
             if not found:
                 return
             last = found[-1].number
@@ -61,7 +61,7 @@ class Queries:
 
     def all(self, *, limit: int | None = None) -> Iterator[tuple[str, StoredQuery]]:
         """The queries with their URLs, the shipped ones first, then at most so many of those that are kept."""
-        kept = {self._space.base + record.path: self.outline(record) for record in self.kept(limit=limit)}
+        kept = {self._space.base + record.path: self.outline(record) for record in self.stored_records(limit=limit)}
         for name, query in self.shipped.items():
             if self._space.query(name) not in kept:
                 yield self._space.query(name), query
@@ -76,13 +76,13 @@ class Queries:
         assert record.blob is not None
         return self._outlines.get(record.blob, lambda: self._outline(record))
 
-    def said(self, record: Record) -> list[Triple]:
+    def description(self, record: Record) -> list[Triple]:
         """What the text of a kept query says, as RDF; nothing of other records. In any thread."""
-        if record.model is not Model.NON_RDF_SOURCE or not record.path.startswith(ROOM):
+        if record.model is not Model.NON_RDF_SOURCE or not record.path.startswith(ROUTE):
             return []
         return query_triples(self._space.base + record.path, self.outline(record))
 
-    async def usable(self, record: Record) -> StoredQuery:
+    async def executable(self, record: Record) -> StoredQuery:
         """A kept query that can be run; a 409 Problem with the reason where it is none (any more)."""
         assert record.blob is not None
         found = self._checked.known(record.blob)
@@ -144,7 +144,7 @@ def query_triples(url: str, query: StoredQuery) -> list[Triple]:
 
 def name_of(path: str) -> str:
     """The name of the query that has this path."""
-    return decode_segment(path.removeprefix(ROOM))
+    return decode_segment(path.removeprefix(ROUTE))
 
 
 class _Remembered(Generic[_T]):

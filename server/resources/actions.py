@@ -30,7 +30,7 @@ from rosld.ontology.lift import lifter
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.http.link import to_uri
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import TEXT, or_null
+from rosld.server.hypermedia.json_schema import TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.resources.command import CommandResource
@@ -42,8 +42,8 @@ from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
-from rosld.server.rest.path_item import Method, PathItem
-from rosld.server.rest.resource import READ, Answer, Created, Resource
+from rosld.server.rest.path_item import PathItem, WriteMethod
+from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import Gone, IdempotencyKeyReused
 from rosld.server.robot.goal_store import Goal
@@ -80,9 +80,9 @@ class ActionResource(CommandResource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         schema = schemas.action(self.action.type)
-        send = Method(
+        send = WriteMethod(
             "Sends a goal; the goal is a resource, and `Idempotency-Key` makes it once only.",
-            schemas.sent(schema.goal if schema else None),
+            schemas.write(schema.goal if schema else None),
             is_body_required=False,
             done=(201,),
             shows=_goal_schema(schemas, schema),
@@ -154,7 +154,7 @@ class ActionResource(CommandResource):
         await require_message(robot, Kind.ACTION, self.name, schema.goal, message, self.url, "#goal")
         return schema, message
 
-    async def send(self, exchange: Exchange, schema: ActionSchema, message: Message) -> Created:
+    async def send(self, exchange: Exchange, schema: ActionSchema, message: Message) -> CreatedAnswer:
         """Send a goal: it is created if it is accepted. Raises whatever else becomes of it."""
         robot = self.robot
         sending = await self._sent(exchange, schema, message)
@@ -162,7 +162,7 @@ class ActionResource(CommandResource):
         if problem is not None or sending.goal is None:
             raise problem or Problem(502, f"{self.name} did not take the goal.")
         resource = GoalResource(robot, sending.goal.id)
-        return Created(resource.url, resource, resource.shown(sending.goal))
+        return CreatedAnswer(resource.url, resource, resource.shown(sending.goal))
 
     async def _sent(self, exchange: Exchange, schema: ActionSchema, message: Message) -> GoalSubmission:
         """What became of a goal that was sent, once only for each Idempotency-Key."""
@@ -218,7 +218,7 @@ class GoalResource(Resource):
         return False
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        cancel = Method("Cancels a goal that is pursued (202), forgets one that has ended (204).", done=(202, 204))
+        cancel = WriteMethod("Cancels a goal that is pursued (202), forgets one that has ended (204).", done=(202, 204))
         return PathItem(
             "A goal of an action",
             plain=_goal_schema(schemas, None),
@@ -336,9 +336,9 @@ async def follow_action(robot: Robot, action: str) -> None:
 def _goal_schema(schemas: MessageSchemas, schema: ActionSchema | None) -> DataSchema:
     """How a goal of this type stands, as plain JSON."""
     parts = {} if schema is None else {"goal": schema.goal, "feedback": schema.feedback, "result": schema.result}
-    told = {name: or_null(schemas.read(part)) for name, part in parts.items()}
+    told = {name: nullable(schemas.read(part)) for name, part in parts.items()}
     status: DataSchema = {"type": "string", "enum": [status.value for status in GoalStatus]}
-    words: DataSchema = {"id": TEXT, "action": TEXT, "status": status, "words": or_null(TEXT)}
+    words: DataSchema = {"id": TEXT, "action": TEXT, "status": status, "words": nullable(TEXT)}
     return {"type": "object", "properties": {**words, **told}}
 
 

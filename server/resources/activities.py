@@ -13,7 +13,7 @@ from rosld.ontology.describe_containers import container_document
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.server.events import query_params
-from rosld.server.html import Listing, Step
+from rosld.server.html import MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
@@ -24,14 +24,14 @@ from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
 from rosld.server.rest.paging import (
-    Page,
-    Place,
-    last_place,
-    left_on_last,
+    LdpPage,
+    PagePosition,
+    last_page_size,
+    last_position,
     page_of,
     page_query,
-    read_place,
-    send_to_first,
+    parse_position,
+    require_page,
 )
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
@@ -53,7 +53,7 @@ class ActivityResource(Resource):
         self.robot = robot
         self.id = id
 
-    async def methods_now(self) -> frozenset[str]:
+    async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -79,13 +79,13 @@ class ActivityContainer(Resource):
     title = TITLE
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(self, robot: Robot, place: Place | None = None) -> None:
+    def __init__(self, robot: Robot, place: PagePosition | None = None) -> None:
         super().__init__(robot.space.container("activity"))
         self.robot = robot
         self._place = place
 
     @property
-    def variant_key(self) -> Place | None:
+    def variant_key(self) -> PagePosition | None:
         return self._place
 
     async def select_variant(self, exchange: Exchange) -> Resource:
@@ -96,8 +96,8 @@ class ActivityContainer(Resource):
             return NewestActivity(self.robot)
         token = exchange.query.get("page")
         if token is not None:
-            return ActivityContainer(self.robot, read_place(token))
-        send_to_first(exchange, self.url, len(self.robot.receipts))
+            return ActivityContainer(self.robot, parse_position(token))
+        require_page(exchange, self.url, len(self.robot.receipts))
         return self
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -113,21 +113,21 @@ class ActivityContainer(Resource):
         def make() -> State:
             headers = {"link": render([*self.links, *page.links()]), "vary": "Accept, Prefer"}
             part = f"p{digest(page.token.encode())}"
-            return State(lambda: page.told_with(self._document(told)), part=part, headers=headers)
+            return State(lambda: page.add_to(self._document(told)), part=part, headers=headers)
 
         return self.robot.states.get_or_make(page.url, version, make)
 
     def _document(self, entries: list[JournalEntry]) -> Document:
         return container_document(self.url, (self.robot.space.activity(entry.id) for entry in entries), TITLE)
 
-    def _page(self, place: Place) -> tuple[Page, list[JournalEntry]]:
+    def _page(self, place: PagePosition) -> tuple[LdpPage, list[JournalEntry]]:
         """A page, and what it tells of."""
         entries = list(self.robot.receipts.newest_first())
         keys = [_NEWEST - entry.number for entry in entries]
         after = place.after if isinstance(place.after, int) else 0
         start = next((at for at, key in enumerate(keys) if key > after), len(keys))
         limit = place.limit
-        last = last_place(limit, len(keys), keys[: -left_on_last(len(keys), limit) - 2 : -1])
+        last = last_position(limit, len(keys), keys[: -last_page_size(len(keys), limit) - 2 : -1])
         before = keys[max(0, start - limit - 1) : start][::-1]
         page = page_of(self.url, place, keys[start : start + limit + 1], before, last)
         return page, entries[start : start + limit]
@@ -136,16 +136,16 @@ class ActivityContainer(Resource):
     def query(self) -> str:
         return "" if self._place is None else page_query(self._place.token)
 
-    def navigation_links(self) -> tuple[Step, ...]:
-        return () if self._place is None else self._page(self._place)[0].steps()
+    def navigation_links(self) -> tuple[SequenceLink, ...]:
+        return () if self._place is None else self._page(self._place)[0].neighbours()
 
-    def listing(self) -> Listing:
+    def listing(self) -> MemberColumns:
         """When, who, what and what came of it."""
         space = self.robot.space
         receipts = self.robot.receipts
         entries = islice(receipts.newest_first(), 1000) if self._place is None else self._page(self._place)[1]
         rows = {space.activity(entry.id): _cells(entry.receipt, space.base) for entry in entries}
-        return Listing(("when", "who", "asked", "answer"), rows, len(receipts))
+        return MemberColumns(("when", "who", "asked", "answer"), rows, len(receipts))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         return self.robot.receipts.changes.watch(wake)

@@ -13,7 +13,7 @@ from rosld.ontology.describe_bags import bag_document, bag_message_document, bag
 from rosld.ontology.describe_containers import container_document
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Location
-from rosld.server.html import Step
+from rosld.server.html import SequenceLink
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
@@ -21,14 +21,14 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
 from rosld.server.resources.messages import decode, field_response, lifted
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, UrlParameter
-from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
+from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter
+from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, permanent_redirect
 from rosld.server.rest.state import State
 
 PAGE = 100
 """Messages on one page of `/bags/B/messages/`."""
 
-_PAGE = UrlParameter("page", "A page of messages, from 0.", {"type": "integer", "minimum": 0})
+_PAGE = QueryParameter("page", "A page of messages, from 0.", {"type": "integer", "minimum": 0})
 
 
 class BagContainer(Resource):
@@ -92,14 +92,14 @@ class BagMessages(Resource):
             self.url, 0, lambda: State(lambda: bag_messages_document(recording, space, page, PAGE))
         )
 
-    def navigation_links(self) -> tuple[Step, ...]:
+    def navigation_links(self) -> tuple[SequenceLink, ...]:
         base = self.robot.space.bag_messages(self.recording.name)
         last = max(0, (self.recording.count - 1) // PAGE)
         if self.number is None:
             places = {"first": 0, "last": last}
         else:
             places = {"first": 0, "prev": self.number - 1, "next": self.number + 1, "last": last}
-        return tuple(Step(rel, f"{base}?page={at}") for rel, at in places.items() if 0 <= at <= last)
+        return tuple(SequenceLink(rel, f"{base}?page={at}") for rel, at in places.items() if 0 <= at <= last)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The page that `?page=` asks for; a 404 Problem where there is none."""
@@ -125,12 +125,12 @@ class BagMessage(Resource):
         self.title = f"{recording.name}, message {index}"
         self.links = (*Resource.links, *(Link(step.url, step.rel) for step in self.navigation_links()))
 
-    def navigation_links(self) -> tuple[Step, ...]:
+    def navigation_links(self) -> tuple[SequenceLink, ...]:
         """The messages before and after, first and last (RFC 8288)."""
         last = self.recording.count - 1
         places = {"first": 0, "prev": self.index - 1, "next": self.index + 1, "last": last}
         url = self.robot.space.bag_message
-        return tuple(Step(rel, url(self.recording.name, at)) for rel, at in places.items() if 0 <= at <= last)
+        return tuple(SequenceLink(rel, url(self.recording.name, at)) for rel, at in places.items() if 0 <= at <= last)
 
     async def message(self) -> RecordedMessage:
         """The message, read off the loop; a 404 Problem where there is none."""
@@ -189,7 +189,7 @@ def bag_room(robot: Robot, location: Location) -> Resource:
 
 def _slash(robot: Robot, location: Location) -> Resource:
     url = robot.space.container("bags", location.segments)
-    raise moved(url)
+    raise permanent_redirect(url)
 
 
 def _recording(robot: Robot, name: str) -> Recording:

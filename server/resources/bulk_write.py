@@ -17,11 +17,19 @@ from rosld.ontology.vocab import rdf
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.catalogue import Property, TopicSource
-from rosld.server.hypermedia.describe import fragment
-from rosld.server.hypermedia.property_writer import PlannedWrite, Written, carry_out
+from rosld.server.hypermedia.describe import fragment_of
+from rosld.server.hypermedia.property_writer import PlannedWrite, WriteOutcome, carry_out
 from rosld.server.hypermedia.resource_tree import ComplexPlan, MemberPlan
-from rosld.server.hypermedia.value import WHOLE, MessageValue, Reading, literal, picked_json, plain_json, scalar_field
-from rosld.server.hypermedia.value_body import rdf_content
+from rosld.server.hypermedia.value import (
+    WHOLE,
+    MessageValue,
+    Reading,
+    field_json,
+    plain_json,
+    scalar_field,
+    value_literal,
+)
+from rosld.server.hypermedia.value_body import content_from_rdf
 from rosld.server.hypermedia.views import ComplexView, Member
 from rosld.server.ldp.patch import merge_patch
 from rosld.server.resources.context import Robot
@@ -74,7 +82,7 @@ def _changed(body: RdfBody, plan: MemberPlan, seen: Member, url: str, robot: Rob
             return None
         raise LoweringError(Violation(plan.name, f"a member cannot be removed: {subject} {predicate} is missing"))
     try:
-        content = rdf_content(body, subject, predicate, plan.of, robot.lifting, node=fragment(plan.name))
+        content = content_from_rdf(body, subject, predicate, plan.source, robot.lifting, node=fragment_of(plan.name))
     except LoweringError as error:
         raise _within(plan.name, error) from error
     same = _says(content, seen) if isinstance(content, Literal) else content == _present(seen)
@@ -102,7 +110,7 @@ def _literal(member: Member) -> Literal | None:
     """The literal that is the value of a member, None where there is none."""
     value = member.reading.value
     try:
-        return None if value is None else literal(value, member.field)
+        return None if value is None else value_literal(value, member.field)
     except ValueError:
         return None
 
@@ -113,7 +121,7 @@ def _present(member: Member) -> object:
     if value is None:
         return None
     try:
-        return parse_json(plain_json(value, WHOLE) if field is None else picked_json(value, field))
+        return parse_json(plain_json(value, WHOLE) if field is None else field_json(value, field))
     except ValueError:
         return None
 
@@ -130,7 +138,7 @@ async def planned_changes(
     that does not fit or breaks a limit (LoweringError). Nothing moves.
     """
     for change in changes:
-        refuse(robot, change.member.guards, snapshot, f"{change.member.name} must not be written now")
+        refuse(robot, change.member.write_conditions, snapshot, f"{change.member.name} must not be written now")
     writes = []
     broken: list[Violation] = []
     for names, own, content in _by_property(changes, snapshot.readings):
@@ -149,7 +157,7 @@ def _by_property(changes: Iterable[Change], readings: Mapping[str, Reading]) -> 
     """One content a property: members that show fields of one message change that message together."""
     whole: dict[str, tuple[list[str], Property, object]] = {}
     for change in changes:
-        member, own = change.member, change.member.of
+        member, own = change.member, change.member.source
         names, _, content = whole.get(own.name, ([], own, None))
         if member.field is not None:
             content = with_field(own, readings[own.name], member.name, member.field, change.content, content)
@@ -216,7 +224,7 @@ async def carried_out(robot: Robot, writes: Sequence[tuple[str, PlannedWrite]]) 
             written = await carry_out(robot, write)
         except (RosError, Problem) as error:
             raise _partly(error, name, done, [name for name, _ in writes[place + 1 :]]) from error
-        done.append({"name": name, "status": 202 if written is Written.UNHEARD else 204})
+        done.append({"name": name, "status": 202 if written is WriteOutcome.UNHEARD else 204})
     return Response(status_code=204)
 
 

@@ -30,9 +30,9 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channels import Channel, Channels
-from rosld.server.events.source import LINES, Source, headers_of
+from rosld.server.events.source import LINES, ChannelStream, headers_of
 from rosld.server.events.subscriptions import JSON_LD, MAX_BYTES, MEDIA_TYPES, check_profile, read_subscription
-from rosld.server.events.websocket import Receiver
+from rosld.server.events.websocket import WebSocketReceiver
 from rosld.server.http import negotiation
 from rosld.server.http.body import read_body
 from rosld.server.http.conditional import ETag, digest
@@ -46,10 +46,19 @@ from rosld.server.resources.context import Robot
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, OFFERS
-from rosld.server.rest.path_item import Method, PathItem
+from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.prepared import RawResponse, bytes_response
-from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Created, Resource, moved
-from rosld.server.rest.resource_headers import standing_headers
+from rosld.server.rest.resource import (
+    BASIC_CONTAINER,
+    RDF_SOURCE,
+    READ,
+    RESOURCE,
+    Answer,
+    CreatedAnswer,
+    Resource,
+    permanent_redirect,
+)
+from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
 
 WEBSOCKET, STREAMING_HTTP = CHANNEL_TYPES
@@ -110,7 +119,7 @@ class Notifications:
         place = partial(self.place, service.type)
         return self.channels.open(wish, service.type, resource, state, place, exchange.auth)
 
-    def receiver(self, scope: Scope) -> Receiver:
+    def receiver(self, scope: Scope) -> WebSocketReceiver:
         """Who receives over the WebSocket that is to be opened. Raises Problems: 404 for every other path, 503."""
         try:
             path = scope["raw_path"].decode("ascii").removeprefix(self.robot.space.path.rstrip("/"))
@@ -119,8 +128,8 @@ class Notifications:
             raise Problem(400, f"{error}.") from error
         match location.segments:
             case (kind, token, name) if location.kind == ROOM and kind == WEBSOCKET and name == SOURCE:
-                self.broadcasters.require_room()
-                return Receiver(self.channels, self.broadcasters, channel_of(self, kind, token))
+                self.broadcasters.require_capacity()
+                return WebSocketReceiver(self.channels, self.broadcasters, channel_of(self, kind, token))
         raise Problem(404, f"No WebSocket is there: subscribe at {self.robot.space.url(ROOM, (WEBSOCKET,))} first.")
 
     async def _topic(self, url: str, permissions: Permissions) -> tuple[Resource, State]:
@@ -208,10 +217,10 @@ class Described(Resource):
             return None
         body = orjson.dumps(with_context(members))
         etag = ETag(f"{self.notifications.robot.instance_id}-{digest(body)}", "jsonld")
-        return bytes_response(exchange, body, JSON_LD, etag, standing_headers(self).items())
+        return bytes_response(exchange, body, JSON_LD, etag, resource_headers(self).items())
 
     def _headers(self) -> list[tuple[bytes, bytes]]:
-        standing = {**standing_headers(self), "vary": "Accept"}
+        standing = {**resource_headers(self), "vary": "Accept"}
         return [(name.encode("latin-1"), value.encode("latin-1")) for name, value in standing.items()]
 
 
@@ -277,7 +286,7 @@ class SubscriptionService(Described):
         self._service = service
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        subscribe = Method(
+        subscribe = WriteMethod(
             "Subscribes to a topic; the answer says where notifications are received from.",
             _SUBSCRIPTION,
             done=(201,),
@@ -301,7 +310,7 @@ class SubscriptionService(Described):
         channel = await self.notifications.subscribe(exchange, self._service)
         made = ChannelResource(self.notifications, channel)
         if not prefers_json(exchange, (JSON_LD, *OFFERS)):
-            return Created(made.url, made, await made.state())
+            return CreatedAnswer(made.url, made, await made.state())
         body = orjson.dumps(with_context(channel.terms.members()))
         headers = [*made._headers(), (b"location", made.url.encode("ascii")), (b"cache-control", b"no-store")]
         return RawResponse(201, body, [*headers, *_content(body)])
@@ -350,8 +359,8 @@ class SourceResource(Described):
         headers = self._headers()
         if exchange.method == "HEAD":
             return RawResponse(200, b"", [*headers_of(self._channel), *headers])
-        self.notifications.broadcasters.require_room(exchange.request.client)
-        return Source(self.notifications.channels, self.notifications.broadcasters, self._channel, headers)
+        self.notifications.broadcasters.require_capacity(exchange.request.client)
+        return ChannelStream(self.notifications.channels, self.notifications.broadcasters, self._channel, headers)
 
 
 def channel_room(robot: Robot, location: Location, *, notifications: Notifications) -> Resource:
@@ -359,7 +368,7 @@ def channel_room(robot: Robot, location: Location, *, notifications: Notificatio
     if not location.segments:
         url = robot.space.container(ROOM)
         if not location.is_container:
-            raise moved(url)
+            raise permanent_redirect(url)
         return ServiceContainer(notifications, url)
     kind, *rest = location.segments
     service = notifications.service(kind)
@@ -414,7 +423,7 @@ def rooms(notifications: Notifications, well_known: Room) -> Mapping[str, Room]:
         if not location.segments:
             url = f"{robot.space.base}{WELL_KNOWN}/"
             if not location.is_container:
-                raise moved(url)
+                raise permanent_redirect(url)
             return WellKnownContainer(notifications, url)
         if location.segments == ("solid",) and not location.is_container:
             return StorageDescription(notifications, notifications.description)

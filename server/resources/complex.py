@@ -21,13 +21,13 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.describe import complex_document, complex_json
-from rosld.server.hypermedia.json_schema import as_patch, as_read, or_null
+from rosld.server.hypermedia.json_schema import nullable, patch_schema, read_schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
 from rosld.server.hypermedia.schema import DataSchema, Json, value_schema
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE
 from rosld.server.hypermedia.views import ComplexView
-from rosld.server.ldp.patch import updated
+from rosld.server.ldp.patch import apply_update
 from rosld.server.resources.bulk_write import (
     Change,
     carried_out,
@@ -41,9 +41,9 @@ from rosld.server.resources.preconditions import seen_anew
 from rosld.server.resources.things import complex_thing, thing_response, wants_thing
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, MERGE_PATCH, OFFERS, SPARQL_UPDATE
-from rosld.server.rest.path_item import FORMAT, Method, PathItem
+from rosld.server.rest.path_item import FORMAT, PathItem, WriteMethod
 from rosld.server.rest.plan import Plan, RobotWrite
-from rosld.server.rest.resource import ABSENT, BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, moved
+from rosld.server.rest.resource import ABSENT, BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, permanent_redirect
 from rosld.server.rest.state import State
 
 _FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS, "td"]})
@@ -69,9 +69,11 @@ class ComplexResource(CommandResource):
 
     @property
     def also_changes(self) -> Sequence[str]:
-        tree = self.robot.offers.at_hand() or self.robot.offers.latest
+        tree = self.robot.offers.cached_tree() or self.robot.offers.last_tree
         plan = None if tree is None else tree.complex(self.path)
-        return () if plan is None else [url_of(one.at or one.of.name, self.robot.space) for one in plan.members]
+        return (
+            () if plan is None else [url_of(one.url_name or one.source.name, self.robot.space) for one in plan.members]
+        )
 
     @property
     def constrained_by(self) -> str | None:
@@ -81,7 +83,7 @@ class ComplexResource(CommandResource):
         await self._plan()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        offers, tree = self.robot.offers, self.robot.offers.at_hand() or self.robot.offers.latest
+        offers, tree = self.robot.offers, self.robot.offers.cached_tree() or self.robot.offers.last_tree
         plan = None if tree is None else tree.complex(self.path)
         read: dict[str, Json] = {}
         sent: dict[str, Json] = {}
@@ -89,30 +91,30 @@ class ComplexResource(CommandResource):
         for one in () if plan is None else plan.members:
             shown = offers.member_affordance(one, write=True)
             value = value_schema(shown.shape, schemas.lifting)
-            members[one.name], read[one.name] = shown.url, or_null(as_read(value))
-            if offers.is_writable(one.of):
-                sent[one.name] = as_patch(value)
+            members[one.name], read[one.name] = shown.url, nullable(read_schema(value))
+            if offers.is_writable(one.source):
+                sent[one.name] = patch_schema(value)
         patch: DataSchema = {"type": "object", "properties": sent, "additionalProperties": False}
         return PathItem(
             f"The resource {self.path}",
             (*OFFERS, MEDIA_TYPE),
             {"type": "object", "properties": read},
             (_FORMAT,),
-            {"PATCH": Method(sends=patch, done=(200, 204))},
+            {"PATCH": WriteMethod(sends=patch, done=(200, 204))},
             members=members,
         )
 
     def methods(self) -> frozenset[str]:
-        tree, robot = self.robot.offers.at_hand(), self.robot
+        tree, robot = self.robot.offers.cached_tree(), self.robot
         plan = tree.complex(self.path) if tree is not None else None
         if plan is None or robot.settings.read_only:
             return READ
-        return READ | {"PATCH"} if any(robot.offers.is_writable(one.of) for one in plan.members) else READ
+        return READ | {"PATCH"} if any(robot.offers.is_writable(one.source) for one in plan.members) else READ
 
-    async def methods_now(self) -> frozenset[str]:
+    async def current_methods(self) -> frozenset[str]:
         """Nothing where it does not exist now: then it is 404, read or written."""
         tree, plan = await self._plan()
-        (exists,) = await self.robot.offers.hold(tree, plan.reads, plan.exists_when)
+        (exists,) = await self.robot.offers.conditions_hold(tree, plan.reads, plan.exists_when)
         return self.methods() if exists else ABSENT
 
     def deny_reason(self, method: str) -> str:
@@ -124,7 +126,9 @@ class ComplexResource(CommandResource):
 
     async def state(self) -> State:
         tree, plan = await self._plan()
-        return await self.robot.offers.state(self.url, tree, plan.reads, lambda snapshot: self._shown(plan, snapshot))
+        return await self.robot.offers.cached_state(
+            self.url, tree, plan.reads, lambda snapshot: self._shown(plan, snapshot)
+        )
 
     def _shown(self, plan: ComplexPlan, snapshot: Snapshot) -> State:
         robot = self.robot
@@ -135,7 +139,7 @@ class ComplexResource(CommandResource):
             lambda: complex_document(view, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time),
             lambda: complex_json(view, robot.lifting),
             received_ns=min(times, default=None),
-            max_age=0 if plan.conditional else robot.offers.max_age(own),
+            max_age=0 if plan.is_conditional else robot.offers.max_age(own),
             view=view,
         )
 
@@ -156,7 +160,7 @@ class ComplexResource(CommandResource):
             return tree, plan
         name = self.path[:-1]
         if tree.property(name) is not None or tree.action(name) is not None:
-            raise moved(url_of(name, self.robot.space))
+            raise permanent_redirect(url_of(name, self.robot.space))
         raise Problem(404, f"There is no resource {self.path}.")
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
@@ -178,8 +182,8 @@ class ComplexResource(CommandResource):
         """Several members at once: planned whole, carried out one after the other, reported member by member."""
         tree, plan = await self._plan()
         data = await exchange.body()
-        named = tuple(member.of.name for member in plan.members)
-        async with self.robot.offers.turn(tree, self.path, *named, changed=named):
+        named = tuple(member.source.name for member in plan.members)
+        async with self.robot.offers.lock(tree, self.path, *named, modified=named):
             snapshot = await seen_anew(self.robot, tree, plan.reads)
             changes = self._changes(exchange.media_type, plan, snapshot, data)
             return await carried_out(self.robot, await planned_changes(self.robot, plan, snapshot, changes))
@@ -203,7 +207,7 @@ class ComplexResource(CommandResource):
     def concerned(self, tree: ResourceTree) -> tuple[str, ...]:
         """The names that a write through its graph concerns."""
         plan = tree.complex(self.path)
-        return (self.path, *(member.of.name for member in plan.members)) if plan is not None else (self.path,)
+        return (self.path, *(member.source.name for member in plan.members)) if plan is not None else (self.path,)
 
     def _changes(self, media_type: str, plan: ComplexPlan, snapshot: Snapshot, data: bytes) -> Sequence[Change]:
         robot = self.robot
@@ -211,4 +215,4 @@ class ComplexResource(CommandResource):
         if media_type == MERGE_PATCH:
             return changes_in_json(parse_json(data), plan, view)
         before = complex_document(view, robot.space, robot.lifting.unelided)
-        return changes_in_graph(updated(data, before.all_triples(), self.url, by_value=True), plan, view, robot)
+        return changes_in_graph(apply_update(data, before.all_triples(), self.url, by_value=True), plan, view, robot)

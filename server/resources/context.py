@@ -9,10 +9,10 @@ from collections.abc import Hashable, Sequence
 from rosld.adapters.base import Adapter
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.mappings import Mappings
-from rosld.server.hypermedia.readings import Readings
+from rosld.server.hypermedia.readings import PropertyReader
 from rosld.server.policies import limits, mappings, queries
-from rosld.server.policies.limits import ActiveLimits, given_limits
-from rosld.server.policies.mappings import given_mappings, keep_mappings
+from rosld.server.policies.limits import ActiveLimits, initial_limits
+from rosld.server.policies.mappings import initial_mappings, load_stored_mappings
 from rosld.server.receipts.journal import Journal
 from rosld.server.rest.state import State
 from rosld.server.robot.holds import Holds
@@ -36,8 +36,8 @@ class Robot(Session):
         self.instance_id = secrets.token_hex(4)
         self.states: VersionCache[State] = VersionCache()
         self.workers = WorkerPool()
-        self.limits_in_force = ActiveLimits(tuple(given_limits(settings, adapter, self.space)), self.space)
-        self.records = open_records(settings.data, roots=(mappings.ROOM, queries.ROOM, limits.ROOM))
+        self.limits_in_force = ActiveLimits(tuple(initial_limits(settings, adapter, self.space)), self.space)
+        self.records = open_records(settings.data, roots=(mappings.ROUTE, queries.ROUTE, limits.ROUTE))
         self.receipts = Journal(
             settings.data,
             limit=settings.receipts_kept,
@@ -45,9 +45,9 @@ class Robot(Session):
             excerpt_bytes=settings.receipt_excerpt,
         )
         self.kept_changes = Signal()
-        self.queries = queries.Queries(self.records, self.space, Bounds(size=settings.query_size_limit))
-        self.mappings = Mappings(given_mappings(settings, adapter, self.space))
-        self.readings = Readings(
+        self.queries = queries.StoredQueries(self.records, self.space, Bounds(size=settings.query_size_limit))
+        self.mappings = Mappings(initial_mappings(settings, adapter, self.space))
+        self.readings = PropertyReader(
             adapter,
             self.topics,
             self.schemas,
@@ -59,7 +59,7 @@ class Robot(Session):
             self, self.mappings, self.readings, self.states, lambda: self.limits
         )
         self.holds = Holds(self)
-        self.stops = SoftwareStop(self, self.holds, lambda: self.mappings.mapping_set.stops())
+        self.stops = SoftwareStop(self, self.holds, lambda: self.mappings.mapping_set.stop_commands())
 
     @property
     def revision(self) -> Hashable:
@@ -72,7 +72,7 @@ class Robot(Session):
             self.holds.revision,
             self.stops.revision,
             self.queries.version,
-            IdentityKey(self.limits_in_force.now),
+            IdentityKey(self.limits_in_force.current),
             IdentityKey(self.mappings.mapping_set),
         )
 
@@ -85,15 +85,15 @@ class Robot(Session):
     @property
     def limits(self) -> Limits:
         """The limits on what is written that are in force now."""
-        return self.limits_in_force.now
+        return self.limits_in_force.current
 
     async def start(self) -> None:
         """Open the session, and put into force what is kept. Raises what `Adapter.open` raises."""
         await self.open()
         self.records.watch(self._kept)
         self.receipts.start()
-        self.limits_in_force.begin(self.records)
-        await keep_mappings(self.mappings, self.records, self.settings, self.space)
+        self.limits_in_force.load_stored(self.records)
+        await load_stored_mappings(self.mappings, self.records, self.settings, self.space)
         gc.collect()
         gc.freeze()  # what is loaded now stays: looking through it again and again would hold everybody up
         self.follow()
@@ -111,7 +111,7 @@ class Robot(Session):
 
     def _kept(self, changes: Sequence[RecordChange]) -> None:
         for each in changes:
-            self.queries.changed(each)
+            self.queries.on_record_change(each)
             self.kept_changes.emit(each.path)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 
 from rosld.ontology.describe_graph import ROOMS, entry_document
-from rosld.server.html import Count, Csrf, EntryPage, Form, Notice, Site, render_entry
-from rosld.server.html.page import Tone
+from rosld.server.html import Csrf, EntryCount, EntryPage, Form, Notice, Site, render_entry
+from rosld.server.html.page import NoticeLevel
 from rosld.server.http.link import Link
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
@@ -45,18 +45,18 @@ class EntryResource(Resource):
             "parameters": _seen(graph.parameters, space.parameter, site),
             "bags": _seen(self.robot.adapter.recordings, space.bag, site),
         }
-        first = Count(ROOMS["resources"], None, space.container("resources"), _FIRST, first=True)
+        first = EntryCount(ROOMS["resources"], None, space.container("resources"), _FIRST, first=True)
         goals = ("goals",) if graph.actions else ()
         counts = (
             first,
-            *(Count(ROOMS[room], number, space.container(room)) for room, number in numbers.items() if number),
+            *(EntryCount(ROOMS[room], number, space.container(room)) for room, number in numbers.items() if number),
             *(
-                Count(ROOMS[room], None, space.container(room))
+                EntryCount(ROOMS[room], None, space.container(room))
                 for room in ("types", "mappings", "data", "calls", *goals, "holds", "queries")
             ),
         )
         counts = tuple(each for each in counts if site.may("GET", each.url))
-        troubles = (Notice(problem, Tone.ERROR) for problem in self.robot.storage_problems)
+        troubles = (Notice(problem, NoticeLevel.ERROR) for problem in self.robot.storage_problems)
         return render_entry(EntryPage(site, state.document, counts, self._example(site), (*troubles, *notices)))
 
     def _example(self, site: Site) -> str | None:

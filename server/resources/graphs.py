@@ -34,7 +34,7 @@ from rosld.server.resources.kept.sources import N3_PATCH
 from rosld.server.resources.sparql import answer_query, formats_of, wished
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS, RDF_BODIES, SPARQL_UPDATE
-from rosld.server.rest.path_item import ANY_TYPE, FORMAT, Method, PathItem, UrlParameter
+from rosld.server.rest.path_item import ANY_TYPE, FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.sparql import results
@@ -98,13 +98,13 @@ def _resolved(iri: str, base: str) -> str:
         raise Problem(400, f"graph={iri[:200]!r} is no IRI: {error}.") from error
 
 
-_GRAPH = UrlParameter(
+_GRAPH = QueryParameter(
     "graph",
     "The graph: the URL of what it is about, answered as that URL answers (SPARQL 1.1 Graph Store HTTP Protocol).",
     {"type": "string", "format": "uri-reference"},
 )
-_DEFAULT = UrlParameter("default", "Instead of a graph: all of them together.")
-_ALL = UrlParameter("all", "Instead of a graph: all of them with their names, as N-Quads, TriG or JSON-LD.")
+_DEFAULT = QueryParameter("default", "Instead of a graph: all of them together.")
+_ALL = QueryParameter("all", "Instead of a graph: all of them with their names, as N-Quads, TriG or JSON-LD.")
 _GRAPH_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*{**FORMATS, **formats_of("CONSTRUCT")}]})
 
 
@@ -141,8 +141,8 @@ class GraphStore(Resource):
             ANYTHING,
             (_GRAPH, _DEFAULT, _ALL, _GRAPH_FORMAT),
             {
-                "PUT": Method(accepts=(*self.accepts["PUT"], ANY_TYPE), query=of_a_graph),
-                **dict.fromkeys(("POST", "PATCH", "DELETE"), Method(query=of_a_graph)),
+                "PUT": WriteMethod(accepts=(*self.accepts["PUT"], ANY_TYPE), query=of_a_graph),
+                **dict.fromkeys(("POST", "PATCH", "DELETE"), WriteMethod(query=of_a_graph)),
             },
             also=ALSO_OF_KEPT,
         )
@@ -319,7 +319,7 @@ class WholeDataset(_Whole):
         kept = {name: triples for name, triples in graphs.items() if self._updates.keeps(name)}
         operations = await asyncio.to_thread(_operations, kept, replaces=replaces)
         return await self._updates.carry_out(
-            operations, dry_run=exchange.flag("dry-run"), permissions=exchange.permissions
+            operations, dry_run=exchange.query_flag("dry-run"), permissions=exchange.permissions
         )
 
 

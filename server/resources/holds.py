@@ -25,7 +25,7 @@ from rosld.server.auth.errors import not_found
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http import header_syntax
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, or_null
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.ldp.patch import merge_patch
@@ -35,8 +35,8 @@ from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES
-from rosld.server.rest.path_item import FORMAT, Method, PathItem, UrlParameter
-from rosld.server.rest.resource import READ, Answer, Created, Resource
+from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteMethod
+from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.holds import HeldMessage, Hold, HoldEnded, held_message, new_hold
 from rosld.server.robot.velocity import passes_stop
@@ -62,22 +62,22 @@ async def hold_topic(exchange: Exchange, robot: Robot, name: str, find: Find | N
     then, then_asked = await _then(
         exchange.query.get("then"), robot, publishing, asked, _readable(robot, find, exchange)
     )
-    exchange.account.add_step(f"hold {name} at {rate:g} Hz, unrenewed for {lease:g} s", robot.space.topic(name))
+    exchange.audit.add_step(f"hold {name} at {rate:g} Hz, unrenewed for {lease:g} s", robot.space.topic(name))
     begun = await robot.holds.start(new_hold(name, exchange.agent, rate, lease, asked, then, then_asked))
     resource = HoldResource(robot, begun.id, find)
-    return Created(resource.url, resource, resource.shown(begun))
+    return CreatedAnswer(resource.url, resource, resource.shown(begun))
 
 
 _POSITIVE: DataSchema = {"type": "number", "minimum": MIN_OF_HOLDS}
 _HOLDING = (
-    UrlParameter("rate", "How many times a second the message is published.", {**_POSITIVE, "maximum": MAX_RATE}),
-    UrlParameter("lease", "The seconds that the hold goes on unrenewed.", {**_POSITIVE, "maximum": MAX_LEASE}),
-    UrlParameter("then", "What is published when the hold ends: zero, none, or the URL of a message."),
+    QueryParameter("rate", "How many times a second the message is published.", {**_POSITIVE, "maximum": MAX_RATE}),
+    QueryParameter("lease", "The seconds that the hold goes on unrenewed.", {**_POSITIVE, "maximum": MAX_LEASE}),
+    QueryParameter("then", "What is published when the hold ends: zero, none, or the URL of a message."),
 )
-_KEEP = UrlParameter("keep", "Whether the event stream that is asked for keeps the hold.", {"type": "boolean"})
+_KEEP = QueryParameter("keep", "Whether the event stream that is asked for keeps the hold.", {"type": "boolean"})
 
 
-def hold_parameters(required: str = "") -> tuple[UrlParameter, ...]:
+def hold_parameters(required: str = "") -> tuple[QueryParameter, ...]:
     """The parameters of what begins a hold, or changes it."""
     return tuple(replace(each, required=each.name == required) for each in _HOLDING)
 
@@ -87,7 +87,7 @@ def hold_schema(schemas: MessageSchemas, schema: MessageSchema | None) -> DataSc
     number: DataSchema = {"type": "number"}
     words: DataSchema = {"id": TEXT, "topic": TEXT, "holder": TEXT, "rate": number, "lease": number, "then": TEXT}
     message = ANYTHING if schema is None else schemas.read(schema)
-    rest: DataSchema = {"kept": {"type": "boolean"}, "trouble": or_null(TEXT), "message": message}
+    rest: DataSchema = {"kept": {"type": "boolean"}, "trouble": nullable(TEXT), "message": message}
     return {"type": "object", "properties": {**words, **rest}}
 
 
@@ -123,14 +123,14 @@ class HoldResource(Resource):
         return False
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        renew = Method(
+        renew = WriteMethod(
             "Renews the lease, with a body also the message, which goes on without a gap.",
             ANYTHING,
             is_body_required=False,
             done=(200, 204),
             query=(STRICT, *hold_parameters()),
         )
-        end = Method("Ends the hold; what it was told to say last is published.", done=(204,))
+        end = WriteMethod("Ends the hold; what it was told to say last is published.", done=(204,))
         return PathItem(
             "A hold of a topic",
             plain=hold_schema(schemas, None),
@@ -193,7 +193,7 @@ class HoldResource(Resource):
 
     def keep_alive(self, exchange: Exchange) -> contextlib.AbstractContextManager[float | None]:
         """`?keep=true`: the stream keeps the hold, and says twice a lease that it is alive."""
-        if not exchange.flag("keep"):
+        if not exchange.query_flag("keep"):
             return contextlib.nullcontext()
         if self.robot.settings.read_only:
             raise Problem(403, "This server is read-only.")
@@ -224,7 +224,7 @@ class HoldResource(Resource):
             release_requested=then_asked,
         )
         what = f"hold {hold.topic} at {changed.rate:g} Hz, unrenewed for {changed.lease:g} s"
-        exchange.account.add_step(what, robot.space.topic(hold.topic))
+        exchange.audit.add_step(what, robot.space.topic(hold.topic))
         robot.holds.renew(self.id, changed)
         return Response(status_code=204)
 
@@ -246,7 +246,7 @@ class HoldResource(Resource):
     async def delete(self, exchange: Exchange) -> Answer:
         require_holder(exchange, self.hold)
         topic = self.hold.topic
-        exchange.account.add_step(f"end the hold of {topic}", self.robot.space.topic(topic))
+        exchange.audit.add_step(f"end the hold of {topic}", self.robot.space.topic(topic))
         ended = self.robot.holds.end(self.id, f"{exchange.agent.name} ended it")
         if ended is not None:
             await ended

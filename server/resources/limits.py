@@ -81,7 +81,7 @@ async def _of_property(robot: Robot, kind: Kind, name: str, value: Value) -> lis
     if found is None or (kind is Kind.SERVICE and all(way.name != name for way in catalogue.properties[found].writers)):
         return []  # what a getter is asked with is no value
     broken: list[Violation] = []
-    for shown, field in tree.shown_of(found):
+    for shown, field in tree.names_of(found):
         url = url_of(shown, robot.space)
         shape = robot.limits.resource(url)
         if shape is not None:

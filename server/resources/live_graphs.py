@@ -71,7 +71,7 @@ from rosld.shapes.parameter import declared_triples
 
 _KEPT = 256
 """Needs whose resources are remembered."""
-ELSEWHERE = frozenset({queries.ROOM, limits.ROOM})
+ELSEWHERE = frozenset({queries.ROUTE, limits.ROUTE})
 """The containers of what clients keep in which something else lies too: they are described here, whole."""
 _AT_ONCE = 64
 """Looks that are begun before the loop has its turn."""

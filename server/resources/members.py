@@ -22,15 +22,15 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.describe import action_document, property_document, property_json
-from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, as_patch, as_read, as_sent, or_null
+from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, nullable, patch_schema, read_schema, write_schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.hypermedia.property_writer import PlannedWrite, Written, carry_out, not_writable_reason
+from rosld.server.hypermedia.property_writer import PlannedWrite, WriteOutcome, carry_out, not_writable_reason
 from rosld.server.hypermedia.resource_tree import ActionPlan, PropertyPlan, ResourceTree, parent_of
 from rosld.server.hypermedia.schema import value_schema
 from rosld.server.hypermedia.value import MessageValue
-from rosld.server.hypermedia.value_body import rdf_content
+from rosld.server.hypermedia.value_body import content_from_rdf
 from rosld.server.hypermedia.views import PropertyView
-from rosld.server.ldp.patch import merge_patch, updated
+from rosld.server.ldp.patch import apply_update, merge_patch
 from rosld.server.resources.actions import ActionResource
 from rosld.server.resources.bulk_write import with_field
 from rosld.server.resources.command import CommandResource
@@ -43,9 +43,9 @@ from rosld.server.resources.strictness import STRICT, is_strict
 from rosld.server.resources.writes import planned, write_response
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
-from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, Method, PathItem
+from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, WriteMethod
 from rosld.server.rest.plan import Plan, RobotWrite
-from rosld.server.rest.resource import ABSENT, READ, Answer, Shown, moved
+from rosld.server.rest.resource import ABSENT, READ, Answer, ShownAnswer, permanent_redirect
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import CallOutcome
 
@@ -76,7 +76,7 @@ class MemberResource(CommandResource):
 
     @property
     def _tree(self) -> ResourceTree | None:
-        return self.robot.offers.at_hand()
+        return self.robot.offers.cached_tree()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         tree = self._tree
@@ -87,9 +87,9 @@ class MemberResource(CommandResource):
             shape = self.robot.offers.member_affordance(plan.member, write=True).shape
             value, sent = (value_schema(shape, schemas.lifting, sent=each) for each in (False, True))
         sends_goals = action is not None and action.sends_goals
-        invoke = Method(
+        invoke = WriteMethod(
             _SENDS_A_GOAL if sends_goals else _INVOKES,
-            schemas.sent(action.request if action else None),
+            schemas.write(action.request if action else None),
             is_body_required=False,
             done=(201,) if sends_goals else (200, 204),
             shows=OBJECT,
@@ -98,11 +98,13 @@ class MemberResource(CommandResource):
         return PathItem(
             f"The {'action' if value is None else 'property'} {self.name}",
             FIELD_READS,
-            None if value is None else or_null(as_read(value)),
+            None if value is None else nullable(read_schema(value)),
             (FORMAT, FIELD),
             {
-                "PUT": Method(sends=ANYTHING if sent is None else as_sent(sent), done=(200, 202, 204), query=(STRICT,)),
-                "PATCH": Method(sends=ANYTHING if value is None else as_patch(value), done=(200, 202, 204)),
+                "PUT": WriteMethod(
+                    sends=ANYTHING if sent is None else write_schema(sent), done=(200, 202, 204), query=(STRICT,)
+                ),
+                "PATCH": WriteMethod(sends=ANYTHING if value is None else patch_schema(value), done=(200, 202, 204)),
                 "POST": invoke,
             },
         )
@@ -114,21 +116,21 @@ class MemberResource(CommandResource):
             return READ
         methods = READ
         plan = tree.property(self.name)
-        if plan is not None and robot.offers.is_writable(plan.of):
+        if plan is not None and robot.offers.is_writable(plan.source):
             methods |= {"PUT", "PATCH"}
         action = tree.action(self.name)
         if action is not None and robot.offers.is_callable(action):
             methods |= {"POST"}
         return methods
 
-    async def methods_now(self) -> frozenset[str]:
+    async def current_methods(self) -> frozenset[str]:
         """Nothing where it does not exist now; POST alone of an action that is not on offer, for it says why not."""
         tree, methods = await self.robot.offers.tree(), self.methods()
         plan, action = tree.property(self.name), tree.action(self.name)
         reads = (*(() if plan is None else plan.reads), *(() if action is None else action.reads))
         exists_when = next((each.exists_when for each in (plan, action) if each is not None), ())
         conditions = () if plan is not None or action is None else action.conditions
-        exists, offered = await self.robot.offers.hold(tree, reads, exists_when, conditions)
+        exists, offered = await self.robot.offers.conditions_hold(tree, reads, exists_when, conditions)
         if not exists:
             return ABSENT
         return methods if offered else methods - {"GET", "HEAD"}
@@ -139,7 +141,7 @@ class MemberResource(CommandResource):
             return "This server is read-only."
         plan = tree.property(self.name) if tree is not None else None
         if plan is not None and method in ("PUT", "PATCH"):
-            return not_writable_reason(self.robot, plan.of)
+            return not_writable_reason(self.robot, plan.source)
         return f"{self.name} does not answer {method}."
 
     @property
@@ -156,12 +158,12 @@ class MemberResource(CommandResource):
         tree = await self.robot.offers.tree()
         plan = tree.property(self.name)
         if plan is not None:
-            return await self.robot.offers.state(
+            return await self.robot.offers.cached_state(
                 self.url, tree, plan.reads, lambda snapshot: self._shown(plan, snapshot)
             )
         action = tree.action(self.name)
         if action is not None:
-            return await self.robot.offers.state(
+            return await self.robot.offers.cached_state(
                 self.url, tree, action.reads, lambda snapshot: self._shown_action(action, snapshot)
             )
         raise self._missing(tree)
@@ -173,7 +175,7 @@ class MemberResource(CommandResource):
             lambda: property_document(view, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time),
             lambda: property_json(view, robot.lifting),
             received_ns=view.reading.read_ns,
-            max_age=0 if plan.conditional else robot.offers.max_age((view.reading,)),
+            max_age=0 if plan.is_conditional else robot.offers.max_age((view.reading,)),
             view=view,
         )
 
@@ -186,11 +188,11 @@ class MemberResource(CommandResource):
         """308 to the complex resource of that name, or to the property that a mapping calls so here; else 404."""
         path = f"{self.name}/"
         if path in tree.paths:
-            return moved(url_of(path, self.robot.space))
-        elsewhere = tree.elsewhere(self.name)
+            return permanent_redirect(url_of(path, self.robot.space))
+        elsewhere = tree.remapped_property(self.name)
         if elsewhere is not None:
-            return moved(url_of(elsewhere, self.robot.space))
-        instead = tree.instead(self.name)
+            return permanent_redirect(url_of(elsewhere, self.robot.space))
+        instead = tree.replacement(self.name)
         if instead is not None:
             return Problem(404, f"The service {self.name} is offered as {url_of(instead, self.robot.space)}")
         return Problem(404, f"There is no resource {self.name}.")
@@ -231,27 +233,27 @@ class MemberResource(CommandResource):
     async def put(self, exchange: Exchange) -> Answer:
         tree, plan = await self._property()
         content = self._content(exchange, plan, await exchange.body())
-        changed = () if plan.member.field is None else (plan.of.name,)
-        async with self.robot.offers.turn(tree, self.name, changed=changed):
+        changed = () if plan.member.field is None else (plan.source.name,)
+        async with self.robot.offers.lock(tree, self.name, modified=changed):
             written = await self._write(tree, plan, content, defaults=not is_strict(exchange))
             return await self._answer(exchange, written)
 
     async def _answer(self, exchange: Exchange, planned: PlannedWrite) -> Answer:
         """Carry a write out: what it came to is shown where that is not what was asked for."""
         written = await carry_out(self.robot, planned)
-        if written is Written.OTHERWISE:
-            return Shown(self, await self.state())
+        if written is WriteOutcome.OTHERWISE:
+            return ShownAnswer(self, await self.state())
         return write_response(planned, written, exchange.accept)
 
     async def _write(
         self, tree: ResourceTree, plan: PropertyPlan, content: object, *, defaults: bool = False
     ) -> PlannedWrite:
         """How the property comes to be what `content` says, if it may be written now; nothing moves."""
-        if plan.conditional or plan.member.field is not None:
+        if plan.is_conditional or plan.member.field is not None:
             snapshot = await seen_anew(self.robot, tree, plan.reads)
             require_writable(self.robot, plan, snapshot)
             content = self._whole(plan, snapshot, content)
-        return await planned(self.robot, plan.of, content, defaults=defaults)
+        return await planned(self.robot, plan.source, content, defaults=defaults)
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """Within a turn that names `concerned`."""
@@ -264,23 +266,23 @@ class MemberResource(CommandResource):
         written = await self._write(tree, plan, self._stated(plan, body))
 
         async def carried_out() -> bool:
-            return await carry_out(self.robot, written) is not Written.UNHEARD
+            return await carry_out(self.robot, written) is not WriteOutcome.UNHEARD
 
         return RobotWrite(f"write {self.name} by {written.writer.name}", carried_out)
 
     def concerned(self, tree: ResourceTree) -> tuple[str, ...]:
         """The names that a write through its graph concerns."""
         plan = tree.property(self.name)
-        return (self.name,) if plan is None else (self.name, plan.of.name)
+        return (self.name,) if plan is None else (self.name, plan.source.name)
 
     async def patch(self, exchange: Exchange) -> Answer:
         tree, plan = await self._property()
         data = await exchange.body()
-        async with self.robot.offers.turn(tree, self.name, changed=(plan.of.name,)):
+        async with self.robot.offers.lock(tree, self.name, modified=(plan.source.name,)):
             snapshot = await seen_anew(self.robot, tree, plan.reads)
             require_writable(self.robot, plan, snapshot)
             content = self._whole(plan, snapshot, self._patch(exchange, plan, snapshot, data))
-            written = await planned(self.robot, plan.of, content)
+            written = await planned(self.robot, plan.source, content)
             return await self._answer(exchange, written)
 
     async def _property(self) -> tuple[ResourceTree, PropertyPlan]:
@@ -296,7 +298,7 @@ class MemberResource(CommandResource):
         return (
             content
             if field is None
-            else with_field(plan.of, snapshot.readings[plan.of.name], self.name, field, content)
+            else with_field(plan.source, snapshot.readings[plan.source.name], self.name, field, content)
         )
 
     def _content(self, exchange: Exchange, plan: PropertyPlan, data: bytes) -> object:
@@ -307,10 +309,10 @@ class MemberResource(CommandResource):
     def _stated(self, plan: PropertyPlan, body: RdfBody) -> object:
         """What RDF states the value to be: by rdf:value, or by the relation that a mapping gives it."""
         subject, predicate = NamedNode(self.url), rdf.value
-        home = NamedNode(url_of(plan.home, self.robot.space))
+        home = NamedNode(url_of(plan.parent, self.robot.space))
         if plan.mapped is not None and body.objects(home, plan.mapped.predicate):
             subject, predicate = home, plan.mapped.predicate
-        return rdf_content(body, subject, predicate, plan.of, self.robot.lifting)
+        return content_from_rdf(body, subject, predicate, plan.source, self.robot.lifting)
 
     def _patch(self, exchange: Exchange, plan: PropertyPlan, snapshot: Snapshot, data: bytes) -> object:
         view = self.robot.offers.property_view(plan, snapshot)
@@ -320,7 +322,7 @@ class MemberResource(CommandResource):
         if exchange.media_type == MERGE_PATCH:
             return merge_patch(parse_json(property_json(view, self.robot.lifting.unelided)), parse_json(data))
         before = property_document(view, self.robot.space, self.robot.lifting.unelided)
-        return self._stated(plan, updated(data, before.all_triples(), self.url, by_value=True))
+        return self._stated(plan, apply_update(data, before.all_triples(), self.url, by_value=True))
 
     async def post(self, exchange: Exchange) -> Answer:
         robot, tree = self.robot, await self.robot.offers.tree()
@@ -334,29 +336,29 @@ class MemberResource(CommandResource):
         request = await request_in(exchange, robot, plan.schema, self.url)
         url = robot.space.service(plan.service)
         await require_message(robot, Kind.SERVICE, plan.service, plan.schema.request, request, url, "#request")
-        async with robot.offers.turn(tree, self.name):
+        async with robot.offers.lock(tree, self.name):
             require_offered(robot, plan, await seen_anew(robot, tree, plan.reads))
             outcome = await called(exchange, robot, plan.service, plan.schema, request)
         problem = failure(robot, outcome) or declined_by(robot, outcome)
         if problem is not None:
             raise problem
-        return await self._after(plan.home, outcome)
+        return await self._after(plan.parent, outcome)
 
     async def _send_goal(self, exchange: Exchange, tree: ResourceTree, plan: ActionPlan) -> Answer:
         """Send a goal to the action of ROS that the mapping names: what is made is the goal."""
         action = ActionResource(self.robot, plan.service)
         schema, goal = await action.goal_in(exchange, self.url)
-        async with self.robot.offers.turn(tree, self.name):
+        async with self.robot.offers.lock(tree, self.name):
             require_offered(self.robot, plan, await seen_anew(self.robot, tree, plan.reads))
             return await action.send(exchange, schema, goal)
 
-    async def _after(self, path: str, outcome: CallOutcome) -> Shown:
+    async def _after(self, path: str, outcome: CallOutcome) -> ShownAnswer:
         """The complex resource as it is after an action; the one above where the action has ended its own."""
         call = Link(self.robot.space.call(outcome.call.id), ros.Call.value)
         while True:
             resource = ComplexResource(self.robot, path)
             try:
-                return Shown(resource, await resource.state(), (call,))
+                return ShownAnswer(resource, await resource.state(), (call,))
             except Problem as problem:
                 above = parent_of(path)
                 if problem.status != 404 or above is None:

@@ -13,7 +13,7 @@ from rosld.ontology.describe_containers import namespace_document
 from rosld.ontology.document import Document
 from rosld.ontology.namespaces import Kept, Members, members_of
 from rosld.ontology.urls import Space, decode_segment, encode_segment
-from rosld.server.html import Listing, Step
+from rosld.server.html import MemberColumns, SequenceLink
 from rosld.server.html.page import Cell
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
@@ -21,9 +21,16 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.paging import Page, Place, page_among, page_query, read_named_place, send_to_first
-from rosld.server.rest.path_item import FORMAT, PathItem, UrlParameter
-from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
+from rosld.server.rest.paging import (
+    LdpPage,
+    PagePosition,
+    page_of_names,
+    page_query,
+    parse_named_position,
+    require_page,
+)
+from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
+from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, permanent_redirect
 from rosld.server.rest.state import State
 
 Namespaces = Mapping[tuple[str, ...], Members]
@@ -33,7 +40,7 @@ MAX_ROWS = 1000
 
 HIDDEN = "hidden=true"
 """The query that asks a listing for hidden names too."""
-_HIDDEN = UrlParameter(
+_HIDDEN = QueryParameter(
     "hidden", "Whether names with a segment that begins with `_` are told, too.", {"type": "boolean"}
 )
 
@@ -92,7 +99,7 @@ def listed(robot: Robot) -> Graph:
     return _listed(robot.graph) if robot.adapter.capabilities.hidden_names else robot.graph
 
 
-def listing_parameters(robot: Robot) -> tuple[UrlParameter, ...]:
+def listing_parameters(robot: Robot) -> tuple[QueryParameter, ...]:
     """What the query of a listing of names may have."""
     return (FORMAT, _HIDDEN) if robot.adapter.capabilities.hidden_names else (FORMAT,)
 
@@ -152,7 +159,7 @@ def moved_to_namespace(robot: Robot, room: str, name: str) -> Problem | None:
     if path not in namespaces(robot.graph, room):
         return None
     url = robot.space.container(room, path)
-    return moved(url)
+    return permanent_redirect(url)
 
 
 def _topic_cells(topic: Topic, space: Space) -> tuple[Cell, ...]:
@@ -181,7 +188,7 @@ class NamespaceContainer(Resource):
         robot: Robot,
         room: str,
         namespace: tuple[str, ...],
-        place: Place | None = None,
+        place: PagePosition | None = None,
         *,
         hidden: bool = False,
     ) -> None:
@@ -195,21 +202,21 @@ class NamespaceContainer(Resource):
         self._sequence = with_hidden(self.url) if hidden else self.url
 
     @property
-    def variant_key(self) -> tuple[Place | None, bool]:
+    def variant_key(self) -> tuple[PagePosition | None, bool]:
         return self._place, self._hidden
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The page that `?page=` asks for, the first of many pages (303)."""
         if exchange.method not in ("GET", "HEAD"):
             return self
-        hidden, token = exchange.flag("hidden"), exchange.query.get("page")
-        place = None if token is None else read_named_place(token)
+        hidden, token = exchange.query_flag("hidden"), exchange.query.get("page")
+        place = None if token is None else parse_named_position(token)
         asked = NamespaceContainer(self.robot, self.room, self.namespace, place, hidden=hidden)
         if place is None:
-            send_to_first(exchange, self.url, count(asked._members()))
+            require_page(exchange, self.url, count(asked._members()))
         return asked
 
-    async def methods_now(self) -> frozenset[str]:
+    async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -228,7 +235,7 @@ class NamespaceContainer(Resource):
         def make() -> State:
             headers = {"link": render([*self.links, *page.links()]), "vary": "Accept, Prefer"}
             return State(
-                lambda: page.told_with(self._document(told)), part=f"p{digest(page.token.encode())}", headers=headers
+                lambda: page.add_to(self._document(told)), part=f"p{digest(page.token.encode())}", headers=headers
             )
 
         return self.robot.states.get_or_make(page.url, version, make)
@@ -250,9 +257,9 @@ class NamespaceContainer(Resource):
     def _found(self) -> Members | None:
         return listed_members(self.robot, self.room, self.namespace, hidden=self._hidden)
 
-    def _page(self, place: Place, members: Members) -> tuple[Page, Members]:
+    def _page(self, place: PagePosition, members: Members) -> tuple[LdpPage, Members]:
         """A page, and the members it tells of."""
-        page, told = page_among(self._sequence, place, ordered(members))
+        page, told = page_of_names(self._sequence, place, ordered(members))
         return page, members_named(told)
 
     @property
@@ -260,11 +267,11 @@ class NamespaceContainer(Resource):
         parts = [HIDDEN] if self._hidden else []
         return "&".join(parts if self._place is None else [*parts, page_query(self._place.token)])
 
-    def navigation_links(self) -> tuple[Step, ...]:
+    def navigation_links(self) -> tuple[SequenceLink, ...]:
         members = self._found()
-        return () if self._place is None or members is None else self._page(self._place, members)[0].steps()
+        return () if self._place is None or members is None else self._page(self._place, members)[0].neighbours()
 
-    def listing(self) -> Listing | None:
+    def listing(self) -> MemberColumns | None:
         """Everything below, or below what a page tells of, with types and endpoints."""
         whole = self._hidden or names.is_hidden(names.join(self.namespace))
         graph, space = self.robot.graph if whole else listed(self.robot), self.robot.space
@@ -272,7 +279,7 @@ class NamespaceContainer(Resource):
         if self.room == "topics":
             told, total = self._below(graph.topics, members)
             topics = {name: graph.topics[name] for name in told}
-            return Listing(
+            return MemberColumns(
                 ("type", "publishers", "subscribers"),
                 {space.topic(name): _topic_cells(topic, space) for name, topic in topics.items()},
                 total,
@@ -280,7 +287,7 @@ class NamespaceContainer(Resource):
         if self.room == "services":
             told, total = self._below(graph.services, members)
             services = {name: graph.services[name] for name in told}
-            return Listing(
+            return MemberColumns(
                 ("type", "provider"),
                 {space.service(name): _service_cells(service, space) for name, service in services.items()},
                 total,
@@ -288,12 +295,12 @@ class NamespaceContainer(Resource):
         if self.room == "actions":
             told, total = self._below(graph.actions, members)
             actions = {name: graph.actions[name] for name in told}
-            return Listing(
+            return MemberColumns(
                 ("type", "server"),
                 {space.action(name): _action_cells(action, space) for name, action in actions.items()},
                 total,
             )
-        return None if self._place is None or members is None else Listing(total=count(members))
+        return None if self._place is None or members is None else MemberColumns(total=count(members))
 
     def _below(self, known: Mapping[str, object], members: Members | None) -> tuple[list[str], int]:
         """The names in this namespace that its page lists, in order: at most `MAX_ROWS`; and how many there are."""
@@ -312,5 +319,5 @@ class NamespaceContainer(Resource):
         name = names.join(self.namespace)
         if name in of_room(self.robot.graph, self.room):
             leaf = self.robot.space.url(self.room, self.namespace)
-            return moved(leaf)
+            return permanent_redirect(leaf)
         return Problem(404, f"There is no namespace {name} under /{self.room}/.")

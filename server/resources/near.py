@@ -53,7 +53,7 @@ def _near_names(robot: Robot, place: Location) -> Sequence[str]:
 
 
 def _near_resources(robot: Robot, place: Location) -> Sequence[str]:
-    tree, name = robot.offers.at_hand(), _name(place)
+    tree, name = robot.offers.cached_tree(), _name(place)
     if tree is None or tree.property(name) is not None or tree.action(name) is not None or f"{name}/" in tree.paths:
         return ()
     return [url_of(each, robot.space) for each in _tree_names(tree).of(name)]

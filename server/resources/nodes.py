@@ -26,7 +26,7 @@ from rosld.server.resources.namespaces import is_absent, moved_to_namespace
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
-from rosld.server.rest.path_item import Method, PathItem
+from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import READ, Answer
 from rosld.server.rest.state import State
 from rosld.server.robot.write_policy import resources_only_reason
@@ -79,7 +79,7 @@ class NodeResource(CommandResource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         if "POST" not in self.methods():
             return PathItem("A node", alike="node")
-        transition = Method(
+        transition = WriteMethod(
             "Has a managed node make a transition of its lifecycle; 409 tells its state and what is legal in it.",
             sends={"type": "object", "properties": {TRANSITION: TEXT}, "required": [TRANSITION]},
             done=(200, 204),

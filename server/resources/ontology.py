@@ -9,7 +9,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
 from rosld.server.rest.path_item import PathItem
-from rosld.server.rest.resource import Resource, moved
+from rosld.server.rest.resource import Resource, permanent_redirect
 from rosld.server.rest.state import State
 
 
@@ -38,11 +38,11 @@ class OntologyResource(Resource):
 def ontology_room(robot: Robot, location: Location) -> Resource:
     """`/ontology` and below."""
     if location.is_container:
-        raise moved(robot.space.url("ontology", location.segments))
+        raise permanent_redirect(robot.space.url("ontology", location.segments))
     version = location.segments[0] if location.segments[:1] == (VERSION,) else ""
     rest = location.segments[1:] if version else location.segments
     if rest == (CORE,):
-        raise moved(module_url(CORE, robot.space.base, version))
+        raise permanent_redirect(module_url(CORE, robot.space.base, version))
     if not rest:
         return OntologyResource(robot, CORE, version)
     if len(rest) == 1 and rest[0] in MODULES:

@@ -33,8 +33,8 @@ from rosld.server.auth.enforcement import require_subtree
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction.trees import redact_tree
 from rosld.server.events.query_params import EVENT_STREAM
-from rosld.server.html import DeleteForm, Form, Listing, ParameterForm, Step, ValueForm
-from rosld.server.html.view import visible
+from rosld.server.html import DeleteForm, Form, MemberColumns, ParameterForm, SequenceLink, ValueForm
+from rosld.server.html.view import escape_controls
 from rosld.server.http import negotiation
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
@@ -43,7 +43,7 @@ from rosld.server.http.tokens import redact_tokens
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import DataSchema
-from rosld.server.ldp.patch import merge_patch, updated
+from rosld.server.ldp.patch import apply_update, merge_patch
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_parameter
@@ -61,14 +61,14 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.paging import (
     MAX_PAGE_SIZE,
-    Page,
-    Place,
-    page_among,
+    LdpPage,
+    PagePosition,
+    page_of_names,
     page_query,
-    read_named_place,
-    send_to_first,
+    parse_named_position,
+    require_page,
 )
-from rosld.server.rest.path_item import Method, PathItem
+from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import (
     BASIC_CONTAINER,
@@ -76,10 +76,10 @@ from rosld.server.rest.resource import (
     READ,
     RESOURCE,
     Answer,
-    Created,
+    CreatedAnswer,
     Resource,
-    Shown,
-    moved,
+    ShownAnswer,
+    permanent_redirect,
 )
 from rosld.server.rest.state import State
 from rosld.server.robot.declared_parameters import has_other_values
@@ -107,7 +107,7 @@ class _Parameters(CommandResource):
         self.robot = robot
         self.name = name
 
-    async def methods_now(self) -> frozenset[str]:
+    async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
 
     def deny_reason(self, method: str) -> str:
@@ -176,7 +176,7 @@ class _Parameters(CommandResource):
         """What a write answers: 204, or what there is now where a node has made something else of what was asked."""
         values = {name: value for each, whole in asked.items() for name, value in _values(each, whole)}
         if await has_other_values(self.robot, values):
-            return Shown(self, await self.state())
+            return ShownAnswer(self, await self.state())
         return Response(status_code=204)
 
     async def _delete(self, gone: Sequence[str]) -> None:
@@ -231,9 +231,9 @@ class ParameterResource(_Parameters):
             "A parameter",
             plain={"type": ["string", "number", "boolean", "array"]},
             writes={
-                "PUT": Method(sends=_NEW_VALUE, done=(200, 201, 204)),
-                "PATCH": Method(sends=_NEW_VALUE, done=(200, 204)),
-                "DELETE": Method(done=(204,)),
+                "PUT": WriteMethod(sends=_NEW_VALUE, done=(200, 201, 204)),
+                "PATCH": WriteMethod(sends=_NEW_VALUE, done=(200, 204)),
+                "DELETE": WriteMethod(done=(204,)),
             },
             alike="parameter",
         )
@@ -258,7 +258,7 @@ class ParameterResource(_Parameters):
         if value is None:
             raise Problem(404, f"There is no parameter {self.name}.")
         if isinstance(value, dict):
-            raise moved(self._tree_url())
+            raise permanent_redirect(self._tree_url())
         return self.shown(value)
 
     def _tree_url(self) -> str:
@@ -297,8 +297,8 @@ class ParameterResource(_Parameters):
             return await self._answer({self.name: value})
         if isinstance(value, dict):
             tree = ParameterTree(self.robot, names.segments(self.name))
-            return Created(tree.url, tree, await tree.state())
-        return Created(self.url, self, self.shown(value))
+            return CreatedAnswer(tree.url, tree, await tree.state())
+        return CreatedAnswer(self.url, self, self.shown(value))
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         methods = self.methods()
@@ -354,7 +354,7 @@ class ParameterResource(_Parameters):
             value = lower_json(merge_patch(parse_json(parameter_json(before)), parse_json(data)))
         else:
             document = parameter_document(self.name, before, self.robot.space)
-            value = lower_parameter(updated(data, document.triples, self.url, by_value=True), self.url)
+            value = lower_parameter(apply_update(data, document.triples, self.url, by_value=True), self.url)
         _require_below(exchange, self.url, value)
         self._check_place(value, before)
         await self._set({self.name: value})
@@ -373,7 +373,7 @@ class ParameterTree(_Parameters):
     accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON), "PATCH": (MERGE_PATCH,)}
 
     def __init__(
-        self, robot: Robot, namespace: tuple[str, ...], place: Place | None = None, *, hidden: bool = False
+        self, robot: Robot, namespace: tuple[str, ...], place: PagePosition | None = None, *, hidden: bool = False
     ) -> None:
         super().__init__(robot, names.join(namespace), robot.space.container("parameters", namespace))
         self.namespace = namespace
@@ -382,7 +382,7 @@ class ParameterTree(_Parameters):
         self._sequence = with_hidden(self.url) if hidden else self.url
 
     @property
-    def variant_key(self) -> tuple[Place | None, bool]:
+    def variant_key(self) -> tuple[PagePosition | None, bool]:
         return self._place, self._hidden
 
     @property
@@ -395,11 +395,11 @@ class ParameterTree(_Parameters):
             plain=OBJECT,
             query=listing_parameters(self.robot),
             writes={
-                "POST": Method(
+                "POST": WriteMethod(
                     "Makes a parameter, named by `Slug` where that is free.", ANYTHING, done=(200, 201, 204)
                 ),
-                "PATCH": Method(sends=OBJECT, done=(200, 204)),
-                "DELETE": Method(done=(204,)),
+                "PATCH": WriteMethod(sends=OBJECT, done=(200, 204)),
+                "DELETE": WriteMethod(done=(204,)),
             },
             is_paged=True,
             alike="tree-of-parameters",
@@ -489,19 +489,19 @@ class ParameterTree(_Parameters):
         if exchange.method not in ("GET", "HEAD"):
             return self
         token = exchange.query.get("page")
-        place = None if token is None else read_named_place(token)
-        asked = ParameterTree(self.robot, self.namespace, place, hidden=exchange.flag("hidden"))
+        place = None if token is None else parse_named_position(token)
+        asked = ParameterTree(self.robot, self.namespace, place, hidden=exchange.query_flag("hidden"))
         members = asked._members()
         if place is None and members is not None and not _wants_value(exchange):
-            send_to_first(exchange, self.url, count(members))
+            require_page(exchange, self.url, count(members))
         return asked
 
-    def _page_shown(self, place: Place, tree: Mapping[str, ParameterValue], whole: bytes) -> State:
+    def _page_shown(self, place: PagePosition, tree: Mapping[str, ParameterValue], whole: bytes) -> State:
         page, held = self._page(place, tree)
 
         def make() -> State:
             return State(
-                lambda: page.told_with(
+                lambda: page.add_to(
                     parameter_container_document(self.namespace, held, self.robot.space, MAX_PAGE_SIZE)
                 ),
                 lambda: self._plain(held),
@@ -512,10 +512,12 @@ class ParameterTree(_Parameters):
 
         return self.robot.states.get_or_make(page.url, whole, make)
 
-    def _page(self, place: Place, tree: Mapping[str, ParameterValue]) -> tuple[Page, dict[str, ParameterValue]]:
+    def _page(
+        self, place: PagePosition, tree: Mapping[str, ParameterValue]
+    ) -> tuple[LdpPage, dict[str, ParameterValue]]:
         """A page, and what of the tree it tells."""
         keys = {encode_segment(key) + ("/" if isinstance(tree[key], dict) else ""): key for key in tree}
-        page, told = page_among(self._sequence, place, sorted(keys))
+        page, told = page_of_names(self._sequence, place, sorted(keys))
         return page, {keys[end]: tree[keys[end]] for end in told}
 
     @property
@@ -523,15 +525,15 @@ class ParameterTree(_Parameters):
         parts = [HIDDEN] if self._hidden else []
         return "&".join(parts if self._place is None else [*parts, page_query(self._place.token)])
 
-    def navigation_links(self) -> tuple[Step, ...]:
+    def navigation_links(self) -> tuple[SequenceLink, ...]:
         members = self._members()
         if self._place is None or members is None:
             return ()
-        return page_among(self._sequence, self._place, ordered(members))[0].steps()
+        return page_of_names(self._sequence, self._place, ordered(members))[0].neighbours()
 
-    def listing(self) -> Listing | None:
+    def listing(self) -> MemberColumns | None:
         members = self._members()
-        return None if self._place is None or members is None else Listing(total=count(members))
+        return None if self._place is None or members is None else MemberColumns(total=count(members))
 
     def redact(self, state: State, permissions: Permissions) -> State:
         plain = state.plain
@@ -594,7 +596,7 @@ def _form(value: Json, descriptor: Descriptor | None, note: str | None) -> Form:
         return ParameterForm(value, about=note or "")
     choices = "; ".join(choice_words(descriptor))
     words = (descriptor.description, descriptor.constraints, f"{choices}." if choices else "")
-    about = visible(" ".join(filter(None, words)))
+    about = escape_controls(" ".join(filter(None, words)))
     shape = declared_shape(descriptor)
     if isinstance(shape, OpenShape) or isinstance(value, dict | list):
         return ParameterForm(value, about=about)

@@ -16,24 +16,24 @@ from rosld.server.resources.context import Robot
 
 async def seen_anew(robot: Robot, tree: ResourceTree, reads: Sequence[Property]) -> Snapshot:
     """The state as it is now, not as it was a moment ago."""
-    return robot.offers.snapshot(tree, await robot.offers.look(reads, anew=True))
+    return robot.offers.snapshot(tree, await robot.offers.read(reads, refresh=True))
 
 
 def require_writable(robot: Robot, plan: PropertyPlan, snapshot: Snapshot) -> None:
     """Raise a 404 Problem where a property is not there now, a 409 with the report where it must not be written."""
-    robot.offers.require(plan.exists_when, snapshot.verdicts, plan.of.name)
-    refuse(robot, plan.guards, snapshot, f"{plan.of.name} must not be written now")
+    robot.offers.require_exists(plan.exists_when, snapshot.results, plan.source.name)
+    refuse(robot, plan.write_conditions, snapshot, f"{plan.source.name} must not be written now")
 
 
 def require_offered(robot: Robot, plan: ActionPlan, snapshot: Snapshot) -> None:
     """Raise a 404 Problem where what an action belongs to is not there, a 409 with the report if it is not offered."""
-    robot.offers.require(plan.exists_when, snapshot.verdicts, plan.home)
+    robot.offers.require_exists(plan.exists_when, snapshot.results, plan.parent)
     refuse(robot, plan.conditions, snapshot, f"{plan.name} is not on offer now")
 
 
 def refuse(robot: Robot, conditions: Sequence[Condition], snapshot: Snapshot, sentence: str) -> None:
     """Raise a 409 Problem with the report of the conditions that do not hold."""
-    broken: tuple[Violation, ...] = snapshot.verdicts.report(conditions)
+    broken: tuple[Violation, ...] = snapshot.results.violations(conditions)
     if broken:
         about = [url_of(condition.about, robot.space) for condition in conditions]
         raise Problem(409, f"{sentence}: {in_words(broken)}.", title="Not on offer now", violations=broken, about=about)

@@ -15,7 +15,7 @@ from rosld.ontology.lower import find_message, lowerer, parse_json
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
-from rosld.server.ldp.patch import merge_patch, updated
+from rosld.server.ldp.patch import apply_update, merge_patch
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.messages import decode
@@ -49,7 +49,7 @@ class Publishing:
 
     async def plan(self, exchange: Exchange) -> Publish:
         """What a PUT asks to be published. Raises whatever there is to refuse."""
-        latch = exchange.flag("latch")
+        latch = exchange.query_flag("latch")
         return await self._publish(*await self.asked(exchange), latch)
 
     async def asked(self, exchange: Exchange) -> tuple[MessageSchema, Message]:
@@ -104,8 +104,8 @@ class Publishing:
             message = lowerer(base.schema, self.robot.lifting).from_json(patched)
         else:
             before = [*description, *whole.triples(base.message, self.url, "#message")]
-            message = self._lower(base.schema, updated(data, before, self.url, by_value=True))
-        return await self._publish(base.schema, message, exchange.flag("latch"))
+            message = self._lower(base.schema, apply_update(data, before, self.url, by_value=True))
+        return await self._publish(base.schema, message, exchange.query_flag("latch"))
 
     async def _publish(self, schema: MessageSchema, message: Message, latch: bool) -> Publish:
         await self.require(schema, message)

@@ -20,8 +20,8 @@ from rosld.ontology.triples import RDF_SOURCE, about, each, text
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import dcterms, ldp, rdfs
 from rosld.server import html
-from rosld.server.html import Listing, Notice, QueryPage, QueryParameter, Results
-from rosld.server.html.page import Tone
+from rosld.server.html import MemberColumns, Notice, PageResults, QueryPage, StoredQueryParameter
+from rosld.server.html.page import NoticeLevel
 from rosld.server.http import negotiation
 from rosld.server.http.body import parse_content_length
 from rosld.server.http.conditional import ETag, check_preconditions, digest
@@ -29,7 +29,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import DataSchema
-from rosld.server.policies.queries import ROOM, query_triples
+from rosld.server.policies.queries import ROUTE, query_triples
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.kept.base import ALSO_OF_KEPT
 from rosld.server.resources.kept.bodies import require_small
@@ -52,11 +52,11 @@ from rosld.server.resources.sparql import (
     wished,
 )
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.pages import Pages
-from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, UrlParameter
+from rosld.server.rest.pages import PageRenderer
+from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, QueryParameter
 from rosld.server.rest.prepared import RawResponse
 from rosld.server.rest.resource import READ, Resource
-from rosld.server.rest.resource_headers import standing_headers
+from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
 from rosld.server.sparql import disconnect
 from rosld.server.sparql.endpoint import QueryService
@@ -85,7 +85,7 @@ _TYPES: Mapping[Type, DataSchema] = {
 
 def _query_item(purpose: str, parameters: Iterable[Parameter]) -> PathItem:
     """What the URL of a stored query answers."""
-    given = (UrlParameter(one.name, one.about, _TYPES[one.type], one.default is None) for one in parameters)
+    given = (QueryParameter(one.name, one.about, _TYPES[one.type], one.default is None) for one in parameters)
     return PathItem(
         purpose[:_LONGEST_SUMMARY],
         (*RESULTS, DIRECT),
@@ -101,7 +101,7 @@ class Runner:
     """Runs stored queries, and draws the pages that show what they find."""
 
     service: QueryService
-    pages: Pages
+    pages: PageRenderer
     base: str
 
     async def answer(
@@ -128,7 +128,7 @@ class Runner:
 
     def _identify(self, exchange: Exchange, resource: Resource, answer: Response, state: str | None) -> Response:
         """Results with what every answer about the query says, and an entity tag where they are there at once."""
-        for name, value in standing_headers(resource).items():
+        for name, value in resource_headers(resource).items():
             answer.headers[name] = value
         if isinstance(answer, RawResponse):
             found = digest(bytes(answer.body))
@@ -136,7 +136,7 @@ class Runner:
             answer.headers["etag"] = str(etag)
             if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
             if check_preconditions(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
-                headers = {**standing_headers(resource), "etag": str(etag), "vary": "Accept"}
+                headers = {**resource_headers(resource), "etag": str(etag), "vary": "Accept"}
                 return Response(status_code=304, headers=headers)
         return answer
 
@@ -154,7 +154,7 @@ class Runner:
         timeout: float | None,
     ) -> Response:
         """The page: with results where all parameters are there, with the reason where they are not."""
-        results: Results | None = None
+        results: PageResults | None = None
         notices: tuple[Notice, ...] = ()
         status, also = 200, dict[str, str]()
         if given or all(one.default is not None for one in query.parameters):
@@ -164,17 +164,18 @@ class Runner:
                     self.service, request, disconnect.of(exchange.request.receive), exchange.permissions
                 )
             except Problem as problem:
-                notices, status, also = (Notice(problem.detail, Tone.ERROR),), problem.status, problem.headers
+                notices, status, also = (Notice(problem.detail, NoticeLevel.ERROR),), problem.status, problem.headers
         page = QueryPage(
             self.pages.site_for(exchange.permissions),
-            html.StoredQuery(resource.url, query.name, query.purpose, query.text),
+            html.StoredQueryLink(resource.url, query.name, query.purpose, query.text),
             tuple(
-                QueryParameter(one.name, one.about, given.get(one.name, one.default or "")) for one in query.parameters
+                StoredQueryParameter(one.name, one.about, given.get(one.name, one.default or ""))
+                for one in query.parameters
             ),
             results,
             notices,
         )
-        standing = {**standing_headers(resource), **self.pages.headers, "vary": "Accept", "cache-control": "no-cache"}
+        standing = {**resource_headers(resource), **self.pages.headers, "vary": "Accept", "cache-control": "no-cache"}
         headers = {**also, **standing}
         return Response(html.render_query(page), status, headers, "text/html; charset=utf-8")
 
@@ -246,7 +247,7 @@ class KeptQuery(KeptFile):
         if not exchange.query.get("format") and negotiation.choose(exchange.accept, (*OFFERS, DIRECT)) == DIRECT:
             return await super().custom_get(exchange)
         record = self.there()
-        query = await self.robot.queries.usable(record)
+        query = await self.robot.queries.executable(record)
         state = f"{self.robot.records.identity}-{record.version}"
         return await self._runner.answer(exchange, self, query, state)
 
@@ -261,7 +262,7 @@ class QueryDescription(DescriptionResource):
         self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
     ) -> Put:
         require_small(triples)
-        own = set(self.robot.queries.said(record))
+        own = set(self.robot.queries.description(record))
         return await super().with_triples(record, [one for one in triples if one not in own], expected, said)
 
 
@@ -293,7 +294,7 @@ class QueryContainer(ContainerResource):
         return name in self.robot.queries.shipped or super().is_taken(name)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        return self.robot.kept_changes.watch(wake, lambda path: path.startswith(ROOM))
+        return self.robot.kept_changes.watch(wake, lambda path: path.startswith(ROUTE))
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The stored queries", query=(FORMAT, PAGE), also=ALSO_OF_KEPT)
@@ -318,9 +319,9 @@ class QueryContainer(ContainerResource):
         clients = [one for one in triples if one not in own and one not in about_members]
         return await super().with_triples(record, clients, expected, said)
 
-    def listing(self) -> Listing:
+    def listing(self) -> MemberColumns:
         listed = self._shipped() | {url: query.purpose for url, query in self._kept()}
-        return Listing(("purpose",), {url: (purpose,) for url, purpose in listed.items()})
+        return MemberColumns(("purpose",), {url: (purpose,) for url, purpose in listed.items()})
 
     def _with_shipped(self, document: Document) -> Document:
         shown_here = {one.object.value for one in document.triples if one.predicate == ldp.contains}  # type: ignore[union-attr]
@@ -336,7 +337,7 @@ class QueryContainer(ContainerResource):
         """The queries that this page tells of."""
         robot = self.robot
         if self._place is None:
-            records = list(robot.queries.kept())
+            records = list(robot.queries.stored_records())
         else:
             members = page_at(robot, self.there(), self._place)[1]
             records = [one for member in members if (one := robot.records.get(member.path)) and one.blob is not None]
@@ -364,9 +365,9 @@ def _list(document: Document, shipped: Mapping[str, str], kept: Mapping[str, str
 
 def whole_container(robot: Robot) -> Callable[[], Document]:
     """What describes `/queries/` with all that is in it, as it is now. What is returned may be called in any thread."""
-    record = robot.records.get(ROOM)
+    record = robot.records.get(ROUTE)
     assert record is not None
-    url, shipped, kept = robot.space.container("queries"), _shipped(robot), list(robot.queries.kept())
+    url, shipped, kept = robot.space.container("queries"), _shipped(robot), list(robot.queries.stored_records())
     members = [robot.space.base + member.path for member in all_members(robot, record)]
 
     def describe() -> Document:
@@ -382,7 +383,7 @@ def _describe(robot: Robot, record: Record) -> State:
 
     def describe() -> Document:
         document = state.document
-        return Document(document.url, tuple(dict.fromkeys((*document.triples, *robot.queries.said(record)))))
+        return Document(document.url, tuple(dict.fromkeys((*document.triples, *robot.queries.description(record)))))
 
     url = f"{robot.space.base}{record.path}# with what it says"
     return robot.states.get_or_make(url, IdentityKey(state), lambda: replace(state, describe=describe, renderings={}))
@@ -404,8 +405,8 @@ def query_room(robot: Robot, location: Location, *, runner: Runner) -> Resource:
             return KeptQuery(robot, found.path, runner)
         case DescriptionResource():
             return QueryDescription(robot, found.path + ".meta")
-        case ContainerResource() if found.path == ROOM:
-            return QueryContainer(robot, ROOM)
+        case ContainerResource() if found.path == ROUTE:
+            return QueryContainer(robot, ROUTE)
         case AbsentResource():
             query = robot.queries.shipped.get(location.segments[0]) if len(location.segments) == 1 else None
             if query is not None and not location.is_container:

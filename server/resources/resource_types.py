@@ -57,12 +57,12 @@ def _of_action(graph: Graph, name: str) -> tuple[TypeRef, ...]:
 
 def _of_member(robot: Robot, name: str) -> Iterable[TypeRef]:
     """Those of all topics and services that a property is read from and written to, or an action invokes."""
-    tree = robot.offers.at_hand() or robot.offers.latest
+    tree = robot.offers.cached_tree() or robot.offers.last_tree
     if tree is None:
         return
     plan, action = tree.property(name), tree.action(name)
     if plan is not None:
-        for way in (*plan.of.readers, *plan.of.writers):
+        for way in (*plan.source.readers, *plan.source.writers):
             if not isinstance(way, ParameterSource):
                 yield from of_name(robot.graph, Kind.TOPIC if isinstance(way, TopicSource) else Kind.SERVICE, way.name)
     if action is not None:

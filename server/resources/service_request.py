@@ -6,7 +6,7 @@ from rosld.adapters.model import Message, MessageSchema, Refused, Sent, ServiceS
 from rosld.ontology.body import parse_body
 from rosld.ontology.lower import find_message, lowerer, parse_json
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.value import declined
+from rosld.server.hypermedia.value import refusal_text
 from rosld.server.resources.context import Robot
 from rosld.server.resources.strictness import is_strict
 from rosld.server.rest.errors import problem_of
@@ -29,7 +29,7 @@ async def message_in(exchange: Exchange, robot: Robot, schema: MessageSchema, ur
     data = await exchange.body()
     lowering = lowerer(schema, robot.lifting)
     if not data.strip():
-        return lowering.from_json({}, defaults=exchange.flag("defaults"))
+        return lowering.from_json({}, defaults=exchange.query_flag("defaults"))
     if exchange.media_type == JSON:
         return lowering.from_json(parse_json(data), defaults=not is_strict(exchange))
     body = parse_body(data, exchange.media_type, url)
@@ -74,7 +74,7 @@ def declined_by(robot: Robot, outcome: CallOutcome) -> Problem | None:
     call = outcome.call
     if call.response is None:
         return None
-    words = declined(call.schema.response, call.response)
+    words = refusal_text(call.schema.response, call.response)
     if words is None:
         return None
     sentence = f"{call.service} refused" + (f": {words}" if words else "")

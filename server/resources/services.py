@@ -13,7 +13,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import ANYTHING, or_null
+from rosld.server.hypermedia.json_schema import ANYTHING, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
@@ -23,8 +23,8 @@ from rosld.server.resources.service_request import called, failure, request_in
 from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
-from rosld.server.rest.path_item import Method, PathItem
-from rosld.server.rest.resource import READ, Answer, Created, Resource
+from rosld.server.rest.path_item import PathItem, WriteMethod
+from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import Call, Gone
 from rosld.server.robot.write_policy import resources_only_reason
@@ -57,12 +57,12 @@ class ServiceResource(CommandResource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         schema = schemas.service(self.service.type)
-        call = Method(
+        call = WriteMethod(
             "Calls the service; the call is a resource, and `Idempotency-Key` makes it once only.",
-            schemas.sent(schema.request if schema else None),
+            schemas.write(schema.request if schema else None),
             is_body_required=False,
             done=(201,),
-            shows=ANYTHING if schema is None else or_null(schemas.read(schema.response)),
+            shows=ANYTHING if schema is None else nullable(schemas.read(schema.response)),
             query=(STRICT,),
         )
         return PathItem(f"The service {self.name}", writes={"POST": call})
@@ -112,7 +112,7 @@ class ServiceResource(CommandResource):
         if problem is not None:
             raise problem
         resource = CallResource(self.robot, outcome.call.id)
-        return Created(resource.url, resource, resource.shown(outcome.call))
+        return CreatedAnswer(resource.url, resource, resource.shown(outcome.call))
 
     async def _schema(self) -> ServiceSchema:
         service = self.service
@@ -144,7 +144,7 @@ class CallResource(Resource):
         return False
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("A call of a service", plain=ANYTHING, writes={"DELETE": Method(done=(204,))}, also=(410,))
+        return PathItem("A call of a service", plain=ANYTHING, writes={"DELETE": WriteMethod(done=(204,))}, also=(410,))
 
     def methods(self) -> frozenset[str]:
         return READ if self.robot.settings.read_only else READ | {"DELETE"}

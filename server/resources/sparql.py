@@ -13,8 +13,8 @@ from rosld.ontology.triples import about, each
 from rosld.ontology.vocab import rdf, rdfs, ros, sd
 from rosld.server import html
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
-from rosld.server.html import Notice, Results, SparqlPage, StoredQuery
-from rosld.server.html.page import Tone
+from rosld.server.html import Notice, PageResults, SparqlPage, StoredQueryLink
+from rosld.server.html.page import NoticeLevel
 from rosld.server.http import negotiation
 from rosld.server.http.problem import Problem
 from rosld.server.http.text import FORM
@@ -24,8 +24,8 @@ from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import HTML, RDF_BODIES
-from rosld.server.rest.pages import Pages
-from rosld.server.rest.path_item import FORMAT, Method, PathItem, UrlParameter
+from rosld.server.rest.pages import PageRenderer
+from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.prepared import RawResponse
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
@@ -146,12 +146,12 @@ async def results_of(
     request: QueryRequest,
     disconnected: Disconnected | None = None,
     permissions: Permissions = ALLOW_ALL,
-) -> Results:
+) -> PageResults:
     """The first rows of the answer to a query, for a page."""
     table = await service.table(request, ROWS + 1, disconnected, permissions)
     left = "; ".join(_UNREAD.get(name, f"/{name}").format(count) for name, count in table.unread.items())
     note = f"Not looked at, as the query does not name them: {left}." if left else ""
-    return Results(table.variables, table.rows, table.boolean, ROWS, note)
+    return PageResults(table.variables, table.rows, table.boolean, ROWS, note)
 
 
 _FORMATS: Mapping[str, str] = {
@@ -194,18 +194,18 @@ def _extensions(service: NamedNode) -> Iterable[Triple]:
 RESULTS = tuple(dict.fromkeys((*SOLUTIONS, *GRAPHS, HTML)))
 """The media types of results."""
 RESULT_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS]})
-TIMEOUT = UrlParameter("timeout", "The seconds that the query may take.", {"type": "number", "exclusiveMinimum": 0})
+TIMEOUT = QueryParameter("timeout", "The seconds that the query may take.", {"type": "number", "exclusiveMinimum": 0})
 _GRAPHS: DataSchema = {"type": "array", "items": {"type": "string", "format": "uri"}}
-_QUERY = UrlParameter("query", "A query (SPARQL 1.1 Protocol 2.1); without one the endpoint describes itself.")
+_QUERY = QueryParameter("query", "A query (SPARQL 1.1 Protocol 2.1); without one the endpoint describes itself.")
 _OF_BOTH = (
-    UrlParameter("default-graph-uri", "The graphs that are the default graph together.", _GRAPHS),
-    UrlParameter("named-graph-uri", "The named graphs.", _GRAPHS),
+    QueryParameter("default-graph-uri", "The graphs that are the default graph together.", _GRAPHS),
+    QueryParameter("named-graph-uri", "The named graphs.", _GRAPHS),
     RESULT_FORMAT,
 )
 _OF_UPDATES = (
-    UrlParameter("using-graph-uri", "The graphs that are the default graph of an update together.", _GRAPHS),
-    UrlParameter("using-named-graph-uri", "The named graphs of an update.", _GRAPHS),
-    UrlParameter("dry-run", "Whether an update is only to be planned, and the plan told.", {"type": "boolean"}),
+    QueryParameter("using-graph-uri", "The graphs that are the default graph of an update together.", _GRAPHS),
+    QueryParameter("using-named-graph-uri", "The named graphs of an update.", _GRAPHS),
+    QueryParameter("dry-run", "Whether an update is only to be planned, and the plan told.", {"type": "boolean"}),
 )
 
 
@@ -219,8 +219,8 @@ class SparqlResource(Resource):
         self,
         robot: Robot,
         service: QueryService,
-        pages: Pages,
-        examples: Callable[[], Sequence[StoredQuery]],
+        pages: PageRenderer,
+        examples: Callable[[], Sequence[StoredQueryLink]],
         updates: Updates | None = None,
     ) -> None:
         super().__init__(f"{robot.space.base}sparql")
@@ -244,7 +244,7 @@ class SparqlResource(Resource):
             "required": ["update"],
         }
         updates = self._updates is not None
-        post = Method(
+        post = WriteMethod(
             sends={"anyOf": [form, update]} if updates else form,
             done=(200, 204) if updates else (200,),
             query=(*_OF_BOTH, *(_OF_UPDATES if updates else ())),
@@ -312,20 +312,20 @@ class SparqlResource(Resource):
         return await self._answer(request, accept, exchange)
 
     async def post(self, exchange: Exchange) -> Answer:
-        body = await exchange.octets()
+        body = await exchange.raw_body()
         query_string = exchange.request.scope["query_string"]
         asked = posted(query_string, exchange.header("content-type"), body)
         if isinstance(asked, QueryRequest):
-            exchange.account.mark_read_only()
+            exchange.audit.mark_read_only()
             return await self._answer(asked, wished(exchange), exchange)
         return await self._updated(asked, exchange)
 
     async def _updated(self, request: UpdateRequest, exchange: Exchange) -> Response:
         if self._updates is None:
             raise self._no_updates()
-        dry_run, permissions = exchange.flag("dry-run"), exchange.permissions
+        dry_run, permissions = exchange.query_flag("dry-run"), exchange.permissions
         if dry_run:
-            exchange.account.mark_read_only()
+            exchange.audit.mark_read_only()
         return await self._updates.answer(request, dry_run=dry_run, accept=wished(exchange), permissions=permissions)
 
     async def _answer(self, request: QueryRequest, accept: str | None, exchange: Exchange) -> Response:
@@ -340,9 +340,13 @@ class SparqlResource(Resource):
             return self._page(permissions, request.text, None, problem)
 
     def _page(
-        self, permissions: Permissions, text: str = "", results: Results | None = None, problem: Problem | None = None
+        self,
+        permissions: Permissions,
+        text: str = "",
+        results: PageResults | None = None,
+        problem: Problem | None = None,
     ) -> Response:
-        notices = () if problem is None else (Notice(problem.detail, Tone.ERROR),)
+        notices = () if problem is None else (Notice(problem.detail, NoticeLevel.ERROR),)
         examples = tuple(each for each in self._examples() if permissions.may_read(each.url))
         page = SparqlPage(self._pages.site_for(permissions), text, examples, results, notices)
         status, also = (200, {}) if problem is None else (problem.status, problem.headers)

@@ -15,7 +15,7 @@ from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
-from rosld.server.rest.resource_headers import standing_headers
+from rosld.server.rest.resource_headers import resource_headers
 
 _DAY = 86400
 
@@ -38,7 +38,7 @@ class FileResource(Resource):
     async def custom_get(self, exchange: Exchange) -> Response | None:
         etag = ETag(digest(self._data), "bin")
         headers = {
-            **standing_headers(self),
+            **resource_headers(self),
             "etag": str(etag),
             "cache-control": f"max-age={_DAY}",
             "x-content-type-options": "nosniff",

@@ -12,7 +12,7 @@ from rosld.ontology.triples import RDF_SOURCE, about, double, moment, text
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import TEXT, or_null
+from rosld.server.hypermedia.json_schema import TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.resources.context import Robot
@@ -37,7 +37,7 @@ class StatusResource(Resource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         seconds: DataSchema = {"type": "number", "minimum": 0}
         told: DataSchema = dict.fromkeys(("longestPause", "longestWork", "recentPause"), seconds)
-        told = {**told, **dict.fromkeys(("longestPauseEnd", "longestPauseCode", "longestWorkCode"), or_null(TEXT))}
+        told = {**told, **dict.fromkeys(("longestPauseEnd", "longestPauseCode", "longestWorkCode"), nullable(TEXT))}
         summary = "How promptly the server itself answers, what is wrong with its storage"
         return PathItem(summary, plain={"type": "object", "properties": told})
 

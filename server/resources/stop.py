@@ -17,14 +17,14 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http.problem import Problem
 from rosld.server.http.tokens import redact_tokens
-from rosld.server.hypermedia.json_schema import TEXT, or_null
+from rosld.server.hypermedia.json_schema import TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
-from rosld.server.rest.path_item import Method, PathItem
-from rosld.server.rest.resource import READ, Answer, Resource, Shown
+from rosld.server.rest.path_item import PathItem, WriteMethod
+from rosld.server.rest.resource import READ, Answer, Resource, ShownAnswer
 from rosld.server.rest.state import State
 
 _MAX_REASON = 500
@@ -62,13 +62,13 @@ class StopResource(Resource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         count: DataSchema = {"type": "integer", "minimum": 0}
-        words: DataSchema = {"does": TEXT, "state": TEXT, "subscribers": or_null(count), "words": or_null(TEXT)}
+        words: DataSchema = {"does": TEXT, "state": TEXT, "subscribers": nullable(count), "words": nullable(TEXT)}
         step: DataSchema = {"type": "object", "properties": words}
-        who: DataSchema = dict.fromkeys(("by", "since", "reason", "warning"), or_null(TEXT))
+        who: DataSchema = dict.fromkeys(("by", "since", "reason", "warning"), nullable(TEXT))
         told: DataSchema = {"stopped": {"type": "boolean"}, **who, "steps": {"type": "array", "items": step}}
         plain: DataSchema = {"type": "object", "properties": told}
         reason: DataSchema = {"type": "string", "maxLength": 500}
-        stop = Method(
+        stop = WriteMethod(
             "Publishes zero on velocity topics, ends holds, cancels goals, does what mappings say, refuses writes "
             "(423).",
             {"type": "object", "properties": {"reason": reason}, "additionalProperties": False},
@@ -76,7 +76,7 @@ class StopResource(Resource):
             done=(200, 204),
             shows=plain,
         )
-        release = Method("Lets writes reach the robot again.", done=(204,))
+        release = WriteMethod("Lets writes reach the robot again.", done=(204,))
         return PathItem("The stop of the whole robot", plain=plain, writes={"POST": stop, "DELETE": release})
 
     def methods(self) -> frozenset[str]:
@@ -154,16 +154,16 @@ class StopResource(Resource):
 
     async def post(self, exchange: Exchange) -> Answer:
         require_right(exchange, self.robot)
-        reason = _reason(await exchange.octets())  # a stop is not refused for its charset
-        exchange.account.add_step("stop the robot", self.url)
+        reason = _reason(await exchange.raw_body())  # a stop is not refused for its charset
+        exchange.audit.add_step("stop the robot", self.url)
         await self.robot.stops.stop(exchange.agent, reason)
-        return Shown(self, self.shown())
+        return ShownAnswer(self, self.shown())
 
     async def delete(self, exchange: Exchange) -> Answer:
         require_right(exchange, self.robot)
         if self.robot.stops.is_running:
             raise _still_being_stopped()
-        exchange.account.add_step("let writes pass again", self.url)
+        exchange.audit.add_step("let writes pass again", self.url)
         if not await self.robot.stops.release(exchange.agent):
             raise _still_being_stopped()
         return Response(status_code=204)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.path_item import UrlParameter
+from rosld.server.rest.path_item import QueryParameter
 
-STRICT = UrlParameter(
+STRICT = QueryParameter(
     "strict",
     "Whether fields that JSON leaves out are refused; otherwise they have their defaults.",
     {"type": "boolean"},
@@ -18,9 +18,9 @@ def is_strict(exchange: Exchange) -> bool:
 
     Raises a 400 Problem where the two contradict each other.
     """
-    strict = exchange.flag("strict")
+    strict = exchange.query_flag("strict")
     if "defaults" not in exchange.query:
         return strict
-    if "strict" in exchange.query and exchange.flag("defaults") == strict:
+    if "strict" in exchange.query and exchange.query_flag("defaults") == strict:
         raise Problem(400, "?strict and ?defaults contradict each other: leave ?defaults out.")
-    return not exchange.flag("defaults")
+    return not exchange.query_flag("defaults")

@@ -104,7 +104,7 @@ def _affordances(robot: Robot, plan: ComplexPlan) -> tuple[Sequence[PropertyAffo
 
 def _by_themselves(robot: Robot, tree: ResourceTree, plan: ComplexPlan) -> Iterator[PropertyAffordance]:
     """The members of a complex resource as their own URLs have them, whatever it calls them."""
-    for name in (member.at for member in plan.members if member.at is not None):
+    for name in (member.url_name for member in plan.members if member.url_name is not None):
         own = tree.property(name)
         if own is not None:
             yield replace(robot.offers.member_affordance(own.member, write=True), name=name[1:])

@@ -19,7 +19,7 @@ from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import digest, require_if_match
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, as_patch, or_null
+from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, nullable, patch_schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import message_schema
 from rosld.server.resources.command import CommandResource
@@ -31,7 +31,7 @@ from rosld.server.resources.publishing import Publishing
 from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
-from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, Method, PathItem, UrlParameter
+from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.plan import Plan, RobotWrite
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
@@ -43,7 +43,7 @@ from rosld.server.runtime.signals import combine_watches
 
 _LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
 
-_LATCH = UrlParameter("latch", "Whether subscribers that come later get the message.", {"type": "boolean"})
+_LATCH = QueryParameter("latch", "Whether subscribers that come later get the message.", {"type": "boolean"})
 
 
 class TopicResource(CommandResource):
@@ -74,32 +74,34 @@ class TopicResource(CommandResource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         topic = self.topic
         schema = None if topic is None else schemas.message(topic.type)
-        sent = schemas.sent(schema)
+        sent = schemas.write(schema)
         publishes = "Publishes a message."
         if topic is None:
             publishes = "Makes a topic that is not there yet: RDF that states the type of the message."
         writes = {
-            "PUT": Method(publishes, sent, done=(200, 201, 202, 204), query=(STRICT, _LATCH)),
-            "PATCH": Method(
+            "PUT": WriteMethod(publishes, sent, done=(200, 201, 202, 204), query=(STRICT, _LATCH)),
+            "PATCH": WriteMethod(
                 "Publishes the latest message with changes.",
-                OBJECT if schema is None else as_patch(message_schema(schema)),
+                OBJECT if schema is None else patch_schema(message_schema(schema)),
                 done=(200, 202, 204),
                 query=(_LATCH,),
             ),
-            "POST": Method(
+            "POST": WriteMethod(
                 "Holds the topic: publishes the message `rate` times a second while the lease is renewed.",
                 sent,
                 done=(201,),
                 shows=hold_schema(schemas, schema),
                 query=(STRICT, *hold_parameters(required="rate")),
             ),
-            "DELETE": Method("Stops to advertise the topic; 405 while this server does not advertise it.", done=(204,)),
+            "DELETE": WriteMethod(
+                "Stops to advertise the topic; 405 while this server does not advertise it.", done=(204,)
+            ),
         }
         methods = self.methods()
         return PathItem(
             "A topic that may be made" if topic is None else f"The topic {self.name}",
             FIELD_READS,
-            ANYTHING if schema is None else or_null(schemas.read(schema)),
+            ANYTHING if schema is None else nullable(schemas.read(schema)),
             (FORMAT, FIELD),
             writes,
             methods=methods | {"DELETE"} if "PUT" in methods else methods,  # once rosld publishes

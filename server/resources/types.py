@@ -27,8 +27,8 @@ from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.representation import all_members
 from rosld.server.resources.kept.routes import kept_room
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, UrlParameter
-from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, moved
+from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, QueryParameter
+from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, permanent_redirect
 from rosld.server.rest.state import State
 from rosld.server.robot.session import used_types
 from rosld.server.storage import Put, Record
@@ -43,7 +43,7 @@ WHOLE = (DATA, LIMITS, MAPPING, QUERY)
 
 what constrains mapping documents and stored queries."""
 
-_HASH = UrlParameter("hash", "Which of several definitions of one name.")
+_HASH = QueryParameter("hash", "Which of several definitions of one name.")
 _SUMMARIES = {
     "data": "The shapes of data",
     "limits": "The limits in force",
@@ -66,7 +66,7 @@ class TypeResource(Resource):
         hash = exchange.query.get("hash")
         return self if hash is None else TypeResource(self.robot, self.ref.name, hash)
 
-    async def methods_now(self) -> frozenset[str]:
+    async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -92,7 +92,7 @@ class ShapeResource(Resource):
         self.robot = robot
         self.name = name
 
-    async def methods_now(self) -> frozenset[str]:
+    async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -121,7 +121,7 @@ class WholeShapeResource(Resource):
     def deny_reason(self, method: str) -> str:
         return _deny_reason(self.robot, self.url, method)
 
-    async def methods_now(self) -> frozenset[str]:
+    async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
 
     async def state(self) -> State:
@@ -205,7 +205,7 @@ def type_room(robot: Robot, location: Location) -> Resource:
 def shape_room(robot: Robot, location: Location) -> Resource:
     """`/shapes/` and below: shapes of types, and beside their packages the limits that clients keep."""
     if location.is_container and not location.segments:
-        return LimitsContainer(robot, limits.ROOM)
+        return LimitsContainer(robot, limits.ROUTE)
     if len(location.segments) == 1:
         name = location.segments[0]
         if name in WHOLE and not location.is_container:
@@ -234,7 +234,7 @@ class PackageName(Resource):
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         if exchange.method in ("GET", "HEAD"):
-            raise moved(f"{self.url}/")
+            raise permanent_redirect(f"{self.url}/")
         return self
 
 
@@ -288,7 +288,7 @@ def _generate(robot: Robot) -> Document:
 
 def whole_container(robot: Robot) -> Document:
     """What `/shapes/` says with all that is in it, as it is now."""
-    record = robot.records.get(limits.ROOM)
+    record = robot.records.get(limits.ROUTE)
     assert record is not None
     members = [robot.space.base + member.path for member in all_members(robot, record)]
     kept = record_document(record, robot.space.container("shapes"), members, ())
@@ -313,5 +313,5 @@ def _deny_reason(robot: Robot, url: str, method: str) -> str:
 def _container(robot: Robot, room: str, location: Location) -> Resource:
     if not location.is_container:
         url = robot.space.container(room, location.segments)
-        raise moved(url)
+        raise permanent_redirect(url)
     return TypeContainer(robot, room, location.segments)

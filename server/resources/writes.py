@@ -7,7 +7,7 @@ from starlette.responses import Response
 from rosld.adapters.model import Kind
 from rosld.server.http.problem_details import render
 from rosld.server.hypermedia.catalogue import Property, Setter
-from rosld.server.hypermedia.property_writer import PlannedWrite, Written, plan_write
+from rosld.server.hypermedia.property_writer import PlannedWrite, WriteOutcome, plan_write
 from rosld.server.hypermedia.value import MessageValue
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message, require_parameter
@@ -29,8 +29,8 @@ async def planned(robot: Robot, own: Property, content: object, *, defaults: boo
     return plan
 
 
-def write_response(plan: PlannedWrite, written: Written, accept: str | None) -> Response:
+def write_response(plan: PlannedWrite, written: WriteOutcome, accept: str | None) -> Response:
     """The answer to a write that was carried out: 204, or 202 where nobody was there to hear it."""
-    if written is Written.UNHEARD:
+    if written is WriteOutcome.UNHEARD:
         return render(no_subscriber_problem(plan.writer.name), accept).response()
     return Response(status_code=204)

@@ -46,7 +46,7 @@ def problem_of(error: RosError) -> Problem:
     return Problem(status, error.sentence, title=type(error).__name__, headers=headers, extra=extra, about=about)
 
 
-def problem_of_shortage(error: BaseException, *, is_write: bool) -> Problem:
+def problem_of_out_of_memory(error: BaseException, *, is_write: bool) -> Problem:
     """507 for a write that there is no memory for, 503 for anything else."""
     words = str(error) if isinstance(error, NotEnoughMemory) else "The server is short of memory: try again later."
     headers = {"Retry-After": str(RETRY_AFTER_SECONDS)}

@@ -39,7 +39,7 @@ class Exchange:
         """Who asks, and what they may do."""
         self.client: Client | None = None
         """Whose limits it counts against, once it was let pass."""
-        self.account = AuditContext()
+        self.audit = AuditContext()
         """What it tells of its write, for its receipt."""
         self.answering: Protected | None = None
         """The resource that answers, once it is known."""
@@ -121,7 +121,7 @@ class Exchange:
         """Whether it has If-Match or If-None-Match (RFC 9110 13.1)."""
         return "if-match" in self.headers or "if-none-match" in self.headers
 
-    def become(self, method: str, media_type: str, body: bytes) -> None:
+    def override(self, method: str, media_type: str, body: bytes) -> None:
         """Turn into the request that a form meant."""
         self.method = method
         self.headers = {**self.headers, "content-type": media_type}
@@ -132,7 +132,7 @@ class Exchange:
         self.request = Request(scope, self.request.receive)
         self.__dict__.pop("query", None)
 
-    async def octets(self) -> bytes:
+    async def raw_body(self) -> bytes:
         """The whole body as it was sent; raises Problems for one too large (413), compressed (415) or cut off (400)."""
         if self._body is None:
             self._body = await read_body(self, limit=self._body_limit, timeout=self._body_seconds)
@@ -144,7 +144,7 @@ class Exchange:
 
         Raises a 415 Problem for a charset that is not read here, and a 400 Problem for bytes that are none of it.
         """
-        return self.to_utf8(await self.octets() if self._body is None else self._body)
+        return self.to_utf8(await self.raw_body() if self._body is None else self._body)
 
     def to_utf8(self, data: bytes) -> bytes:
         """What was read of the body in UTF-8. Raises a 415 and a 400 Problem as `body`."""
@@ -152,17 +152,17 @@ class Exchange:
         return data if found is None else text.to_utf8(data, found)
 
     @property
-    def received(self) -> bytes | None:
+    def consumed_body(self) -> bytes | None:
         """The body as far as it was asked for and read whole: what a form meant, where it was one."""
         return self._body
 
     async def chunks(self, *, limit: int) -> AsyncIterator[bytes]:
         """The body as it comes, for a write that streams; raises the Problems of `body`."""
         async for chunk in read_chunks(self, limit=limit, timeout=self._body_seconds):
-            self.account.hash_chunk(chunk)
+            self.audit.hash_chunk(chunk)
             yield chunk
 
-    def flag(self, name: str) -> bool:
+    def query_flag(self, name: str) -> bool:
         """Whether `?name=true` is asked for; raises a 400 Problem for anything but true and false."""
         if not self.request.scope["query_string"]:
             return False

@@ -24,7 +24,7 @@ from rosld.server.rest.prepared import RawResponse
 
 CHUNK = 128 * 1024
 """Bytes read at a time; answers of no more are read at once."""
-PATIENCE = 60.0
+READ_TIMEOUT = 60.0
 """Seconds after which a reader who takes nothing more is taken for gone."""
 UNKNOWN = "application/octet-stream"
 """The media type of a body that states none (RFC 9110 8.3)."""
@@ -119,7 +119,7 @@ class _FileStream(Response):
         try:
             while not working.done() and not listening.done():
                 sent = self._sent
-                await asyncio.wait({working, listening}, timeout=PATIENCE, return_when=asyncio.FIRST_COMPLETED)
+                await asyncio.wait({working, listening}, timeout=READ_TIMEOUT, return_when=asyncio.FIRST_COMPLETED)
                 if self._sent == sent:
                     break
         finally:

@@ -30,7 +30,7 @@ _SERVERS_OWN = frozenset({ldp.contains, rdf.type})
 # Models
 
 
-def model_asked(links: Sequence[Link], url: str, media_type: str | None, *, container_hint: bool) -> Model:
+def requested_model(links: Sequence[Link], url: str, media_type: str | None, *, container_hint: bool) -> Model:
     """The interaction model that a request asks for (LDP 5.2.3.4), by its Link headers, its body and its URL.
 
     `url` is the URL that the request is sent to, `media_type` that of its body, None where it has none.
@@ -125,7 +125,7 @@ def _prefixed(names: Iterable[str]) -> Iterator[str]:
 # Membership
 
 
-def membership_of(triples: Iterable[Triple], url: str, model: Model) -> Membership | None:
+def parse_membership(triples: Iterable[Triple], url: str, model: Model) -> Membership | None:
     """What membership triples of the container at `url` are made of, as its body says; None for a Basic container.
 
     The membership resource is the container itself, and the relation ldp:member, where nothing else is said (LDP
@@ -153,7 +153,7 @@ def membership_of(triples: Iterable[Triple], url: str, model: Model) -> Membersh
     )
 
 
-def member_of(membership: Membership | None, body: RdfBody, url: str) -> str:
+def member_derived_uri(membership: Membership | None, body: RdfBody, url: str) -> str:
     """What stands for a new member at `url` in membership triples: the member-derived URI (LDP 5.4.1.5, 5.5.1.2).
 
     It is the member itself, or the object of the inserted content relation in the body it is made from, `NO_MEMBER`
@@ -179,12 +179,12 @@ def member_of(membership: Membership | None, body: RdfBody, url: str) -> str:
     return objects[0].value
 
 
-def stand_ins(members: Iterable[tuple[str, str | None]]) -> Iterator[str]:
+def member_derived_uris(members: Iterable[tuple[str, str | None]]) -> Iterator[str]:
     """What stands in membership triples for members, each its URL and what its record says stands for it."""
     return (url if stated is None else stated for url, stated in members if stated != NO_MEMBER)
 
 
-def declared(membership: Membership, container_url: str) -> list[Triple]:
+def membership_declaration(membership: Membership, container_url: str) -> list[Triple]:
     """What a Direct or Indirect container says of its own membership triples, each exactly once (LDP 5.4.1.3, 5.4.1.4,
     5.5.1.2), whether its client said it or left it to the defaults."""
     container = NamedNode(container_url)

@@ -13,12 +13,12 @@ from rosld.server.http.problem import Problem
 class KeyedLock:
     """Lets one write that depends on the state at a time at each URL (RFC 9110 13.1.1: no update is lost)."""
 
-    def __init__(self, patience: float) -> None:
-        self._patience = patience
+    def __init__(self, timeout: float) -> None:
+        self._patience = timeout
         self._locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
     @asynccontextmanager
-    async def at(self, url: str) -> AsyncIterator[None]:
+    async def acquire(self, url: str) -> AsyncIterator[None]:
         """Within it no other is; a 503 Problem where the one before takes longer than the patience, in seconds."""
         lock = self._locks.get(url)
         if lock is None:

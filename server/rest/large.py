@@ -28,9 +28,9 @@ _T = TypeVar("_T")
 
 EXCERPT = 250
 """Triples of a large document that a page shows."""
-KEPT_BYTES = 512 * 1024 * 1024
+MAX_BYTES = 512 * 1024 * 1024
 """Bytes of files that are kept, beside the newest."""
-KEPT_FILES = 16
+MAX_FILES = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class LargeDocuments:
     def _push_out(self) -> None:
         """Remove the files that were used the longest ago, until the others are few enough. Who reads one goes on."""
         files = self._files
-        while len(files) > 1 and (len(files) > KEPT_FILES or sum(size for _, size in files.values()) > KEPT_BYTES):
+        while len(files) > 1 and (len(files) > MAX_FILES or sum(size for _, size in files.values()) > MAX_BYTES):
             _, (path, _) = files.popitem(last=False)
             path.unlink(missing_ok=True)
 
@@ -113,7 +113,7 @@ class LargeDocuments:
             await asyncio.to_thread(folder.cleanup)
 
 
-def shortened(state: State, excerpt: Excerpt) -> State:
+def excerpt_state(state: State, excerpt: Excerpt) -> State:
     """A state that says the excerpt only."""
     return replace(state, describe=lambda: excerpt.document, weight=0, renderings={}, redactions={}, token=state.tag)
 

@@ -27,15 +27,15 @@ from rosld.server.html import (
     Site,
     ValueForm,
 )
-from rosld.server.html.page import Tone
+from rosld.server.html.page import NoticeLevel
 from rosld.server.html.site import SECTIONS
 from rosld.server.http import negotiation
 from rosld.server.http.csrf import FormKey
 from rosld.server.http.problem import Problem
 from rosld.server.rest.errors import problem_of_body
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.large import LargeDocuments, shortened
-from rosld.server.rest.resource import Resource, allow
+from rosld.server.rest.large import LargeDocuments, excerpt_state
+from rosld.server.rest.resource import Resource, allow_field
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.robot.stop import SoftwareStop
@@ -46,7 +46,7 @@ _SHORT_PAGE = 300
 """Triples of a page that the loop renders itself: some 8 ms."""
 
 
-class Pages:
+class PageRenderer:
     """Draws the pages of one robot's resources."""
 
     headers: Mapping[str, str] = {name.lower(): value for name, value in html.HEADERS.items()}
@@ -102,7 +102,7 @@ class Pages:
         return self._keys.token(_of_agent(session.space.stop, permissions)) if usable else ""
 
     @property
-    def edition(self) -> Hashable:
+    def version(self) -> Hashable:
         """Changes whenever what every page says does: who keeps a page keeps it for one edition."""
         stop_state = self._stops.stop_state
         return None if stop_state is None else (stop_state, self._stops.warning)
@@ -124,7 +124,7 @@ class Pages:
         """A page with these forms; of what is large it shows the beginning, and says so."""
         if state.is_large:
             excerpt = await self._large.excerpt(state)
-            state = shortened(state, excerpt)
+            state = excerpt_state(state, excerpt)
             words = f"This page shows the first {len(excerpt.document.triples):,} of {excerpt.total:,} triples."
             notices = (*notices, Notice(words, link=NoticeLink("?format=ttl", "All of them, as Turtle")))
         page = resource.page(self.site_for(permissions), state, forms, self._csrf(resource, permissions), notices)
@@ -150,7 +150,7 @@ class Pages:
         headers = {**problem.headers, **self.headers, "Vary": "Accept", "Cache-Control": "no-store"}
         return Response(html.render_problem(page), problem.status, headers, "text/html; charset=utf-8")
 
-    async def meant(self, exchange: Exchange, resource: Resource) -> Form:
+    async def read_form(self, exchange: Exchange, resource: Resource) -> Form:
         """Check a posted form and turn the request into the one it means; the form, for `refused`.
 
         Raises Problems (403 for a foreign form, 400 for one without a method) and Refused where it does not fit.
@@ -161,16 +161,18 @@ class Pages:
         forms = await resource.forms()
         form = next((form for form in forms if form.method == method and not form.action), None)
         if form is None:
-            raise Problem(405, resource.deny_reason(method or "POST"), headers={"Allow": allow(resource)})
+            raise Problem(405, resource.deny_reason(method or "POST"), headers={"Allow": allow_field(resource)})
         try:
             value = _value(form, typed)
         except LoweringError as error:
-            raise FormRefused(form, typed, problem_of_body(error)) from error
-        exchange.become(form.method, "application/json", b"" if value is None else json.dumps(value).encode())
+            raise InvalidForm(form, typed, problem_of_body(error)) from error
+        exchange.override(form.method, "application/json", b"" if value is None else json.dumps(value).encode())
         exchange.typed = typed
         return form
 
-    async def refused(self, resource: Resource, refusal: FormRefused, permissions: Permissions = ALLOW_ALL) -> Response:
+    async def form_errors(
+        self, resource: Resource, refusal: InvalidForm, permissions: Permissions = ALLOW_ALL
+    ) -> Response:
         """The page again with the form as it was filled in, and with what is wrong: beside the fields that do not fit.
 
         Raises the problem itself where there is no page to tell it on.
@@ -179,8 +181,10 @@ class Pages:
         if isinstance(form, DeleteForm):
             raise problem
         fields = problem.violations if problem.status == 422 else ()
-        notice = Notice(_sentence(len(fields)) if fields else problem.detail, Tone.ERROR, problem.violations)
-        again = await resource.forms() if isinstance(form, ChoiceForm) else [form.refilled(refusal.typed, fields)]
+        notice = Notice(_sentence(len(fields)) if fields else problem.detail, NoticeLevel.ERROR, problem.violations)
+        again = (
+            await resource.forms() if isinstance(form, ChoiceForm) else [form.with_submitted(refusal.submitted, fields)]
+        )
         try:
             state = await resource.state()
             state = state if permissions.is_unrestricted else resource.redact(state, permissions)
@@ -190,14 +194,14 @@ class Pages:
         headers = {**problem.headers, **self.headers, "Cache-Control": "no-store"}
         return Response(body, problem.status, headers, "text/html; charset=utf-8")
 
-    async def told(self, resource: Resource, sentence: str, permissions: Permissions = ALLOW_ALL) -> Response:
+    async def with_notice(self, resource: Resource, sentence: str, permissions: Permissions = ALLOW_ALL) -> Response:
         """The page with a notice, after a form that was carried out with a reservation (202)."""
         state = await resource.state()
         state = state if permissions.is_unrestricted else resource.redact(state, permissions)
-        body = await self.page(resource, state, [Notice(sentence, Tone.WARNING)], permissions)
+        body = await self.page(resource, state, [Notice(sentence, NoticeLevel.WARNING)], permissions)
         return Response(body, 202, {**self.headers, "Cache-Control": "no-store"}, "text/html; charset=utf-8")
 
-    def came_from(self, exchange: Exchange) -> str | None:
+    def referring_url(self, exchange: Exchange) -> str | None:
         """The URL of the page that a form stood on (RFC 9110 10.1.3), under the name of this site.
 
         None where that is not told.
@@ -211,7 +215,7 @@ class Pages:
 
     async def _pairs(self, exchange: Exchange) -> list[tuple[str, str]]:
         try:
-            text, codec = (await exchange.octets()).decode("ascii"), exchange.codec
+            text, codec = (await exchange.raw_body()).decode("ascii"), exchange.codec
             return parse_qsl(text, True, encoding=codec, errors="strict", max_num_fields=_MAX_FIELDS)
         except (UnicodeDecodeError, ValueError) as error:
             raise Problem(400, f"The form cannot be read: {error}.") from error
@@ -226,13 +230,13 @@ def _of_agent(url: str, permissions: Permissions) -> str:
     return f"{url} {permissions.cache_key}" if permissions.cache_key else url
 
 
-class FormRefused(Exception):
+class InvalidForm(Exception):
     """What was typed into a form does not fit, or what it asks for was not done."""
 
     def __init__(self, form: Form, typed: Sequence[tuple[str, str]], problem: Problem) -> None:
         super().__init__(problem.detail)
         self.form = form
-        self.typed = tuple(typed)
+        self.submitted = tuple(typed)
         self.problem = problem
 
 

@@ -19,7 +19,7 @@ from pyoxigraph import NamedNode, Triple
 from rosld.ontology.document import Document
 from rosld.ontology.triples import about
 from rosld.ontology.vocab import ldp, rdf, xhv
-from rosld.server.html import Step
+from rosld.server.html import SequenceLink
 from rosld.server.http.link import Link, to_uri
 from rosld.server.http.prefer import Preferences
 from rosld.server.http.problem import Problem
@@ -35,7 +35,7 @@ _COUNT = re.compile(r"0*([1-9][0-9]{0,8})")
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class PagePosition:
     """The members after the one of number or name `after`, of which a page tells `limit`; 0 is before all of them."""
 
     after: Key = 0
@@ -51,7 +51,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Page:
+class LdpPage:
     """A page of the container at URL `container`: its own token and those of its neighbours, None where it has none."""
 
     container: str
@@ -66,10 +66,12 @@ class Page:
         """Its URL."""
         return page_url(self.container, self.token)
 
-    def steps(self) -> tuple[Step, ...]:
+    def neighbours(self) -> tuple[SequenceLink, ...]:
         """The neighbours: first, prev, next and last, as far as they are known and there."""
         tokens = {"first": self.first, "prev": self.prev, "next": self.next, "last": self.last}
-        return tuple(Step(rel, page_url(self.container, token)) for rel, token in tokens.items() if token is not None)
+        return tuple(
+            SequenceLink(rel, page_url(self.container, token)) for rel, token in tokens.items() if token is not None
+        )
 
     def links(self, etag: str | None = None) -> tuple[Link, ...]:
         """The links of every answer with it, beside those of the container: that it is a page, its neighbours, and the
@@ -77,11 +79,11 @@ class Page:
         noted = () if etag is None else (("etag", etag.removeprefix('"').removesuffix('"')),)
         return (
             Link(ldp.Page.value, "type"),
-            *(Link(step.url, step.rel) for step in self.steps()),
+            *(Link(step.url, step.rel) for step in self.neighbours()),
             Link(self.container, "canonical", attributes=noted),
         )
 
-    def told_with(self, document: Document) -> Document:
+    def add_to(self, document: Document) -> Document:
         """A document of the members on this page, and what the page itself is."""
         return replace(document, triples=(*document.triples, *self.triples()))
 
@@ -92,14 +94,14 @@ class Page:
             NamedNode(self.url),
             (rdf.type, ldp.Page),
             (ldp.pageSequence, NamedNode(self.container)),
-            *((relations[step.rel], NamedNode(step.url)) for step in self.steps()),
+            *((relations[step.rel], NamedNode(step.url)) for step in self.neighbours()),
         )
 
 
-def send_to_first(exchange: Exchange, container: str, count: int) -> None:
+def require_page(exchange: Exchange, container: str, count: int) -> None:
     """Raise the 303 to the first page where a request is to be answered by pages."""
     query = exchange.request.scope["query_string"].decode("latin-1")
-    first = first_page(container, count, exchange.prefer, query)
+    first = redirect_to_first(container, count, exchange.prefer, query)
     if first is not None:
         raise first
 
@@ -114,74 +116,78 @@ def page_query(token: str) -> str:
     return f"page={quote(token, safe=':/')}"
 
 
-def read_place(token: str) -> Place:
+def parse_position(token: str) -> PagePosition:
     """The place among numbered members that `?page=` names; a 404 Problem for what names none."""
     found = _TOKEN.fullmatch(token)
     if found is None or int(found[2] or 1) > MAX_PAGE_SIZE:
         raise _no_page(token)
-    return Place(int(found[1]), int(found[2] or MAX_PAGE_SIZE))
+    return PagePosition(int(found[1]), int(found[2] or MAX_PAGE_SIZE))
 
 
-def read_named_place(token: str) -> Place:
+def parse_named_position(token: str) -> PagePosition:
     """The place among members ordered by name that `?page=` names; a 404 Problem for what names none."""
     found = _NAMED.fullmatch(token)
     if found is None:
-        place = read_place(token)
+        place = parse_position(token)
         if place.after != 0:
             raise _no_page(token)
         return place
     if int(found[1] or 1) > MAX_PAGE_SIZE:
         raise _no_page(token)
-    return Place(found[2], int(found[1] or MAX_PAGE_SIZE))
+    return PagePosition(found[2], int(found[1] or MAX_PAGE_SIZE))
 
 
 def _no_page(token: str) -> Problem:
     return Problem(404, f"?page={token[:100]} is no page of this container: follow the links from ?page=0.")
 
 
-def page_among(container: str, place: Place, names: Sequence[str]) -> tuple[Page, Sequence[str]]:
+def page_of_names(container: str, place: PagePosition, names: Sequence[str]) -> tuple[LdpPage, Sequence[str]]:
     """The page at a place, and what it tells of `names`: those of all members, in order."""
     start = bisect_right(names, place.after) if isinstance(place.after, str) else 0
     limit = place.limit
     found, before = names[start : start + limit + 1], names[max(0, start - limit - 1) : start]
-    last = last_place(limit, len(names), names[: -left_on_last(len(names), limit) - 2 : -1])
+    last = last_position(limit, len(names), names[: -last_page_size(len(names), limit) - 2 : -1])
     return page_of(container, place, found, before[::-1], last), found[:limit]
 
 
 def page_of(
-    container: str, place: Place, keys: Sequence[Key], before: Sequence[Key] = (), last: Place | None = None
-) -> Page:
+    container: str,
+    place: PagePosition,
+    keys: Sequence[Key],
+    before: Sequence[Key] = (),
+    last: PagePosition | None = None,
+) -> LdpPage:
     """The page at a place, where `keys` are those of the members after it: one more than it tells, if there are.
 
     So the last page has no `next`, though it be full. `before` are the keys up to the place, the last one first: one
     more than a page tells, if there are. So the page before ends where this one begins; where fewer than a page are
     left it is the first one. `last` is where the last page begins, if that is known.
     """
-    next_ = Place(keys[place.limit - 1], place.limit) if len(keys) > place.limit else None
-    prev = Place(before[place.limit] if len(before) > place.limit else 0, place.limit) if before else None
+    next_ = PagePosition(keys[place.limit - 1], place.limit) if len(keys) > place.limit else None
+    prev = PagePosition(before[place.limit] if len(before) > place.limit else 0, place.limit) if before else None
     final = last if next_ is not None else place
-    return Page(
+    return LdpPage(
         container,
         place.token,
-        Place(0, place.limit).token,
+        PagePosition(0, place.limit).token,
         None if prev is None else prev.token,
         None if next_ is None else next_.token,
         None if final is None else final.token,
     )
 
 
-def left_on_last(count: int, limit: int) -> int:
+def last_page_size(count: int, limit: int) -> int:
     """How many members the last page tells of `count`: that page to which `next` leads from the first."""
     return (count - 1) % limit + 1 if count else 0
 
 
-def last_place(limit: int, count: int, latest: Sequence[Key]) -> Place:
+def last_position(limit: int, count: int, latest: Sequence[Key]) -> PagePosition:
     """Where the last page begins of `count` members.
 
     `latest` are the keys of the last ones, the last one first: one more than that page tells, if there are.
     """
-    left = left_on_last(count, limit)
-    return Place(latest[left] if len(latest) > left else 0, limit)
+    left = last_page_size(count, limit)
+    return PagePosition(latest[left] if len(latest) > left else 0, limit)
 
 
 def requested_page_size(preferences: Preferences) -> int | None:
@@ -194,7 +200,7 @@ def requested_page_size(preferences: Preferences) -> int | None:
     return None if found is None else min(MAX_PAGE_SIZE, int(found[1]))
 
 
-def first_page(container: str, count: int, preferences: Preferences, query: str = "") -> Problem | None:
+def redirect_to_first(container: str, count: int, preferences: Preferences, query: str = "") -> Problem | None:
     """The 303 to the first page of a container of `count` members, None where it is told at once.
 
     It comes in pages where it has more members than `MAX_PAGE_SIZE`, or than the request prefers. What its `query` asks
@@ -203,7 +209,7 @@ def first_page(container: str, count: int, preferences: Preferences, query: str 
     limit = requested_page_size(preferences) or MAX_PAGE_SIZE
     if count <= limit:
         return None
-    first = page_url(container, Place(0, limit).token) + (f"&{query}" if query else "")
+    first = page_url(container, PagePosition(0, limit).token) + (f"&{query}" if query else "")
     return Problem(
         303,
         f"Its {count} members come in pages; the first is {first}",

@@ -13,7 +13,7 @@ BYTES = "application/octet-stream"
 
 
 @dataclass(frozen=True, slots=True)
-class UrlParameter:
+class QueryParameter:
     """A parameter of the query (4.8.12)."""
 
     name: str
@@ -22,15 +22,15 @@ class UrlParameter:
     required: bool = False
 
 
-FORMAT = UrlParameter("format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS]})
-FIELD = UrlParameter("field", "The path of one field, such as `pose.position.x`: its bytes are the answer.")
-PAGE = UrlParameter("page", "A page of messages, from 0.", {"type": "integer", "minimum": 0})
+FORMAT = QueryParameter("format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS]})
+FIELD = QueryParameter("field", "The path of one field, such as `pose.position.x`: its bytes are the answer.")
+PAGE = QueryParameter("page", "A page of messages, from 0.", {"type": "integer", "minimum": 0})
 FIELD_READS = (*OFFERS, BYTES, "text/plain")
 """What a value is read as, of which `FIELD` asks for a part."""
 
 
 @dataclass(frozen=True, slots=True)
-class Method:
+class WriteMethod:
     """What a method that writes takes and answers.
 
     `sends` is the schema of its JSON, `accepts` are its media types where they are not those that the resource has now.
@@ -43,11 +43,11 @@ class Method:
     is_body_required: bool = True
     done: tuple[int, ...] | None = None
     shows: Schema | None = None
-    query: tuple[UrlParameter, ...] = ()
+    query: tuple[QueryParameter, ...] = ()
     accepts: tuple[str, ...] | None = None
 
 
-USUAL = Method()
+USUAL_STATUSES = WriteMethod()
 """Of a method of which nothing in particular is told."""
 
 
@@ -64,8 +64,8 @@ class PathItem:
     summary: str
     reads: tuple[str, ...] = OFFERS
     plain: Schema | None = None
-    query: tuple[UrlParameter, ...] = (FORMAT,)
-    writes: Mapping[str, Method] = field(default_factory=dict)
+    query: tuple[QueryParameter, ...] = (FORMAT,)
+    writes: Mapping[str, WriteMethod] = field(default_factory=dict)
     streams: bool = True
     also: tuple[int, ...] = ()
     is_paged: bool = False

@@ -16,7 +16,7 @@ class RobotWrite:
     `carry_out` raises RosError, and Problems where the robot declines.
     """
 
-    does: str
+    description: str
     carry_out: Callable[[], Awaitable[bool]]
 
 
@@ -24,7 +24,7 @@ class RobotWrite:
 class StorageWrite:
     """Something is to be kept, or to be kept no longer: these writes together do it."""
 
-    does: str
+    description: str
     writes: tuple[Write, ...]
 
 

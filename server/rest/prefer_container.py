@@ -17,7 +17,7 @@ _KNOWN = frozenset({_CONTAINMENT, _MEMBERSHIP, _MINIMAL})
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
+class ContainerParts:
     """What a representation of a container holds. `applied`: a preference chose it, and the answer says so."""
 
     containment: bool = True
@@ -42,10 +42,10 @@ class Parts:
         return prefer.preference_applied("return=representation") if self.applied else None
 
 
-ALL = Parts()
+ALL_PARTS = ContainerParts()
 
 
-def select_parts(preferences: Preferences) -> Parts:
+def select_parts(preferences: Preferences) -> ContainerParts:
     """What `include` and `omit` of return=representation choose (LDP 7.2.2).
 
     What is omitted is left out. Where something is included, members and membership that are not are left out; what the
@@ -55,8 +55,8 @@ def select_parts(preferences: Preferences) -> Parts:
     include, omit = _hints(preferences.include), _hints(preferences.omit)
     include, omit = include - omit, omit - include
     if not include and not omit:
-        return Parts(applied=True) if preferences.representation else ALL
-    return Parts(
+        return ContainerParts(applied=True) if preferences.representation else ALL_PARTS
+    return ContainerParts(
         containment=_is_wanted(_CONTAINMENT, include, omit),
         membership=_is_wanted(_MEMBERSHIP, include, omit),
         minimal=_MINIMAL not in omit,

@@ -17,7 +17,7 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
 from rosld.server.auth.permissions import Permissions
-from rosld.server.html import Csrf, Form, Listing, Notice, Page, Site, Step
+from rosld.server.html import Csrf, Form, MemberColumns, Notice, Page, SequenceLink, Site
 from rosld.server.http.link import Link, to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
@@ -88,7 +88,7 @@ class Resource:
         """The verbs that are refused for now, though it answers them: 423, because the robot is stopped."""
         return frozenset()
 
-    async def methods_now(self) -> frozenset[str]:
+    async def current_methods(self) -> frozenset[str]:
         """The verbs it answers in its present state, which may have to be read: what OPTIONS says."""
         return ABSENT if self.is_absent else self.methods()
 
@@ -177,11 +177,11 @@ class Resource:
         """What its URL ends in after the question mark: which page of several it is, or which variant."""
         return self.url.partition("?")[2]
 
-    def listing(self) -> Listing | None:
+    def listing(self) -> MemberColumns | None:
         """What its page tells of its members beside their names."""
         return None
 
-    def navigation_links(self) -> tuple[Step, ...]:
+    def navigation_links(self) -> tuple[SequenceLink, ...]:
         """The neighbours that its page links to."""
         return ()
 
@@ -226,7 +226,7 @@ class Resource:
 
 
 @dataclass(frozen=True, slots=True)
-class Created:
+class CreatedAnswer:
     """A resource that a write made: answered as 201 with its location and, as body, its state if there is one."""
 
     location: str
@@ -236,7 +236,7 @@ class Created:
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class ShownAnswer:
     """A resource that shows what became of a write: answered as 200 with its state and its Content-Location."""
 
     resource: Resource
@@ -244,19 +244,19 @@ class Shown:
     links: tuple[Link, ...] = ()
 
 
-Answer: TypeAlias = Response | Created | Shown
+Answer: TypeAlias = Response | CreatedAnswer | ShownAnswer
 """What a write answers: a finished response, or a resource still to be represented as the request prefers."""
 
 
 def _not_there(resource: Resource, method: str) -> Problem:
-    return Problem(405, resource.deny_reason(method), headers={"Allow": allow(resource)})
+    return Problem(405, resource.deny_reason(method), headers={"Allow": allow_field(resource)})
 
 
-def moved(url: str) -> Problem:
+def permanent_redirect(url: str) -> Problem:
     """308: what was asked for is at `url` (RFC 9110 15.4.9)."""
     return Problem(308, f"It is at {url}", title="Moved", headers={"Location": to_uri(url)})
 
 
-def allow(resource: Resource) -> str:
+def allow_field(resource: Resource) -> str:
     """The Allow field of a resource."""
     return ", ".join(sorted(ABSENT if resource.is_absent else resource.methods() - resource.withheld))

@@ -10,7 +10,7 @@ from rosld.server.rest.resource import LDP, Resource
 ACCEPT_FIELDS = {"PUT": "Accept-Put", "POST": "Accept-Post", "PATCH": "Accept-Patch"}
 
 
-def standing_headers(resource: Resource, methods: frozenset[str] | None = None) -> dict[str, str]:
+def resource_headers(resource: Resource, methods: frozenset[str] | None = None) -> dict[str, str]:
     """The headers every answer about a resource has: Allow, Link, and Accept-* for the writes that it takes now.
 
     `methods` are those it answers, where more is known of them than the resource says without being read.

@@ -25,7 +25,7 @@ _INVISIBLE = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u3164\uffa0") | {
 """Letters and marks that nobody sees (Unicode's Default_Ignorable_Code_Point): two names would look the same."""
 
 
-def free_name(slug: str | None, taken: Callable[[str], bool], *, suffix: str = "") -> str:
+def choose_name(slug: str | None, taken: Callable[[str], bool], *, suffix: str = "") -> str:
     """A name for a new member, not yet percent-encoded: readable, one segment of a path, and nobody's before.
 
     Letters, marks, digits, `-`, `_` and `.` of the Slug are kept, everything else becomes `-`; without a Slug, or where

@@ -20,7 +20,7 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Broadcasters
-from rosld.server.events.long_poll import changed_since
+from rosld.server.events.long_poll import wait_for_change
 from rosld.server.events.stream import HEADERS, EventStream, StreamFormat
 from rosld.server.http import link, negotiation
 from rosld.server.http.conditional import ETag, check_preconditions, digest
@@ -32,10 +32,10 @@ from rosld.server.rest.files import file_stream
 from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS, VARIANTS
 from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.large import LargeDocuments
-from rosld.server.rest.pages import FormRefused, Pages
+from rosld.server.rest.pages import InvalidForm, PageRenderer
 from rosld.server.rest.prepared import RawResponse
-from rosld.server.rest.resource import LDP, Answer, Created, Resource, Shown, allow
-from rosld.server.rest.resource_headers import ACCEPT_FIELDS, rendered, standing_headers
+from rosld.server.rest.resource import LDP, Answer, CreatedAnswer, Resource, ShownAnswer, allow_field
+from rosld.server.rest.resource_headers import ACCEPT_FIELDS, rendered, resource_headers
 from rosld.server.rest.state import Rendering, State
 from rosld.server.storage import StorageError
 
@@ -50,7 +50,7 @@ class Dispatcher:
     """
 
     instance_id: str
-    pages: Pages
+    pages: PageRenderer
     broadcasters: Broadcasters
     keyed_lock: KeyedLock
     large: LargeDocuments
@@ -90,32 +90,32 @@ class Dispatcher:
         if method in ("GET", "HEAD"):
             return await self.read(exchange, resource)
         if method == "OPTIONS":
-            return Response(status_code=204, headers=options(resource, await resource.methods_now()))
+            return Response(status_code=204, headers=options(resource, await resource.current_methods()))
         if _is_form(exchange, resource):
             return await self._form(exchange, resource)
         if method not in resource.methods():
-            raise Problem(405, resource.deny_reason(method), headers={"Allow": allow(resource)})
+            raise Problem(405, resource.deny_reason(method), headers={"Allow": allow_field(resource)})
         try:
             _refuse_partial_put(exchange)
             _check_media_type(exchange, resource)
             if method != "DELETE" and not resource.streams_body(exchange):
-                await exchange.octets()  # before the preconditions: nothing is to come between them and the write
+                await exchange.raw_body()  # before the preconditions: nothing is to come between them and the write
             answer = await self._write(exchange, resource)
         except (BodyError, LoweringError, Problem) as error:
             raise _constrained(resource, error) from error
-        if isinstance(answer, Created):
+        if isinstance(answer, CreatedAnswer):
             return await self._create(exchange, resource, answer)
-        if isinstance(answer, Shown):
+        if isinstance(answer, ShownAnswer):
             return await self._shown(exchange, answer)
         return await self._as_preferred(exchange, resource, answer)
 
     async def _write(self, exchange: Exchange, resource: Resource) -> Answer:
         """What a write comes to; what is conditional, or depends on what is there, is carried out alone."""
         write = _VERBS[exchange.method]
-        exchange.account.begin()
+        exchange.audit.begin()
         if not exchange.is_conditional and exchange.method not in resource.in_turn:
             return await write(resource, exchange)
-        async with self.keyed_lock.at(resource.url):
+        async with self.keyed_lock.acquire(resource.url):
             if exchange.is_conditional:
                 await self._check_preconditions(exchange, resource)
             return await write(resource, exchange)
@@ -185,7 +185,7 @@ class Dispatcher:
         variant = _variant(media_type, permissions)
         if not permissions.is_unrestricted:
             state = redacted_state(resource, state, permissions)
-        if media_type == HTML and self.pages.edition is not None:
+        if media_type == HTML and self.pages.version is not None:
             return await self._render(resource, state, media_type, variant, permissions)
         found = state.renderings.get(variant)
         if found is None:
@@ -219,14 +219,14 @@ class Dispatcher:
     async def _stream(self, exchange: Exchange, resource: Resource) -> Response:
         """The changes of a resource as an event stream. What can be refused is refused before it begins."""
         media_type = _told_as(exchange)
-        rate = query_params.rate(exchange.query)
+        rate = query_params.parse_rate(exchange.query)
 
         async def render(state: State) -> bytes:
             return (await self.represented(resource, state, media_type, exchange.permissions)).body
 
         await render(await resource.state())
-        self.broadcasters.require_room(exchange.request.client)
-        headers = _encode(standing_headers(resource))
+        self.broadcasters.require_capacity(exchange.request.client)
+        headers = _encode(resource_headers(resource))
         if exchange.method == "HEAD":
             return RawResponse(200, b"", [*HEADERS, *headers])
         mark = exchange.permissions.cache_key if media_type == HTML else ""
@@ -234,15 +234,15 @@ class Dispatcher:
         redact = partial(redact_problem, permissions=exchange.permissions, place=self._place(exchange))
         stream_format = StreamFormat(variant, render, self._name, exchange.auth.is_valid, redact)
         if media_type == HTML:
-            stream_format = replace(stream_format, edition=lambda: self.pages.edition)
+            stream_format = replace(stream_format, version=lambda: self.pages.version)
         known, lease = exchange.header("last-event-id"), resource.keep_alive(exchange)
         return EventStream(self.broadcasters, resource, stream_format, rate, known, headers, lease)
 
     async def _wait_for_another(self, exchange: Exchange, resource: Resource, state: State) -> None:
         """Until the state is another than `?after=`, at most `?timeout=`."""
-        after, seconds = exchange.query["after"], query_params.timeout(exchange.query)
+        after, seconds = exchange.query["after"], query_params.parse_timeout(exchange.query)
         if query_params.is_state(after, self._name(state)):
-            await changed_since(self.broadcasters, resource, after, self._name, exchange.request, seconds)
+            await wait_for_change(self.broadcasters, resource, after, self._name, exchange.request, seconds)
 
     async def _check_preconditions(self, exchange: Exchange, resource: Resource) -> None:
         """If-Match and If-None-Match of a write (RFC 9110 13.1), judged against the resource as it is now."""
@@ -259,30 +259,30 @@ class Dispatcher:
     async def _form(self, exchange: Exchange, resource: Resource) -> Response:
         """A form of one of our pages: the write it means, then the way back to a page (303)."""
         try:
-            form = await self.pages.meant(exchange, resource)
+            form = await self.pages.read_form(exchange, resource)
             if not exchange.permissions.is_unrestricted:
                 enforcement.authorize(exchange.permissions, form.method, self._place(exchange), resource)
-            exchange.account.begin()
+            exchange.audit.begin()
             try:
                 answer = await _VERBS[form.method](resource, exchange)
             except (LoweringError, RosError, Problem) as error:
                 problem = _problem(error)
                 if problem.status not in _TOLD_ON_THE_PAGE:
                     raise
-                raise FormRefused(form, exchange.typed, problem) from error
-        except FormRefused as refusal:
-            exchange.account.set_refusal(refusal.problem.detail)
-            return await self.pages.refused(resource, refusal, exchange.permissions)
+                raise InvalidForm(form, exchange.typed, problem) from error
+        except InvalidForm as refusal:
+            exchange.audit.set_refusal(refusal.problem.detail)
+            return await self.pages.form_errors(resource, refusal, exchange.permissions)
         if isinstance(answer, Response) and answer.status_code == 202 and form.method != "DELETE":
-            return await self.pages.told(
+            return await self.pages.with_notice(
                 resource, "It was published, but no subscriber was there to get it.", exchange.permissions
             )
-        back = _back(resource, answer, self.pages.came_from(exchange))
+        back = _back(resource, answer, self.pages.referring_url(exchange))
         if form.method == "DELETE" and not (isinstance(answer, Response) and answer.status_code == 202):
             back = resource.url.rstrip("/").rpartition("/")[0] + "/"
         return Response(status_code=303, headers={"Location": link.to_uri(back)})
 
-    async def _create(self, exchange: Exchange, resource: Resource, created: Created) -> Response:
+    async def _create(self, exchange: Exchange, resource: Resource, created: CreatedAnswer) -> Response:
         """201 with the new resource as body (RFC 9110 15.3.2), or without where less is preferred.
 
         It says also what that is which the request was sent to (LDP 5.2.1.4).
@@ -307,7 +307,7 @@ class Dispatcher:
             headers.append((b"link", link.render(links).encode("latin-1")))
         return RawResponse(201, rendering.body, [*rendering.headers, *headers, (b"content-location", headers[0][1])])
 
-    async def _shown(self, exchange: Exchange, shown: Shown) -> Response:
+    async def _shown(self, exchange: Exchange, shown: ShownAnswer) -> Response:
         """200 with the representation of the resource that shows it (RFC 9110 8.7), or 204 where less is preferred."""
         location = (b"content-location", link.to_uri(shown.resource.url).encode("ascii"))
         added = [(b"link", link.render(shown.links).encode("latin-1"))] if shown.links else []
@@ -362,7 +362,7 @@ def _headers(resource: Resource, state: State, media_type: str, etag: str) -> di
         "etag": etag,
         "vary": "Accept",
         "cache-control": f"max-age={state.max_age}" if state.max_age else "no-cache",
-        **standing_headers(resource),
+        **resource_headers(resource),
         **state.headers,
     }
 
@@ -410,9 +410,9 @@ def _problem(error: BodyError | LoweringError | RosError | Problem) -> Problem:
 def _back(resource: Resource, answer: Answer, came_from: str | None) -> str:
     """Where a browser goes after a form: to what it made, or back to where it stood."""
     match answer:
-        case Created():
+        case CreatedAnswer():
             return answer.location
-        case Shown():
+        case ShownAnswer():
             return answer.resource.url
         case _:
             return answer.headers.get("location") or came_from or resource.url
@@ -502,4 +502,4 @@ def _check_media_type(exchange: Exchange, resource: Resource) -> None:
 
 def options(resource: Resource, methods: frozenset[str] | None = None) -> dict[str, str]:
     """The headers of an answer to OPTIONS; `methods` as in `standing_headers`."""
-    return {**standing_headers(resource, methods), "vary": "Accept"}
+    return {**resource_headers(resource, methods), "vary": "Accept"}

@@ -9,7 +9,7 @@ from typing import TypeAlias
 from starlette.types import Scope
 
 from rosld.ontology.urls import Location, locate
-from rosld.server.html import StoredQuery
+from rosld.server.html import StoredQueryLink
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.resource_tree import path_of
 from rosld.server.openapi.resource import OpenApiResource
@@ -36,8 +36,8 @@ from rosld.server.resources.stop import StopResource
 from rosld.server.resources.things import RobotThing
 from rosld.server.resources.topics import TopicResource
 from rosld.server.resources.types import shape_room, type_room
-from rosld.server.rest.pages import Pages
-from rosld.server.rest.resource import Resource, moved
+from rosld.server.rest.pages import PageRenderer
+from rosld.server.rest.resource import Resource, permanent_redirect
 from rosld.server.sparql.endpoint import QueryService
 from rosld.server.sparql.update.base import Updates
 
@@ -57,7 +57,7 @@ def _named(kind: str, leaf: Callable[[Robot, str], Resource]) -> Room:
         if location.is_container:
             return NamespaceContainer(robot, kind, location.segments)
         if not location.segments:
-            raise moved(robot.space.container(kind))
+            raise permanent_redirect(robot.space.container(kind))
         return leaf(robot, location.name)
 
     return room
@@ -70,7 +70,7 @@ def _parameters(robot: Robot, location: Location) -> Resource:
     if location.is_container:
         return ParameterTree(robot, location.segments)
     if not location.segments:
-        raise moved(robot.space.container("parameters"))
+        raise permanent_redirect(robot.space.container("parameters"))
     return ParameterResource(robot, name)
 
 
@@ -78,7 +78,7 @@ def _resources(robot: Robot, location: Location) -> Resource:
     if location.is_container:
         return ComplexResource(robot, path_of(location.segments))
     if not location.segments:
-        raise moved(robot.space.container("resources"))
+        raise permanent_redirect(robot.space.container("resources"))
     if not location.segments[-1]:
         raise Problem(404, f"No resource is called {location.name}: its own name would be empty.")
     return MemberResource(robot, location.name)
@@ -97,7 +97,7 @@ def _flat(what: str, container: Callable[[Robot], Resource], leaf: Callable[[Rob
         if location.is_container and not location.segments:
             return container(robot)
         if not location.segments:
-            raise moved(robot.space.container(location.kind))
+            raise permanent_redirect(robot.space.container(location.kind))
         if len(location.segments) > 1 or location.is_container:
             raise Problem(404, f"{what} lies directly under /{location.kind}/.")
         return leaf(robot, location.segments[0])
@@ -149,10 +149,10 @@ def _holding(at: Callable[[str], Resource]) -> Mapping[str, Room]:
     }
 
 
-def _examples(robot: Robot) -> list[StoredQuery]:
+def _examples(robot: Robot) -> list[StoredQueryLink]:
     """Questions to start from: all that come with rosld, and some of those that clients keep."""
     found = robot.queries.all(limit=_EXAMPLES)
-    return [StoredQuery(url, query.name, query.purpose, query.text) for url, query in found]
+    return [StoredQueryLink(url, query.name, query.purpose, query.text) for url, query in found]
 
 
 class Router:
@@ -162,7 +162,7 @@ class Router:
         self,
         robot: Robot,
         service: QueryService,
-        pages: Pages,
+        pages: PageRenderer,
         updates: Callable[[Callable[[str], Resource]], Updates] | None = None,
     ) -> None:
         """`updates` makes what carries updates out, given what finds resources by their paths (`at`)."""
@@ -205,7 +205,7 @@ class Router:
             is_spelt = self._is_spelt(resource, raw)
             if not is_spelt and scope["method"] in ("GET", "HEAD"):
                 query = scope["query_string"].decode("latin-1")
-                raise moved(f"{resource.url}?{query}" if query else resource.url)
+                raise permanent_redirect(f"{resource.url}?{query}" if query else resource.url)
             if not resource.is_cacheable or not is_spelt:
                 return resource
             if len(self._kept) >= _MAX_CACHED:

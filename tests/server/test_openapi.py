@@ -230,13 +230,13 @@ def test_what_only_the_server_says_is_not_to_be_sent() -> None:
         "properties": {"unit": {"oneOf": [{"type": "array"}, elided]}, "speed": {"type": "number", "unit": "u"}},
         "required": ["unit", "speed"],
     }
-    assert json_schema.as_sent(schema) == {
+    assert json_schema.write_schema(schema) == {
         "type": "object",
         "properties": {"unit": {"type": "array"}, "speed": {"type": "number", "x-unit": "u"}},
         "required": ["unit", "speed"],
     }
-    assert json_schema.as_patch(schema)["properties"] == json_schema.as_sent(schema)["properties"]
-    assert "required" not in json_schema.as_patch(schema)
+    assert json_schema.patch_schema(schema)["properties"] == json_schema.write_schema(schema)["properties"]
+    assert "required" not in json_schema.patch_schema(schema)
 
 
 def test_places_come_in_the_order_of_their_paths_and_operations_have_names_of_their_own() -> None:

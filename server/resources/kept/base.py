@@ -16,7 +16,7 @@ from rosld.server.resources.kept.transaction import kept_together
 from rosld.server.resources.kept.validation import judge_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES
-from rosld.server.rest.resource import READ, Answer, Resource, moved
+from rosld.server.rest.resource import READ, Answer, Resource, permanent_redirect
 from rosld.server.storage import Conflict, ConflictCause, Record, Remove, Write
 
 ANYTHING = "*/*"
@@ -113,5 +113,5 @@ def missing(robot: Robot, path: str) -> Problem:
         return Problem(410, f"/{path} was deleted; PUT makes it again.")
     other = path[:-1] if path.endswith("/") else path + "/"
     if robot.records.get(other) is not None:
-        return moved(robot.space.base + other)
+        return permanent_redirect(robot.space.base + other)
     return Problem(404, f"There is nothing at /{path}; PUT makes it.")

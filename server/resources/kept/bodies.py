@@ -29,7 +29,7 @@ from rosld.server.resources.kept.stated import (
 )
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.files import exact_media_type
-from rosld.server.rest.interaction import membership_triples, model_asked
+from rosld.server.rest.interaction import membership_triples, requested_model
 from rosld.server.storage import Blob, Model, Record
 from rosld.server.storage.describe import to_ntriples
 from rosld.server.storage.models import rdf_types
@@ -37,7 +37,7 @@ from rosld.server.storage.models import rdf_types
 
 def asked_model(exchange: Exchange, url: str, *, container: bool) -> Model:
     """The interaction model that a request to `url` asks for; `container`: what is made has a URL of a container."""
-    return model_asked(_links(exchange), url, exchange.essence, container_hint=container)
+    return requested_model(_links(exchange), url, exchange.essence, container_hint=container)
 
 
 def require_model(exchange: Exchange, model: Model, url: str) -> None:
@@ -97,7 +97,7 @@ def require_contained(robot: Robot, record: Record, triples: Iterable[Triple]) -
 async def received(robot: Robot, exchange: Exchange) -> Blob:
     """The body as a blob, streamed to where it is kept, unless it was read already."""
     media_type = exact_media_type(exchange.header("content-type"))
-    limit, whole = robot.settings.upload_limit, exchange.received
+    limit, whole = robot.settings.upload_limit, exchange.consumed_body
     chunks = exchange.chunks(limit=limit) if whole is None else one_chunk(whole)
     return await robot.records.receive(chunks, media_type, limit=limit)
 

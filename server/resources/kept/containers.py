@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rosld.ontology.urls import encode_segment
-from rosld.server.html import Form, Step
+from rosld.server.html import Form, SequenceLink
 from rosld.server.http.link import Link
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
@@ -18,11 +18,11 @@ from rosld.server.resources.kept.sources import N3_PATCH, SourceResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.interaction import model_links
-from rosld.server.rest.paging import Place, page_query, read_place, send_to_first
+from rosld.server.rest.paging import PagePosition, page_query, parse_position, require_page
 from rosld.server.rest.path_item import PathItem
-from rosld.server.rest.prefer_container import ALL, Parts, select_parts
-from rosld.server.rest.resource import Answer, Created, Resource
-from rosld.server.rest.slug import free_name
+from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts, select_parts
+from rosld.server.rest.resource import Answer, CreatedAnswer, Resource
+from rosld.server.rest.slug import choose_name
 from rosld.server.rest.state import State
 from rosld.server.storage import Blob, Conflict, ConflictCause, Model
 from rosld.server.storage.describe import META
@@ -38,7 +38,9 @@ class ContainerResource(SourceResource):
     in_turn = frozenset({"PUT", "PATCH"})
     takes_forms = False
 
-    def __init__(self, robot: Robot, path: str, parts: Parts = ALL, place: Place | None = None) -> None:
+    def __init__(
+        self, robot: Robot, path: str, parts: ContainerParts = ALL_PARTS, place: PagePosition | None = None
+    ) -> None:
         super().__init__(robot, path)
         self.accepts = {"POST": self.makes, "PUT": RDF_BODIES, "PATCH": (SPARQL_UPDATE, N3_PATCH)}
         self._parts = parts
@@ -47,7 +49,7 @@ class ContainerResource(SourceResource):
         self.links = model_links(record.model if record is not None else Model.BASIC_CONTAINER)
 
     @property
-    def variant_key(self) -> tuple[Parts, Place | None]:
+    def variant_key(self) -> tuple[ContainerParts, PagePosition | None]:
         return self._parts, self._place
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -61,13 +63,13 @@ class ContainerResource(SourceResource):
         """The parts that Prefer asks for (LDP 7.2), the page that `?page=` does, the first of many pages (303)."""
         if exchange.method not in ("GET", "HEAD"):
             return self
-        parts = select_parts(exchange.prefer) if exchange.header("prefer") is not None else ALL
+        parts = select_parts(exchange.prefer) if exchange.header("prefer") is not None else ALL_PARTS
         page = exchange.query.get("page")
         if page is not None:
-            return ContainerResource(self.robot, self.path, parts, read_place(page))
+            return ContainerResource(self.robot, self.path, parts, parse_position(page))
         if parts.containment or parts.membership:
-            send_to_first(exchange, self.url, self.there().count)
-        return self if parts is ALL else ContainerResource(self.robot, self.path, parts)
+            require_page(exchange, self.url, self.there().count)
+        return self if parts is ALL_PARTS else ContainerResource(self.robot, self.path, parts)
 
     async def state(self) -> State:
         record = self.there()
@@ -79,9 +81,9 @@ class ContainerResource(SourceResource):
     def query(self) -> str:
         return "" if self._place is None else page_query(self._place.token)
 
-    def navigation_links(self) -> tuple[Step, ...]:
+    def navigation_links(self) -> tuple[SequenceLink, ...]:
         record = self.robot.records.get(self.path)
-        return () if self._place is None or record is None else page_at(self.robot, record, self._place)[0].steps()
+        return () if self._place is None or record is None else page_at(self.robot, record, self._place)[0].neighbours()
 
     async def forms(self) -> Sequence[Form]:
         return ()  # a form that is posted here is a file like any other
@@ -110,7 +112,7 @@ class ContainerResource(SourceResource):
 
         blob = await received(self.robot, exchange) if model is Model.NON_RDF_SOURCE else None
         while True:
-            name = encode_segment(free_name(exchange.header("slug"), is_taken))
+            name = encode_segment(choose_name(exchange.header("slug"), is_taken))
             path = f"{self.path}{name}/" if model.is_container else self.path + name
             try:
                 return await creation(self.robot, path, model, exchange, blob, unused=True)
@@ -132,10 +134,12 @@ _NAMED_MEANWHILE = frozenset({ConflictCause.THERE, ConflictCause.NAME, ConflictC
 
 async def creation(
     robot: Robot, path: str, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
-) -> Created:
+) -> CreatedAnswer:
     """A new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3). Raises Conflict as `create` does."""
     record = await create(resource_of(robot, path, model), model, exchange, blob, unused=unused)
     resource = resource_of(robot, path, model)  # as it is now that it is there
     if model is Model.NON_RDF_SOURCE:
-        return Created(resource.url, resource, None, (Link(resource.url + META, "describedby", anchor=resource.url),))
-    return Created(resource.url, resource, state_of(robot, record))
+        return CreatedAnswer(
+            resource.url, resource, None, (Link(resource.url + META, "describedby", anchor=resource.url),)
+        )
+    return CreatedAnswer(resource.url, resource, state_of(robot, record))

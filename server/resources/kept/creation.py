@@ -16,7 +16,7 @@ from rosld.server.resources.kept.managed import first_times, managed_of, require
 from rosld.server.resources.kept.stated import NOTHING, Statements, contained, own, stand_in
 from rosld.server.resources.kept.transaction import kept_together
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.interaction import membership_of
+from rosld.server.rest.interaction import parse_membership
 from rosld.server.storage import Blob, Model, Put, Record
 from rosld.server.storage.paths import container_of
 
@@ -60,7 +60,7 @@ async def making(
         kept = await robot.workers.run(work) if stated.is_large else work()
     else:
         kept = stated.kept
-    put = Put(path, model, kept, membership=membership_of(managed, url, model), expected=0, unused=unused)
+    put = Put(path, model, kept, membership=parse_membership(managed, url, model), expected=0, unused=unused)
     return [*_ways_to(robot, path), await _as_member(robot, put, stated, url)]
 
 

@@ -7,18 +7,20 @@ from collections.abc import Iterable, Sequence
 from pyoxigraph import Triple
 
 from rosld.ontology.document import Document
-from rosld.server.rest.interaction import declared, membership_triples, stand_ins
-from rosld.server.rest.prefer_container import Parts
+from rosld.server.rest.interaction import member_derived_uris, membership_declaration, membership_triples
+from rosld.server.rest.prefer_container import ContainerParts
 from rosld.server.storage import Member, Record
 from rosld.server.storage.describe import record_document, without_statements
 
 
 def kept_document(
-    base: str, record: Record, parts: Parts, members: Sequence[Member], more: Sequence[Triple]
+    base: str, record: Record, parts: ContainerParts, members: Sequence[Member], more: Sequence[Triple]
 ) -> Document:
     """The parts of a record, and of a container with these members, that are asked for; `more` is said beside them."""
     url = base + record.path
-    membership = declared(record.membership, url) if record.membership is not None and parts.minimal else []
+    membership = (
+        membership_declaration(record.membership, url) if record.membership is not None and parts.minimal else []
+    )
     if record.membership is not None and parts.membership:
         membership += membership_triples(record.membership, members_stand_for(base, members))
     contained = [base + each.path for each in members] if parts.containment else []
@@ -28,4 +30,4 @@ def kept_document(
 
 def members_stand_for(base: str, members: Iterable[Member]) -> list[str]:
     """What stands for members in the membership triples of their container (LDP 5.4.1.5, 5.5.1.2)."""
-    return list(stand_ins((base + each.path, each.member) for each in members))
+    return list(member_derived_uris((base + each.path, each.member) for each in members))

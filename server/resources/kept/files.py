@@ -27,7 +27,7 @@ from rosld.server.rest.files import file_response
 from rosld.server.rest.formats import JSON, MERGE_PATCH
 from rosld.server.rest.interaction import model_links
 from rosld.server.rest.resource import Answer
-from rosld.server.rest.resource_headers import standing_headers
+from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
 from rosld.server.storage import Blob, Conflict, ConflictCause, Model, Put, Record, Write
 from rosld.server.storage.describe import META
@@ -66,7 +66,7 @@ class KeptFile(Kept):
         assert record.blob is not None
         etag = ETag(f"{self.robot.records.identity}-{record.version}", "bin")
         if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
-        headers = {**standing_headers(self), "vary": "Accept", "cache-control": "no-cache"}
+        headers = {**resource_headers(self), "vary": "Accept", "cache-control": "no-cache"}
         if check_preconditions(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
             return Response(status_code=304, headers={**headers, "etag": str(etag)})
         return await file_response(

@@ -29,7 +29,7 @@ async def united(robot: Robot, exchange: Exchange, url: str, subject: str) -> St
     The parts are resolved against `url`. Raises BodyError and Problems: 400 for what cannot be cut into parts, 415 for
     parts that are no RDF.
     """
-    data, stated = await exchange.octets(), media.parse(exchange.header("content-type") or "")
+    data, stated = await exchange.raw_body(), media.parse(exchange.header("content-type") or "")
     work = partial(_unite, data, stated.parameter("boundary"), url, subject)
     return work() if is_light(data) else await robot.workers.run(work)
 
@@ -42,7 +42,7 @@ async def unite(robot: Robot, exchange: Exchange, url: str) -> None:
     found = await united(robot, exchange, url, url)
     if size_of(found.kept) > _MAX_UNITED:
         raise Problem(413, f"The parts say more than {_MAX_UNITED} bytes of N-Triples: PUT one body instead.")
-    exchange.become(exchange.method, _N_TRIPLES, unpack(found.kept))
+    exchange.override(exchange.method, _N_TRIPLES, unpack(found.kept))
 
 
 def _unite(data: bytes, boundary: str | None, url: str, subject: str) -> Statements:

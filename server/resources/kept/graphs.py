@@ -16,7 +16,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.vocab import dcterms, ldp
 from rosld.server.dataset import Edit
-from rosld.server.rest.interaction import declared, stand_ins
+from rosld.server.rest.interaction import member_derived_uris, membership_declaration
 from rosld.server.sparql.change_source import Changes
 from rosld.server.storage import Member, Membership, Model, Record, RecordChange, Records, RecordWrite
 from rosld.server.storage.describe import META, client_ntriples, managed_triples, record_document, without_statements
@@ -237,7 +237,7 @@ class _Search:
         lines = [f"<{url}> {ldp.contains} <{self._base + path}> .\n" for path, _ in members]
         membership = container.membership
         if membership is not None:
-            named = stand_ins((self._base + path, member) for path, member in members)
+            named = member_derived_uris((self._base + path, member) for path, member in members)
             lines += (_membership(membership, member) for member in named)
         return "".join(lines)
 
@@ -260,7 +260,7 @@ def _membership(membership: Membership, member: str) -> str:
 
 def _text(record: Record, url: str, said: Said) -> str:
     """What it says, its members aside. What clients say stands as it is kept, which spares reading it."""
-    membership = declared(record.membership, url) if record.membership is not None else ()
+    membership = membership_declaration(record.membership, url) if record.membership is not None else ()
     managed = record_document(without_statements(record, url), url, (), (*membership, *said(record)))
     return serialize(managed, Syntax.N_TRIPLES).decode() + client_ntriples(record, url).decode()
 

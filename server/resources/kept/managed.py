@@ -9,7 +9,7 @@ from pyoxigraph import Literal, NamedNode, Triple
 from rosld.ontology.literals import nanoseconds
 from rosld.ontology.vocab import dcterms, ldp, rdf
 from rosld.server.http.problem import Problem
-from rosld.server.rest.interaction import declared
+from rosld.server.rest.interaction import membership_declaration
 from rosld.server.storage import Membership, Model, Record
 from rosld.server.storage.describe import (
     MAX_TIME_BYTES,
@@ -84,7 +84,7 @@ def require_as_it_is(managed: Sequence[Triple], record: Record, url: str) -> Non
 
 def require_membership(membership: Membership, managed: Sequence[Triple], url: str) -> None:
     """Raise a 409 Problem, which names the property, where a body changes what membership triples are made of."""
-    present = declared(membership, url)
+    present = membership_declaration(membership, url)
     for each in managed:
         is_default = each.predicate == ldp.insertedContentRelation and membership.content is None
         if each.predicate not in MEMBERSHIP or each in present or (is_default and each.object == ldp.MemberSubject):

@@ -12,8 +12,8 @@ from rosld.server.http.link import render
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.document import kept_document, members_stand_for
 from rosld.server.rest.interaction import model_links
-from rosld.server.rest.paging import MAX_PAGE_SIZE, Page, Place, last_place, left_on_last, page_of
-from rosld.server.rest.prefer_container import ALL, Parts
+from rosld.server.rest.paging import MAX_PAGE_SIZE, LdpPage, PagePosition, last_page_size, last_position, page_of
+from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts
 from rosld.server.rest.state import State
 from rosld.server.storage import Member, Record
 from rosld.server.storage.packing import size_of
@@ -33,7 +33,7 @@ def stand_ins(robot: Robot, members: Iterable[Member]) -> list[str]:
     return members_stand_for(robot.space.base, members)
 
 
-def state_of(robot: Robot, record: Record, parts: Parts = ALL) -> State:
+def state_of(robot: Robot, record: Record, parts: ContainerParts = ALL_PARTS) -> State:
     """A record as it is, or the parts of a container that are asked for: kept while it does not change.
 
     A container that comes in pages is shown without its members: what is done with it does not grow with them.
@@ -48,7 +48,7 @@ def state_of(robot: Robot, record: Record, parts: Parts = ALL) -> State:
     )
 
 
-def page_shown(robot: Robot, record: Record, parts: Parts, place: Place) -> State:
+def page_shown(robot: Robot, record: Record, parts: ContainerParts, place: PagePosition) -> State:
     """One page of a container (LDP Paging 1.0)."""
     url = robot.space.base + record.path
 
@@ -61,23 +61,23 @@ def page_shown(robot: Robot, record: Record, parts: Parts, place: Place) -> Stat
     return robot.states.get_or_make(f"{url}?page={place.token}#{parts.variant}", (record.version, record.listed), make)
 
 
-def page_at(robot: Robot, record: Record, place: Place) -> tuple[Page, Sequence[Member]]:
+def page_at(robot: Robot, record: Record, place: PagePosition) -> tuple[LdpPage, Sequence[Member]]:
     """The page of a container at a place, and its members."""
     records, after, limit = robot.records, place.after, place.limit
     assert isinstance(after, int)
     found = records.members(record.path, after=after, limit=limit + 1)
     before = records.last_member_numbers(record.path, up_to=after, limit=limit + 1) if after else ()
     latest = (
-        records.last_member_numbers(record.path, limit=left_on_last(record.count, limit) + 1)
+        records.last_member_numbers(record.path, limit=last_page_size(record.count, limit) + 1)
         if len(found) > limit
         else ()
     )
-    last = last_place(limit, record.count, latest)
+    last = last_position(limit, record.count, latest)
     page = page_of(robot.space.base + record.path, place, [each.number for each in found], before, last)
     return page, found[:limit]
 
 
-def _lists(parts: Parts) -> bool:
+def _lists(parts: ContainerParts) -> bool:
     return parts.containment or parts.membership
 
 
@@ -88,7 +88,7 @@ def _tag(record: Record) -> str:
 def _state(
     robot: Robot,
     record: Record,
-    parts: Parts,
+    parts: ContainerParts,
     members: Sequence[Member],
     *,
     headers: Mapping[str, str] = {},

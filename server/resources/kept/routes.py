@@ -14,7 +14,7 @@ from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.ldp.patch import deletes
+from rosld.server.ldp.patch import has_deletes
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import ALSO_OF_KEPT, Kept, conflict_problem, missing
 from rosld.server.resources.kept.bodies import asked_model, received, require_model
@@ -28,10 +28,10 @@ from rosld.server.resources.kept.stated import N3_PATCH, is_light, patched
 from rosld.server.resources.kept.transaction import kept_together
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
-from rosld.server.rest.path_item import ANY_TYPE, Method, PathItem
+from rosld.server.rest.path_item import ANY_TYPE, PathItem, WriteMethod
 from rosld.server.rest.plan import StorageWrite
-from rosld.server.rest.resource import ABSENT, READ, Answer, Created, Resource, moved
-from rosld.server.rest.resource_headers import standing_headers
+from rosld.server.rest.resource import ABSENT, READ, Answer, CreatedAnswer, Resource, permanent_redirect
+from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
 from rosld.server.storage import Blob, Conflict, ConflictCause, Model
 from rosld.server.storage.describe import META
@@ -64,7 +64,7 @@ class AbsentResource(Kept):
         if is_limits:
             return PathItem(
                 "Limits that a client keeps in force",
-                writes={"PUT": Method(accepts=RDF_BODIES), "PATCH": Method(accepts=_PATCHES)},
+                writes={"PUT": WriteMethod(accepts=RDF_BODIES), "PATCH": WriteMethod(accepts=_PATCHES)},
                 also=ALSO_OF_KEPT,
                 methods=methods,
             )
@@ -74,9 +74,9 @@ class AbsentResource(Kept):
             (*OFFERS, ANY_TYPE),
             ANYTHING,
             writes={
-                "PUT": Method(accepts=taken),
-                "POST": Method(accepts=taken),
-                "PATCH": Method(accepts=(*_PATCHES, MERGE_PATCH)),
+                "PUT": WriteMethod(accepts=taken),
+                "POST": WriteMethod(accepts=taken),
+                "PATCH": WriteMethod(accepts=(*_PATCHES, MERGE_PATCH)),
             },
             is_paged=True,
             also=ALSO_OF_KEPT,
@@ -109,7 +109,7 @@ class AbsentResource(Kept):
         """That nothing is here, and for those who may make something what that may be."""
         problem = missing(self.robot, self.path)
         if problem.status in (404, 410) and self.methods() > ABSENT and exchange.permissions.may("PUT", self.url):
-            problem.headers |= {name: value for name, value in standing_headers(self).items() if name != "link"}
+            problem.headers |= {name: value for name, value in resource_headers(self).items() if name != "link"}
         return problem
 
     async def state(self) -> State:
@@ -157,7 +157,7 @@ class AbsentResource(Kept):
         if self.robot.records.get(self.path) is not None:
             return await self._patch_there(exchange)
         data, media_type = await exchange.body(), exchange.media_type
-        if media_type == SPARQL_UPDATE and deletes(data):
+        if media_type == SPARQL_UPDATE and has_deletes(data):
             raise self._missing(exchange)
         work = partial(patched, partial(Document, self.url, ()), data, media_type, self.url, self.url)
         said = await (asyncio.to_thread(work) if is_light(data) else self.robot.workers.run(work))
@@ -169,7 +169,7 @@ class AbsentResource(Kept):
             return await self._patch_there(exchange)
         assert record is not None
         made = resource_of(self.robot, self.path, record.model)
-        return Created(made.url, made, state_of(self.robot, record))
+        return CreatedAnswer(made.url, made, state_of(self.robot, record))
 
     async def _patch_there(self, exchange: Exchange) -> Answer:
         there = resource_of(self.robot, self.path, self.there().model)
@@ -202,7 +202,7 @@ def missing_description(robot: Robot, path: str) -> Problem:
 def kept_room(robot: Robot, location: Location) -> Resource:
     """`/data/` and below: as what is recorded now has it."""
     if not location.segments and not location.is_container:
-        raise moved(robot.space.container(location.kind))
+        raise permanent_redirect(robot.space.container(location.kind))
     path = robot.space.url(location.kind, location.segments)[len(robot.space.base) :]
     if location.is_container:
         path += "/"

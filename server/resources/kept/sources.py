@@ -12,7 +12,7 @@ from pyoxigraph import Triple
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.patch import Grown
+from rosld.server.ldp.patch import TooManyTriples
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import Kept
 from rosld.server.resources.kept.bodies import (
@@ -107,7 +107,7 @@ class SourceResource(Kept):
             before = state_of(self.robot, record)
             require_memory(before)
             if not before.is_large:
-                with suppress(Grown):
+                with suppress(TooManyTriples):
                     said = before.document.triples
                     after = await self._patch(patch, said)
                     return await self.with_triples(record, after, record.version, frozenset(said))

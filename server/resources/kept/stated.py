@@ -16,9 +16,9 @@ from rosld.ontology.body import RdfBody, Term, body_of, read_ntriples
 from rosld.ontology.document import Document
 from rosld.ontology.vocab import ldp
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.n3patch import applied, read_patch
-from rosld.server.ldp.patch import updated
-from rosld.server.rest.interaction import member_of
+from rosld.server.ldp.n3patch import apply_patch, read_patch
+from rosld.server.ldp.patch import apply_update
+from rosld.server.rest.interaction import member_derived_uri
 from rosld.server.storage import Difference, Membership, Model, Record
 from rosld.server.storage.describe import is_managed, may_be_managed, remove_managed, to_ntriples
 from rosld.server.storage.differences import MAX_BYTES as DIFFERENT
@@ -188,8 +188,8 @@ def patch_of(
     """What a patch makes of triples. Raises Problems for what is no patch; what is returned, `Grown` beyond `limit`."""
     if media_type == N3_PATCH:
         patch = read_patch(data, url)
-        return lambda before: list(applied(patch, before))
-    return lambda before: triples_of(updated(data, before, url, limit))
+        return lambda before: list(apply_patch(patch, before))
+    return lambda before: triples_of(apply_update(data, before, url, limit))
 
 
 # In a worker
@@ -246,4 +246,4 @@ def own(kept: Statements, subject: str, model: Model, servers: frozenset[Triple]
 
 def stand_in(membership: Membership, kept: Statements, url: str) -> str:
     """What stands for a new member at `url` in membership triples. Raises 409 Problems as `member_of`."""
-    return member_of(membership, body_of(kept), url)
+    return member_derived_uri(membership, body_of(kept), url)

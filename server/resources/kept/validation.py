@@ -10,10 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from rosld.server.http.problem import Problem
-from rosld.server.policies.limits import ROOM as SHAPES
-from rosld.server.policies.mappings import ROOM as MAPPINGS
-from rosld.server.policies.mappings import mapping_kept
-from rosld.server.policies.queries import ROOM as QUERIES
+from rosld.server.policies.limits import ROUTE as SHAPES
+from rosld.server.policies.mappings import ROUTE as MAPPINGS
+from rosld.server.policies.mappings import stored_mapping
+from rosld.server.policies.queries import ROUTE as QUERIES
 from rosld.server.resources.context import Robot
 from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.sparql.protocol import DIRECT
@@ -53,7 +53,7 @@ class MappingJudge:
 
     @property
     def turn(self) -> asyncio.Lock:
-        return self._robot.mappings.turn
+        return self._robot.mappings.lock
 
     async def judged(self, write: Write) -> Callable[[], None]:
         robot, url = self._robot, self._robot.space.base + write.path
@@ -64,7 +64,7 @@ class MappingJudge:
             raise Problem(
                 409, f"A mapping is an RDF source directly under {room}: files and containers have no place there."
             )
-        document = await asyncio.to_thread(mapping_kept, _unpack(write), url)  # a large one takes its time
+        document = await asyncio.to_thread(stored_mapping, _unpack(write), url)  # a large one takes its time
         robot.mappings.check(document)
         return self._told(lambda: robot.mappings.replace(document))
 
@@ -87,7 +87,7 @@ class QueryJudge:
 
     @property
     def turn(self) -> asyncio.Lock:
-        return self._robot.queries.turn
+        return self._robot.queries.lock
 
     async def judged(self, write: Write) -> Callable[[], None]:
         if isinstance(write, Put):
@@ -120,7 +120,7 @@ class LimitsJudge:
 
     @property
     def turn(self) -> asyncio.Lock:
-        return self._robot.limits_in_force.turn
+        return self._robot.limits_in_force.lock
 
     async def judged(self, write: Write) -> Callable[[], None]:
         limits, url = self._robot.limits_in_force, self._robot.space.base + write.path

@@ -130,7 +130,7 @@ class Updates:
         async with contextlib.AsyncExitStack() as held:
             with contextlib.suppress(Problem):
                 for graph in sorted(graphs_named(operations)):
-                    await held.enter_async_context(self._line.at(graph))
+                    await held.enter_async_context(self._line.acquire(graph))
             yield
 
     async def _drawn_and_done(
@@ -216,7 +216,7 @@ class Updates:
                 return None
             plans = await self._plans(targets)
             if dry_run:
-                return answer([Entry(graph, plan.does, Fate.PLANNED) for graph, plan in plans], dry_run=True)
+                return answer([Entry(graph, plan.description, Fate.PLANNED) for graph, plan in plans], dry_run=True)
             if not await self._holds(drawn, targets):
                 return None
             return await self._done(plans)
@@ -243,7 +243,7 @@ class Updates:
         """Within it nobody else carries out a write that depends on what one of these graphs says."""
         async with contextlib.AsyncExitStack() as held:
             for graph in sorted(graphs):
-                await held.enter_async_context(self._keyed_lock.at(graph))
+                await held.enter_async_context(self._keyed_lock.acquire(graph))
             yield
 
     @contextlib.asynccontextmanager
@@ -255,7 +255,7 @@ class Updates:
             if members:
                 tree = await self._robot.offers.tree()
                 names = [name for each in members for name in each.concerned(tree)]
-                await held.enter_async_context(self._robot.offers.turn(tree, *names, changed=names))
+                await held.enter_async_context(self._robot.offers.lock(tree, *names, modified=names))
             yield
 
     async def _holds(self, drawn: Delta, targets: Sequence[Target]) -> bool:
@@ -314,15 +314,15 @@ class Updates:
                 raise RefusedGraphs(
                     [(self._robot.space.base + error.path, conflict_problem(self._robot, error))]
                 ) from error
-        entries = [Entry(graph, plan.does, Fate.DONE) for graph, plan in kept]
+        entries = [Entry(graph, plan.description, Fate.DONE) for graph, plan in kept]
         for graph, move in moves:
-            record_step(move.does, graph)
+            record_step(move.description, graph)
         for place, (graph, move) in enumerate(moves):
             try:
                 heard = await move.carry_out()
             except (RosError, Problem) as error:
                 fate, problem = failure(error)
-                left = [Entry(name, plan.does, Fate.LEFT) for name, plan in moves[place + 1 :]]
-                raise partly([*entries, Entry(graph, move.does, fate, problem), *left]) from error
-            entries.append(Entry(graph, move.does, Fate.DONE if heard else Fate.UNHEARD))
+                left = [Entry(name, plan.description, Fate.LEFT) for name, plan in moves[place + 1 :]]
+                raise partly([*entries, Entry(graph, move.description, fate, problem), *left]) from error
+            entries.append(Entry(graph, move.description, Fate.DONE if heard else Fate.UNHEARD))
         return answer(entries)

@@ -33,17 +33,17 @@ def test_nobody_else_gets_one(accept: str | None) -> None:
 
 
 def test_a_rate_beyond_the_most_is_the_most() -> None:
-    assert query_params.rate({}) == 10.0
-    assert query_params.rate({"rate": "0.5"}) == 0.5
-    assert query_params.rate({"rate": "1000"}) == 100.0
-    assert query_params.rate({"rate": "1e3"}) == 100.0
-    assert query_params.rate({"rate": "9" * 20}) == 100.0
+    assert query_params.parse_rate({}) == 10.0
+    assert query_params.parse_rate({"rate": "0.5"}) == 0.5
+    assert query_params.parse_rate({"rate": "1000"}) == 100.0
+    assert query_params.parse_rate({"rate": "1e3"}) == 100.0
+    assert query_params.parse_rate({"rate": "9" * 20}) == 100.0
 
 
 def test_a_timeout_beyond_the_most_is_the_most() -> None:
-    assert query_params.timeout({}) == 25.0
-    assert query_params.timeout({"timeout": "0"}) == 0.0
-    assert query_params.timeout({"timeout": "3600"}) == 60.0
+    assert query_params.parse_timeout({}) == 25.0
+    assert query_params.parse_timeout({"timeout": "0"}) == 0.0
+    assert query_params.parse_timeout({"timeout": "3600"}) == 60.0
 
 
 HOSTILE = ["", "0", "-1", "nan", "inf", "0x10", "10Hz", "١٠", "1_0", " 1", "1;2", "9" * 21, "0.0001", "%00"]
@@ -52,7 +52,7 @@ HOSTILE = ["", "0", "-1", "nan", "inf", "0x10", "10Hz", "١٠", "1_0", " 1", "1;
 @pytest.mark.parametrize("text", HOSTILE)
 def test_what_is_no_rate_is_refused_with_what_would_be(text: str) -> None:
     with pytest.raises(Problem, match=r"from 0\.001 to 100") as refused:
-        query_params.rate({"rate": text})
+        query_params.parse_rate({"rate": text})
     assert refused.value.status == 400
 
 
@@ -66,7 +66,7 @@ def number(read: Callable[[Mapping[str, str]], float], name: str, text: str) -> 
 
 @given(st.text(max_size=30) | st.floats().map(str) | st.integers().map(str))
 def test_any_text_is_refused_or_within_the_bounds(text: str) -> None:
-    rate, timeout = number(query_params.rate, "rate", text), number(query_params.timeout, "timeout", text)
+    rate, timeout = number(query_params.parse_rate, "rate", text), number(query_params.parse_timeout, "timeout", text)
     assert rate is None or 0.001 <= rate <= 100.0
     assert timeout is None or 0.0 <= timeout <= 60.0
 

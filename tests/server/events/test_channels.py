@@ -19,7 +19,7 @@ from rosld.server.events import channels as kept
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.delivery import Delivery
-from rosld.server.events.subscriptions import Subscription
+from rosld.server.events.subscriptions import ChannelRequest
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import BASIC_CONTAINER, Resource
 from rosld.server.rest.state import State
@@ -95,8 +95,8 @@ class Set:
         self.channels = Channels("boot")
         self.broadcasters = Broadcasters(Signal())
 
-    async def open(self, wish: Subscription | None = None) -> Channel:
-        wish = wish or Subscription(URL, interval=0.01)
+    async def open(self, wish: ChannelRequest | None = None) -> Channel:
+        wish = wish or ChannelRequest(URL, interval=0.01)
         state = await self.things.state()
         return self.channels.open(wish, "T", self.things, state, lambda token: (URL + token, URL + "ws"))
 
@@ -104,7 +104,7 @@ class Set:
     async def delivering(self, channel: Channel, told: Told) -> AsyncIterator[asyncio.Task[None]]:
         """Receive, and have looked once."""
         task = asyncio.create_task(Delivery(self.channels, self.broadcasters, channel, told.send, None).run())
-        await soon(lambda: channel.told.container is not None or task.done())
+        await soon(lambda: channel.last_sent.container is not None or task.done())
         try:
             yield task
         finally:
@@ -142,11 +142,11 @@ def test_changes_are_told_by_what_happened() -> None:
 def test_the_present_state_is_told_at_once_to_whom_has_another() -> None:
     async def run() -> None:
         one, told = Set(), Told()
-        channel = await one.open(Subscription(URL, state="boot-long-ago"))
+        channel = await one.open(ChannelRequest(URL, state="boot-long-ago"))
         async with one.delivering(channel, told):
             (first,) = await told.until(1)
         quiet = Told()
-        same = await one.open(Subscription(URL, interval=0.01, state=f'"{first["state"]}.ttl"'))
+        same = await one.open(ChannelRequest(URL, interval=0.01, state=f'"{first["state"]}.ttl"'))
         async with one.delivering(same, quiet):
             one.things.become("a")
             (second,) = await quiet.until(1)
@@ -207,7 +207,7 @@ def test_a_topic_that_is_gone_for_good_ends_its_channel() -> None:
 def test_the_rate_is_the_least_time_between_two_notifications() -> None:
     async def run() -> None:
         one, told = Set(), Told()
-        channel = await one.open(Subscription(URL, interval=0.1))
+        channel = await one.open(ChannelRequest(URL, interval=0.1))
         async with one.delivering(channel, told):
             for number in range(60):
                 one.things.become(str(number))
@@ -231,7 +231,7 @@ def test_a_receiver_that_stands_still_gets_the_latest_and_nothing_piles_up() -> 
             looked = one.things.looks
             told.takes.set()
             came = await told.until(2)
-            state = one.channels.name(await one.things.state())
+            state = one.channels.state_name(await one.things.state())
         assert looked < 20
         assert came[-1]["state"] == state
         assert len(came) == 2
@@ -264,7 +264,7 @@ def test_a_change_is_written_once_however_many_channels_tell_it() -> None:
 def test_turtle_says_what_jsonld_says() -> None:
     async def run() -> None:
         one, told = Set(), Told()
-        channel = await one.open(Subscription(URL, accept="text/turtle"))
+        channel = await one.open(ChannelRequest(URL, accept="text/turtle"))
         async with one.delivering(channel, told):
             one.things.become("a")
             await soon(lambda: bool(told.chunks))
@@ -280,7 +280,7 @@ def test_nothing_is_told_before_the_start() -> None:
     async def run() -> None:
         one, told = Set(), Told()
         began = time.time_ns()
-        channel = await one.open(Subscription(URL, interval=0.01, start_at=began + 300_000_000, state="other"))
+        channel = await one.open(ChannelRequest(URL, interval=0.01, start_at=began + 300_000_000, state="other"))
         task = asyncio.create_task(Delivery(one.channels, one.broadcasters, channel, told.send, None).run())
         await told.until(1)
         assert time.time_ns() - began >= 290_000_000

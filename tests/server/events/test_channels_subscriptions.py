@@ -14,7 +14,7 @@ from rosld.ontology.notifications import CONTEXT, DEFINITIONS, duration
 from rosld.server.events.subscriptions import (
     MAX_INTERVAL,
     MIN_INTERVAL,
-    Subscription,
+    ChannelRequest,
     check_profile,
     read_subscription,
 )
@@ -28,7 +28,7 @@ NOW = 1_800_000_000 * 10**9
 LATER = NOW + 3600 * 10**9
 
 
-def read(wish: Any, media_type: str = "application/ld+json") -> Subscription:
+def read(wish: Any, media_type: str = "application/ld+json") -> ChannelRequest:
     data = wish if isinstance(wish, bytes) else json.dumps(wish).encode()
     return read_subscription(data, media_type, SERVICE, "WebSocketChannel2023", NOW)
 
@@ -40,7 +40,7 @@ def refusal(wish: Any) -> Problem:
 
 
 def test_type_and_topic_are_enough() -> None:
-    assert read(WISH) == Subscription(TOPIC)
+    assert read(WISH) == ChannelRequest(TOPIC)
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_type_and_topic_are_enough() -> None:
     ],
 )
 def test_the_type_may_be_spelt_as_the_drafts_do(type_: str) -> None:
-    assert read(WISH | {"type": type_}) == Subscription(TOPIC)
+    assert read(WISH | {"type": type_}) == ChannelRequest(TOPIC)
 
 
 @pytest.mark.parametrize(
@@ -71,14 +71,14 @@ def test_the_context_may_be_named_or_written_out(context: object) -> None:
 
 def test_json_without_a_context_is_read_by_the_protocols() -> None:
     wish = {"type": "WebSocketChannel2023", "topic": TOPIC, "state": "x"}
-    assert read(wish, "application/json") == Subscription(TOPIC, state="x")
+    assert read(wish, "application/json") == ChannelRequest(TOPIC, state="x")
 
 
 def test_expanded_jsonld_and_turtle_say_the_same() -> None:
     ns = "http://www.w3.org/ns/solid/notifications#"
-    assert read([{"@type": [TYPE], f"{ns}topic": [{"@id": TOPIC}]}]) == Subscription(TOPIC)
+    assert read([{"@type": [TYPE], f"{ns}topic": [{"@id": TOPIC}]}]) == ChannelRequest(TOPIC)
     turtle = f'[] a <{TYPE}> ; <{ns}topic> </topics/speed> ; <{ns}rate> "PT1S" .'
-    assert read(turtle.encode(), "text/turtle") == Subscription(TOPIC, interval=1.0)
+    assert read(turtle.encode(), "text/turtle") == ChannelRequest(TOPIC, interval=1.0)
 
 
 def test_all_features_are_read() -> None:

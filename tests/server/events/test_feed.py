@@ -261,10 +261,10 @@ class Made(Resource):
 def test_what_a_resource_is_made_of_is_found_anew_whenever_anything_in_general_changed() -> None:
     async def main() -> None:
         general, resource = Signal(), Made()
-        with broadcaster.Broadcasters(general).following(resource) as followed:
-            assert (await followed.look()).name == "1"
+        with broadcaster.Broadcasters(general).subscribe(resource) as followed:
+            assert (await followed.observe()).name == "1"
             general.emit()
-            assert (await followed.look()).name == "2"
+            assert (await followed.observe()).name == "2"
             seen = followed.version
             resource.sources[0].emit()
             assert followed.version == seen
@@ -283,13 +283,13 @@ def test_what_cannot_be_watched_is_a_problem_until_it_can(monkeypatch: pytest.Mo
     async def main() -> None:
         resource = Made()
         resource.fails = True
-        with broadcaster.Broadcasters(Signal()).following(resource) as followed:
-            broken = (await followed.look()).state
+        with broadcaster.Broadcasters(Signal()).subscribe(resource) as followed:
+            broken = (await followed.observe()).state
             assert isinstance(broken, Problem)
             assert broken.status == 503
             resource.fails = False
             version, waiter = followed.version, broadcaster.Waiter()
             await asyncio.wait_for(followed.wait(waiter, version), 60)
-            assert isinstance((await followed.look()).state, State)
+            assert isinstance((await followed.observe()).state, State)
 
     asyncio.run(main())

@@ -33,22 +33,22 @@ from rosld.server.html import (
     HEADERS,
     ICON,
     STYLESHEET,
-    Count,
     DeleteForm,
+    EntryCount,
     EntryPage,
-    Listing,
+    MemberColumns,
     MessageForm,
     Notice,
     Page,
+    PageResults,
     ParameterForm,
     ProblemPage,
     QueryPage,
-    QueryParameter,
-    Results,
+    SequenceLink,
     Site,
     SparqlPage,
-    Step,
-    StoredQuery,
+    StoredQueryLink,
+    StoredQueryParameter,
     ValueForm,
     forms_of,
     render_entry,
@@ -57,7 +57,7 @@ from rosld.server.html import (
     render_query,
     render_sparql,
 )
-from rosld.server.html.page import Offer, Tone
+from rosld.server.html.page import NoticeLevel, Offer
 from rosld.server.hypermedia.describe import action_document, complex_document, property_document
 from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Value
 from rosld.server.hypermedia.views import (
@@ -192,8 +192,8 @@ def twist(refused: bool = False) -> Page:
             Violation("twist.linear.x", "must be a number (NaN, INF and -INF are numbers too)", "fast"),
             Violation("header.stamp.nanosec", "expected an uint32 (an integer from 0 to 4294967295)", "-1"),
         )
-        form = form.refilled(typed, wrong)
-        notices = (Notice("Nothing was published: two fields do not fit.", Tone.ERROR, wrong),)
+        form = form.with_submitted(typed, wrong)
+        notices = (Notice("Nothing was published: two fields do not fit.", NoticeLevel.ERROR, wrong),)
     return Page(
         SITE,
         "Topic",
@@ -237,7 +237,7 @@ def scan() -> Page:
         (ros.recordedMessage, f"{url}#message"),
     )
     steps = tuple(
-        Step(rel, f"{BASE}bags/turtlebot.bag/messages/{index}")
+        SequenceLink(rel, f"{BASE}bags/turtlebot.bag/messages/{index}")
         for rel, index in (("first", 0), ("prev", 40), ("next", 42), ("last", 899))
     )
     document = Document(url, tuple(triples), (lifted("#message", kind, value, None),), simulated_time=True)
@@ -280,7 +280,7 @@ def topics() -> Page:
         url + name: (NamedNode(TYPES + kind), Literal(str(rate), datatype=xsd.double))
         for name, (kind, rate) in members.items()
     }
-    listing = Listing(("message type", "rate"), cells)
+    listing = MemberColumns(("message type", "rate"), cells)
     return Page(SITE, "Container", "topics", Document(url, tuple(triples)), listing=listing)
 
 
@@ -364,7 +364,7 @@ def hostile() -> Page:
         (ldp.contains, f"{url}/%22onload%3D%22"),
     )
     messages = (lifted("#message", kind, {"data": HOSTILE.replace("\x00", "")}, "nodes/%3Cb%3E"),)
-    form = MessageForm(kind, title=HOSTILE, button=HOSTILE, value={"data": HOSTILE}, about=HOSTILE).refilled(
+    form = MessageForm(kind, title=HOSTILE, button=HOSTILE, value={"data": HOSTILE}, about=HOSTILE).with_submitted(
         [("data", HOSTILE)], [Violation("data", HOSTILE, HOSTILE), Violation(HOSTILE, HOSTILE, HOSTILE)]
     )
     return Page(
@@ -375,8 +375,8 @@ def hostile() -> Page:
         ("GET", "PUT", "DELETE"),
         (form, ParameterForm(HOSTILE), DeleteForm(HOSTILE, HOSTILE, HOSTILE)),
         csrf=lambda _: '"><script>',
-        notices=(Notice(HOSTILE, Tone.ERROR, (Violation(HOSTILE, HOSTILE, HOSTILE),)),),
-        listing=Listing((HOSTILE,), {f"{url}/%22onload%3D%22": (HOSTILE,)}),
+        notices=(Notice(HOSTILE, NoticeLevel.ERROR, (Violation(HOSTILE, HOSTILE, HOSTILE),)),),
+        listing=MemberColumns((HOSTILE,), {f"{url}/%22onload%3D%22": (HOSTILE,)}),
         summary=HOSTILE,
     )
 
@@ -531,8 +531,8 @@ def limited() -> Page:
     wrong = (Violation("", "must be at most 1000", "1200.0"),)
     (form,) = page.forms
     assert isinstance(form, ValueForm)
-    notice = Notice("Nothing was sent: 1 field does not fit.", Tone.ERROR, wrong)
-    return replace(page, forms=(form.refilled([("value", "1200")], wrong),), notices=(notice,))
+    notice = Notice("Nothing was sent: 1 field does not fit.", NoticeLevel.ERROR, wrong)
+    return replace(page, forms=(form.with_submitted([("value", "1200")], wrong),), notices=(notice,))
 
 
 def unreadable() -> Page:
@@ -597,7 +597,7 @@ def declined() -> Page:
         f"{BASE}services/turtle1/set_pen",
         f"{RESOURCES}/turtle1/",
     )
-    notices = (Notice("/turtle1/set_pen declined: there is no ink.", Tone.ERROR),)
+    notices = (Notice("/turtle1/set_pen declined: there is no ink.", NoticeLevel.ERROR),)
     return offered(view, "Action", "/turtle1/set_pen", ("GET", "POST"), notices)
 
 
@@ -646,10 +646,10 @@ def hostile_offer() -> Page:
 
 
 QUERIES = (
-    StoredQuery(
+    StoredQueryLink(
         f"{BASE}queries/silent-sensors", "silent-sensors", "Which topics have not spoken for a while?", "SELECT"
     ),
-    StoredQuery(f"{BASE}queries/who-publishes", "who-publishes", "Who publishes messages of which type?", "SELECT"),
+    StoredQueryLink(f"{BASE}queries/who-publishes", "who-publishes", "Who publishes messages of which type?", "SELECT"),
 )
 ROWS = [
     (
@@ -668,15 +668,15 @@ ROWS = [
 
 def sparql() -> bytes:
     """The page of the endpoint with results."""
-    return render_sparql(SparqlPage(SITE, examples=QUERIES, results=Results(("topic", "type", "rate"), ROWS)))
+    return render_sparql(SparqlPage(SITE, examples=QUERIES, results=PageResults(("topic", "type", "rate"), ROWS)))
 
 
 def query() -> bytes:
     """A stored query with a parameter, its results cut."""
     text = "SELECT ?topic WHERE {\n  ?topic a <https://w3id.org/rosld#Topic> .\n}"
-    stored = StoredQuery(f"{BASE}queries/silent-sensors", "silent-sensors", QUERIES[0].purpose, text)
-    parameters = (QueryParameter("seconds", "how long a topic may be silent", "5"),)
-    results = Results(("topic", "type", "rate"), ROWS, limit=2)
+    stored = StoredQueryLink(f"{BASE}queries/silent-sensors", "silent-sensors", QUERIES[0].purpose, text)
+    parameters = (StoredQueryParameter("seconds", "how long a topic may be silent", "5"),)
+    results = PageResults(("topic", "type", "rate"), ROWS, limit=2)
     return render_query(QueryPage(SITE, stored, parameters, results))
 
 
@@ -690,15 +690,17 @@ def entry(stale: bool = False) -> bytes:
     )
     master = said(f"{BASE}#master", (rdf.type, ros.Master), (ros.uri, "http://localhost:11311/"))
     counts = (
-        Count("resources", None, f"{BASE}resources/", "What the robot is like now, and what it can do.", first=True),
-        Count("nodes", 2, f"{BASE}nodes/", "Who takes part, and with what."),
-        Count("topics", 14, f"{BASE}topics/", "What is published, by whom, how often."),
-        Count("services", 9, f"{BASE}services/", "What can be called."),
-        Count("parameters", 5, f"{BASE}parameters/", "What can be set."),
-        Count("types", 11, f"{BASE}types/", "What messages are made of."),
-        Count("queries", 8, f"{BASE}queries/", "Questions to start from."),
-        Count("SPARQL", None, f"{BASE}sparql", "Ask the whole robot at once."),
-        Count("vocabulary", None, f"{BASE}ontology", "What the words mean."),
+        EntryCount(
+            "resources", None, f"{BASE}resources/", "What the robot is like now, and what it can do.", first=True
+        ),
+        EntryCount("nodes", 2, f"{BASE}nodes/", "Who takes part, and with what."),
+        EntryCount("topics", 14, f"{BASE}topics/", "What is published, by whom, how often."),
+        EntryCount("services", 9, f"{BASE}services/", "What can be called."),
+        EntryCount("parameters", 5, f"{BASE}parameters/", "What can be set."),
+        EntryCount("types", 11, f"{BASE}types/", "What messages are made of."),
+        EntryCount("queries", 8, f"{BASE}queries/", "Questions to start from."),
+        EntryCount("SPARQL", None, f"{BASE}sparql", "Ask the whole robot at once."),
+        EntryCount("vocabulary", None, f"{BASE}ontology", "What the words mean."),
     )
     site = Site(BASE, "aircraft", "The paper's aircraft", "no answer since 01:31:41 UTC." if stale else None)
     document = Document(BASE, (*triples, *master))

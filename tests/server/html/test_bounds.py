@@ -12,7 +12,7 @@ from pyoxigraph import Literal
 
 from rosld.adapters.model import Primitive
 from rosld.ontology.coercion import RANGES
-from rosld.server.html.bounds import browser_pattern, demanded, number_range, option_texts, same_value
+from rosld.server.html.bounds import browser_pattern, describe_bounds, number_range, option_texts, same_value
 from rosld.shapes.value import UNBOUNDED, Bounds
 
 FLOAT, INT8, TEXT = Primitive("float64"), Primitive("int8"), Primitive("string")
@@ -75,7 +75,7 @@ def test_bounds_beyond_the_type_change_nothing() -> None:
     ],
 )
 def test_what_is_demanded_is_told_in_a_sentence(bounds: Bounds, sentence: str) -> None:
-    assert demanded(bounds) == sentence
+    assert describe_bounds(bounds) == sentence
 
 
 @given(st.from_regex(r"\A[a-c]{0,4}\Z"))
@@ -88,7 +88,7 @@ def test_a_pattern_is_searched_for_as_shacl_does(text: str) -> None:
 @pytest.mark.parametrize("pattern", [r"^\w+$", r"\i\c*", "[a-z-[aeiou]]", "(?i)on"])
 def test_a_pattern_that_a_browser_reads_differently_is_left_to_the_shape(pattern: str) -> None:
     assert browser_pattern(Bounds(pattern=pattern)) == ""
-    assert pattern in demanded(Bounds(pattern=pattern))
+    assert pattern in describe_bounds(Bounds(pattern=pattern))
 
 
 def test_choices_of_whole_numbers_have_no_fraction() -> None:

@@ -7,7 +7,7 @@ from rosld.ontology.describe import node_document, node_views, topic_document
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros, td
 from rosld.server.html.description import describe
-from rosld.server.html.endpoints import endpoints
+from rosld.server.html.endpoints import endpoint_table
 from rosld.server.html.site import Site
 
 SPACE, SITE = Space("http://robot/"), Site("http://robot/", "robot")
@@ -19,22 +19,22 @@ GRAPH = Graph(1, nodes={"/a": Node("/a"), "/b": Node("/b")}, topics={"/broken": 
 
 
 def test_a_node_shows_its_endpoints_by_topic_and_a_topic_by_node() -> None:
-    of_node = endpoints(node_document(node_views(GRAPH)["/a"], SPACE), SITE)
+    of_node = endpoint_table(node_document(node_views(GRAPH)["/a"], SPACE), SITE)
     assert of_node is not None
     assert (of_node.heading, of_node.columns) == ("Topic", ("Role", "Reliability", "Durability", "History", "More"))
     broken, chatter = of_node.rows
-    assert (broken.anchor.url, broken.wrong) == ("http://robot/topics/broken", "<no such host>")
+    assert (broken.anchor.url, broken.problem) == ("http://robot/topics/broken", "<no such host>")
     assert chatter.cells == ("publishes", "reliable", "transient local", "keep last 10", "lifespan 10.0 s")
-    of_topic = endpoints(topic_document(CHATTER, SPACE, GRAPH), SITE)
+    of_topic = endpoint_table(topic_document(CHATTER, SPACE, GRAPH), SITE)
     assert of_topic is not None
     assert [row.anchor.url for row in of_topic.rows] == ["http://robot/nodes/a"]
 
 
 def test_columns_that_nobody_fills_are_left_out_and_so_is_a_table_of_nothing() -> None:
-    of_topic = endpoints(topic_document(BROKEN, SPACE, GRAPH), SITE)
+    of_topic = endpoint_table(topic_document(BROKEN, SPACE, GRAPH), SITE)
     assert of_topic is not None
     assert of_topic.columns == ("Role",)
-    assert endpoints(node_document(node_views(GRAPH)["/b"], SPACE), SITE) is None
+    assert endpoint_table(node_document(node_views(GRAPH)["/b"], SPACE), SITE) is None
 
 
 def test_what_is_drawn_elsewhere_is_left_out_of_the_description_with_its_parts() -> None:

@@ -183,7 +183,7 @@ def test_whatever_is_sent_is_json_or_refused_with_violations(
     kind = schema(name)
     fair = [(path, data.draw(st.one_of(texts(), st.just(text)))) for path, text in sent(MessageForm(kind))]
     violations = refusal(kind, fair + strange)
-    assert page(MessageForm(kind).refilled(fair, violations)).forms == 1
+    assert page(MessageForm(kind).with_submitted(fair, violations)).forms == 1
 
 
 def refusal(kind: MessageSchema, pairs: list[tuple[str, str]]) -> tuple[Violation, ...]:
@@ -344,14 +344,14 @@ def test_a_parameter_form_sent_untouched_means_the_present_value(value: object) 
 def test_a_parameter_that_does_not_fit_its_type_is_refused(pairs: list[tuple[str, str]]) -> None:
     with pytest.raises(LoweringError) as refusal:
         parse_parameter(pairs)
-    again = page(ParameterForm(1).refilled(pairs, refusal.value.violations))
+    again = page(ParameterForm(1).with_submitted(pairs, refusal.value.violations))
     assert again.forms == 1
 
 
 def test_violations_of_the_elements_of_an_array_stand_beside_the_array() -> None:
     kind = schema("sensor_msgs/msg/JointState")
     pairs = sent(MessageForm(kind))
-    form = MessageForm(kind).refilled(pairs, [Violation("position.3", "expected a float64", "x")])
+    form = MessageForm(kind).with_submitted(pairs, [Violation("position.3", "expected a float64", "x")])
     body = render_page(Page(SITE, "Topic", "/x", Document(URL, ()), ("PUT",), (form,))).decode()
     assert "position.3: expected a float64" in body
 
@@ -428,7 +428,7 @@ def test_a_value_that_is_none_is_refused(shape: ValueShape, pairs: list[tuple[st
     with pytest.raises(LoweringError) as refusal:
         parse_value(shape, pairs)
     assert any(words in each.message for each in refusal.value.violations)
-    again = page(ValueForm(shape).refilled(pairs, refusal.value.violations))
+    again = page(ValueForm(shape).with_submitted(pairs, refusal.value.violations))
     assert again.forms == 1
 
 
@@ -444,7 +444,7 @@ def test_whatever_is_sent_for_a_value_is_read_or_refused(
             parse_value(shape, pairs)
         except LoweringError as error:
             violations = error.violations
-        assert page(ValueForm(shape).refilled(pairs, violations)).forms == 1
+        assert page(ValueForm(shape).with_submitted(pairs, violations)).forms == 1
 
 
 def test_an_unchecked_box_is_false() -> None:

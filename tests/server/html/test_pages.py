@@ -17,11 +17,11 @@ from rosld.ontology.describe import topic_document
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ldp, rdf, ros, xsd
-from rosld.server.html import Page, Results, Site, SparqlPage, render_page, render_sparql
+from rosld.server.html import Page, PageResults, Site, SparqlPage, render_page, render_sparql
 from rosld.server.html.messages import message_view
 from rosld.server.html.page import Term
-from rosld.server.html.timestamps import duration, from_text, moment
-from rosld.server.html.view import Moment, Octets, Rows, Series, Text, View
+from rosld.server.html.timestamps import duration_view, time_view, time_view_of_text
+from rosld.server.html.view import ArrayView, BytesView, TableView, TextView, TimeView, View
 
 BASE = "http://127.0.0.1:8080/"
 SITE = Site(BASE, "robot")
@@ -32,26 +32,28 @@ def drawn(*triples: Triple) -> str:
     return render_page(Page(SITE, "Topic", "/x", Document(URL, triples))).decode()
 
 
-def field(view: Rows, *path: str) -> View:
+def field(view: TableView, *path: str) -> View:
     """The value of a field of a message's table."""
     found: View = view
     for name in path:
-        assert isinstance(found, Rows)
+        assert isinstance(found, TableView)
         found = next(row.values[0] for row in found.rows if row.label == name)
     return found
 
 
 def test_times_are_readable_and_exact() -> None:
-    found = moment(1_795_225_901_123_456_789)
-    assert found == Moment("2026-11-21T01:51:41.123456789Z", "2026-11-21 01:51:41.123 UTC")
-    assert from_text("2026-11-21T01:51:41.5Z") == Moment("2026-11-21T01:51:41.5Z", "2026-11-21 01:51:41.500 UTC")
-    assert from_text("-0004-01-01T00:00:00Z") == Text("-0004-01-01T00:00:00Z")
-    assert duration(-1, 500_000_000) == Text("-0.5 s")
+    found = time_view(1_795_225_901_123_456_789)
+    assert found == TimeView("2026-11-21T01:51:41.123456789Z", "2026-11-21 01:51:41.123 UTC")
+    assert time_view_of_text("2026-11-21T01:51:41.5Z") == TimeView(
+        "2026-11-21T01:51:41.5Z", "2026-11-21 01:51:41.500 UTC"
+    )
+    assert time_view_of_text("-0004-01-01T00:00:00Z") == TextView("-0004-01-01T00:00:00Z")
+    assert duration_view(-1, 500_000_000) == TextView("-0.5 s")
 
 
 @given(st.integers(-(2**70), 2**70))
 def test_no_time_is_too_strange_to_be_shown(nanoseconds: int) -> None:
-    assert isinstance(moment(nanoseconds), Moment | Text)
+    assert isinstance(time_view(nanoseconds), TimeView | TextView)
 
 
 def test_a_message_is_a_table_of_its_fields(gallery: ModuleType) -> None:
@@ -59,11 +61,11 @@ def test_a_message_is_a_table_of_its_fields(gallery: ModuleType) -> None:
     value = {"header": {"stamp": {"sec": 5}}, "pose": {"pose": {"position": {"x": 0.1}}, "covariance": [0.5] * 36}}
     message = gallery.message(kind, value)
     view = message_view(kind, message)
-    assert field(view, "pose", "pose", "position", "x") == Text("0.1", tone="number")
-    assert isinstance(field(view, "header", "stamp"), Moment)
-    assert isinstance(field(message_view(kind, message, simulated_time=True), "header", "stamp"), Text)
+    assert field(view, "pose", "pose", "position", "x") == TextView("0.1", tone="number")
+    assert isinstance(field(view, "header", "stamp"), TimeView)
+    assert isinstance(field(message_view(kind, message, simulated_time=True), "header", "stamp"), TextView)
     covariance = field(view, "pose", "covariance")
-    assert isinstance(covariance, Series)
+    assert isinstance(covariance, ArrayView)
     assert (covariance.count, covariance.head.count(",")) == (36, 7)
 
 
@@ -71,14 +73,16 @@ def test_a_message_is_a_table_of_its_fields(gallery: ModuleType) -> None:
 def test_floats_have_their_shortest_digits(gallery: ModuleType, value: object, text: str) -> None:
     for name in ("Float32", "Float64"):
         kind = gallery.schema(f"std_msgs/msg/{name}")
-        assert field(message_view(kind, gallery.message(kind, {"data": value})), "data") == Text(text, tone="number")
+        assert field(message_view(kind, gallery.message(kind, {"data": value})), "data") == TextView(
+            text, tone="number"
+        )
 
 
 def test_bytes_are_counted_and_linked_where_they_are(gallery: ModuleType) -> None:
     kind = gallery.schema("sensor_msgs/msg/Image")
     message = gallery.message(kind, {"data": "AAEC"})
-    assert field(message_view(kind, message, octets="?field="), "data") == Octets(3, "00 01 02", "?field=data")
-    assert field(message_view(kind, message), "data") == Octets(3, "00 01 02")
+    assert field(message_view(kind, message, octets="?field="), "data") == BytesView(3, "00 01 02", "?field=data")
+    assert field(message_view(kind, message), "data") == BytesView(3, "00 01 02")
 
 
 def test_a_huge_message_is_cut_visibly(gallery: ModuleType) -> None:
@@ -92,7 +96,7 @@ def test_a_huge_message_is_cut_visibly(gallery: ModuleType) -> None:
 def test_a_long_array_is_cut_visibly(gallery: ModuleType) -> None:
     kind = gallery.schema("std_msgs/msg/Float64MultiArray")
     view = field(message_view(kind, gallery.message(kind, {"data": list(map(float, np.arange(5000)))})), "data")
-    assert isinstance(view, Series)
+    assert isinstance(view, ArrayView)
     assert view.full is not None
     assert view.full.endswith("1999.0 …")
 
@@ -188,7 +192,7 @@ def rows(count: int, taken: list[int]) -> Iterator[Sequence[Term | None]]:
 
 def test_large_results_are_cut_and_not_read_further() -> None:
     taken: list[int] = []
-    results = Results(("a", "b", "c", "d"), rows(10_000, taken), limit=50)
+    results = PageResults(("a", "b", "c", "d"), rows(10_000, taken), limit=50)
     body = render_sparql(SparqlPage(SITE, "SELECT", results=results)).decode()
     assert len(taken) == 51
     assert "Only the first 50 rows" in body
@@ -197,7 +201,9 @@ def test_large_results_are_cut_and_not_read_further() -> None:
 
 @pytest.mark.parametrize(("boolean", "word"), [(True, "Yes"), (False, "No")])
 def test_an_answer_to_ask_is_a_word(boolean: bool, word: str) -> None:
-    assert f'<p class="answer">{word} ' in render_sparql(SparqlPage(SITE, results=Results(boolean=boolean))).decode()
+    assert (
+        f'<p class="answer">{word} ' in render_sparql(SparqlPage(SITE, results=PageResults(boolean=boolean))).decode()
+    )
 
 
 def test_the_query_stands_in_its_box_again() -> None:

@@ -61,7 +61,7 @@ def test_a_local_path_never_reads_as_another_host() -> None:
 
 @given(NAMES)
 def test_every_ros_name_is_called_by_its_name(name: str) -> None:
-    assert SITE.short(Space(SITE.base).topic(name)) == name
+    assert SITE.short_name(Space(SITE.base).topic(name)) == name
 
 
 @given(NAMES)

@@ -18,10 +18,10 @@ from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import LoweringError, lowerer
 from rosld.ontology.vocab import av, rdf, xsd
 from rosld.server.hypermedia.catalogue import Getter, OpenKind, ParameterSource, Property, Setter, TopicSource
-from rosld.server.hypermedia.property_writer import lowered
-from rosld.server.hypermedia.type_inference import answered_fields, kind_of
-from rosld.server.hypermedia.value import MessageValue, lifted
-from rosld.server.hypermedia.value_body import rdf_content
+from rosld.server.hypermedia.property_writer import lower_content
+from rosld.server.hypermedia.type_inference import value_fields, value_kind
+from rosld.server.hypermedia.value import MessageValue, lift_value
+from rosld.server.hypermedia.value_body import content_from_rdf
 
 P = "http://127.0.0.1:8080/resources/robot/thing"
 C = "http://127.0.0.1:8080/resources/robot/"
@@ -45,14 +45,14 @@ GET_POINT = service("GetPoint", "---\nfloat64 x\nfloat64 y\nbool success\nstring
 SET_POINT = service("SetPoint", "float64 x\nfloat64 y\n---\nbool success")
 POINT = Property(
     "/robot/thing",
-    kind_of(GET_POINT.response, answered_fields(GET_POINT)),
-    (Getter("/robot/get_thing", GET_POINT, answered_fields(GET_POINT)),),
+    value_kind(GET_POINT.response, value_fields(GET_POINT)),
+    (Getter("/robot/get_thing", GET_POINT, value_fields(GET_POINT)),),
     (Setter("/robot/set_thing", SET_POINT),),
 )
 FLOAT = message_schema("std_msgs/msg/Float64")
 NUMBER = Property(
     "/robot/thing",
-    kind_of(FLOAT, FLOAT.type.fields),
+    value_kind(FLOAT, FLOAT.type.fields),
     (TopicSource("/robot/thing", FLOAT),),
     (TopicSource("/robot/thing", FLOAT),),
 )
@@ -63,7 +63,7 @@ def turtle(text: str) -> RdfBody:
 
 
 def content(text: str, property: Property = NUMBER) -> object:
-    return rdf_content(turtle(text), NamedNode(P), rdf.value, property, LIFTING)
+    return content_from_rdf(turtle(text), NamedNode(P), rdf.value, property, LIFTING)
 
 
 def refused(text: str, property: Property = NUMBER) -> str:
@@ -84,7 +84,7 @@ def test_a_literal_is_taken_as_it_is_with_its_datatype(literal: str) -> None:
 
 def test_a_relation_of_a_mapping_is_found_on_the_complex_resource() -> None:
     body = turtle(f"<{C}> av:power 'on' ; av:speed 3 . <> rdf:value 'not this' .")
-    assert rdf_content(body, NamedNode(C), av.power, NUMBER, LIFTING) == Literal("on")
+    assert content_from_rdf(body, NamedNode(C), av.power, NUMBER, LIFTING) == Literal("on")
 
 
 def test_a_node_of_the_type_of_the_setter_is_the_object_of_its_fields() -> None:
@@ -147,18 +147,18 @@ def test_what_does_not_fit_within_a_node_is_told_by_its_field() -> None:
 
 def test_a_node_that_holds_itself_is_refused() -> None:
     pose = message_schema("geometry_msgs/msg/Pose")
-    own = Property("/robot/thing", kind_of(pose, pose.type.fields), (TopicSource("/robot/thing", pose),))
+    own = Property("/robot/thing", value_kind(pose, pose.type.fields), (TopicSource("/robot/thing", pose),))
     kind = f"{TYPES}geometry_msgs/msg/Pose"
     assert refused(f"<> rdf:value <#value> . <#value> a <{kind}> ; <{kind}#position> <#value> .", own)
 
 
 def carried(schema: MessageSchema, property: Property, message: Message) -> Message:
     """A message as it is read, sent back and lowered again."""
-    document = Document(P, (), (lifted(MessageValue(schema, message, schema.type.fields, P), "#value", LIFTING),))
+    document = Document(P, (), (lift_value(MessageValue(schema, message, schema.type.fields, P), "#value", LIFTING),))
     data = serialize(document.all_triples(), format=RdfFormat.N_TRIPLES)
     assert data is not None
     body = parse_body(data, "application/n-triples", P)
-    return lowered(schema, rdf_content(body, NamedNode(P), rdf.value, property, LIFTING), LIFTING)
+    return lower_content(schema, content_from_rdf(body, NamedNode(P), rdf.value, property, LIFTING), LIFTING)
 
 
 def alike(schema: MessageSchema, one: Message, other: Message) -> bool:
@@ -184,7 +184,7 @@ EVERY = TypeLibrary(ros_version=1).learn_message(
 def test_a_message_that_was_read_comes_back_bit_by_bit(
     f: float, d: float, i: int, u: int, b: bool, s: str, numbers: list[float], octets: bytes
 ) -> None:
-    own = Property("/robot/thing", kind_of(EVERY, EVERY.type.fields), (TopicSource("/robot/thing", EVERY),))
+    own = Property("/robot/thing", value_kind(EVERY, EVERY.type.fields), (TopicSource("/robot/thing", EVERY),))
     values = {"f": f, "d": d, "i": i, "u": u, "b": b, "s": s}
     arrays = {"list": np.array(numbers, np.float32), "octets": np.frombuffer(octets, np.uint8)}
     message = EVERY.codec.build(EVERY.ref.name, {**values, **arrays})
@@ -193,10 +193,10 @@ def test_a_message_that_was_read_comes_back_bit_by_bit(
 
 def test_an_elided_field_must_be_sent_whole() -> None:
     small = LiftSettings(inline_limit=4)
-    own = Property("/robot/thing", kind_of(EVERY, EVERY.type.fields), (TopicSource("/robot/thing", EVERY),))
+    own = Property("/robot/thing", value_kind(EVERY, EVERY.type.fields), (TopicSource("/robot/thing", EVERY),))
     message = lowerer(EVERY).from_json({"octets": [1] * 9}, defaults=True)
-    document = Document(P, (), (lifted(MessageValue(EVERY, message, EVERY.type.fields, P), "#value", small),))
+    document = Document(P, (), (lift_value(MessageValue(EVERY, message, EVERY.type.fields, P), "#value", small),))
     data = serialize(document.all_triples(), format=RdfFormat.N_TRIPLES)
     assert data is not None
     with pytest.raises(LoweringError, match="left out"):
-        rdf_content(parse_body(data, "application/n-triples", P), NamedNode(P), rdf.value, own, LIFTING)
+        content_from_rdf(parse_body(data, "application/n-triples", P), NamedNode(P), rdf.value, own, LIFTING)

@@ -49,7 +49,7 @@ from rosld.server.hypermedia.catalogue import (
     ValueKind,
 )
 from rosld.server.hypermedia.conventions import CONVENTIONS, Conventions, catalogue, needed_types
-from rosld.server.hypermedia.type_inference import answered_fields, is_light, kind_of, lowers
+from rosld.server.hypermedia.type_inference import is_convertible, is_small, value_fields, value_kind
 
 _V = TypeVar("_V")
 
@@ -269,7 +269,7 @@ class TestGetters:
         ],
     )
     def test_the_value_is_what_a_light_response_holds_beside_its_status(self, kind: str, fields: list[str]) -> None:
-        assert [field.name for field in answered_fields(service(kind))] == fields
+        assert [field.name for field in value_fields(service(kind))] == fields
         assert list(found(services={"/a/get_x": kind}).properties) == ["/a/x"]
 
     @pytest.mark.parametrize(
@@ -298,25 +298,25 @@ class TestGetters:
         assert listing.properties["/a"].kind == ScalarKind(Primitive("float64"))
         for name, kind in (("/b", "GetPoint"), ("/c", "GetPair")):
             answered = service(kind)
-            assert listing.properties[name].kind == MessageKind(answered.response, answered_fields(answered))
+            assert listing.properties[name].kind == MessageKind(answered.response, value_fields(answered))
 
     def test_arrays_within_arrays_count_together(self) -> None:
-        assert is_light(service("GetMatrix").response)
-        assert not is_light(service("GetCovariances").response)
+        assert is_small(service("GetMatrix").response)
+        assert not is_small(service("GetCovariances").response)
 
     def test_a_type_that_contains_itself_is_not_light(self) -> None:
-        assert not is_light(made({"A": [("b", Nested("B"))], "B": [("a", Nested("A"))]}))
+        assert not is_small(made({"A": [("b", Nested("B"))], "B": [("a", Nested("A"))]}))
 
     def test_a_type_is_judged_at_once_however_many_ways_lead_into_it(self) -> None:
         layers: dict[str, list[tuple[str, FieldType]]] = {
             f"T{n}": [(side, Nested(f"T{n + 1}")) for side in "abcd"] for n in range(100)
         }
-        assert is_light(made({**layers, "T100": [("x", Primitive("bool"))]}, "T0"))
-        assert not is_light(made({**layers, "T100": [("x", Array(Primitive("bool")))]}, "T0"))
+        assert is_small(made({**layers, "T100": [("x", Primitive("bool"))]}, "T0"))
+        assert not is_small(made({**layers, "T100": [("x", Array(Primitive("bool")))]}, "T0"))
 
     def test_a_bounded_array_is_as_light_as_its_bound(self) -> None:
-        assert is_light(made({"A": [("x", Array(Primitive("bool"), bound=64))]}))
-        assert not is_light(made({"A": [("x", Array(Primitive("bool"), bound=65))]}))
+        assert is_small(made({"A": [("x", Array(Primitive("bool"), bound=64))]}))
+        assert not is_small(made({"A": [("x", Array(Primitive("bool"), bound=65))]}))
 
     def test_a_getter_of_unknown_type_is_an_action_that_cannot_be_called(self) -> None:
         listing = found(services={"/a/get_x": "nowhere/srv/Get", "/a/set_y": None})
@@ -413,8 +413,8 @@ class TestSetters:
         one = made({"A": [("b", Nested("B"))], "B": [("x", Primitive("int8"))]})
         other = made({"A": [("b", Nested("B"))], "B": [("x", Primitive("int16"))]})
         kinds = [MessageKind(schema, schema.type.fields) for schema in (one, other)]
-        assert lowers(kinds[0], kinds[0])
-        assert not lowers(kinds[0], kinds[1])
+        assert is_convertible(kinds[0], kinds[0])
+        assert not is_convertible(kinds[0], kinds[1])
 
 
 class TestTopics:
@@ -535,7 +535,7 @@ class TestExcluded:
 
 class TestExtended:
     def test_more_getters_and_setters_can_be_named(self) -> None:
-        conventions = CONVENTIONS.extended(getters=["read{Name}", "query/{name}/now"], setters=["{name}_cmd"])
+        conventions = CONVENTIONS.extend(getters=["read{Name}", "query/{name}/now"], setters=["{name}_cmd"])
         listing = found(
             services={"/a/readSpeed": "GetInt", "/a/query/x/now": "GetInt", "/a/x_cmd": "SetInt", "/a/get_y": "GetInt"},
             conventions=conventions,
@@ -547,20 +547,20 @@ class TestExtended:
         }
 
     def test_what_is_added_comes_first(self) -> None:
-        conventions = CONVENTIONS.extended(getters=["get_{name}_value"])
+        conventions = CONVENTIONS.extend(getters=["get_{name}_value"])
         listing = found(services={"/a/get_x_value": "GetInt", "/a/get_x": "GetInt"}, conventions=conventions)
         assert sources(listing.properties["/a/x"]) == (["getter /a/get_x_value"], [])
         assert list(listing.actions) == ["/a/get_x"]
 
     def test_more_services_can_be_excluded(self) -> None:
-        conventions = CONVENTIONS.extended(excluded=["/secret/*", "*/self_test"])
+        conventions = CONVENTIONS.extend(excluded=["/secret/*", "*/self_test"])
         services = {"/secret/get_x": "GetInt", "/a/self_test": None, "/a/get_x": "GetInt", "/a/get_loggers": None}
         listing = found(services=services, conventions=conventions)
         assert list(listing.properties) == ["/a/x"]
         assert not listing.actions
 
     def test_nothing_more_is_the_same(self) -> None:
-        assert CONVENTIONS.extended() == CONVENTIONS.extended(["get_{name}"], ["set_{name}"], ["*/_*"]) == CONVENTIONS
+        assert CONVENTIONS.extend() == CONVENTIONS.extend(["get_{name}"], ["set_{name}"], ["*/_*"]) == CONVENTIONS
 
     def test_there_need_be_no_conventions_at_all(self) -> None:
         services = {"/get_x": "GetInt", "/set_x": "SetInt", "/n/get_loggers": None}
@@ -588,17 +588,17 @@ class TestExtended:
     def test_a_template_that_makes_no_sense_is_refused_with_the_reason(self, template: str, words: str) -> None:
         for part in ("getters", "setters"):
             with pytest.raises(ValueError, match=words) as caught:
-                CONVENTIONS.extended(**{part: [template]})
+                CONVENTIONS.extend(**{part: [template]})
             assert repr(template) in str(caught.value)
 
     @pytest.mark.parametrize("glob", ["", "get_loggers", "robot/*"])
     def test_a_glob_that_fits_nothing_is_refused_with_one_that_might(self, glob: str) -> None:
         with pytest.raises(ValueError, match=r"begin with a slash: try '\*/"):
-            CONVENTIONS.extended(excluded=[glob])
+            CONVENTIONS.extend(excluded=[glob])
 
     @pytest.mark.parametrize("template", ["(.*){name}", "{name}[a-z]+", ".{name}|x", "\\{name}$"])
     def test_a_template_is_no_regular_expression(self, template: str) -> None:
-        conventions = CONVENTIONS.extended(getters=[template])
+        conventions = CONVENTIONS.extend(getters=[template])
         listing = found(
             services={f"/a/{template.replace('{name}', 'x')}": "GetInt", "/a/yz": "GetInt"}, conventions=conventions
         )
@@ -747,7 +747,7 @@ def test_whatever_a_property_is_read_as_can_be_written_to_all_that_write_it(whol
     for one in catalogue(whole, known).properties.values():
         for reader in one.readers:
             if isinstance(reader, Getter):
-                assert lowers(kind_of(reader.schema.response, reader.fields), one.kind)
+                assert is_convertible(value_kind(reader.schema.response, reader.fields), one.kind)
         for writer in one.writers:
             if isinstance(writer, ParameterSource):
                 continue

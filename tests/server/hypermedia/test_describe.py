@@ -35,7 +35,7 @@ from rosld.server.hypermedia.describe import (
     action_document,
     complex_document,
     complex_json,
-    fragment,
+    fragment_of,
     property_document,
     property_json,
 )
@@ -500,7 +500,7 @@ def test_no_name_and_no_string_breaks_a_description(one: str, other: str, words:
     document = described(view)
     says_the_same_in_every_syntax(document)
     assert json.loads(complex_json(view, LIFTING)).keys() == {one, other, "text"}
-    names = values(document.all_triples(), NamedNode(AIRCRAFT.value + fragment("properties", one)), td.name)
+    names = values(document.all_triples(), NamedNode(AIRCRAFT.value + fragment_of("properties", one)), td.name)
     assert names == {Literal(one)}
 
 

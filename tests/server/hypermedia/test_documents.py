@@ -24,8 +24,8 @@ from rosld.server.hypermedia import mapping_parser
 from rosld.server.hypermedia.mapping import ComplexResource, MappedProperty
 from rosld.server.hypermedia.mapping_parser import (
     MAX_TRIPLES,
+    InvalidMapping,
     MappingDocument,
-    MappingRefused,
     load_mapping,
     mapping_of,
     read_mapping,
@@ -71,7 +71,7 @@ def read(turtle: str) -> MappingDocument:
 
 
 def refused(turtle: str) -> tuple[Violation, ...]:
-    with pytest.raises(MappingRefused) as found:
+    with pytest.raises(InvalidMapping) as found:
         read(turtle)
     assert found.value.violations
     return found.value.violations
@@ -149,7 +149,7 @@ def test_the_shipped_file_says_the_normative_triples_labels_and_what_stops_the_a
 
 
 def test_what_stops_the_robot_is_a_call_or_a_message_with_full_names_and_json() -> None:
-    [stops] = [one.stops for one in aircraft().resources if one.stops]
+    [stops] = [one.stop_commands for one in aircraft().resources if one.stop_commands]
     assert stops == (
         StopCommand("/aircraft/engine/set_speed", None, '{"data": 0}'),
         StopCommand(None, "/cockpit/display", '{"data": "stopped"}'),
@@ -169,7 +169,7 @@ def test_what_stops_the_robot_is_a_call_or_a_message_with_full_names_and_json() 
 )
 def test_what_stops_nothing_is_refused(stop: str, words: str) -> None:
     document = f'@prefix map: <{mapping.iri}> . <#a> a map:ComplexResource ; map:path "/a/" ; map:stop {stop} .'
-    with pytest.raises(MappingRefused, match=words):
+    with pytest.raises(InvalidMapping, match=words):
         read_mapping(document.encode(), "text/turtle", URL)
 
 
@@ -569,7 +569,7 @@ DEEP = {
 
 @pytest.mark.parametrize("case", DEEP)
 def test_depth_does_no_harm(case: str) -> None:
-    with suppress(MappingRefused):
+    with suppress(InvalidMapping):
         read(TEXT + DEEP[case])
 
 
@@ -715,7 +715,7 @@ def _body(triples: Iterable[Triple]) -> RdfBody:
 @given(damaged())
 def test_a_damaged_mapping_is_taken_or_refused_with_a_reason(body: RdfBody) -> None:
     match outcome(body):
-        case MappingRefused() as error:
+        case InvalidMapping() as error:
             assert 1 <= len(error.violations) <= 20
             assert all(one.message for one in error.violations)
         case found:
@@ -723,11 +723,11 @@ def test_a_damaged_mapping_is_taken_or_refused_with_a_reason(body: RdfBody) -> N
             assert len({one.path for one in found.resources}) == len(found.resources)
 
 
-def outcome(body: RdfBody) -> MappingDocument | MappingRefused:
+def outcome(body: RdfBody) -> MappingDocument | InvalidMapping:
     """What becomes of a body; anything but these two is a fault."""
     try:
         return mapping_of(body, URL)
-    except MappingRefused as error:
+    except InvalidMapping as error:
         return error
 
 
@@ -748,6 +748,6 @@ def test_a_mapping_that_lost_a_triple_is_taken_only_where_that_triple_was_not_ne
         "stop",
         "content",
     }
-    if isinstance(outcome(_body(triples)), MappingRefused):
+    if isinstance(outcome(_body(triples)), InvalidMapping):
         return
     assert gone.predicate.value.rpartition("#")[2] in optional, gone

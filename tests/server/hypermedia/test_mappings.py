@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 
 from rosld.ontology.urls import Space
 from rosld.server.hypermedia.mapping import Condition, MappingSet
-from rosld.server.hypermedia.mapping_parser import MappingDocument, MappingRefused, load_mapping, read_mapping
+from rosld.server.hypermedia.mapping_parser import InvalidMapping, MappingDocument, load_mapping, read_mapping
 from rosld.server.hypermedia.mappings import (
     Mappings,
     actions_by_service,
-    component,
-    covering,
+    connected_paths,
     dependents,
-    guards_of_member,
+    mapped_above,
     members_of,
+    write_conditions_of,
 )
 
 SPACE = Space("http://127.0.0.1:8080/")
@@ -126,7 +126,7 @@ def test_a_document_that_takes_anothers_path_is_refused_and_all_stays_as_it_was(
     mappings.replace(document("a", resource("/a/") + resource("/b/")))
     mappings.replace(document("c", resource("/c/")))
     before = mappings.mapping_set
-    with pytest.raises(MappingRefused) as found:
+    with pytest.raises(InvalidMapping) as found:
         mappings.replace(document("c", resource("/d/") + resource("/b/") + resource("/a/")))
     assert [one.path for one in found.value.violations] == ["/a/", "/b/"]
     assert f"{SPACE.base}mappings/a" in found.value.violations[0].message
@@ -137,7 +137,7 @@ def test_a_document_that_describes_anothers_condition_is_refused() -> None:
     shape = '<http://x/c> a sh:NodeShape ; map:about "/z/" ; sh:property [ sh:path :p ; sh:minCount 1 ] .'
     mappings = Mappings()
     mappings.replace(document("a", resource("/a/", "; map:existsWhen <http://x/c>") + shape))
-    with pytest.raises(MappingRefused, match="http://x/c"):
+    with pytest.raises(InvalidMapping, match="http://x/c"):
         mappings.replace(document("b", resource("/b/", "; map:existsWhen <http://x/c>") + shape))
     mappings.replace(document("a", resource("/a/")))
     mappings.replace(document("b", resource("/b/", "; map:existsWhen <http://x/c>") + shape))
@@ -152,15 +152,15 @@ def test_the_guards_of_a_member_are_those_of_every_mapping_of_it() -> None:
         document("b", resource("/b/", having("/a/p", when=f"; map:writableWhen {about('/y/')} , {about('/z/')}"))),
         document("c", resource("/c/", having("/a/p", when='; map:field "x"'))),
     )
-    assert abouts(guards_of_member(mapping_set, "/a/p")) == ["/x/", "/y/", "/z/"]
-    assert guards_of_member(mapping_set, "/a/q") == ()
+    assert abouts(write_conditions_of(mapping_set, "/a/p")) == ["/x/", "/y/", "/z/"]
+    assert write_conditions_of(mapping_set, "/a/q") == ()
 
 
 def test_a_guard_that_two_mappings_of_a_member_share_is_there_once() -> None:
     when = "; map:writableWhen <#c>"
     shape = '<#c> a sh:NodeShape ; map:about "/x/" ; sh:property [ sh:path :p ; sh:minCount 1 ] .'
     both = document("a", resource("/a/", having("p", when=when)) + resource("/b/", having("/a/p", when=when)) + shape)
-    assert len(guards_of_member(arranged(both), "/a/p")) == 1
+    assert len(write_conditions_of(arranged(both), "/a/p")) == 1
 
 
 def test_actions_are_found_by_the_service_behind_them() -> None:
@@ -199,10 +199,10 @@ def test_a_component_is_what_hangs_together_by_conditions_in_any_number_of_steps
         document("e", resource("/e/") + resource("/f/", f"; map:existsWhen {about('/g/')}")),
     )
     for path in ("/a/", "/b/", "/c/", "/d/"):
-        assert component(mapping_set, path) == {"/a/", "/b/", "/c/", "/d/"}
-    assert component(mapping_set, "/e/") == {"/e/"}
-    assert component(mapping_set, "/f/") == component(mapping_set, "/g/") == {"/f/", "/g/"}
-    assert component(mapping_set, "/nowhere/") == {"/nowhere/"}
+        assert connected_paths(mapping_set, path) == {"/a/", "/b/", "/c/", "/d/"}
+    assert connected_paths(mapping_set, "/e/") == {"/e/"}
+    assert connected_paths(mapping_set, "/f/") == connected_paths(mapping_set, "/g/") == {"/f/", "/g/"}
+    assert connected_paths(mapping_set, "/nowhere/") == {"/nowhere/"}
 
 
 def test_a_condition_about_a_property_ties_those_that_show_it() -> None:
@@ -212,14 +212,18 @@ def test_a_condition_about_a_property_ties_those_that_show_it() -> None:
         document("c", resource("/c/", f"; map:existsWhen {about('/x/p')}")),
         document("d", resource("/d/", having("/x/q"))),
     )
-    assert component(mapping_set, "/a/") == {"/a/", "/b/", "/c/", "/x/"}
-    assert component(mapping_set, "/x/") == component(mapping_set, "/b/") == component(mapping_set, "/a/")
-    assert component(mapping_set, "/d/") == {"/d/"}
+    assert connected_paths(mapping_set, "/a/") == {"/a/", "/b/", "/c/", "/x/"}
+    assert (
+        connected_paths(mapping_set, "/x/")
+        == connected_paths(mapping_set, "/b/")
+        == connected_paths(mapping_set, "/a/")
+    )
+    assert connected_paths(mapping_set, "/d/") == {"/d/"}
 
 
 def test_the_aircraft_hangs_together() -> None:
     mapping_set = arranged(AIRCRAFT)
-    assert component(mapping_set, "/aircraft/") == {"/aircraft/", "/aircraft/engine/"}
+    assert connected_paths(mapping_set, "/aircraft/") == {"/aircraft/", "/aircraft/engine/"}
     assert dependents(mapping_set, "/aircraft/engine/") == {"/aircraft/"}
     assert dependents(mapping_set, "/aircraft/") == {"/aircraft/", "/aircraft/engine/"}
 
@@ -228,14 +232,14 @@ def test_what_covers_a_place_is_mapped_at_or_above_it_the_outermost_first() -> N
     mapping_set = arranged(document("a", resource("/") + resource("/a/") + resource("/a/b/c/") + resource("/ab/")))
 
     def paths(place: str) -> list[str]:
-        return [one.path for one in covering(mapping_set, place)]
+        return [one.path for one in mapped_above(mapping_set, place)]
 
     assert paths("/a/b/c/") == ["/", "/a/", "/a/b/c/"]
     assert paths("/a/b/c/d") == ["/", "/a/", "/a/b/c/"]
     assert paths("/a/b/c") == ["/", "/a/"]
     assert paths("/ab/x") == ["/", "/ab/"]
     assert paths("/") == ["/"]
-    assert [one.path for one in covering(arranged(AIRCRAFT), "/cockpit/display")] == []
+    assert [one.path for one in mapped_above(arranged(AIRCRAFT), "/cockpit/display")] == []
 
 
 PATHS = st.sampled_from([f"/{one}/" for one in "abcdef"])
@@ -251,9 +255,9 @@ def test_components_part_the_paths(conditions: dict[str, list[str]]) -> None:
         return
     mapping_set = arranged(document("all", "".join(texts)))
     for path, places in conditions.items():
-        together = component(mapping_set, path)
+        together = connected_paths(mapping_set, path)
         assert path in together
-        assert all(component(mapping_set, other) == together for other in together)
+        assert all(connected_paths(mapping_set, other) == together for other in together)
         assert {place.rpartition("/")[0] + "/" for place in places} <= together
         for place in places:
             assert path in dependents(mapping_set, place)

@@ -37,8 +37,8 @@ from rosld.ontology.lower import lowerer
 from rosld.ontology.urls import Space
 from rosld.server.hypermedia.catalogue import Catalogue, Getter, OpenKind, ParameterSource, Property, TopicSource
 from rosld.server.hypermedia.conventions import catalogue
-from rosld.server.hypermedia.readings import Readings
-from rosld.server.hypermedia.type_inference import answered_fields
+from rosld.server.hypermedia.readings import PropertyReader
+from rosld.server.hypermedia.type_inference import value_fields
 from rosld.server.hypermedia.value import Reading, plain_json
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topics import LiveSettings, LiveTopics
@@ -114,7 +114,7 @@ class Cockpit:
         self.adapter = adapter
         self.schemas = Schemas(adapter)
         self.topics = LiveTopics(adapter, self.schemas, LiveSettings())
-        self.readings = Readings(
+        self.readings = PropertyReader(
             adapter, self.topics, self.schemas, SPACE, freshness=freshness, patience=PATIENCE
         )  # fmt: skip
         self.catalogue: Catalogue = catalogue(adapter.graph, LIBRARY.find)
@@ -144,19 +144,19 @@ def flown(test: Callable[[Cockpit, Clock], Awaitable[None]]) -> None:
 def test_a_topic_is_read_as_its_latest_message_and_good_until_another_comes() -> None:
     async def main(cockpit: Cockpit, loop: Clock) -> None:
         speed = cockpit.property(SPEED)
-        assert cockpit.readings.known(speed) is None
+        assert cockpit.readings.cached(speed) is None
         reading = await cockpit.read(SPEED)
         assert (plain(reading), reading.failure, reading.fresh_until) == ("0.0", None, None)
         assert reading.value is not None
         assert getattr(reading.value, "origin") == SPACE.topic(SPEED)  # noqa: B009
-        assert cockpit.readings.known(speed) is reading
+        assert cockpit.readings.cached(speed) is reading
         assert await cockpit.read(SPEED) is reading
-        assert await cockpit.read(SPEED, anew=True) is reading
+        assert await cockpit.read(SPEED, refresh=True) is reading
         arrived = asyncio.Event()
         subscription = await cockpit.adapter.subscribe(SPEED)
         subscription.watch(arrived.set)
         await arrived.wait()
-        assert cockpit.readings.known(speed) is None
+        assert cockpit.readings.cached(speed) is None
         again = await cockpit.read(SPEED)
         assert again is not reading
         assert reading.read_ns is not None
@@ -175,9 +175,9 @@ def test_a_getter_is_fresh_for_a_while() -> None:
         assert getattr(reading.value, "origin") == SPACE.base + "resources/aircraft/power"  # noqa: B009
         assert reading.fresh_until is not None
         assert reading.fresh_until == pytest.approx(loop.time() + FRESHNESS, abs=0.2)
-        assert cockpit.readings.known(power) is reading
+        assert cockpit.readings.cached(power) is reading
         loop.skip(FRESHNESS)
-        assert cockpit.readings.known(power) is None
+        assert cockpit.readings.cached(power) is None
         assert await cockpit.read(POWER) is not reading
 
     flown(main)
@@ -190,8 +190,8 @@ def test_freshness_ends_with_a_write() -> None:
         assert start is not None
         await cockpit.adapter.call("/aircraft/start", start.ref, b"", deadline=soon())
         assert plain(await cockpit.read(POWER)) == '"off"'
-        cockpit.readings.end([POWER, "/nothing/of/that/name"])
-        assert cockpit.readings.known(cockpit.property(POWER)) is None
+        cockpit.readings.invalidate([POWER, "/nothing/of/that/name"])
+        assert cockpit.readings.cached(cockpit.property(POWER)) is None
         assert plain(await cockpit.read(POWER)) == '"on"'
 
     flown(main)
@@ -241,7 +241,7 @@ def test_a_published_message_is_there_at_once_where_there_was_none() -> None:
         assert isinstance(schema, MessageSchema)
         data = schema.codec.encode(schema.codec.build(schema.ref.name, {"data": "hello"}), Encoding.ROS1)
         await cockpit.adapter.publish(name, schema.ref, data, deadline=soon())
-        assert cockpit.readings.known(cockpit.property(name)) is None
+        assert cockpit.readings.cached(cockpit.property(name)) is None
         assert plain(await cockpit.read(name)) == '"hello"'
 
     flown(main)
@@ -256,7 +256,7 @@ ASKED = "/robot/get_x"
 
 def getter(name: str, schema: Schema = GET) -> Getter:
     assert isinstance(schema, ServiceSchema)
-    return Getter(name, schema, answered_fields(schema))
+    return Getter(name, schema, value_fields(schema))
 
 
 def number(value: float) -> bytes:
@@ -344,15 +344,15 @@ class Bench:
         adapter = cast(Adapter, self.fake)
         schemas = Schemas(adapter)
         self.topics = LiveTopics(adapter, schemas, LiveSettings(first_value=first))
-        self.readings = Readings(adapter, self.topics, schemas, SPACE, freshness=freshness, patience=patience)
+        self.readings = PropertyReader(adapter, self.topics, schemas, SPACE, freshness=freshness, patience=patience)
 
     def property(self, *readers: TopicSource | Getter | ParameterSource, name: str = "/robot/x") -> Property:
         return Property(name, OpenKind(), readers or (getter(ASKED),))
 
     async def read(
-        self, *readers: TopicSource | Getter | ParameterSource, within: float = 5.0, anew: bool = False
+        self, *readers: TopicSource | Getter | ParameterSource, within: float = 5.0, refresh: bool = False
     ) -> Reading:
-        found = await self.readings.read([self.property(*readers)], deadline=soon(within), anew=anew)
+        found = await self.readings.read([self.property(*readers)], deadline=soon(within), refresh=refresh)
         return found["/robot/x"]
 
 
@@ -432,7 +432,7 @@ def test_a_getter_that_hangs_costs_each_reader_no_more_than_its_own_deadline_and
             loop.skip(within)
             reading = await reader
             assert plain(reading) == f"{ASKED} has not answered within {within:g} s"
-            assert bench.readings.known(bench.property()) is None
+            assert bench.readings.cached(bench.property()) is None
         assert len(bench.fake.calls) == 1
         loop.skip(PATIENCE - 5.0)
         await turns()
@@ -491,7 +491,7 @@ def test_a_getter_that_fails_is_told_by_name_and_not_asked_again_for_a_while(err
         assert await bench.read() is reading
         assert len(bench.fake.calls) == 1
         bench.fake.answers = number
-        assert plain(await bench.read(anew=True)) == "2.0"
+        assert plain(await bench.read(refresh=True)) == "2.0"
 
     benched(main)
 
@@ -517,7 +517,7 @@ def test_a_getter_that_answers_success_false_has_refused() -> None:
         bench.fake.answers = answer
         own = getter(ASKED, schema)
         assert plain(await bench.read(own)) == f"{ASKED} refused: no fuel"
-        assert plain(await bench.read(own, anew=True)) == f"{ASKED} refused"
+        assert plain(await bench.read(own, refresh=True)) == f"{ASKED} refused"
 
     benched(main)
 
@@ -528,7 +528,7 @@ def test_a_getter_that_answers_success_false_has_refused() -> None:
 def test_a_reading_anew_takes_nothing_that_was_kept() -> None:
     async def main(bench: Bench, loop: Clock) -> None:
         kept = await bench.read()
-        anew = await bench.read(anew=True)
+        anew = await bench.read(refresh=True)
         assert [plain(kept), plain(anew)] == ["1.0", "2.0"]
         assert await bench.read() is anew
 
@@ -540,7 +540,7 @@ def test_a_reading_anew_shares_only_calls_that_began_after_it() -> None:
         bench.fake.hangs = True
         before = asyncio.ensure_future(bench.read())
         await turns()
-        anew = [asyncio.ensure_future(bench.read(anew=True)) for _ in range(3)]
+        anew = [asyncio.ensure_future(bench.read(refresh=True)) for _ in range(3)]
         await turns()
         assert len(bench.fake.calls) == 2
         after = asyncio.ensure_future(bench.read())
@@ -559,7 +559,7 @@ def test_readings_anew_of_a_getter_that_hangs_do_not_pile_up() -> None:
         bench.fake.hangs = True
         readers = []
         for _ in range(30):
-            readers.append(asyncio.ensure_future(bench.read(anew=True)))
+            readers.append(asyncio.ensure_future(bench.read(refresh=True)))
             await turns()
         assert len(bench.fake.calls) == 2
         bench.fake.release.set()
@@ -577,7 +577,7 @@ def test_writes_while_a_getter_hangs_do_not_pile_up_calls_either() -> None:
         for _ in range(30):
             readers.append(asyncio.ensure_future(bench.read()))
             await turns()
-            bench.readings.end(["/robot/x"])
+            bench.readings.invalidate(["/robot/x"])
         assert len(bench.fake.calls) == 2
         bench.fake.release.set()
         assert {plain(each) for each in await asyncio.gather(*readers)} == {"1.0", "2.0", "3.0"}
@@ -593,7 +593,7 @@ def test_who_reads_after_the_end_of_freshness_does_not_share_the_call_before_it(
         bench.fake.hangs = True
         before = asyncio.ensure_future(bench.read())
         await turns()
-        bench.readings.end(["/robot/x"])
+        bench.readings.invalidate(["/robot/x"])
         after = asyncio.ensure_future(bench.read())
         await turns()
         assert len(bench.fake.calls) == 2
@@ -610,10 +610,10 @@ def test_an_answer_to_a_question_from_before_the_end_of_freshness_is_not_kept() 
         bench.fake.hangs = True
         before = asyncio.ensure_future(bench.read())
         await turns()
-        bench.readings.end(["/robot/x"])
+        bench.readings.invalidate(["/robot/x"])
         bench.fake.release.set()
         assert plain(await before) == "1.0"
-        assert bench.readings.known(bench.property()) is None
+        assert bench.readings.cached(bench.property()) is None
         assert plain(await bench.read()) == "2.0"
 
     benched(main)
@@ -629,11 +629,11 @@ def test_whenever_freshness_ends_what_was_asked_before_is_never_known_after(step
         await turns()
         bench.fake.release.set()
         await turns(steps)
-        bench.readings.end(["/robot/x"])
+        bench.readings.invalidate(["/robot/x"])
         after = asyncio.ensure_future(bench.read())
         assert plain(await before) == "1.0"
         assert plain(await after) == "2.0"
-        known = bench.readings.known(bench.property())
+        known = bench.readings.cached(bench.property())
         assert known is not None
         assert plain(known) == "2.0"
 
@@ -652,11 +652,11 @@ def test_parameters_share_calls_and_their_freshness_ends_too() -> None:
         found = await asyncio.gather(*readers)
         assert {id(each["/robot/x"]) for each in found} == {id(found[0]["/robot/x"])}
         bench.fake.stored = {"/robot/x": 3, "/robot/y": 4}
-        bench.readings.end(["/robot/y"])
+        bench.readings.invalidate(["/robot/y"])
         again = await bench.readings.read(both, deadline=soon())
         assert [plain(each) for each in again.values()] == ["1", "4"]
         assert bench.fake.fetched[1:] == [["/robot/y"]]
-        anew = await bench.readings.read(both, deadline=soon(), anew=True)
+        anew = await bench.readings.read(both, deadline=soon(), refresh=True)
         assert [plain(each) for each in anew.values()] == ["3", "4"]
 
     benched(main)
@@ -667,14 +667,14 @@ def test_a_parameter_that_has_vanished_or_cannot_be_had_is_told() -> None:
         own = ParameterSource("/robot/x")
         assert plain(await bench.read(own)) == "there is no parameter /robot/x any more"
         bench.fake.stored = Unreachable("the master does not answer")
-        assert plain(await bench.read(own, anew=True)) == "/robot/x cannot be read: the master does not answer"
+        assert plain(await bench.read(own, refresh=True)) == "/robot/x cannot be read: the master does not answer"
         deep: ParameterValue = 1
         for _ in range(100):
             deep = [deep]
         bench.fake.stored = {"/robot/x": deep}
-        assert str(plain(await bench.read(own, anew=True))).startswith("/robot/x cannot be shown: ")
+        assert str(plain(await bench.read(own, refresh=True))).startswith("/robot/x cannot be shown: ")
         bench.fake.hangs = True
-        reader = asyncio.ensure_future(bench.read(own, anew=True, within=2.0))
+        reader = asyncio.ensure_future(bench.read(own, refresh=True, within=2.0))
         await turns()
         loop.skip(2.0)
         assert plain(await reader) == "/robot/x has not answered within 2 s"
@@ -703,9 +703,9 @@ def test_a_topic_without_a_message_gives_way_to_the_getter_until_one_comes() -> 
         sources = (TOPIC, getter(ASKED), ParameterSource("/robot/x"))
         reading = await bench.read(*sources)
         assert plain(reading) == "1.0"
-        assert bench.readings.known(bench.property(*sources)) is reading
+        assert bench.readings.cached(bench.property(*sources)) is reading
         bench.fake.say("/robot/x", "std_msgs/msg/Float64", {"data": 7})
-        assert bench.readings.known(bench.property(*sources)) is None
+        assert bench.readings.cached(bench.property(*sources)) is None
         assert plain(await bench.read(*sources)) == "7.0"
         assert len(bench.fake.calls) == 1
         assert bench.fake.fetched == []
@@ -783,7 +783,7 @@ def test_a_property_that_cannot_be_read_has_no_value_and_no_failure() -> None:
         found = await bench.readings.read([setter_only], deadline=soon())
         assert found["/robot/x"] == found["/robot/x"]
         assert (found["/robot/x"].value, found["/robot/x"].failure) == (None, None)
-        assert bench.readings.known(setter_only) is found["/robot/x"]
+        assert bench.readings.cached(setter_only) is found["/robot/x"]
 
     benched(main)
 
@@ -791,9 +791,9 @@ def test_a_property_that_cannot_be_read_has_no_value_and_no_failure() -> None:
 def test_a_reading_is_known_of_the_same_property_only() -> None:
     async def main(bench: Bench, loop: Clock) -> None:
         reading = await bench.read()
-        assert bench.readings.known(bench.property()) is reading  # an equal one, of another catalogue
+        assert bench.readings.cached(bench.property()) is reading  # an equal one, of another catalogue
         other = bench.property(getter("/robot/x/get"))
-        assert bench.readings.known(other) is None
+        assert bench.readings.cached(other) is None
         assert plain(await bench.read(getter("/robot/x/get"))) == "2.0"
         assert bench.fake.calls == [ASKED, "/robot/x/get"]
 

@@ -26,14 +26,14 @@ from rosld.server.hypermedia.value import (
     MessageValue,
     Reading,
     StoredValue,
-    declined,
-    lifted,
-    literal,
-    part_of,
-    picked_json,
+    field_json,
+    lift_value,
     plain_json,
+    refusal_text,
     scalar_field,
-    token,
+    select_fields,
+    value_literal,
+    version_key,
 )
 
 P = "http://127.0.0.1:8080/resources/robot/thing"
@@ -95,7 +95,7 @@ def typed(lexical: str, datatype: str) -> Literal:
 def test_a_scalar_is_the_literal_of_its_primitive_and_a_bare_json_value(
     kind: str, value: object, expected: Literal, plain: bytes
 ) -> None:
-    assert literal(scalar(kind, value)) == expected
+    assert value_literal(scalar(kind, value)) == expected
     assert plain_json(scalar(kind, value), LIFTING) == plain
 
 
@@ -103,7 +103,7 @@ def test_a_scalar_is_the_literal_of_its_primitive_and_a_bare_json_value(
 @given(st.floats() | st.sampled_from([-0.0, 5e-324]))
 def test_a_float_reads_back_as_the_very_same(number: float) -> None:
     value = scalar("float64", number)
-    found = literal(value)
+    found = value_literal(value)
     assert found is not None
     schema = value.schema
     field = scalar_field(schema.type.fields)
@@ -118,7 +118,7 @@ def test_a_float_reads_back_as_the_very_same(number: float) -> None:
 @settings(deadline=None)
 @given(st.floats(width=32))
 def test_a_float32_has_its_own_digits(number: float) -> None:
-    found = literal(scalar("float32", number))
+    found = value_literal(scalar("float32", number))
     assert found is not None
     assert found.datatype == xsd.float
     assert np.float32(found.value.replace("INF", "inf")) == np.float32(number) or math.isnan(number)
@@ -128,7 +128,7 @@ def test_every_primitive_has_a_literal_of_its_datatype() -> None:
     for kind, datatype in DATATYPES.items():
         if kind != "wstring":  # ROS 2's
             value = "x" if kind == "string" else True if kind == "bool" else 1
-            found = literal(scalar(kind, value))
+            found = value_literal(scalar(kind, value))
             assert found is not None
             assert found.datatype.value == xsd.iri + datatype
 
@@ -136,13 +136,13 @@ def test_every_primitive_has_a_literal_of_its_datatype() -> None:
 def test_a_long_string_that_is_the_value_is_whole() -> None:
     text = "x" * 100_000
     value = scalar("string", text)
-    assert literal(value) == Literal(text)
+    assert value_literal(value) == Literal(text)
     assert json.loads(plain_json(value, LiftSettings(inline_limit=10))) == text
 
 
 def test_a_message_is_the_object_of_its_fields_and_has_no_literal() -> None:
     value = value_of(known("geometry_msgs/msg/Vector3"), {"x": 1, "y": 2, "z": 3})
-    assert literal(value) is None
+    assert value_literal(value) is None
     assert plain_json(value, LIFTING) == b'{"x":1.0,"y":2.0,"z":3.0}'
 
 
@@ -152,7 +152,7 @@ RESPONSE = "float32 x\nfloat32 y\nbool success\nstring message"
 def test_fields_that_are_not_the_value_are_left_out() -> None:
     value = value_of(schema_of(RESPONSE), {"x": 1, "y": 2, "success": True, "message": "ok"}, "x", "y")
     assert plain_json(value, LIFTING) == b'{"x":1.0,"y":2.0}'
-    triples = lifted(value, "#value", LIFTING).triples(Document(P, ()))
+    triples = lift_value(value, "#value", LIFTING).triples(Document(P, ()))
     assert {each.predicate.value.rpartition("#")[2] for each in triples} == {"x", "y", "type"}
     assert [each.object for each in triples if each.predicate == rdf.type] == [
         NamedNode(LIFTING.types + "made_up/msg/Thing")
@@ -162,13 +162,13 @@ def test_fields_that_are_not_the_value_are_left_out() -> None:
 def test_one_field_of_a_response_is_a_scalar() -> None:
     value = value_of(schema_of(RESPONSE), {"x": 1.5}, "x")
     assert plain_json(value, LIFTING) == b"1.5"
-    assert literal(value) == typed("1.5", "float")
+    assert value_literal(value) == typed("1.5", "float")
 
 
 def test_one_field_that_is_no_primitive_is_a_message() -> None:
     value = value_of(schema_of("float64[] data"), {"data": [1]})
     assert plain_json(value, LIFTING) == b'{"data":[1.0]}'
-    assert literal(value) is None
+    assert value_literal(value) is None
 
 
 POSE = {"position": {"x": 1.25, "y": -2, "z": 0}, "orientation": {"w": 1}}
@@ -179,17 +179,17 @@ POSE = {"position": {"x": 1.25, "y": -2, "z": 0}, "orientation": {"w": 1}}
 )
 def test_a_field_is_picked_by_its_path(path: str, lexical: str) -> None:
     value = value_of(known("geometry_msgs/msg/PoseStamped"), {"pose": POSE})
-    assert literal(value, path) == typed(lexical, "double")
-    assert picked_json(value, path) == lexical.encode()
+    assert value_literal(value, path) == typed(lexical, "double")
+    assert field_json(value, path) == lexical.encode()
 
 
 def test_an_element_of_an_array_is_picked_by_its_place() -> None:
     scan = value_of(known("sensor_msgs/msg/LaserScan"), {"ranges": [0.1, "NaN", 3]})
-    assert literal(scan, "ranges.0") == typed("0.1", "float")
-    assert literal(scan, "ranges.1") == typed("NaN", "float")
-    assert picked_json(scan, "ranges.1") == b'"NaN"'
+    assert value_literal(scan, "ranges.0") == typed("0.1", "float")
+    assert value_literal(scan, "ranges.1") == typed("NaN", "float")
+    assert field_json(scan, "ranges.1") == b'"NaN"'
     tree = value_of(known("tf2_msgs/msg/TFMessage"), {"transforms": [{"child_frame_id": "base"}]})
-    assert literal(tree, "transforms.0.child_frame_id") == Literal("base")
+    assert value_literal(tree, "transforms.0.child_frame_id") == Literal("base")
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,7 @@ def test_an_element_of_an_array_is_picked_by_its_place() -> None:
 )
 def test_a_field_that_is_no_scalar_is_told_in_a_sentence(path: str) -> None:
     value = value_of(known("geometry_msgs/msg/PoseStamped"), {"pose": POSE})
-    for pick in (literal, picked_json):
+    for pick in (value_literal, field_json):
         with pytest.raises(ValueError, match="geometry_msgs/msg/PoseStamped"):
             pick(value, path)
 
@@ -206,13 +206,13 @@ def test_an_array_that_is_too_short_has_no_such_field_now() -> None:
     scan = value_of(known("sensor_msgs/msg/LaserScan"), {"ranges": [0.1]})
     for path in ("ranges.1", "ranges.-1", "ranges.99999999999999999999"):
         with pytest.raises(ValueError, match="has no field"):
-            literal(scan, path)
+            value_literal(scan, path)
 
 
 def test_a_field_that_is_not_of_the_value_cannot_be_picked() -> None:
     value = value_of(schema_of(RESPONSE), {"x": 1}, "x", "y")
     with pytest.raises(ValueError, match="success"):
-        literal(value, "success")
+        value_literal(value, "success")
 
 
 @pytest.mark.parametrize(
@@ -234,24 +234,24 @@ def test_a_field_that_is_not_of_the_value_cannot_be_picked() -> None:
 )
 def test_a_parameter_is_its_literal_and_its_json(value: object, expected: Literal | None, plain: bytes) -> None:
     stored = StoredValue(value)  # type: ignore[arg-type]
-    assert literal(stored) == expected
+    assert value_literal(stored) == expected
     assert plain_json(stored, LIFTING) == plain
 
 
 def test_a_field_of_a_stored_tree_or_list_is_picked_too() -> None:
     stored = StoredValue({"limits": {"speed": 4.5}, "names": ["a", "b"]})
-    assert literal(stored, "limits.speed") == typed("4.5", "double")
-    assert picked_json(stored, "names.1") == b'"b"'
+    assert value_literal(stored, "limits.speed") == typed("4.5", "double")
+    assert field_json(stored, "names.1") == b'"b"'
     for path in ("limits", "names", "names.2", "other"):
         with pytest.raises(ValueError, match=path):
-            literal(stored, path)
+            value_literal(stored, path)
 
 
 def test_the_bytes_of_elided_fields_are_asked_of_where_they_are() -> None:
     """In a document of another URL they still lead to the topic."""
     small = LiftSettings(inline_limit=4)
     value = value_of(schema_of("uint8[] data\nfloat32 x"), {"data": [1] * 9, "x": 1})
-    document = Document(P, (), (lifted(value, "#thing", small),))
+    document = Document(P, (), (lift_value(value, "#thing", small),))
     href = NamedNode(f"{T}?field=data")
     for syntax in (Syntax.TURTLE, Syntax.N_TRIPLES, Syntax.JSON_LD):
         quads = parse(serialize(document, syntax), format=_format(syntax), base_iri=P)
@@ -268,20 +268,20 @@ def _format(syntax: Syntax) -> RdfFormat:
 
 def test_a_message_without_a_source_leads_to_its_own_document() -> None:
     value = value_of(schema_of("uint8[] data\nfloat32 x"), {"data": [1] * 9, "x": 1})
-    own = replace(lifted(value, "#message", LiftSettings(inline_limit=4)), source=None)
+    own = replace(lift_value(value, "#message", LiftSettings(inline_limit=4)), source=None)
     hrefs = [each.object for each in own.triples(Document(T, ())) if each.predicate == ros.bytes]
     assert hrefs == [NamedNode(f"{T}?field=data")]
 
 
 def test_a_part_of_a_message_builds_the_whole_with_defaults() -> None:
     schema = schema_of(RESPONSE)
-    part = part_of(schema, schema.type.fields[:2])
+    part = select_fields(schema, schema.type.fields[:2])
     message = lowerer(part).from_json({"x": 1, "y": 2})
     assert schema.codec.decode(schema.codec.encode(message, Encoding.ROS1), Encoding.ROS1) == message
     assert plain_json(MessageValue(schema, message, schema.type.fields, T), LIFTING) == (
         b'{"x":1.0,"y":2.0,"success":false,"message":""}'
     )
-    assert part_of(schema, schema.type.fields) is schema
+    assert select_fields(schema, schema.type.fields) is schema
 
 
 @pytest.mark.parametrize(
@@ -297,12 +297,12 @@ def test_a_part_of_a_message_builds_the_whole_with_defaults() -> None:
 )
 def test_a_response_declines_with_bool_success_false(definition: str, value: object, words: str | None) -> None:
     schema = schema_of(definition)
-    assert declined(schema, _message(schema, value)) == words
+    assert refusal_text(schema, _message(schema, value)) == words
 
 
 def test_a_success_that_is_the_value_declines_nothing() -> None:
     schema = schema_of("bool success")
-    assert declined(schema, _message(schema, {"success": False}), schema.type.fields) is None
+    assert refusal_text(schema, _message(schema, {"success": False}), schema.type.fields) is None
 
 
 def _message(schema: MessageSchema, value: object) -> Message:
@@ -337,16 +337,16 @@ def test_tokens_differ_with_the_value_and_the_failure_and_not_with_the_time() ->
         reading(None, "it refused"),
         reading(None, "it refused again"),
     ]
-    tokens = [token(each) for each in readings]
+    tokens = [version_key(each) for each in readings]
     assert len(set(tokens)) == len(tokens)
-    assert tokens == [token(replace(each, read_ns=99, fresh_until=None)) for each in readings]
+    assert tokens == [version_key(replace(each, read_ns=99, fresh_until=None)) for each in readings]
 
 
 @settings(deadline=None)
 @given(st.floats(), st.floats())
 def test_two_tokens_are_alike_just_when_the_values_are(one: float, other: float) -> None:
     same = np.float64(one).tobytes() == np.float64(other).tobytes() or (math.isnan(one) and math.isnan(other))
-    assert (token(reading(scalar("float64", one))) == token(reading(scalar("float64", other)))) == same
+    assert (version_key(reading(scalar("float64", one))) == version_key(reading(scalar("float64", other)))) == same
 
 
 def test_the_shipped_getter_of_the_aircraft_gives_a_bare_scalar() -> None:
@@ -354,4 +354,4 @@ def test_the_shipped_getter_of_the_aircraft_gives_a_bare_scalar() -> None:
     assert isinstance(service, ServiceSchema)
     value = value_of(service.response, {"data": "off"})
     assert plain_json(value, LIFTING) == b'"off"'
-    assert literal(value) == Literal("off")
+    assert value_literal(value) == Literal("off")

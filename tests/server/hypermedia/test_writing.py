@@ -50,14 +50,14 @@ from rosld.server.hypermedia.catalogue import (
 from rosld.server.hypermedia.conventions import catalogue
 from rosld.server.hypermedia.property_writer import (
     PlannedWrite,
-    Written,
+    WriteOutcome,
     carry_out,
-    lowered,
+    current_writer,
+    lower_content,
     not_writable_reason,
     plan_write,
-    writer_of,
 )
-from rosld.server.hypermedia.type_inference import kind_of
+from rosld.server.hypermedia.type_inference import value_kind
 from rosld.server.hypermedia.value import MessageValue, StoredValue, plain_json
 from rosld.server.resources.context import Robot
 from rosld.server.robot.calls import UnreadableResponse
@@ -90,7 +90,7 @@ class Flight:
     def plan(self, name: str, content: object) -> PlannedWrite:
         return plan_write(self.robot, self.property(name), content)
 
-    async def write(self, name: str, content: object) -> Written:
+    async def write(self, name: str, content: object) -> WriteOutcome:
         return await carry_out(self.robot, self.plan(name, content))
 
     async def answer(self, service: str) -> object:
@@ -127,7 +127,7 @@ def test_a_setter_is_called_with_the_value() -> None:
         assert plain_json(plan.value, LIFTING) == b'"on"'
         assert flight.written == []
         assert await flight.answer("/aircraft/get_power") == "off"
-        assert await carry_out(flight.robot, plan) is Written.DONE
+        assert await carry_out(flight.robot, plan) is WriteOutcome.DONE
         assert await flight.answer("/aircraft/get_power") == "on"
         assert flight.written == [(Kind.SERVICE, "/aircraft/set_power")]
 
@@ -181,7 +181,7 @@ def test_a_parameter_is_set_where_there_is_no_setter() -> None:
         assert (plan.writer, plan.data) == (ParameterSource(SEATS), b"")
         assert isinstance(plan.value, StoredValue)
         assert plan.value.value == 4
-        assert await carry_out(flight.robot, plan) is Written.DONE
+        assert await carry_out(flight.robot, plan) is WriteOutcome.DONE
         assert await flight.adapter.get_parameters([SEATS], deadline=flight.robot.deadline(1)) == {SEATS: 4}
         assert flight.written == [(Kind.PARAMETER, SEATS)]
 
@@ -221,7 +221,7 @@ def test_what_no_parameter_can_be_is_refused(content: object) -> None:
 
 def test_a_topic_that_others_listen_to_is_published_to() -> None:
     async def main(flight: Flight) -> None:
-        assert await flight.write(DISPLAY, "cleared for take-off") is Written.DONE
+        assert await flight.write(DISPLAY, "cleared for take-off") is WriteOutcome.DONE
         view = await flight.robot.topics.read(DISPLAY)
         assert view.newest is not None
         assert view.newest.data[4:] == b"cleared for take-off"
@@ -245,10 +245,10 @@ def test_publishing_obeys_the_rate() -> None:
 
 def test_the_setter_writes_what_a_sensor_s_topic_shows() -> None:
     async def main(flight: Flight) -> None:
-        assert isinstance(writer_of(flight.robot, flight.property(SPEED)), Setter)
+        assert isinstance(current_writer(flight.robot, flight.property(SPEED)), Setter)
         only_topic = replace(flight.property(SPEED), writers=(flight.property(SPEED).writers[-1],))
         assert isinstance(only_topic.writers[0], TopicSource)
-        assert writer_of(flight.robot, only_topic) is None
+        assert current_writer(flight.robot, only_topic) is None
         assert "is published by /aircraft" in not_writable_reason(flight.robot, only_topic)
 
     flown(main)
@@ -257,7 +257,7 @@ def test_the_setter_writes_what_a_sensor_s_topic_shows() -> None:
 def test_a_read_only_server_writes_nothing() -> None:
     async def main(flight: Flight) -> None:
         for own in flight.catalogue.properties.values():
-            assert writer_of(flight.robot, own) is None
+            assert current_writer(flight.robot, own) is None
             assert not_writable_reason(flight.robot, own) == "This server is read-only."
         with pytest.raises(Problem) as caught:
             flight.plan(POWER, "on")
@@ -268,7 +268,7 @@ def test_a_read_only_server_writes_nothing() -> None:
 
 def test_each_property_of_the_aircraft_has_the_writer_it_should() -> None:
     async def main(flight: Flight) -> None:
-        writers = {name: writer_of(flight.robot, own) for name, own in flight.catalogue.properties.items()}
+        writers = {name: current_writer(flight.robot, own) for name, own in flight.catalogue.properties.items()}
         assert {name: writer.name for name, writer in writers.items() if writer is not None} == {
             **{name: name for name in flight.catalogue.by_parameter},
             POWER: "/aircraft/set_power",
@@ -343,15 +343,15 @@ def writable(*writers: Writer) -> Property:
 
 def test_the_first_writer_that_may_write_now_does() -> None:
     everything = writable()
-    assert writer_of(robot()[0], everything) is SETTER
+    assert current_writer(robot()[0], everything) is SETTER
     no_service = replace(WHOLE_GRAPH, services={})
-    assert writer_of(robot(no_service)[0], everything) == ParameterSource(X)
-    assert writer_of(robot(WHOLE_GRAPH, {Operation.SET_PARAMETER})[0], everything) == ParameterSource(X)
-    assert writer_of(robot(replace(no_service, parameters={}))[0], everything) is TOPIC
-    assert writer_of(robot(WHOLE_GRAPH, {Operation.PUBLISH})[0], everything) is TOPIC
-    assert writer_of(robot(WHOLE_GRAPH, {Operation.PUBLISH}, allow_publish=())[0], everything) is None
-    assert writer_of(robot(Graph(1))[0], everything) is None
-    assert writer_of(robot()[0], Property(X, OpenKind())) is None
+    assert current_writer(robot(no_service)[0], everything) == ParameterSource(X)
+    assert current_writer(robot(WHOLE_GRAPH, {Operation.SET_PARAMETER})[0], everything) == ParameterSource(X)
+    assert current_writer(robot(replace(no_service, parameters={}))[0], everything) is TOPIC
+    assert current_writer(robot(WHOLE_GRAPH, {Operation.PUBLISH})[0], everything) is TOPIC
+    assert current_writer(robot(WHOLE_GRAPH, {Operation.PUBLISH}, allow_publish=())[0], everything) is None
+    assert current_writer(robot(Graph(1))[0], everything) is None
+    assert current_writer(robot()[0], Property(X, OpenKind())) is None
 
 
 def test_why_nothing_writes_is_told_of_every_writer() -> None:
@@ -398,7 +398,7 @@ def test_a_setter_that_says_success_is_done(answer: bytes) -> None:
     async def main() -> None:
         own, fake = robot()
         fake.answer = answer
-        assert await carry_out(own, plan_write(own, writable(), 1)) is Written.DONE
+        assert await carry_out(own, plan_write(own, writable(), 1)) is WriteOutcome.DONE
         assert len(fake.sent) == 1
 
     run(main())
@@ -447,9 +447,9 @@ def test_a_message_that_nobody_heard_is_told() -> None:
     async def main() -> None:
         own, fake = robot()
         fake.matched = 0
-        assert await carry_out(own, plan_write(own, writable(TOPIC), 1)) is Written.UNHEARD
+        assert await carry_out(own, plan_write(own, writable(TOPIC), 1)) is WriteOutcome.UNHEARD
         fake.matched = 1
-        assert await carry_out(own, plan_write(own, writable(TOPIC), 1)) is Written.DONE
+        assert await carry_out(own, plan_write(own, writable(TOPIC), 1)) is WriteOutcome.DONE
 
     run(main())
 
@@ -464,7 +464,7 @@ def test_a_parameter_beside_something_typed_keeps_to_that_type() -> None:
     with pytest.raises(LoweringError, match="expected a float64"):
         plan_write(own, typed, "fast")
     point = message_schema("float64 x\nfloat64 y")
-    whole = Property(X, kind_of(point, point.type.fields), (), (ParameterSource(X),))
+    whole = Property(X, value_kind(point, point.type.fields), (), (ParameterSource(X),))
     plan = plan_write(own, whole, {"x": 1, "y": 2})
     assert isinstance(plan.value, StoredValue)
     assert plan.value.value == {"x": 1, "y": 2}
@@ -481,32 +481,32 @@ FLOAT, INTEGER = message_schema("float64 data"), message_schema("int64 data")
 
 def test_a_message_takes_the_object_of_its_fields_and_no_literal() -> None:
     schema = message_schema("float64 x\nfloat64 y")
-    message = lowered(schema, {"x": 1, "y": "NaN"}, LIFTING)
+    message = lower_content(schema, {"x": 1, "y": "NaN"}, LIFTING)
     assert getattr(message, "x") == 1.0  # noqa: B009
     for content in (Literal(1), 1, [1, 2], "x", None):
         with pytest.raises(LoweringError) as caught:
-            lowered(schema, content, LIFTING)
+            lower_content(schema, content, LIFTING)
         assert [each.path for each in caught.value.violations] == [""]
     with pytest.raises(LoweringError) as caught:
-        lowered(schema, {"x": "far", "z": 1}, LIFTING)
+        lower_content(schema, {"x": "far", "z": 1}, LIFTING)
     assert {each.path for each in caught.value.violations} == {"x", "y", "z"}
 
 
 def test_a_literal_counts_by_its_own_datatype() -> None:
     whole = message_schema("int64 data")
     with pytest.raises(LoweringError):
-        lowered(whole, Literal("5"), LIFTING)
-    assert getattr(lowered(whole, Literal("5", datatype=xsd.decimal), LIFTING), "data") == 5  # noqa: B009
+        lower_content(whole, Literal("5"), LIFTING)
+    assert getattr(lower_content(whole, Literal("5", datatype=xsd.decimal), LIFTING), "data") == 5  # noqa: B009
     number = message_schema("float64 data")
     with pytest.raises(LoweringError):
-        lowered(number, Literal("NaN"), LIFTING)
+        lower_content(number, Literal("NaN"), LIFTING)
 
 
 @settings(deadline=None)
 @given(st.floats())
 def test_a_float_arrives_exactly(number: float) -> None:
     lexical = "NaN" if math.isnan(number) else repr(number).replace("inf", "INF")
-    message = lowered(FLOAT, Literal(lexical, datatype=xsd.double), LIFTING)
+    message = lower_content(FLOAT, Literal(lexical, datatype=xsd.double), LIFTING)
     data = getattr(message, "data")  # noqa: B009
     assert data == number or (math.isnan(data) and math.isnan(number))
 
@@ -515,4 +515,4 @@ def test_a_float_arrives_exactly(number: float) -> None:
 @given(st.integers(-(2**63), 2**63 - 1))
 def test_an_integer_arrives_exactly(number: int) -> None:
     for content in (number, str(number), Literal(str(number), datatype=xsd.integer)):
-        assert getattr(lowered(INTEGER, content, LIFTING), "data") == number  # noqa: B009
+        assert getattr(lower_content(INTEGER, content, LIFTING), "data") == number  # noqa: B009

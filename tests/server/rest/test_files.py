@@ -257,7 +257,7 @@ def test_a_reader_who_leaves_closes_the_file(huge: Path) -> None:
 
 
 def test_a_reader_who_takes_nothing_more_is_taken_for_gone(huge: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "PATIENCE", 0.2)
+    monkeypatch.setattr(files, "READ_TIMEOUT", 0.2)
 
     async def stop_reading(port: int) -> None:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)

@@ -10,12 +10,12 @@ from rosld.ontology.vocab import ldp, rdf
 from rosld.server.http.link import Link, parse
 from rosld.server.http.problem import Problem
 from rosld.server.rest.interaction import (
-    declared,
-    member_of,
-    membership_of,
+    member_derived_uri,
+    membership_declaration,
     membership_triples,
-    model_asked,
     model_links,
+    parse_membership,
+    requested_model,
 )
 from rosld.server.storage import NO_MEMBER, Membership, Model
 from rosld.server.storage.models import rdf_types
@@ -32,11 +32,11 @@ def types(*names: str) -> list[Link]:
 
 
 def put(url: str, media_type: str | None, *names: str) -> Model:
-    return model_asked(types(*names), url, media_type, container_hint=url.endswith("/"))
+    return requested_model(types(*names), url, media_type, container_hint=url.endswith("/"))
 
 
 def post(media_type: str | None, *names: str) -> Model:
-    return model_asked(types(*names), ROOT, media_type, container_hint=False)
+    return requested_model(types(*names), ROOT, media_type, container_hint=False)
 
 
 # What is asked for (LDP 5.2.3.4)
@@ -81,12 +81,12 @@ def test_types_that_are_not_ldp_s_and_links_of_other_things_mean_nothing() -> No
         f'<{EX}Robot>; rel="type", <{ldp.iri}BasicContainer>; rel="up", '
         f'<{ldp.iri}BasicContainer>; rel="type"; anchor="{EX}other"'
     )
-    assert model_asked(links, LEAF, TURTLE, container_hint=False) is Model.RDF_SOURCE
+    assert requested_model(links, LEAF, TURTLE, container_hint=False) is Model.RDF_SOURCE
 
 
 def test_relations_are_read_whatever_their_case_and_company() -> None:
     links = parse(f'<{ldp.iri}DirectContainer>; rel="describes TYPE"; anchor="{ROOT}"')
-    assert model_asked(links, ROOT, TURTLE, container_hint=False) is Model.DIRECT_CONTAINER
+    assert requested_model(links, ROOT, TURTLE, container_hint=False) is Model.DIRECT_CONTAINER
 
 
 @pytest.mark.parametrize("name", ["Page", "BasicCOntainer", "", "Sequence"])
@@ -147,7 +147,7 @@ def test_every_answer_says_that_this_is_an_ldp_resource_and_which(model: Model) 
 @pytest.mark.parametrize("model", Model)
 def test_what_the_links_say_can_be_asked_for_again(model: Model) -> None:
     url = BOX if model.is_container else LEAF
-    assert model_asked(model_links(model), url, TURTLE, container_hint=model.is_container) is model
+    assert requested_model(model_links(model), url, TURTLE, container_hint=model.is_container) is model
 
 
 @pytest.mark.parametrize("model", Model)
@@ -170,15 +170,15 @@ def said(turtle: str, url: str = BOX) -> list[Triple]:
 
 
 def direct(turtle: str) -> Membership | None:
-    return membership_of(said(turtle), BOX, Model.DIRECT_CONTAINER)
+    return parse_membership(said(turtle), BOX, Model.DIRECT_CONTAINER)
 
 
 def indirect(turtle: str) -> Membership | None:
-    return membership_of(said(turtle), BOX, Model.INDIRECT_CONTAINER)
+    return parse_membership(said(turtle), BOX, Model.INDIRECT_CONTAINER)
 
 
 def test_a_basic_container_has_no_membership() -> None:
-    assert membership_of(said("<> ldp:hasMemberRelation ex:part ."), BOX, Model.BASIC_CONTAINER) is None
+    assert parse_membership(said("<> ldp:hasMemberRelation ex:part ."), BOX, Model.BASIC_CONTAINER) is None
 
 
 def test_a_direct_container_says_its_membership_either_way_round() -> None:
@@ -249,13 +249,15 @@ def test_an_indirect_container_must_say_one_inserted_content_relation(turtle: st
 def test_what_was_left_to_the_defaults_is_said_by_the_server() -> None:
     found = direct("")
     assert found is not None
-    assert declared(found, BOX) == said(f"<> ldp:membershipResource <{BOX}> ; ldp:hasMemberRelation ldp:member .")
+    assert membership_declaration(found, BOX) == said(
+        f"<> ldp:membershipResource <{BOX}> ; ldp:hasMemberRelation ldp:member ."
+    )
 
 
 @pytest.mark.parametrize("inverse", [False, True])
 def test_what_is_declared_reads_as_the_same_membership(inverse: bool) -> None:
     found = Membership(f"{BOX}#it", f"{EX}part", inverse, f"{EX}topic")
-    assert membership_of(declared(found, BOX), BOX, Model.INDIRECT_CONTAINER) == found
+    assert parse_membership(membership_declaration(found, BOX), BOX, Model.INDIRECT_CONTAINER) == found
 
 
 # What stands for a member (LDP 5.4.1.5, 5.5.1.2)
@@ -266,7 +268,7 @@ NEW = f"{BOX}new"
 
 def member(turtle: str, membership: Membership | None = TOPIC) -> str:
     triples = said(turtle, NEW)
-    return member_of(membership, indexed((Quad(*triple) for triple in triples), NEW), NEW)
+    return member_derived_uri(membership, indexed((Quad(*triple) for triple in triples), NEW), NEW)
 
 
 @pytest.mark.parametrize(
@@ -313,4 +315,4 @@ def test_membership_triples_go_the_way_the_container_says() -> None:
 def test_a_long_literal_is_told_in_the_refusal_and_nothing_breaks() -> None:
     triple = Triple(NamedNode(BOX), ldp.membershipResource, Literal("x" * 10_000))
     with pytest.raises(Problem, match="must be an IRI"):
-        membership_of([triple], BOX, Model.DIRECT_CONTAINER)
+        parse_membership([triple], BOX, Model.DIRECT_CONTAINER)

@@ -11,7 +11,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
 
 from rosld.ontology.vocab import xsd
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.n3patch import MAX_BYTES, MAX_PATTERNS, N3Patch, applied, read_patch
+from rosld.server.ldp.n3patch import MAX_BYTES, MAX_PATTERNS, N3Patch, apply_patch, read_patch
 
 BASE = "http://host/data/kitchen"
 PREFIXES = "@prefix solid: <http://www.w3.org/ns/solid/terms#> . @prefix ex: <http://example.org/> . "
@@ -41,7 +41,7 @@ def refusal(text: str) -> Problem:
 
 def conflict(found: N3Patch, before: list[Triple]) -> str:
     with pytest.raises(Problem) as refused:
-        applied(found, before)
+        apply_patch(found, before)
     assert refused.value.status == 409
     return refused.value.detail
 
@@ -51,12 +51,14 @@ def conflict(found: N3Patch, before: list[Triple]) -> str:
 
 def test_what_is_inserted_comes_after_what_is_there() -> None:
     before = triples("<> ex:name 'kitchen' .")
-    assert applied(insert_delete(inserts="<> ex:floor 2 ."), before) == triples("<> ex:name 'kitchen' ; ex:floor 2 .")
+    assert apply_patch(insert_delete(inserts="<> ex:floor 2 ."), before) == triples(
+        "<> ex:name 'kitchen' ; ex:floor 2 ."
+    )
 
 
 def test_what_is_deleted_is_gone_and_all_else_stays_in_order() -> None:
     before = triples("<> ex:a 1, 2, 3 .")
-    assert applied(insert_delete(deletes="<> ex:a 2"), before) == triples("<> ex:a 1, 3 .")
+    assert apply_patch(insert_delete(deletes="<> ex:a 2"), before) == triples("<> ex:a 1, 3 .")
 
 
 def test_variables_stand_for_what_where_found() -> None:
@@ -64,34 +66,34 @@ def test_variables_stand_for_what_where_found() -> None:
     changed = insert_delete(
         "?person ex:family 'Garcia' ; ex:name 'Claudia' .", "?person ex:name 'Claudia' .", "?person ex:name 'Alexa' ."
     )
-    assert set(applied(changed, before)) == set(
+    assert set(apply_patch(changed, before)) == set(
         triples("<#a> ex:name 'Alexa' ; ex:family 'Garcia' . <#b> ex:name 'Alex' ; ex:family 'Garcia' .")
     )
 
 
 def test_what_is_deleted_and_inserted_is_there_afterwards() -> None:
     before = triples("<> ex:a 1 .")
-    assert applied(insert_delete(deletes="<> ex:a 1 .", inserts="<> ex:a 1 ."), before) == before
+    assert apply_patch(insert_delete(deletes="<> ex:a 1 .", inserts="<> ex:a 1 ."), before) == before
 
 
 def test_what_is_there_already_is_inserted_without_a_trace() -> None:
     before = triples("<> ex:a 1 .")
-    assert applied(insert_delete(inserts="<> ex:a 1 ."), before) == before
+    assert apply_patch(insert_delete(inserts="<> ex:a 1 ."), before) == before
 
 
 def test_a_patch_that_says_nothing_changes_nothing() -> None:
     before = triples("<> ex:a 1 .")
-    assert applied(patch("<#p> a solid:InsertDeletePatch ."), before) == before
-    assert applied(insert_delete(), before) == before
+    assert apply_patch(patch("<#p> a solid:InsertDeletePatch ."), before) == before
+    assert apply_patch(insert_delete(), before) == before
 
 
 def test_a_resource_that_is_not_there_yet_is_empty() -> None:
-    assert applied(insert_delete(inserts="<> ex:a 1 ."), []) == triples("<> ex:a 1 .")
+    assert apply_patch(insert_delete(inserts="<> ex:a 1 ."), []) == triples("<> ex:a 1 .")
 
 
 def test_where_may_hold_no_variables_and_must_be_there_then() -> None:
     found = insert_delete("<> ex:a 1 .", inserts="<> ex:b 2 .")
-    assert applied(found, triples("<> ex:a 1 .")) == triples("<> ex:a 1 ; ex:b 2 .")
+    assert apply_patch(found, triples("<> ex:a 1 .")) == triples("<> ex:a 1 ; ex:b 2 .")
     assert "matches nothing" in conflict(found, triples("<> ex:a 2 ."))
 
 
@@ -103,18 +105,18 @@ def test_where_that_matches_nothing_or_more_than_once_is_a_conflict() -> None:
 
 def test_a_variable_that_occurs_twice_is_one_thing() -> None:
     found = insert_delete("?a ex:knows ?a .", "?a ex:knows ?a .")
-    assert applied(found, triples("<#a> ex:knows <#b> . <#b> ex:knows <#b> .")) == triples("<#a> ex:knows <#b> .")
+    assert apply_patch(found, triples("<#a> ex:knows <#b> . <#b> ex:knows <#b> .")) == triples("<#a> ex:knows <#b> .")
 
 
 def test_blank_nodes_in_where_match_anything_and_in_any_number() -> None:
     before = triples("<#a> ex:part [], [], 'x' .")
     found = insert_delete("?a ex:part [] .", inserts="?a ex:whole true .")
-    assert len(applied(found, before)) == 4
+    assert len(apply_patch(found, before)) == 4
 
 
 def test_blank_nodes_of_the_resource_are_reached_by_variables() -> None:
     before = triples("<> ex:part [ ex:name 'arm' ], [ ex:name 'leg' ] .")
-    after = applied(insert_delete("?p ex:name 'leg' .", "?p ex:name 'leg' .", "?p ex:name 'wheel' ."), before)
+    after = apply_patch(insert_delete("?p ex:name 'leg' .", "?p ex:name 'leg' .", "?p ex:name 'wheel' ."), before)
     part = next(each.subject for each in before if each.object == Literal("leg"))
     assert isinstance(part, BlankNode)
     assert Triple(part, NamedNode("http://example.org/name"), Literal("wheel")) in after
@@ -135,7 +137,9 @@ def test_what_would_be_no_triple_is_a_conflict() -> None:
 
 def test_literals_keep_their_spelling_touched_and_untouched() -> None:
     before = triples("""<> ex:a "01"^^<http://www.w3.org/2001/XMLSchema#integer>, 1, "1.50"^^ex:mine .""")
-    after = applied(insert_delete(deletes="<> ex:a 1 .", inserts="<> ex:b +007, 1.50, 1E3, -.5e-1, true, 1 ."), before)
+    after = apply_patch(
+        insert_delete(deletes="<> ex:a 1 .", inserts="<> ex:b +007, 1.50, 1E3, -.5e-1, true, 1 ."), before
+    )
     objects = [each.object for each in after if isinstance(each.object, Literal)]
     assert [(each.value, each.datatype) for each in objects] == [
         ("01", xsd.integer),
@@ -152,7 +156,7 @@ def test_literals_keep_their_spelling_touched_and_untouched() -> None:
 @given(st.text(max_size=30))
 def test_what_is_inserted_can_be_kept_and_read_again(text: str) -> None:
     literal = str(Literal(text))
-    (after,) = applied(insert_delete(inserts=f"<> ex:a {literal} ."), [])
+    (after,) = apply_patch(insert_delete(inserts=f"<> ex:a {literal} ."), [])
     assert after.object == Literal(text)
     assert [quad.triple for quad in parse(f"{after} .", RdfFormat.N_TRIPLES)] == [after]
 
@@ -162,7 +166,7 @@ def test_terms_match_as_they_are_spelt() -> None:
 
 
 def test_a_variable_is_not_the_fragment_of_its_name() -> None:
-    after = applied(insert_delete("?a ex:b ?b .", inserts="<#a> ex:c <#b> ."), triples("<#x> ex:b <#y> ."))
+    after = apply_patch(insert_delete("?a ex:b ?b .", inserts="<#a> ex:c <#b> ."), triples("<#x> ex:b <#y> ."))
     assert after == triples("<#x> ex:b <#y> . <#a> ex:c <#b> .")
 
 
@@ -171,7 +175,7 @@ def test_a_variable_is_not_the_fragment_of_its_name() -> None:
     ["", "#it", "#", "?q", "?q=1#it", "other", "./", "../up", "a/../b", "//h/x", "/top", "\\u0041", "höhe", "urn:a"],
 )
 def test_relative_iris_are_resolved_as_in_turtle(reference: str) -> None:
-    assert applied(insert_delete(inserts=f"<{reference}> ex:a <> ."), []) == triples(f"<{reference}> ex:a <> .")
+    assert apply_patch(insert_delete(inserts=f"<{reference}> ex:a <> ."), []) == triples(f"<{reference}> ex:a <> .")
 
 
 @pytest.mark.parametrize(
@@ -184,7 +188,7 @@ def test_relative_iris_are_resolved_as_in_turtle(reference: str) -> None:
     ],
 )
 def test_whatever_turtle_writes_can_be_inserted(statement: str) -> None:
-    assert set(applied(insert_delete(inserts=statement), [])) == set(triples(statement))
+    assert set(apply_patch(insert_delete(inserts=statement), [])) == set(triples(statement))
 
 
 def test_prefixes_are_written_as_in_sparql_too() -> None:
@@ -284,7 +288,7 @@ def test_an_xml_literal_is_not_looked_into() -> None:
         f'<!ENTITY c{number} \\"{"&b;" * 10}\\">' for number in range(10)
     )
     datatype = "<http://www.w3.org/1999/02/22-rdf-syntax-ns#XMLLiteral>"
-    (after,) = applied(insert_delete(inserts=f'<> ex:a "{bomb}"^^{datatype} .'), [])
+    (after,) = apply_patch(insert_delete(inserts=f'<> ex:a "{bomb}"^^{datatype} .'), [])
     assert isinstance(after.object, Literal)
     assert after.object.value.startswith("<!DOCTYPE a")
 
@@ -293,12 +297,12 @@ def test_a_search_without_end_is_given_up() -> None:
     before = triples(" ".join(f"<#{one}> ex:to <#{other}> ." for one in range(30) for other in range(30)))
     path = " ".join(f"?v{number} ex:to ?v{number + 1} ." for number in range(20))
     with pytest.raises(Problem) as refused:
-        applied(insert_delete(f"{path} ?v20 ex:never ex:there ."), before)
+        apply_patch(insert_delete(f"{path} ?v20 ex:never ex:there ."), before)
     assert refused.value.status in (409, 422)
     cycle = " ".join(f"[] ex:to [] . _:v{number} ex:to _:v{number + 1} ." for number in range(20))
     began = time.thread_time()
     with pytest.raises(Problem) as refused:
-        applied(insert_delete(f"{cycle} _:v20 ex:to _:none ."), before)
+        apply_patch(insert_delete(f"{cycle} _:v20 ex:to _:none ."), before)
     assert refused.value.status == 422
     assert time.thread_time() - began < 10
 
@@ -314,7 +318,7 @@ def test_a_large_patch_of_a_large_resource_is_carried_out_soon() -> None:
         "?a ex:is 4711 .", " ".join(f"<#{number}> ex:is {number} ." for number in range(3000)), "?a ex:was 4711 ."
     )
     began = time.thread_time()
-    assert len(applied(found, before)) == 2001
+    assert len(apply_patch(found, before)) == 2001
     assert time.thread_time() - began < 5
 
 
@@ -333,7 +337,7 @@ def test_deletions_go_and_insertions_come_or_nothing_is_done(
     there, gone, new = (set(triples(_text(each))) for each in (before, deletes, inserts))
     found = insert_delete(deletes=_text(deletes), inserts=_text(inserts))
     if gone <= there:
-        assert set(applied(found, triples(_text(before)))) == (there - gone) | new
+        assert set(apply_patch(found, triples(_text(before)))) == (there - gone) | new
     else:
         assert "not there" in conflict(found, triples(_text(before)))
 

@@ -15,16 +15,16 @@ from rosld.server.http import link, prefer
 from rosld.server.http.problem import Problem
 from rosld.server.rest.paging import (
     MAX_PAGE_SIZE,
-    Page,
-    Place,
-    first_page,
-    last_place,
-    left_on_last,
-    page_among,
+    LdpPage,
+    PagePosition,
+    last_page_size,
+    last_position,
     page_of,
+    page_of_names,
     page_url,
-    read_named_place,
-    read_place,
+    parse_named_position,
+    parse_position,
+    redirect_to_first,
     requested_page_size,
 )
 
@@ -35,64 +35,71 @@ def asked(text: str) -> prefer.Preferences:
     return prefer.parse(text)
 
 
-@pytest.mark.parametrize(("token", "place"), [("0", Place()), ("4711", Place(4711)), ("20-5", Place(20, 5))])
-def test_a_token_names_a_place_and_back(token: str, place: Place) -> None:
-    assert read_place(token) == place
+@pytest.mark.parametrize(
+    ("token", "place"), [("0", PagePosition()), ("4711", PagePosition(4711)), ("20-5", PagePosition(20, 5))]
+)
+def test_a_token_names_a_place_and_back(token: str, place: PagePosition) -> None:
+    assert parse_position(token) == place
     assert place.token == token
 
 
 @pytest.mark.parametrize("token", ["", "-1", "x", "1.5", "01", "5-0", "5-1001", "5-", "²", "9" * 30, "1-2-3", " 1"])
 def test_a_token_that_names_no_place_is_404_and_says_where_to_begin(token: str) -> None:
     with pytest.raises(Problem, match=r"from [?]page=0") as refused:
-        read_place(token)
+        parse_position(token)
     assert refused.value.status == 404
 
 
 @pytest.mark.parametrize(
     ("token", "place"),
-    [("0", Place()), ("0-5", Place(0, 5)), (":camera/", Place("camera/")), ("5:1:2", Place("1:2", 5))],
+    [
+        ("0", PagePosition()),
+        ("0-5", PagePosition(0, 5)),
+        (":camera/", PagePosition("camera/")),
+        ("5:1:2", PagePosition("1:2", 5)),
+    ],
 )
-def test_a_token_names_a_place_among_names_and_back(token: str, place: Place) -> None:
-    assert read_named_place(token) == place
+def test_a_token_names_a_place_among_names_and_back(token: str, place: PagePosition) -> None:
+    assert parse_named_position(token) == place
     assert place.token == token
 
 
 @pytest.mark.parametrize("token", ["", "1", "7-5", ":", "0:a", "1001:a", ":a b", ":\u00e9", "x", ":" + "a" * 5000])
 def test_a_token_that_names_no_place_among_names_is_404(token: str) -> None:
     with pytest.raises(Problem, match=r"from [?]page=0") as refused:
-        read_named_place(token)
+        parse_named_position(token)
     assert refused.value.status == 404
 
 
 @given(st.text(min_size=1).filter(lambda text: not any(0xD800 <= ord(each) < 0xE000 for each in text)))
 def test_every_name_has_a_url_that_leads_back(name: str) -> None:
-    place = Place(encode_segment(name), 7)
+    place = PagePosition(encode_segment(name), 7)
     query = parse_qsl(urlsplit(page_url(ROOT, place.token)).query)
-    assert read_named_place(dict(query)["page"]) == place
+    assert parse_named_position(dict(query)["page"]) == place
 
 
 @given(st.integers(0, 10**18 - 1), st.integers(1, MAX_PAGE_SIZE))
 def test_every_place_has_a_token(after: int, limit: int) -> None:
-    assert read_place(Place(after, limit).token) == Place(after, limit)
+    assert parse_position(PagePosition(after, limit).token) == PagePosition(after, limit)
 
 
 def test_a_container_of_few_members_is_told_at_once() -> None:
-    assert first_page(ROOT, 0, prefer.NO_PREFERENCES) is None
-    assert first_page(ROOT, MAX_PAGE_SIZE, prefer.NO_PREFERENCES) is None
+    assert redirect_to_first(ROOT, 0, prefer.NO_PREFERENCES) is None
+    assert redirect_to_first(ROOT, MAX_PAGE_SIZE, prefer.NO_PREFERENCES) is None
 
 
 def test_a_container_of_many_members_sends_to_its_first_page() -> None:
-    found = first_page(ROOT, MAX_PAGE_SIZE + 1, prefer.NO_PREFERENCES)
+    found = redirect_to_first(ROOT, MAX_PAGE_SIZE + 1, prefer.NO_PREFERENCES)
     assert found is not None
     assert (found.status, found.headers["Location"]) == (303, f"{ROOT}?page=0")
     assert "Prefer" in found.headers["Vary"]
 
 
 def test_who_prefers_small_pages_gets_them() -> None:
-    found = first_page(ROOT, 11, asked('return=representation; max-member-count="10"'))
+    found = redirect_to_first(ROOT, 11, asked('return=representation; max-member-count="10"'))
     assert found is not None
     assert found.headers["Location"] == f"{ROOT}?page=0-10"
-    assert first_page(ROOT, 10, asked("return=representation; max-member-count=10")) is None
+    assert redirect_to_first(ROOT, 10, asked("return=representation; max-member-count=10")) is None
 
 
 @pytest.mark.parametrize(
@@ -117,14 +124,14 @@ def test_the_size_of_pages_is_a_preference_that_may_be_ignored(text: str, limit:
 
 
 def test_every_page_but_the_last_has_a_next() -> None:
-    place = Place(0, 3)
-    assert page_of(ROOT, place, [2, 5, 7, 9]) == Page(ROOT, "0-3", "0-3", next="7-3")
-    assert page_of(ROOT, place, [2, 5, 7]) == Page(ROOT, "0-3", "0-3", last="0-3")
+    place = PagePosition(0, 3)
+    assert page_of(ROOT, place, [2, 5, 7, 9]) == LdpPage(ROOT, "0-3", "0-3", next="7-3")
+    assert page_of(ROOT, place, [2, 5, 7]) == LdpPage(ROOT, "0-3", "0-3", last="0-3")
     assert page_of(ROOT, place, []).next is None
 
 
 def test_every_page_but_the_first_has_a_prev_that_ends_where_it_begins() -> None:
-    place = Place(9, 3)
+    place = PagePosition(9, 3)
     assert page_of(ROOT, place, [10], [9, 8, 5, 4]).prev == "4-3"
     assert page_of(ROOT, place, [10], [9, 8, 5]).prev == "0-3"
     assert page_of(ROOT, place, [10], [9]).prev == "0-3"
@@ -132,22 +139,22 @@ def test_every_page_but_the_first_has_a_prev_that_ends_where_it_begins() -> None
 
 
 def test_the_last_page_is_the_one_that_next_leads_to() -> None:
-    assert [left_on_last(count, 3) for count in (0, 1, 2, 3, 4, 6, 7)] == [0, 1, 2, 3, 1, 3, 1]
-    assert last_place(3, 7, [20, 18]) == Place(18, 3)
-    assert last_place(3, 6, [20, 18, 17, 11]) == Place(11, 3)
-    assert last_place(3, 2, [20, 18]) == Place(0, 3)
-    assert page_of(ROOT, Place(0, 3), [2, 5, 7, 9], last=Place(18, 3)).last == "18-3"
+    assert [last_page_size(count, 3) for count in (0, 1, 2, 3, 4, 6, 7)] == [0, 1, 2, 3, 1, 3, 1]
+    assert last_position(3, 7, [20, 18]) == PagePosition(18, 3)
+    assert last_position(3, 6, [20, 18, 17, 11]) == PagePosition(11, 3)
+    assert last_position(3, 2, [20, 18]) == PagePosition(0, 3)
+    assert page_of(ROOT, PagePosition(0, 3), [2, 5, 7, 9], last=PagePosition(18, 3)).last == "18-3"
 
 
 @given(st.sets(st.integers(1, 200), max_size=60), st.integers(1, 12))
 def test_pages_are_walked_backwards_as_forwards(numbers: set[int], limit: int) -> None:
     ordered = sorted(numbers)
 
-    def at(token: str) -> tuple[Page, list[int]]:
-        place = read_place(token)
+    def at(token: str) -> tuple[LdpPage, list[int]]:
+        place = parse_position(token)
         found = [each for each in ordered if each > place.after][: limit + 1]
         before = [each for each in ordered[::-1] if each <= place.after][: limit + 1]
-        last = last_place(limit, len(ordered), ordered[::-1][: left_on_last(len(ordered), limit) + 1])
+        last = last_position(limit, len(ordered), ordered[::-1][: last_page_size(len(ordered), limit) + 1])
         return page_of(ROOT, place, found, before, last), found[:limit]
 
     def walked(token: str | None, rel: str) -> list[tuple[str, list[int]]]:
@@ -158,7 +165,7 @@ def test_pages_are_walked_backwards_as_forwards(numbers: set[int], limit: int) -
             token = page.next if rel == "next" else page.prev
         return steps
 
-    forwards = walked(Place(0, limit).token, "next")
+    forwards = walked(PagePosition(0, limit).token, "next")
     last = at(forwards[0][0])[0].last
     assert last == forwards[-1][0]
     assert walked(last, "prev") == forwards[::-1]
@@ -169,26 +176,26 @@ def test_names_are_walked_both_ways_and_none_is_missed_that_was_there_all_the_wh
     lasting: set[str], others: set[str], limit: int
 ) -> None:
     met: list[str] = []
-    first = Place(0, limit)
+    first = PagePosition(0, limit)
     token: str | None = first.token
     there = lasting | others
     while token is not None:
-        page, told = page_among(ROOT, read_named_place(token), sorted(there))
+        page, told = page_of_names(ROOT, parse_named_position(token), sorted(there))
         met += told
         token = page.next
         there = lasting
     assert len(met) == len(set(met))
     assert lasting <= set(met)
     names = sorted(lasting)
-    page, back = page_among(ROOT, read_named_place(page_among(ROOT, first, names)[0].last or ""), names)
+    page, back = page_of_names(ROOT, parse_named_position(page_of_names(ROOT, first, names)[0].last or ""), names)
     while page.prev is not None:
-        page, told = page_among(ROOT, read_named_place(page.prev), names)
+        page, told = page_of_names(ROOT, parse_named_position(page.prev), names)
         back = [*told, *back]
     assert list(back) == names
 
 
 def test_a_page_says_what_it_is_and_what_its_neighbours_are() -> None:
-    page = Page(ROOT, "3", "0", "2", "4", "9")
+    page = LdpPage(ROOT, "3", "0", "2", "4", "9")
     links = {(each.rel, each.target) for each in link.parse(link.render(page.links('"a-7.any"')))}
     assert links == {
         ("type", "http://www.w3.org/ns/ldp#Page"),
@@ -199,12 +206,12 @@ def test_a_page_says_what_it_is_and_what_its_neighbours_are() -> None:
         ("canonical", ROOT),
     }
     assert page.links('"a-7.any"')[-1].attributes == (("etag", "a-7.any"),)
-    assert [step.rel for step in page.steps()] == ["first", "prev", "next", "last"]
+    assert [step.rel for step in page.neighbours()] == ["first", "prev", "next", "last"]
 
 
 def test_rdf_says_the_same() -> None:
     here, container = NamedNode(f"{ROOT}?page=3"), NamedNode(ROOT)
-    assert set(Page(ROOT, "3", "0", next="4").triples()) == {
+    assert set(LdpPage(ROOT, "3", "0", next="4").triples()) == {
         Triple(here, rdf.type, ldp.Page),
         Triple(here, ldp.pageSequence, container),
         Triple(here, xhv.first, NamedNode(f"{ROOT}?page=0")),
@@ -222,9 +229,9 @@ def test_whoever_follows_next_meets_all_that_was_there_all_the_while_once(
 ) -> None:
     there, lasting, newest = set(numbers), set(numbers), 1000
     met: list[int] = []
-    token: str | None = Place(0, limit).token
+    token: str | None = PagePosition(0, limit).token
     while token is not None:
-        place = read_place(token)
+        place = parse_position(token)
         found = sorted(each for each in there if each > place.after)[: limit + 1]
         met += found[:limit]
         token = page_of(ROOT, place, found).next

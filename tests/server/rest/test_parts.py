@@ -7,13 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.server.http import prefer
-from rosld.server.rest.prefer_container import ALL, Parts, select_parts
+from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts, select_parts
 
 LDP = "http://www.w3.org/ns/ldp#"
 HINTS = ("PreferContainment", "PreferMembership", "PreferMinimalContainer", "PreferEmptyContainer")
 
 
-def asked(include: str = "", omit: str = "") -> Parts:
+def asked(include: str = "", omit: str = "") -> ContainerParts:
     text = "return=representation"
     for name, hints in (("include", include), ("omit", omit)):
         if hints:
@@ -21,14 +21,14 @@ def asked(include: str = "", omit: str = "") -> Parts:
     return select_parts(prefer.parse(text))
 
 
-def held(parts: Parts) -> set[str]:
+def held(parts: ContainerParts) -> set[str]:
     return {name for name in ("containment", "membership", "minimal") if getattr(parts, name)}
 
 
 @pytest.mark.parametrize("text", [None, "return=minimal", "respond-async", f'include="{LDP}PreferMinimalContainer"'])
 def test_without_a_preference_everything_is_there_and_nothing_is_said_of_it(text: str | None) -> None:
     parts = select_parts(prefer.parse(text))
-    assert parts == ALL
+    assert parts == ALL_PARTS
     assert parts.preference_applied is None
 
 

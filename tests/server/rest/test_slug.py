@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from rosld.ontology.urls import decode_segment, encode_segment
-from rosld.server.rest.slug import MAX_LENGTH, free_name
+from rosld.server.rest.slug import MAX_LENGTH, choose_name
 
 
 def free(_: str) -> bool:
@@ -36,7 +36,7 @@ def free(_: str) -> bool:
     ],
 )
 def test_what_can_be_read_of_a_slug_is_the_name(slug: str, name: str) -> None:
-    assert free_name(slug, free) == name
+    assert choose_name(slug, free) == name
 
 
 @pytest.mark.parametrize(
@@ -62,21 +62,21 @@ def test_what_can_be_read_of_a_slug_is_the_name(slug: str, name: str) -> None:
     ],
 )
 def test_what_would_be_dangerous_or_misleading_is_not_in_the_name(slug: str, name: str) -> None:
-    assert free_name(slug, free) == name
+    assert choose_name(slug, free) == name
 
 
 @pytest.mark.parametrize("slug", [None, "", " ", ".", "..", "...", "%2E%2E", "/", "~", "---", "%E2%80%AE", "%CC%88"])
 def test_without_anything_readable_a_name_is_made_that_can_be_read_aloud(slug: str | None) -> None:
-    name = free_name(slug, free)
+    name = choose_name(slug, free)
     assert len(name) == 13
     assert name.replace("-", "").isalpha()
-    assert name != free_name(slug, free)
+    assert name != choose_name(slug, free)
 
 
 def test_a_name_that_is_or_was_there_is_never_given_again() -> None:
     there: set[str] = set()
     for _ in range(50):
-        name = free_name("room", there.__contains__)
+        name = choose_name("room", there.__contains__)
         assert name not in there
         there.add(name)
     assert {"room", "room-2", "room-3", "room-9"} <= there
@@ -89,25 +89,25 @@ def test_a_thousand_members_of_one_slug_are_named_by_few_questions() -> None:
         asked.append(name)
         return len(name) < len("room-12345678")
 
-    free_name("room", taken)
+    choose_name("room", taken)
     assert len(asked) < 12
 
 
 def test_a_number_stands_before_the_extension() -> None:
-    assert free_name("photo.png", {"photo.png"}.__contains__) == "photo-2.png"
+    assert choose_name("photo.png", {"photo.png"}.__contains__) == "photo-2.png"
 
 
 def test_the_suffix_is_for_names_that_have_none() -> None:
-    assert free_name("photo", free, suffix=".png") == "photo.png"
-    assert free_name("photo.jpeg", free, suffix=".png") == "photo.jpeg"
-    assert free_name("photo", {"photo.png"}.__contains__, suffix=".png") == "photo-2.png"
-    assert free_name(None, free, suffix=".png").endswith(".png")
+    assert choose_name("photo", free, suffix=".png") == "photo.png"
+    assert choose_name("photo.jpeg", free, suffix=".png") == "photo.jpeg"
+    assert choose_name("photo", {"photo.png"}.__contains__, suffix=".png") == "photo-2.png"
+    assert choose_name(None, free, suffix=".png").endswith(".png")
 
 
 @pytest.mark.parametrize("suffix", ["png", ".", "./x", ".meta", ".a b"])
 def test_a_suffix_that_is_none_is_refused(suffix: str) -> None:
     with pytest.raises(ValueError, match="no extension"):
-        free_name("a", free, suffix=suffix)
+        choose_name("a", free, suffix=suffix)
 
 
 _slugs = (
@@ -128,7 +128,7 @@ def test_a_name_is_always_one_safe_segment(slug: str | None, suffix: str, refuse
         seen.append(name)
         return len(seen) <= refused
 
-    name = free_name(slug, taken, suffix=suffix)
+    name = choose_name(slug, taken, suffix=suffix)
     assert seen[-1] == name
     assert 0 < len(name) <= MAX_LENGTH
     assert name == unicodedata.normalize("NFC", name)

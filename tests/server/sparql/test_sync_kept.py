@@ -16,7 +16,7 @@ from pyoxigraph import CanonicalizationAlgorithm, Dataset, NamedNode, Quad, Quer
 
 from rosld.ontology.vocab import ldp
 from rosld.server.resources.kept.graphs import RecordGraphs
-from rosld.server.rest.interaction import declared, membership_triples
+from rosld.server.rest.interaction import membership_declaration, membership_triples
 from rosld.server.sparql.change_source import Changes
 from rosld.server.sparql.materializer import GraphEntry, Synchroniser
 from rosld.server.sparql.needs import Demand, Needs
@@ -82,7 +82,7 @@ class Index:
             members += page
         url, membership = BASE + record.path, list[Triple]()
         if record.membership is not None:
-            membership = declared(record.membership, url)
+            membership = membership_declaration(record.membership, url)
             membership += membership_triples(record.membership, [one.member or BASE + one.path for one in members])
         return canonical(record_document(record, url, [BASE + one.path for one in members], membership).triples)
 

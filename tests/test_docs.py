@@ -1,4 +1,4 @@
-"""The documentation: every link leads somewhere, and what the tutorial shows is what comes."""
+"""The documentation: every link leads somewhere, and what pages on the embedded robots show is what comes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from urllib.parse import unquote
 
 import pytest
 
-from tests.server.conftest import start
+from tests.server.conftest import servers
 
 ROOT = Path(__file__).parent.parent
 LINK = re.compile(r"\]\(([^()\s]+)\)")
@@ -81,16 +81,12 @@ def prints(expected: list[str], lines: list[str]) -> bool:
     return bool(lines) and lines[0].rstrip() == expected[0].rstrip() and prints(expected[1:], lines[1:])
 
 
-@pytest.fixture
-def url() -> Iterator[str]:
-    served = start("aircraft")
-    yield served.url
-    assert served.stop() == 0
-
-
-def test_the_tutorial_prints_what_it_shows(url: str) -> None:
-    for command, expected in commands(ROOT / "docs" / "tutorial" / "aircraft.md"):
-        command = command.replace(PRINTED, url).replace(".venv/bin/python", sys.executable)
-        done = subprocess.run(["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, timeout=60)
-        printed = done.stdout.replace(url, PRINTED).splitlines()
-        assert prints(expected, printed), f"{command}\n{done.stdout}\n{done.stderr}"
+@pytest.mark.parametrize(("source", "page"), [("aircraft", "tutorial/aircraft.md"), ("rover", "how-to/rover.md")])
+def test_a_page_on_an_embedded_robot_prints_what_it_shows(source: str, page: str) -> None:
+    with servers() as start:
+        url = start(source).url
+        for command, expected in commands(ROOT / "docs" / page):
+            command = command.replace(PRINTED, url).replace(".venv/bin/python", sys.executable)
+            done = subprocess.run(["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, timeout=60)
+            printed = done.stdout.replace(url, PRINTED).splitlines()
+            assert prints(expected, printed), f"{command}\n{done.stdout}\n{done.stderr}"

@@ -116,7 +116,7 @@ def test_parameters_are_declared_with_their_types_ranges_and_words() -> None:
         declared = {name: each.descriptor for name, each in session.graph.parameters.items()}
         assert declared["/rover/max_speed"].range == Range(0.1, 1.0)
         assert declared["/rover/scan_rate"].type is ParameterType.INTEGER
-        assert declared["/rover/drive_mode"].constraints == "One of: eco, normal, sport."
+        assert [choice.value for choice in declared["/rover/drive_mode"].choices] == ["eco", "normal", "sport"]
         assert declared["/rover/wheel_separation"].read_only
         allowed = session.adapter.allows(Ref(Kind.PARAMETER, "/rover/wheel_separation"))
         assert allowed == {Operation.GET_PARAMETER}

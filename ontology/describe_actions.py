@@ -5,22 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pyoxigraph import Literal, NamedNode
+from pyoxigraph import NamedNode
 
 from rosld.adapters.model import Action, GoalStatus, Graph, Message, MessageSchema
-from rosld.ontology.affordances import affordance, form
+from rosld.ontology.affordances import BODIES, SSE, STREAM, affordance, forms
 from rosld.ontology.describe_topics import defined
 from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.namespaces import is_namespace
 from rosld.ontology.triples import RDF_SOURCE, Statement, about, boolean, each, moment, text
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import hctl, prov, rdf, ros, td
+from rosld.ontology.vocab import prov, rdf, ros, td
 
 _SETTINGS = LiftSettings()
-_BODIES = tuple(map(Literal, ("application/json", "text/turtle", "application/ld+json")))
-_STREAM = (Literal("text/event-stream"),)
-_SSE = (hctl.forSubProtocol, Literal("sse"))
 _TERMS: Mapping[GoalStatus, NamedNode] = {status: ros.terms()[status.value.capitalize()] for status in GoalStatus}
 
 
@@ -48,7 +45,7 @@ def action_document(
     if takes_goals and action.type is not None:
         shape = (ros.goalShape, NamedNode(space.shape(f"{action.type.name}_Goal")))
         triples += affordance(subject, "send", td.hasActionAffordance, td.ActionAffordance, shape)
-        triples += form(subject, "send", "invoke", "POST", td.invokeAction, *each(hctl.forContentType, _BODIES))
+        triples += forms(NamedNode(f"{url}#send"), "invoke", "POST", td.invokeAction, url, BODIES)
     if action.type is not None:
         triples += defined(action.type, space)
     return Document(url, tuple(triples), simulated_time=graph.simulated_time)
@@ -120,9 +117,9 @@ def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTIN
     )
     if not goal.status.is_final:
         triples += affordance(subject, "events", td.hasEventAffordance, td.EventAffordance)
-        stream = each(hctl.forContentType, _STREAM)
-        triples += form(subject, "events", "subscribe", "GET", td.subscribeEvent, *stream, _SSE)
+        events = NamedNode(f"{url}#events")
+        triples += forms(events, "subscribe", "GET", td.subscribeEvent, url, STREAM, SSE)
     if goal.cancelable:
         triples += affordance(subject, "cancel", td.hasActionAffordance, td.ActionAffordance)
-        triples += form(subject, "cancel", "cancel", "DELETE", td.cancelAction)
+        triples += forms(NamedNode(f"{url}#cancel"), "cancel", "DELETE", td.cancelAction, url)
     return Document(url, tuple(triples), tuple(messages))

@@ -9,12 +9,12 @@ from hashlib import sha256
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import Message, MessageSchema
-from rosld.ontology.affordances import affordance, form
+from rosld.ontology.affordances import BODIES, SSE, STREAM, affordance, forms
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.triples import RDF_SOURCE, about, boolean, double, each, integer, moment, text
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import hctl, js, prov, rdf, rdfs, ros, td
+from rosld.ontology.vocab import js, prov, rdf, rdfs, ros, td
 
 MAX_RATE = 50.0
 """Hz: how often a hold may publish."""
@@ -23,9 +23,8 @@ MAX_LEASE = 5.0
 MIN_OF_HOLDS = 1e-6
 """The least rate in Hz, and the least lease in seconds."""
 _SETTINGS = LiftSettings()
-_BODIES = tuple(map(Literal, ("application/json", "text/turtle", "application/ld+json")))
-_STREAM = (Literal("text/event-stream"),)
-_SSE = (hctl.forSubProtocol, Literal("sse"))
+_PARAMETERS = "{?rate,lease,then}"
+"""Those of a hold, as in a URI template (RFC 6570)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,16 +72,14 @@ def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTIN
     )
     if hold.changeable:
         triples += affordance(subject, "renew", td.hasActionAffordance, td.ActionAffordance)
-        target = f"{url}{{?rate,lease,then}}"
-        triples += form(
-            subject, "renew", "patch", "PATCH", td.invokeAction, *each(hctl.forContentType, _BODIES), target=target
-        )
+        renew = NamedNode(f"{url}#renew")
+        triples += forms(renew, "patch", "PATCH", td.invokeAction, url, BODIES, template=f"{url}{_PARAMETERS}")
         triples += _variables(subject, "renew")
         triples += affordance(subject, "keep", td.hasEventAffordance, td.EventAffordance)
-        stream = each(hctl.forContentType, _STREAM)
-        triples += form(subject, "keep", "get", "GET", td.subscribeEvent, *stream, _SSE, target=f"{url}?keep=true")
+        keep = NamedNode(f"{url}#keep")
+        triples += forms(keep, "get", "GET", td.subscribeEvent, f"{url}?keep=true", STREAM, SSE)
         triples += affordance(subject, "end", td.hasActionAffordance, td.ActionAffordance)
-        triples += form(subject, "end", "delete", "DELETE", td.cancelAction)
+        triples += forms(NamedNode(f"{url}#end"), "delete", "DELETE", td.cancelAction, url)
     return Document(url, tuple(triples), tuple(messages))
 
 
@@ -91,12 +88,11 @@ def holdable(topic: str) -> list[Triple]:
     subject = NamedNode(topic)
     return [
         *affordance(subject, "hold", td.hasActionAffordance, td.ActionAffordance),
-        *form(
-            subject, "hold", "post", "POST", td.invokeAction, *each(hctl.forContentType, _BODIES),
-            target=f"{topic}{{?rate,lease,then}}",
+        *forms(
+            NamedNode(f"{topic}#hold"), "post", "POST", td.invokeAction, topic, BODIES, template=f"{topic}{_PARAMETERS}"
         ),
         *_variables(subject, "hold"),
-    ]  # fmt: skip
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,9 +148,10 @@ def stop_document(
         )
     if usable:
         triples += affordance(subject, "stop", td.hasActionAffordance, td.ActionAffordance)
-        triples += form(subject, "stop", "post", "POST", td.invokeAction, (hctl.forContentType, _BODIES[0]))
+        stop = NamedNode(f"{url}#stop")
+        triples += forms(stop, "post", "POST", td.invokeAction, url, BODIES[:1])
         if by is not None:
-            triples += form(subject, "stop", "delete", "DELETE", td.cancelAction)
+            triples += forms(stop, "delete", "DELETE", td.cancelAction, url)
     return Document(url, tuple(triples))
 
 

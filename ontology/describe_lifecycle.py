@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pyoxigraph import Literal, NamedNode, Triple
+from pyoxigraph import NamedNode, Triple
 
 from rosld.adapters.model import Lifecycle, LifecycleState
-from rosld.ontology.triples import Statement, about, each, integer, text
+from rosld.ontology.affordances import BODIES, forms
+from rosld.ontology.triples import Statement, about, integer, text
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import hctl, htv, rdf, ros, sh, td, xsd
+from rosld.ontology.vocab import rdf, ros, sh, td, xsd
 
-_BODIES = tuple(map(Literal, ("application/json", "text/turtle", "application/ld+json")))
 _STATES: Mapping[int, NamedNode] = {
     1: ros.Unconfigured,
     2: ros.Inactive,
@@ -43,9 +43,7 @@ def transition_triples(node: str, lifecycle: Lifecycle, space: Space) -> list[Tr
     triples: list[Triple] = []
     for transition in lifecycle.transitions:
         affordance = NamedNode(space.fragment(node, "transitions", transition.label))
-        form, shape, path = (
-            NamedNode(f"{affordance.value}/{part}") for part in ("invoke", "shape", "shape/transition")
-        )
+        shape, path = (NamedNode(f"{affordance.value}/{part}") for part in ("shape", "shape/transition"))
         label = text(transition.label)
         triples += [
             Triple(subject, td.hasActionAffordance, affordance),
@@ -55,16 +53,8 @@ def transition_triples(node: str, lifecycle: Lifecycle, space: Space) -> list[Tr
                 (td.name, label),
                 *_goal(transition.goal),
                 (ros.shape, shape),
-                (td.hasForm, form),
             ),
-            *about(
-                form,
-                (rdf.type, hctl.Form),
-                (hctl.hasOperationType, td.invokeAction),
-                (htv.methodName, Literal("POST")),
-                (hctl.hasTarget, subject),
-                *each(hctl.forContentType, _BODIES),
-            ),
+            *forms(affordance, "invoke", "POST", td.invokeAction, node, BODIES),
             *about(shape, (rdf.type, sh.NodeShape), (sh.property, path)),
             *about(
                 path,

@@ -71,6 +71,7 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     lifecycleStateWord: NamedNode
     lifecycleUnknown: NamedNode
     transition: NamedNode
+    uriTemplate: NamedNode
     targetState: NamedNode
     targetStateWord: NamedNode
     publishedBy: NamedNode

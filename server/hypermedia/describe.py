@@ -16,11 +16,12 @@ from urllib.parse import quote
 import orjson
 from pyoxigraph import Literal, NamedNode, Triple
 
+from rosld.ontology.affordances import BODIES, SSE, STREAM, forms
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.triples import CONTAINER, RDF_SOURCE, Statement, about, boolean, each, text
+from rosld.ontology.triples import CONTAINER, RDF_SOURCE, about, boolean, each, text
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import dcterms, hctl, htv, ldp, mapping, qudt, rdf, rdfs, ros, td
+from rosld.ontology.vocab import dcterms, ldp, mapping, qudt, rdf, rdfs, ros, td
 from rosld.server.hypermedia.value import MessageValue, Reading, field_json, lift_value, plain_json, value_literal
 from rosld.server.hypermedia.views import (
     ActionAffordance,
@@ -34,9 +35,6 @@ from rosld.shapes.value import NO_MEASURE, OpenShape, ScalarShape
 
 VALUE = "#value"
 """The node of a property's value, where that is a message."""
-
-_TYPES = tuple(map(Literal, ("application/json", "text/turtle", "application/ld+json")))
-_STREAM, _SSE = (Literal("text/event-stream"),), Literal("sse")
 
 
 # Properties
@@ -236,11 +234,11 @@ def _property_affordance(one: PropertyAffordance, document: NamedNode, node: str
         (ros.shape, shape),
     )
     if one.read:
-        triples += _form(subject, "read", one.url, "GET", td.readProperty)
+        triples += forms(subject, "read", "GET", td.readProperty, one.url, BODIES[:1])
     if one.write:
-        triples += _form(subject, "write", one.url, "PUT", td.writeProperty)
+        triples += forms(subject, "write", "PUT", td.writeProperty, one.url, BODIES)
     if observable:
-        triples += _form(subject, "observe", one.url, "GET", td.observeProperty, _STREAM, (hctl.forSubProtocol, _SSE))
+        triples += forms(subject, "observe", "GET", td.observeProperty, one.url, STREAM, SSE)
     triples += value_shape_triples(one.shape, shape, rdf.value, space)
     return (Triple(document, td.hasPropertyAffordance, subject), *triples)
 
@@ -263,30 +261,5 @@ def _action_affordance(one: ActionAffordance, document: NamedNode, node: str, sp
         (mapping.relation, one.relation),
         (ros.requestShape, request),
     )
-    triples += _form(subject, "invoke", one.url, "POST", td.invokeAction)
+    triples += forms(subject, "invoke", "POST", td.invokeAction, one.url, BODIES)
     return (Triple(document, td.hasActionAffordance, subject), *triples)
-
-
-def _form(
-    affordance: NamedNode,
-    name: str,
-    target: str,
-    method: str,
-    operation: NamedNode,
-    types: Iterable[Literal] = _TYPES,
-    *more: Statement,
-) -> list[Triple]:
-    """A form of an affordance: how an operation is carried out."""
-    form = NamedNode(f"{affordance.value}/{name}")
-    return [
-        Triple(affordance, td.hasForm, form),
-        *about(
-            form,
-            (rdf.type, hctl.Form),
-            (hctl.hasOperationType, operation),
-            (htv.methodName, Literal(method)),
-            (hctl.hasTarget, NamedNode(target)),
-            *each(hctl.forContentType, types),
-            *more,
-        ),
-    ]

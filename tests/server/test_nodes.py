@@ -82,7 +82,7 @@ def test_a_node_tells_its_endpoints_with_their_quality_of_service_and_its_parame
         for each in document
         if each.subject.value in (endpoint, f"{http.base_url}topics/chatter#qos/publisher/camera")
     }
-    assert {each.predicate for each in own} >= {ros.onTopic, ros.ofNode, ros.hasQos, ros.reliability, ros.depth}
+    assert {each.predicate for each in own} >= {ros.ofTopic, ros.ofNode, ros.hasQos, ros.reliability, ros.depth}
     assert own <= of_topic
     (other,) = said(http, ros.hasEndpoint, node="/nodes/plain")
     assert other == f"{http.base_url}topics/chatter#subscriber/plain"

@@ -109,7 +109,7 @@ def test_every_form_and_every_link_that_an_agent_is_shown_is_one_that_it_may_fol
         triples = [quad.triple for quad in parse(answer.content, RdfFormat.N_TRIPLES)]
         methods = {each.subject: each.object for each in triples if each.predicate == htv.methodName}
         for each in triples:
-            if each.predicate == hctl.hasTarget and isinstance(each.object, NamedNode):
+            if each.predicate == hctl.hasTarget:
                 method = getattr(methods.get(each.subject), "value", "GET")
                 allow = guarded[agent].options(each.object.value).headers.get("allow", "")
                 if method not in allow:

@@ -232,8 +232,9 @@ def test_an_action_on_offer_says_how_to_invoke_it() -> None:
     assert ask(
         described(STOPPED),
         """<> td:hasActionAffordance ?start . ?start a td:ActionAffordance ; td:name "start" ; map:relation av:start ;
-             td:hasForm ?form . ?form a hctl:Form ; hctl:hasTarget <start> ; htv:methodName "POST" ;
-             hctl:hasOperationType td:invokeAction ; hctl:forContentType "application/json", "text/turtle" .
+             td:hasForm ?form . ?form a hctl:Form ; hctl:hasTarget ?target ; htv:methodName "POST" ;
+             hctl:hasOperationType td:invokeAction ; hctl:forContentType "application/json" .
+           FILTER(?target = STRDT(STR(<start>), xsd:anyURI))
            FILTER NOT EXISTS { ?start ros:requestShape ?any }""",
     )
 
@@ -260,14 +261,15 @@ def test_a_property_says_how_to_read_write_and_observe_it_and_what_to_send() -> 
             document,
             f"""<> td:hasPropertyAffordance ?speed . ?speed a td:PropertyAffordance ; td:name "speed" ;
                   td:isObservable true ; map:predicate av:speed ; td:hasForm <#properties/speed/{name}> .
-                <#properties/speed/{name}> a hctl:Form ; hctl:hasTarget <speed> ; htv:methodName "{method}" ;
-                  hctl:hasOperationType td:{operation} ;
-                  hctl:forContentType "application/json", "text/turtle", "application/ld+json" .""",
+                <#properties/speed/{name}> a hctl:Form ; hctl:hasTarget ?target ; htv:methodName "{method}" ;
+                  hctl:hasOperationType td:{operation} ; hctl:forContentType "application/json" .
+                FILTER(?target = STRDT(STR(<speed>), xsd:anyURI))""",
         )
     assert ask(
         document,
         """?speed td:hasForm ?form . ?form hctl:hasOperationType td:observeProperty ; hctl:forSubProtocol "sse" ;
-             hctl:forContentType "text/event-stream" ; htv:methodName "GET" ; hctl:hasTarget <speed> .""",
+             hctl:forContentType "text/event-stream" ; htv:methodName "GET" ; hctl:hasTarget ?target .
+           FILTER(?target = STRDT(STR(<speed>), xsd:anyURI))""",
     )
     assert ask(
         document,
@@ -311,7 +313,7 @@ def test_every_form_has_one_target_one_method_and_one_operation() -> None:
         forms = {t.subject for t in triples if t.predicate == rdf.type and t.object == hctl.Form}
         assert forms == {t.object for t in triples if t.predicate == td.hasForm}
         for form in cast("set[NamedNode]", forms):
-            for predicate in (hctl.hasTarget, htv.methodName, hctl.hasOperationType):
+            for predicate in (hctl.hasTarget, htv.methodName, hctl.hasOperationType, hctl.forContentType):
                 assert len(values(triples, form, predicate)) == 1
 
 
@@ -324,7 +326,7 @@ def test_without_a_mapping_a_member_speaks_for_itself_and_an_action_has_no_relat
     document = described(ComplexView(AIRCRAFT.value, "/aircraft/", (member,), (action,), parent=ABOVE))
     assert values(document.triples, POWER, rdf.value) == {Literal("off")}
     assert values(document.triples, AIRCRAFT, ldp.contains) == {POWER, START}
-    assert {t.predicate for t in document.triples if t.object == START} == {ldp.contains, hctl.hasTarget}
+    assert {t.predicate for t in document.triples if t.object == START} == {ldp.contains}
     assert values(document.triples, AIRCRAFT, dcterms.title) == {Literal("Resources in /aircraft")}
     assert not ask(document, "?any map:predicate ?one")
     says_the_same_in_every_syntax(document)
@@ -406,7 +408,7 @@ def test_a_member_taken_from_elsewhere_is_used_but_not_contained() -> None:
     elsewhere = PropertyAffordance("display", BASE + "resources/cockpit/display", ON_OFF, av.power)
     document = described(replace(STOPPED, members=(Member(elsewhere, power().reading), speed())))
     assert values(document.triples, AIRCRAFT, ldp.contains) == {START}
-    assert ask(document, f"?form hctl:hasTarget <{BASE}resources/cockpit/display>")
+    assert ask(document, f'?form hctl:hasTarget "{BASE}resources/cockpit/display"^^xsd:anyURI')
 
 
 # A property and an action by themselves
@@ -474,7 +476,10 @@ def test_an_action_names_the_service_behind_it_and_its_place() -> None:
     assert values(document.triples, START, ros.name) == {Literal("/aircraft/start")}
     assert values(document.triples, START, ros.invokes) == {NamedNode(SPACE.service("/aircraft/start"))}
     assert values(document.triples, START, dcterms.isPartOf) == {AIRCRAFT}
-    assert ask(document, "<> td:hasActionAffordance <#action> . <#action> td:hasForm/hctl:hasTarget <> .")
+    assert ask(
+        document,
+        f'<> td:hasActionAffordance <#action> . <#action> td:hasForm/hctl:hasTarget "{START.value}"^^xsd:anyURI .',
+    )
     says_the_same_in_every_syntax(document)
 
 

@@ -1,0 +1,120 @@
+"""What follows from data and ontologies by OWL 2 RL, and whether that contradicts itself."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from itertools import combinations
+from pathlib import Path
+
+from owlrl import DeductiveClosure, OWLRL_Semantics
+from pyoxigraph import RdfFormat, Triple, serialize
+from rdflib import OWL, RDF, RDFS, XSD, Graph, Literal, URIRef
+from rdflib.collection import Collection
+from rdflib.term import Node
+
+from rosld.ontology.modules import MODULES, module_triples
+
+VOCABULARIES = Path(__file__).parent / "vocabularies"
+ERROR = URIRef("http://www.daml.org/2002/03/agents/agent-ont#error")
+_DERIVED = {
+    XSD.integer: {
+        *(XSD.long, XSD.int, XSD.short, XSD.byte, XSD.nonNegativeInteger, XSD.positiveInteger, XSD.unsignedLong),
+        *(XSD.unsignedInt, XSD.unsignedShort, XSD.unsignedByte),
+    },
+    XSD.decimal: {XSD.integer},
+}
+# owlrl holds that zero and what is not finite are no doubles.
+_NO_ERROR = re.compile(r"Lexical value of the literal '(-?0(\.0)?|-?INF|NaN)' does not match its datatype")
+
+
+def ontologies() -> Graph:
+    """Every module of the ontology, and the vocabularies of others that they are aligned with."""
+    graph = of_triples(triple for name in MODULES for triple in module_triples(name))
+    for path in sorted(VOCABULARIES.glob("*.ttl")):
+        graph.parse(path)
+    return graph
+
+
+def of_triples(triples: Iterable[Triple]) -> Graph:
+    """The triples in a graph of rdflib."""
+    return Graph().parse(data=serialize(triples, format=RdfFormat.N_TRIPLES), format="nt")
+
+
+def closure(graph: Graph) -> Graph:
+    """All that follows by the rules of OWL 2 RL."""
+    DeductiveClosure(OWLRL_Semantics, rdfs_closure=True, axiomatic_triples=False, datatype_axioms=False).expand(graph)
+    return graph
+
+
+def contradictions(graph: Graph) -> list[str]:
+    """What is wrong in a graph that holds all that follows from it, also where the reasoner does not look."""
+    return [*_errors(graph), *_disjoint(graph), *_equal_and_different(graph), *_several(graph), *_of_other_kinds(graph)]
+
+
+def _errors(graph: Graph) -> Iterator[str]:
+    yield from (str(each) for each in graph.objects(None, ERROR) if not _NO_ERROR.match(str(each)))
+    yield from (f"{each} is an owl:Nothing" for each in graph.subjects(RDF.type, OWL.Nothing))
+
+
+def _disjoint(graph: Graph) -> Iterator[str]:
+    """cax-dw and cax-adc: what is an instance of two disjoint classes."""
+    pairs = set(graph.subject_objects(OWL.disjointWith))
+    for each in graph.subjects(RDF.type, OWL.AllDisjointClasses):
+        pairs |= set(combinations(_members(graph, each, OWL.members), 2))
+    for one, other in pairs:
+        for each in set(graph.subjects(RDF.type, one)) & set(graph.subjects(RDF.type, other)):
+            yield f"{each} is both {one} and {other}"
+
+
+def _equal_and_different(graph: Graph) -> Iterator[str]:
+    """eq-diff1 to eq-diff3: what is the same as what it differs from."""
+    for one, other in _different(graph):
+        if (one, OWL.sameAs, other) in graph or (other, OWL.sameAs, one) in graph:
+            yield f"{one} is {other}, from which it differs"
+
+
+def _different(graph: Graph) -> set[tuple[Node, Node]]:
+    pairs = set(graph.subject_objects(OWL.differentFrom))
+    for each in graph.subjects(RDF.type, OWL.AllDifferent):
+        pairs |= set(combinations(_members(graph, each, OWL.distinctMembers), 2))
+    return pairs
+
+
+def _several(graph: Graph) -> Iterator[str]:
+    """prp-fp: several values of a property of which a thing has one, where the values are known to differ."""
+    different = _different(graph)
+    for term in graph.subjects(RDF.type, OWL.FunctionalProperty):
+        for subject in set(graph.subjects(term, None)):
+            values = set(graph.objects(subject, term))
+            literals = {each.toPython() for each in values if isinstance(each, Literal)}
+            if len(literals) > 1 or any({one, other} <= values for one, other in different):
+                yield f"{subject} has {len(values)} values of {term}: {sorted(map(str, values))}"
+
+
+def _of_other_kinds(graph: Graph) -> Iterator[str]:
+    """dt-not-type, and values of a kind that a property does not have: a node for a literal, a literal for a node."""
+    for term in set(graph.subjects(RDF.type, OWL.DatatypeProperty)):
+        ranges = [each for each in graph.objects(term, RDFS.range) if str(each).startswith(str(XSD))]
+        for subject, value in graph.subject_objects(term):
+            if not isinstance(value, Literal):
+                yield f"{subject} {term} {value}: no literal"
+            elif any(not _is_of(value, each) for each in ranges):
+                yield f"{subject} {term} {value.n3()}: not of {ranges}"
+    for term in set(graph.subjects(RDF.type, OWL.ObjectProperty)):
+        yield from (f"{s} {term} {o}: a literal" for s, o in graph.subject_objects(term) if isinstance(o, Literal))
+
+
+def _is_of(value: Literal, datatype: Node) -> bool:
+    own = value.datatype or XSD.string
+    return own == datatype or own in _below(datatype)
+
+
+def _below(datatype: Node) -> set[URIRef]:
+    direct = _DERIVED.get(datatype, set())  # type: ignore[call-overload]
+    return direct.union(*(_below(each) for each in direct))
+
+
+def _members(graph: Graph, subject: Node, predicate: URIRef) -> list[Node]:
+    first = graph.value(subject, predicate)
+    return [] if first is None else list(Collection(graph, first))

@@ -11,6 +11,7 @@ from pyoxigraph import Literal, NamedNode
 
 from rosld.adapters.model import Endpoint, Graph, Live, Node, Stale, Topic, names
 from rosld.ontology.describe_lifecycle import lifecycle_statements, transition_triples
+from rosld.ontology.describe_search import search_triples
 from rosld.ontology.describe_topics import endpoints_of
 from rosld.ontology.document import Document
 from rosld.ontology.namespaces import Kept
@@ -92,6 +93,7 @@ def entry_document(
         )
     status = NamedNode(f"{space.base}status")
     triples += about(status, *((ros.storageProblem, text(problem)) for problem in storage_problems))
+    triples += search_triples(entry, space)
     triples += about(ontology, (rdfs.label, text("Ontology")))
     triples += about(sparql, (rdfs.label, text("SPARQL")))
     triples += about(graphs, (rdfs.label, text("Graph store")))

@@ -104,6 +104,7 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     uncallable: NamedNode
     unusable: NamedNode
     rate: NamedNode
+    briefValue: NamedNode
     namespace: NamedNode
     value: NamedNode
     writable: NamedNode
@@ -293,6 +294,9 @@ class ros(Namespace, iri="https://w3id.org/rosld#"):
     FieldConstraintComponent: NamedNode
     StepConstraintComponent: NamedNode
     fieldPath: NamedNode
+
+    # search
+    matchedBy: NamedNode
 
     # SPARQL functions
     at: NamedNode
@@ -602,10 +606,33 @@ class prov(Namespace, iri="http://www.w3.org/ns/prov#"):
 
 
 class schema_org(Namespace, iri="https://schema.org/"):
-    """Schema.org: domains and ranges that leave room for others."""
+    """Schema.org: domains and ranges that leave room for others; lists in an order."""
 
     domainIncludes: NamedNode
     rangeIncludes: NamedNode
+    ItemList: NamedNode
+    ListItem: NamedNode
+    itemListElement: NamedNode
+    numberOfItems: NamedNode
+    position: NamedNode
+    item: NamedNode
+    name: NamedNode
+
+
+class hydra(Namespace, iri="http://www.w3.org/ns/hydra/core#"):
+    """Hydra: templates of URLs."""
+
+    IriTemplate: NamedNode
+    IriTemplateMapping: NamedNode
+    BasicRepresentation: NamedNode
+    freetextQuery: NamedNode
+    mapping: NamedNode
+    property: NamedNode
+    required: NamedNode
+    search: NamedNode
+    template: NamedNode
+    variable: NamedNode
+    variableRepresentation: NamedNode
 
 
 class qudt(Namespace, iri="http://qudt.org/schema/qudt/"):
@@ -690,6 +717,7 @@ _SPACES = (
     sosa,
     cora,
     qudt,
+    hydra,
     av,
 )
 

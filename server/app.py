@@ -94,6 +94,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     router.add(status_room(watchdog))
     described = {each.url: each.document for each in fixed(notifications)}
     described |= {router.endpoint.url: router.endpoint.document, router.graphs.url: router.graphs.document}
+    described |= {router.search.url: router.search.document}
     changing = ("/status",) if mirror is None else ("/status", "/mirror")
     source.add(described, map(router.at, changing))
     authenticator = (

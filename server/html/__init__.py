@@ -2,7 +2,8 @@
 
 Nothing here knows a robot or a store: a `Page` (or one of its kin) goes in, bytes come out. Whatever came from a robot
 is text to these pages, never markup, and `HEADERS` tells the browser to run nothing but `live.js`, which keeps a page
-up to date while it is looked at, and `filter.js`, which finds things on long ones. Without them every page is as whole.
+up to date while it is looked at, `filter.js`, which finds things on long ones, and `find.js`, which shows what is found
+while words are typed. Without them every page is as whole.
 """
 
 from rosld.server.html.affordances import action_form, forms_of, property_form
@@ -35,6 +36,7 @@ from rosld.server.html.page import (
     PageResults,
     ProblemPage,
     QueryPage,
+    SearchPage,
     SequenceLink,
     SparqlPage,
     StoredQueryLink,
@@ -43,6 +45,7 @@ from rosld.server.html.page import (
 from rosld.server.html.render import (
     CONTENT_SECURITY_POLICY,
     FILTER_SCRIPT,
+    FIND_SCRIPT,
     HEADERS,
     ICON,
     SCRIPT,
@@ -52,6 +55,7 @@ from rosld.server.html.render import (
     render_page,
     render_problem,
     render_query,
+    render_search,
     render_sparql,
 )
 from rosld.server.html.site import Site
@@ -60,6 +64,7 @@ __all__ = [
     "ALTERNATES",
     "CONTENT_SECURITY_POLICY",
     "FILTER_SCRIPT",
+    "FIND_SCRIPT",
     "HEADERS",
     "ICON",
     "SCRIPT",
@@ -81,6 +86,7 @@ __all__ = [
     "ParameterForm",
     "ProblemPage",
     "QueryPage",
+    "SearchPage",
     "SequenceLink",
     "Site",
     "SparqlPage",
@@ -99,6 +105,7 @@ __all__ = [
     "render_page",
     "render_problem",
     "render_query",
+    "render_search",
     "render_sparql",
     "split_hidden",
 ]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
+from rosld.ontology.describe_search import SearchResult
 from rosld.ontology.document import Document
 from rosld.ontology.syntax import Syntax
 from rosld.ontology.violations import Violation
@@ -211,6 +212,18 @@ class QueryPage:
     query: StoredQueryLink
     parameters: tuple[StoredQueryParameter, ...] = ()
     results: PageResults | None = None
+    notices: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class SearchPage:
+    """The page at `/find`: a box for words, and what was found, the best first; `total` are all that fit."""
+
+    site: Site
+    url: str
+    query: str = ""
+    results: tuple[SearchResult, ...] = ()
+    total: int = 0
     notices: tuple[Notice, ...] = ()
 
 

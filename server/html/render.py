@@ -12,9 +12,11 @@ from urllib.parse import quote
 from jinja2 import DictLoader, Environment, StrictUndefined
 from pyoxigraph import NamedNode
 
+from rosld.ontology.describe_search import SearchResult
 from rosld.ontology.vocab import ldp, ros, td
 from rosld.server.html.auto_refresh import MAX_RATE, is_refreshed
 from rosld.server.html.breadcrumb import breadcrumb
+from rosld.server.html.brief import brief_text
 from rosld.server.html.description import describe, first_text
 from rosld.server.html.endpoints import endpoint_table
 from rosld.server.html.folding import group_sections
@@ -23,7 +25,18 @@ from rosld.server.html.labels import capitalize
 from rosld.server.html.listing import container_table
 from rosld.server.html.message_sections import message_sections
 from rosld.server.html.offer import FormTarget, form_targets, offer_view
-from rosld.server.html.page import THING, EntryPage, Notice, NoticeLevel, Page, ProblemPage, QueryPage, SparqlPage
+from rosld.server.html.page import (
+    ALTERNATES,
+    THING,
+    EntryPage,
+    Notice,
+    NoticeLevel,
+    Page,
+    ProblemPage,
+    QueryPage,
+    SearchPage,
+    SparqlPage,
+)
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.stop_steps import stop_steps
 from rosld.server.html.tables import results_table
@@ -60,7 +73,9 @@ SCRIPT = (_HERE / "live.js").read_bytes()
 """Served at `live.js` below the base: opens the event stream of a page that is live, and shows what comes."""
 FILTER_SCRIPT = (_HERE / "filter.js").read_bytes()
 """Served at `filter.js` below the base: finds things on a page that folds very many."""
-_VERSION = hashlib.blake2b(STYLESHEET + ICON + SCRIPT + FILTER_SCRIPT, digest_size=4).hexdigest()
+FIND_SCRIPT = (_HERE / "find.js").read_bytes()
+"""Served at `find.js` below the base: shows what is found while words are typed into the box of every page."""
+_VERSION = hashlib.blake2b(STYLESHEET + ICON + SCRIPT + FILTER_SCRIPT + FIND_SCRIPT, digest_size=4).hexdigest()
 
 _NOTICED = (
     (ros.unreachable, "Unreachable"),
@@ -102,6 +117,8 @@ class _Frame:
     notices: tuple[Notice, ...]
     live: bool = False
     """Whether it follows its resource while it is looked at."""
+    query: str = ""
+    """What stands in the box that searches."""
 
     @property
     def stylesheet(self) -> str:
@@ -114,6 +131,15 @@ class _Frame:
     @property
     def filter_script(self) -> str:
         return f"{self.site.root}filter.js?v={_VERSION}"
+
+    @property
+    def find_script(self) -> str:
+        return f"{self.site.root}find.js?v={_VERSION}"
+
+    @property
+    def can_find(self) -> bool:
+        """Whether the reader may search."""
+        return self.site.may("GET", f"{self.site.base}find")
 
     @property
     def icon(self) -> str:
@@ -164,10 +190,12 @@ def _render(template: str, frame: _Frame, **values: object) -> bytes:
     return text.encode("utf-8", "replace")
 
 
-def _frame(site: Site, title: str, url: str, notices: tuple[Notice, ...], live: bool = False) -> _Frame:
+def _frame(
+    site: Site, title: str, url: str, notices: tuple[Notice, ...], live: bool = False, query: str = ""
+) -> _Frame:
     stale = (Notice(f"The robot cannot be seen: {site.stale}", NoticeLevel.WARNING),) if site.stale else ()
     ordered = sorted(stale + notices, key=lambda notice: _LOUDEST_FIRST.index(notice.level))
-    return _Frame(site, escape_controls(title), breadcrumb(site, url), url, tuple(ordered), live)
+    return _Frame(site, escape_controls(title), breadcrumb(site, url), url, tuple(ordered), live, query)
 
 
 def render_page(page: Page) -> bytes:
@@ -299,6 +327,36 @@ def render_query(page: QueryPage) -> bytes:
         formats=_FORMATS,
         results=results_table(page.results, page.site) if page.results else None,
     )
+
+
+def render_search(page: SearchPage) -> bytes:
+    """The page of the search: the box, and what was found in a table."""
+    found = (
+        (result, page.site.anchor(result.member.url), [page.site.anchor(type) for type in _types(result, page.site)])
+        for result in page.results
+    )
+    return _render(
+        "find.html",
+        _frame(page.site, page.query or "Search", page.url, page.notices, query=page.query),
+        page=page,
+        formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
+        rows=[
+            (anchor, result.kind, types, _found_by(result), brief_text(result.member.value or "null"))
+            for result, anchor, types in found
+            if anchor is not None
+        ],
+    )
+
+
+def _types(result: SearchResult, site: Site) -> Iterator[str]:
+    return (f"{site.types}{name}" for name in result.member.types)
+
+
+def _found_by(result: SearchResult) -> str:
+    """What of a result has the words, where its name does not show it."""
+    if result.field is not None:
+        return f"{result.match} {result.field}"
+    return result.match if result.match in ("text", "type") else ""
 
 
 def render_problem(page: ProblemPage) -> bytes:

@@ -158,7 +158,7 @@ def plain_json(value: Value, lifting: LiftSettings) -> bytes:
         return parameters.parameter_json(value.value)
     field = scalar_field(value.fields)
     if field is not None:
-        return _json(cast(Primitive, field.type), getattr(value.message, field.attribute))
+        return scalar_json(cast(Primitive, field.type), getattr(value.message, field.attribute))
     return lifter(select_fields(value.schema, value.fields), lifting).json(value.message, value.origin)
 
 
@@ -169,10 +169,11 @@ def field_json(value: Value, field: str) -> bytes:
     """
     if isinstance(value, StoredValue):
         return parameters.parameter_json(_stored_at(value.value, field))
-    return _json(*_scalar_at(value, field))
+    return scalar_json(*_scalar_at(value, field))
 
 
-def _json(kind: Primitive, value: object) -> bytes:
+def scalar_json(kind: Primitive, value: object) -> bytes:
+    """A scalar of a message as plain JSON."""
     if kind.name in STRINGS:
         return json_string(cast(str, value)).encode()
     if kind.name == "float32":

@@ -29,6 +29,7 @@ _MAX_QUERIES = 1000
 _OR_ANOTHER = f", or one beyond the {MAX_SINGLE} that are described one by one"
 _TAGS = {
     "": "entry",
+    "find": "entry",
     "sparql": "queries",
     "graphs": "queries",
     "mirror": "queries",
@@ -36,7 +37,7 @@ _TAGS = {
 }
 """The tags of URLs that are not called by the first segment."""
 _ENTRY = ("ontology", ".well-known/", ".well-known/wot", "openapi.json")
-_FILES = ("style.css", "live.js", "filter.js", "icon.svg", "favicon.ico")
+_FILES = ("style.css", "live.js", "filter.js", "find.js", "icon.svg", "favicon.ico")
 _NAME = "A name; those of several parts have slashes, as in the URL."
 
 
@@ -65,7 +66,7 @@ class Paths:
         yield from self._queries()
         yield from self._channels()
         yield from self._activities()
-        for path in ("stop", "status", "sparql", "graphs", *_ENTRY, *_FILES):
+        for path in ("find", "stop", "status", "sparql", "graphs", *_ENTRY, *_FILES):
             yield self._path(f"/{path}")
         with suppress(Problem):  # there is one only if it was asked for
             yield self._path("/mirror")

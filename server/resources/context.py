@@ -8,6 +8,7 @@ from collections.abc import Hashable, Sequence
 
 from rosld.adapters.base import Adapter
 from rosld.server.hypermedia.affordance_service import AffordanceService
+from rosld.server.hypermedia.latest_values import LatestValues
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.hypermedia.readings import PropertyReader
 from rosld.server.policies import limits, mappings, queries
@@ -55,6 +56,7 @@ class Robot(Session):
             freshness=settings.freshness,
             patience=settings.call_deadline,
         )
+        self.latest_values = LatestValues(self.topics, self.schemas)
         self.offers: AffordanceService[State] = AffordanceService(
             self, self.mappings, self.readings, self.states, lambda: self.limits
         )

@@ -33,7 +33,8 @@ class EntryResource(Resource):
         super().__init__(robot.space.base)
         self.robot = robot
         described = Link(f"{robot.space.base}openapi.json", "service-desc", type="application/openapi+json")  # RFC 8631
-        self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, described)
+        search = Link(f"{robot.space.base}find", "search")  # of the IANA registry: what is found by words
+        self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, described, search)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         graph, space = listed(self.robot), self.robot.space

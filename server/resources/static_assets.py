@@ -72,6 +72,17 @@ def filter_script(robot: Robot) -> FileResource:
     )
 
 
+def find_script(robot: Robot) -> FileResource:
+    """`/find.js`."""
+    return FileResource(
+        robot,
+        "find.js",
+        html.FIND_SCRIPT,
+        "text/javascript; charset=utf-8",
+        "The script that shows what is found while words are typed",
+    )
+
+
 def icon(robot: Robot) -> FileResource:
     """`/icon.svg`."""
     return FileResource(robot, "icon.svg", html.ICON, "image/svg+xml", "The icon of pages")
@@ -87,6 +98,7 @@ FILES: dict[str, Callable[[Robot], FileResource]] = {
     "style.css": style,
     "live.js": script,
     "filter.js": filter_script,
+    "find.js": find_script,
     "icon.svg": icon,
     "favicon.ico": favicon,
 }

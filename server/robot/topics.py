@@ -120,6 +120,11 @@ class LiveTopics:
         view = self._refresh(look)
         return view if view.samples else None
 
+    def peek(self, topic: str) -> TopicView | None:
+        """The view of a topic if it is there and subscribed to, which is not kept subscribed to for this look."""
+        look = self._looks.get(topic)
+        return None if look is None or topic not in self._adapter.graph.topics else self._refresh(look)
+
     def current_view(self, topic: str) -> TopicView:
         """The view as of now, without values where none has come: at once, asking nobody."""
         return self.find_view(topic) or self.last_view(topic) or EMPTY_VIEW

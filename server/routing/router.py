@@ -20,6 +20,8 @@ from rosld.server.resources.bags import bag_room
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.entry import EntryResource
+from rosld.server.resources.find import FindResource
+from rosld.server.resources.finder import Finder
 from rosld.server.resources.graphs import GraphStore
 from rosld.server.resources.holds import HoldResource
 from rosld.server.resources.kept.routes import kept_room
@@ -168,6 +170,7 @@ class Router:
         """`updates` makes what carries updates out, given what finds resources by their paths (`at`)."""
         self._robot = robot
         described = OpenApiResource(robot, self.at)
+        self.search = FindResource(robot, Finder(robot))
         changes = None if updates is None or robot.settings.read_only else updates(self.at)
         self.graphs = GraphStore(robot, service, self.resolve, changes)
         self.endpoint = SparqlResource(robot, service, pages, partial(_examples, robot), changes)
@@ -178,6 +181,7 @@ class Router:
             "sparql": _single(lambda robot: self.endpoint),
             "queries": partial(query_room, runner=runner),
             "openapi.json": _single(lambda robot: described),
+            "find": _single(lambda robot: self.search),
             "graphs": _single(lambda robot: self.graphs),
         }
         self._base = robot.space.path.rstrip("/")

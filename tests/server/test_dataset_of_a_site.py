@@ -30,7 +30,7 @@ NOT_ITSELF = frozenset({"queries/graph", "queries/mine"})
 VOLATILE = frozenset(
     f"https://w3id.org/rosld#{name}"
     for name in (
-        *("rate", "received", "sequence", "age"),
+        *("rate", "briefValue", "received", "sequence", "age"),
         *("longestPause", "longestPauseEnd", "longestPauseCode", "longestWork", "longestWorkCode", "recentPause"),
     )
 )

@@ -86,13 +86,14 @@ def test_nothing_is_run_and_nothing_is_styled_in_place(page: Reader) -> None:
         assert not [name for name in attributes if name.startswith("on") or name in ("style", "srcdoc", "formaction")]
 
 
-def test_the_one_script_is_our_own_file_and_waits_for_the_page(page: Reader) -> None:
+def test_scripts_are_our_own_files_and_wait_for_the_page(page: Reader) -> None:
     live = [each for each in page.all("main") if "data-live" in each]
     scripts = page.all("script")
-    assert len(scripts) == len(live)
-    for each in scripts:
-        assert each.keys() == {"src", "defer"}
-        assert re.fullmatch(r"/live\.js\?v=[0-9a-f]{8}", each["src"] or "")
+    assert [re.sub(r"\?v=[0-9a-f]{8}", "", each["src"] or "") for each in scripts] == [
+        *["/live.js" for _ in live],
+        "/find.js",
+    ]
+    assert all(each.keys() == {"src", "defer"} for each in scripts)
 
 
 def test_only_http_and_local_references_are_links(page: Reader) -> None:
@@ -127,7 +128,7 @@ def test_every_input_has_a_label_and_every_description_is_there(page: Reader) ->
     labelled = {each["for"] for each in page.all("label")}
     for tag in ("input", "textarea", "select"):
         for each in page.all(tag):
-            assert each.get("type") == "hidden" or each["id"] in labelled
+            assert each.get("type") == "hidden" or each.get("aria-label") or each["id"] in labelled
     references = [each for _, attributes, _ in page.elements for each in _references(attributes)]
     assert set(references) <= set(page.ids)
 
@@ -144,7 +145,7 @@ def test_every_label_belongs_to_an_input_of_its_form(page: Reader) -> None:
 def test_a_hostile_robot_is_shown_as_text(pages: Mapping[str, bytes], gallery: ModuleType) -> None:
     body = pages["hostile"].decode()
     page = Reader(body)
-    assert "<script" not in body.lower()
+    assert "<script" not in body.partition("</head>")[2].lower()
     assert "\x00" not in body
     shown = gallery.HOSTILE.replace("\x00", "\u2400")
     assert sum(text.count(shown) for text in page.text) > 15

@@ -52,6 +52,8 @@ def test_every_class_in_the_stylesheet_is_used_by_a_template() -> None:
     from importlib.resources import files
 
     templates = "".join(each.read_text() for each in (files("rosld.server.html") / "templates").iterdir())
-    sources = "".join(each.read_text() for each in files("rosld.server.html").iterdir() if each.name.endswith(".py"))
+    sources = "".join(
+        each.read_text() for each in files("rosld.server.html").iterdir() if each.name.endswith((".py", ".js"))
+    )
     classes = set(re.findall(r"\.([a-z][a-z-]+)(?=[^{}]*\{)", re.sub(r"/\*.*?\*/|@media[^{]*", "", TEXT, flags=re.S)))
     assert not [name for name in sorted(classes) if not re.search(rf"\b{name}\b", templates + sources)]

@@ -1,0 +1,53 @@
+"""Members described in brief where many resources are listed: name, type, rate and latest value of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.ontology.triples import about, double, text
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import rdf, ros
+
+_TYPE_RELATIONS: Mapping[NamedNode, NamedNode] = {
+    ros.Topic: ros.hasMessageType,
+    ros.Service: ros.hasServiceType,
+    ros.Action: ros.hasActionType,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class MemberOutline:
+    """A resource in a list: its URL, its class (None: not told), its name, and what is at hand of it.
+
+    `types` are the names of its ROS types; two or more contradict each other. `rate` is in messages a second, `value`
+    brief plain JSON; both are None where they are not at hand.
+    """
+
+    url: str
+    kind: NamedNode | None
+    name: str | None
+    types: tuple[str, ...] = ()
+    rate: float | None = None
+    value: str | None = None
+
+
+def member_triples(member: MemberOutline, space: Space) -> list[Triple]:
+    """What is told of a member of a list."""
+    relation = None if member.kind is None else _TYPE_RELATIONS.get(member.kind)
+    return about(
+        NamedNode(member.url),
+        (rdf.type, member.kind),
+        (ros.name, text(member.name)),
+        *(() if relation is None else _types(relation, member.types, space)),
+        (ros.rate, None if member.rate is None else double(member.rate)),
+        (ros.briefValue, None if member.value is None else Literal(member.value, datatype=rdf.JSON)),
+    )
+
+
+def _types(relation: NamedNode, types: tuple[str, ...], space: Space) -> list[tuple[NamedNode, NamedNode | Literal]]:
+    if len(types) == 1:
+        return [(relation, NamedNode(space.class_of(types[0])))]
+    return [(ros.conflictingType, NamedNode(space.type(name))) for name in types]

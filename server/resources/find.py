@@ -1,0 +1,218 @@
+"""Search: `/find?q=battery`, whatever it is that the robot has of it (schema:ItemList, hydra:search)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from urllib.parse import quote
+
+import orjson
+from pyoxigraph import NamedNode
+
+from rosld.ontology.describe_members import MemberOutline
+from rosld.ontology.describe_search import SearchResult, search_document, search_template, unasked_document
+from rosld.ontology.document import Document
+from rosld.ontology.vocab import ros
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.html import Csrf, Form, Notice, SearchPage, Site, render_search
+from rosld.server.http.conditional import digest
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.brief_value import brief_json
+from rosld.server.hypermedia.catalogue import ParameterSource, Property, TopicSource
+from rosld.server.hypermedia.latest_values import LatestValue
+from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.hypermedia.schema import DataSchema, Json
+from rosld.server.hypermedia.value import Reading
+from rosld.server.resources.context import Robot
+from rosld.server.resources.finder import Finder
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
+from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
+from rosld.server.rest.state import State
+from rosld.server.search.entry import Entry, EntryKind
+from rosld.server.search.index import Hit, Match, terms_of
+
+MAX_RESULTS = 20
+MAX_BYTES = 5000
+"""What is told at the most, of the bytes in JSON: values are left out before results are."""
+_PARAMETER_SECONDS = 0.3
+"""How long the values of parameters that were found are waited for."""
+_QUERY = QueryParameter("q", "Words that are looked for in names, types, their fields, titles, units and descriptions.")
+_CLASSES: Mapping[EntryKind, NamedNode] = {
+    EntryKind.TOPIC: ros.Topic,
+    EntryKind.SERVICE: ros.Service,
+    EntryKind.ACTION: ros.Action,
+    EntryKind.PARAMETER: ros.Parameter,
+    EntryKind.NODE: ros.Node,
+    EntryKind.QUERY: ros.Query,
+}
+_KEPT = frozenset({EntryKind.QUERY, EntryKind.MAPPING, EntryKind.DOCUMENT})
+"""What has a path and no name of ROS."""
+NOTHING_AT_HAND = LatestValue(None)
+_TEXT: DataSchema = {"type": "string"}
+_URL: DataSchema = {"type": "string", "format": "uri"}
+_RESULTS: DataSchema = {
+    "type": "object",
+    "properties": {
+        "query": _TEXT,
+        "total": {"type": "integer"},
+        "template": _TEXT,
+        "results": {
+            "type": "array",
+            "maxItems": MAX_RESULTS,
+            "items": {
+                "type": "object",
+                "properties": {
+                    "name": _TEXT,
+                    "kind": {"type": "string", "enum": list[Json](kind.value for kind in EntryKind)},
+                    "type": {"type": ["string", "array"]},
+                    "url": _URL,
+                    "match": {"type": "string", "enum": list[Json](sorted({match.label for match in Match}))},
+                    "field": _TEXT,
+                    "value": {},
+                    "rate": {"type": "number"},
+                    "resource": _URL,
+                },
+                "required": ["kind", "url", "match"],
+            },
+        },
+    },
+    "required": ["query", "total", "results"],
+}
+
+
+class FindResource(Resource):
+    """The search, or what one search found for one agent."""
+
+    kind = "Search"
+    links = (RESOURCE, RDF_SOURCE)
+
+    def __init__(self, robot: Robot, finder: Finder, query: str = "", permissions: Permissions = ALLOW_ALL) -> None:
+        base = f"{robot.space.base}find"
+        super().__init__(f"{base}?q={quote(query, safe='')}" if query else base)
+        self.title = query or "Search"
+        self.robot = robot
+        self._finder = finder
+        self._text = query
+        self._permissions = permissions
+        self._results: Sequence[SearchResult] = ()
+        self._total = 0
+
+    @property
+    def variant_key(self) -> str:
+        return self._permissions.rights_key
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        return PathItem("The search", plain=_RESULTS, query=(_QUERY, FORMAT))
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """The search for what `?q=` says, as the agent may see it. Raises a 400 Problem for too many words."""
+        query = " ".join(exchange.query.get("q", "").split())
+        try:
+            terms_of(query)
+        except ValueError as error:
+            raise Problem(400, f"?q= cannot be searched for: {error}. Send fewer.") from error
+        return FindResource(self.robot, self._finder, query, exchange.permissions)
+
+    async def state(self) -> State:
+        if not self._text:
+            return State(self.document, self._plain)
+        hits = await self._finder.find(terms_of(self._text), self._permissions)
+        self._total = len(hits)
+        self._results = await self._told(hits[:MAX_RESULTS])
+        plain = self._plain()
+        describe = partial(search_document, self.url, self._text, self._total, self._results, self.robot.space)
+        return State(describe, lambda: plain, digest(plain))
+
+    def document(self) -> Document:
+        """The search itself, while nothing is searched for."""
+        return unasked_document(self.url, self.robot.space)
+
+    async def _told(self, hits: Sequence[Hit]) -> Sequence[SearchResult]:
+        """The results, each with its latest value where that is at hand."""
+        values = await self._values([hit.entry for hit in hits])
+        return [self._result(hit, values.get(hit.entry.url, NOTHING_AT_HAND)) for hit in hits]
+
+    def _result(self, hit: Hit, latest: LatestValue) -> SearchResult:
+        entry = hit.entry
+        name = None if entry.kind in _KEPT else entry.name
+        member = MemberOutline(entry.url, _CLASSES.get(entry.kind), name, entry.types, latest.rate, latest.json)
+        resource = entry.resource if entry.resource and self._permissions.may_read(entry.resource) else None
+        return SearchResult(member, entry.kind.value, hit.match.label, hit.field, resource)
+
+    async def _values(self, entries: Sequence[Entry]) -> Mapping[str, LatestValue]:
+        """The latest values by URL: of topics that are subscribed to, of parameters, and of getters that were asked."""
+        robot, found = self.robot, dict[str, LatestValue]()
+        tree = await robot.offers.tree()
+        stored: dict[str, Property] = {}
+        for entry in entries:
+            if entry.kind is EntryKind.TOPIC:
+                latest = robot.latest_values.of_topic(entry.name)
+                if latest is not None:
+                    found[entry.url] = latest
+            elif entry.kind is EntryKind.PARAMETER:
+                own = tree.catalogue.properties.get(tree.catalogue.by_parameter.get(entry.name, ""))
+                if own is not None and isinstance(own.readers[0], ParameterSource):
+                    stored[entry.url] = own
+            elif entry.kind is EntryKind.RESOURCE:
+                plan = tree.property(entry.name)
+                if plan is not None and not any(isinstance(one, TopicSource) for one in plan.source.readers):
+                    found |= _read(entry.url, robot.readings.cached(plan.source))
+        deadline = robot.deadline(_PARAMETER_SECONDS)
+        readings = await robot.readings.read([*stored.values()], deadline=deadline) if stored else {}
+        for url, own in stored.items():
+            found |= _read(url, readings[own.name])
+        return found
+
+    def _plain(self) -> bytes:
+        """The results as plain JSON: as many as fit, with as many values as fit."""
+        head = {"query": self._text, "total": self._total}
+        if not self._text:
+            return orjson.dumps({**head, "template": search_template(self.robot.space), "results": []})
+        room = MAX_BYTES - len(orjson.dumps({**head, "results": []}))
+        texts = [_json(result, value=False) for result in self._results]
+        while sum(map(len, texts)) + len(texts) > room:
+            texts.pop()
+        room -= sum(map(len, texts)) + len(texts)
+        for number, result in enumerate(self._results[: len(texts)]):
+            text = _json(result)
+            room -= len(text) - len(texts[number])
+            if room < 0:
+                break
+            texts[number] = text
+        return orjson.dumps({**head, "results": list(map(orjson.Fragment, texts))})
+
+    def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
+        url = self.url if self._text else f"{self.robot.space.base}find"
+        return render_search(SearchPage(site, url, self._text, tuple(self._results), self._total, tuple(notices)))
+
+    @property
+    def query(self) -> str:
+        return self.url.partition("?")[2]
+
+
+def _read(url: str, reading: Reading | None) -> dict[str, LatestValue]:
+    """The value that was read, by the URL; nothing where there is none."""
+    if reading is None or reading.value is None:
+        return {}
+    try:
+        return {url: LatestValue(brief_json(reading.value))}
+    except ValueError:  # nested too deep
+        return {}
+
+
+def _json(result: SearchResult, *, value: bool = True) -> bytes:
+    """One result as plain JSON."""
+    member = result.member
+    told: dict[str, object] = {
+        "name": member.name,
+        "kind": result.kind,
+        "type": member.types[0] if len(member.types) == 1 else list(member.types) or None,
+        "url": member.url,
+        "match": result.match,
+        "field": result.field,
+        "value": orjson.Fragment(member.value) if value and member.value is not None else None,
+        "rate": member.rate,
+        "resource": result.resource,
+    }
+    return orjson.dumps({name: each for name, each in told.items() if each is not None})

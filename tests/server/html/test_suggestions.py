@@ -1,0 +1,77 @@
+"""The box at the top of every page: results come while words are typed, and without scripts it leads to the search."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.server.robots.made_up import MadeUp, Serving, robot, serving
+
+__all__ = ["robot", "serving"]
+
+LINKS = "[...document.querySelectorAll('.suggestions a')].map((each) => each.textContent)"
+FOCUS = "document.querySelector('.find input').focus()"
+HOSTILE = "<img src=x onerror=alert(1)>"
+
+
+@pytest.fixture
+def http(robot: MadeUp, serving: Serving) -> httpx.Client:
+    for number in range(12):
+        robot.topic(f"/battery_{number:02}/state", "sensor_msgs/msg/BatteryState")
+    robot.topic("/camera/image_raw", "sensor_msgs/msg/Image")
+    robot.topic(f"/{HOSTILE}", "std_msgs/msg/Float64")
+    return serving()
+
+
+def test_what_is_typed_is_found_and_opened(tab: Any, http: httpx.Client) -> None:
+    tab.open(f"{http.base_url}topics/")
+    tab.run(FOCUS)
+    tab.type("image")
+    tab.until(f"{LINKS}.length === 1")
+    assert tab.run(LINKS) == ["/camera/image_raw sensor_msgs/msg/Image"]
+    tab.leave("document.querySelector('.suggestions a').click()")
+    assert tab.run("location.pathname") == "/topics/camera/image_raw"
+
+
+def test_of_many_the_first_are_shown_and_a_link_to_all(tab: Any, http: httpx.Client) -> None:
+    tab.open(str(http.base_url))
+    tab.run(FOCUS)
+    tab.type("battery")
+    tab.until(f"{LINKS}.length === 9")
+    assert tab.run(LINKS)[-1] == "All 24"
+    tab.leave("document.querySelector('.suggestions li:last-child a').click()")
+    assert tab.run("location.search") == "?q=battery"
+    assert tab.run("document.querySelectorAll('table.found tbody tr').length") == 20
+
+
+def test_names_of_a_hostile_robot_are_text(tab: Any, http: httpx.Client) -> None:
+    tab.open(str(http.base_url))
+    tab.run(FOCUS)
+    tab.type("onerror")
+    tab.until(f"{LINKS}.length === 1")
+    assert tab.run(LINKS) == [f"/{HOSTILE} std_msgs/msg/Float64"]
+    assert tab.run("document.querySelector('.suggestions img')") is None
+
+
+def test_escape_closes_and_nothing_found_is_told(tab: Any, http: httpx.Client) -> None:
+    tab.open(str(http.base_url))
+    tab.run(FOCUS)
+    tab.type("nosuchthing")
+    tab.until("document.querySelector('.suggestions .none')")
+    for kind in ("keyDown", "keyUp"):
+        tab.send("Input.dispatchKeyEvent", type=kind, key="Escape")
+    tab.until("document.querySelector('.suggestions').hidden")
+
+
+def test_without_scripts_the_box_leads_to_the_search(tab: Any, serve: Callable[..., Any]) -> None:
+    served = serve("aircraft")
+    tab.send("Emulation.setScriptExecutionDisabled", value=True)
+    tab.open(served.url)
+    tab.send("Emulation.setScriptExecutionDisabled", value=False)
+    tab.run("document.querySelector('.find input').value = 'speed'")
+    tab.leave("document.querySelector('form.find').submit()")
+    assert tab.run("location.href") == f"{served.url}find?q=speed"
+    assert "/aircraft/engine/speed" in tab.run("document.querySelector('table.found').textContent")

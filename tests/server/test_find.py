@@ -1,0 +1,218 @@
+"""`/find`: what the robot has by words, in RDF, JSON and HTML, on the rover and on a robot of hundreds of topics."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+from pyoxigraph import Literal, NamedNode
+
+from rosld.adapters.base import Subscription
+from rosld.adapters.model import Descriptor
+from rosld.ontology.vocab import hydra, ros, schema_org
+from rosld.server.resources.find import MAX_BYTES, MAX_RESULTS
+from tests.server.conftest import Served
+from tests.server.robots.asking import JSON, TURTLE, XSD, detail, mapped, triples, value
+from tests.server.robots.made_up import MadeUp, Serving
+from tests.server.robots.many import furnish
+
+HTML = {"Accept": "text/html"}
+RDF = {"Accept": "text/turtle"}
+
+
+def find(http: httpx.Client, query: str) -> list[dict[str, Any]]:
+    """The results of a search in plain JSON."""
+    results: list[dict[str, Any]] = found(http, query)["results"]
+    return results
+
+
+def found(http: httpx.Client, query: str) -> dict[str, Any]:
+    answer = http.get("/find", params={"q": query}, headers=JSON)
+    assert answer.status_code == 200, answer.text
+    assert len(answer.content) <= MAX_BYTES
+    told: dict[str, Any] = answer.json()
+    return told
+
+
+def names(results: list[dict[str, Any]]) -> list[str]:
+    return [result["name"] for result in results]
+
+
+@pytest.fixture
+def many(robot: MadeUp, serving: Serving) -> httpx.Client:
+    """A robot of 330 topics."""
+    furnish(robot)
+    return serving()
+
+
+def test_a_program_that_knows_only_the_entry_finds_the_battery_of_an_unmapped_robot(
+    serve: Callable[..., Served],
+) -> None:
+    http = serve("rover").http
+    links = httpx.Response(200, headers=http.get("/", headers=JSON).headers).links
+    [template] = [
+        triple.object.value
+        for triple in triples(http.get("/", headers=RDF))
+        if triple.predicate == hydra.template and isinstance(triple.object, Literal)
+    ]
+    assert template == f"{links['search']['url']}{{?q}}"
+    first = find(http, "battery")[0]
+    assert (first["name"], first["kind"], first["type"]) == ("/battery_state", "topic", "sensor_msgs/msg/BatteryState")
+    assert 0 < value(http, first["url"])["percentage"] <= 1
+    again = find(http, "battery")[0]
+    assert 0 < again["value"]["percentage"] <= 1, "what was read is at hand now"
+    assert value(http, again["resource"])["percentage"] <= again["value"]["percentage"]
+
+
+def test_results_say_what_they_are_and_by_what_they_were_found(robot: MadeUp, serving: Serving) -> None:
+    robot.topic("/power/battery", "sensor_msgs/msg/BatteryState", {"percentage": 0.5})
+    robot.topic("/odom", "nav_msgs/msg/Odometry")
+    robot.variable("/lights/level", "Byte", value=3)
+    robot.offer("/battery/reset", "std_srvs/srv/Trigger", lambda _: {"success": True})
+    robot.parameter("/robot/low_battery", 0.25)
+    http = serving()
+    http.get("/topics/power/battery")
+    http.get("/resources/lights/level")
+    base = str(http.base_url)
+    results = {(one["kind"], one["name"]): one for one in find(http, "battery")}
+    assert list(results) == [
+        ("topic", "/power/battery"),
+        ("resource", "/battery/"),
+        ("service", "/battery/reset"),
+        ("parameter", "/robot/low_battery"),
+    ]
+    topic = results["topic", "/power/battery"]
+    assert topic["value"]["percentage"] == 0.5
+    assert topic["resource"] == f"{base}resources/power/battery"
+    assert results["parameter", "/robot/low_battery"]["value"] == 0.25
+    assert results["service", "/battery/reset"]["resource"] == f"{base}resources/battery/reset"
+    [odom] = find(http, "position")
+    assert (odom["match"], odom["field"]) == ("field", "pose.pose.position")
+    level = find(http, "level")
+    assert (level[0]["kind"], level[0]["url"]) == ("resource", f"{base}resources/lights/level")
+    assert level[0]["value"] == {"value": 3}
+
+
+def test_what_mappings_and_descriptors_say_is_found(robot: MadeUp, serving: Serving) -> None:
+    robot.topic("/a/b", "std_msgs/msg/Float64", {"data": 1.0})
+    robot.parameter("/n/p", 1)
+    robot.declared["/n/p"] = Descriptor(description="How hard the gripper closes")
+    http = serving()
+    mapped(
+        http,
+        """
+        <> a map:ComplexResource ; rdfs:label "The propulsion" ; map:path "/a/" ; map:property [
+            map:predicate ex:thrust ; map:member "/a/b" ; map:unit unit:KiloN ; map:quantityKind quantitykind:Force ] .
+        """.replace("rdfs:label", "<http://www.w3.org/2000/01/rdf-schema#label>"),
+    )
+    assert [one["url"] for one in find(http, "propulsion")] == [
+        f"{http.base_url}resources/a/",
+        f"{http.base_url}mappings/mine",
+    ]
+    for word in ("thrust", "kilo", "force"):
+        assert names(find(http, word)) == ["/a/b"], word
+    assert names(find(http, "gripper closes")) == ["/n/p"]
+
+
+def test_queries_and_documents_are_found_by_title(robot: MadeUp, serving: Serving) -> None:
+    http = serving()
+    body = '<> <http://purl.org/dc/terms/title> "The docking station in the hall" .'
+    assert http.put("/data/places/station", content=body, headers=TURTLE).status_code == 201
+    [place] = find(http, "docking hall")
+    assert (place["kind"], place["url"]) == ("document", f"{http.base_url}data/places/station")
+    assert "name" not in place
+    assert find(http, "what can be done")[0]["url"] == f"{http.base_url}queries/what-can-be-done"
+    http.delete("/data/places/station")
+    assert find(http, "docking hall") == []
+    assert find(http, "emergency")[0]["url"] == f"{http.base_url}stop"
+
+
+def test_a_search_subscribes_to_nothing(robot: MadeUp, serving: Serving, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    subscribe = robot.subscribe
+
+    async def counted(topic: str, *, depth: int = 1) -> Subscription:
+        asked.append(topic)
+        return await subscribe(topic, depth=depth)
+
+    monkeypatch.setattr(robot, "subscribe", counted)
+    furnish(robot)
+    robot.variable("/lights/level", "Byte", value=3)
+    http = serving()
+    assert "value" not in find(http, "battery")[0]
+    assert find(http, "level")
+    assert (asked, robot.calls) == ([], {})
+
+
+def test_hundreds_of_topics_are_told_by_the_best_twenty_in_five_kilobytes(many: httpx.Client) -> None:
+    told = found(many, "image")
+    assert (told["total"], len(told["results"])) == (16 + 8, MAX_RESULTS)
+    assert names(told["results"][:8]) == [f"/camera_{number}/image_raw" for number in range(1, 9)]
+    assert names(find(many, "battery_3 state"))[0] == "/battery_3/state"
+    assert names(find(many, "wheel_7")) == ["/wheel_7/", "/wheel_7/odom", "/wheel_7/current", "/wheel_7/velocity"]
+
+
+def test_values_are_left_out_before_results(robot: MadeUp, serving: Serving) -> None:
+    for number in range(30):
+        name = f"/{'very_' * 6}long_name_of_a_battery_{number:02}"
+        robot.topic(name, "sensor_msgs/msg/BatteryState", {"percentage": 0.5})
+    http = serving(subscribe=("/*",))
+    results = find(http, "battery")
+    assert "value" in results[0]
+    assert "value" not in results[-1]
+    assert len(results) >= 14
+
+
+def test_rdf_json_and_the_page_say_the_same_in_the_same_order(many: httpx.Client) -> None:
+    results = find(many, "odom")
+    answer = many.get("/find?q=odom", headers=RDF)
+    said = {(triple.subject, triple.predicate): triple.object for triple in triples(answer)}
+    base = str(answer.url)
+    items = [said[NamedNode(f"{base}#{number}"), schema_org.item] for number in range(1, len(results) + 1)]
+    assert [one["url"] for one in results] == [getattr(item, "value", None) for item in items]
+    assert said[NamedNode(base), schema_org.numberOfItems] == Literal(
+        str(len(results)), datatype=NamedNode(f"{XSD}integer")
+    )
+    first = NamedNode(results[0]["url"])
+    assert said[first, ros.name] == Literal(results[0]["name"])
+    assert said[first, ros.hasMessageType] == NamedNode(f"https://w3id.org/rosld/types/{results[0]['type']}")
+    page = many.get("/find?q=odom", headers=HTML).text
+    links = re.findall(r'<th scope="row">\s*<a href="([^"]+)"', page)
+    assert links == [httpx.URL(one["url"]).path for one in results]
+    assert 'name="q" value="odom"' in page
+
+
+def test_every_page_has_the_box_and_the_entry_links_to_the_search(many: httpx.Client) -> None:
+    for path in ("/", "/topics/", "/sparql", "/queries/inventory", "/ontology", "/nothing", "/find"):
+        page = many.get(path, headers=HTML).text
+        assert '<form class="find" role="search" method="get" action="/find"' in page, path
+    assert 'rel="search"' in many.get("/").headers["link"]
+
+
+@pytest.mark.parametrize(("query", "words"), [("x" * 201, "201 characters"), (" ".join("abcdefghi"), "9 words")])
+def test_too_much_is_refused(many: httpx.Client, query: str, words: str) -> None:
+    assert words in detail(many.get("/find", params={"q": query}), 400)
+
+
+@pytest.mark.parametrize("query", ["", " ", "no such thing", "\u202e</script>", '"', "%00", "a/b?c#d&e=f"])
+def test_whatever_is_searched_for_is_answered(many: httpx.Client, query: str) -> None:
+    assert found(many, query)["total"] == 0
+    for accept in (RDF, HTML, {"Accept": "application/ld+json"}, {"Accept": "application/rdf+xml"}):
+        answer = many.get("/find", params={"q": query}, headers=accept)
+        assert answer.status_code == 200
+        assert "</script></script>" not in answer.text
+
+
+def test_a_search_that_finds_the_same_has_not_changed(many: httpx.Client) -> None:
+    first = many.get("/find?q=odom", headers=JSON)
+    assert many.get("/find?q=odom", headers={**JSON, "If-None-Match": first.headers["etag"]}).status_code == 304
+
+
+def test_new_names_are_found_at_once(robot: MadeUp, serving: Serving) -> None:
+    http = serving()
+    assert find(http, "gripper") == []
+    robot.topic("/gripper", "std_msgs/msg/Float64")
+    assert names(find(http, "gripper")) == ["/gripper"]

@@ -117,9 +117,8 @@ class FindResource(Resource):
     async def state(self) -> State:
         if not self._text:
             return State(self.document, self._plain)
-        hits = await self._finder.find(terms_of(self._text), self._permissions)
-        self._total = len(hits)
-        self._results = await self._told(hits[:MAX_RESULTS])
+        hits, self._total = await self._finder.find(terms_of(self._text), self._permissions, MAX_RESULTS)
+        self._results = await self._told(hits)
         plain = self._plain()
         describe = partial(search_document, self.url, self._text, self._total, self._results, self.robot.space)
         return State(describe, lambda: plain, digest(plain))

@@ -15,7 +15,7 @@ from rosld.server.resources.kept_entries import kept_entries
 from rosld.server.resources.namespaces import listed
 from rosld.server.search.catalog import catalog_of
 from rosld.server.search.entry import Catalog
-from rosld.server.search.index import Hit, SearchIndex
+from rosld.server.search.index import Found, SearchIndex
 
 _MANY_NAMES = 1000
 """Names from which an index is made on a thread: ten thousand take a quarter of a second."""
@@ -38,14 +38,15 @@ class Finder:
         self._of_kept: _Index | None = None
         self._making = asyncio.Lock()
 
-    async def find(self, terms: Sequence[str], permissions: Permissions) -> list[Hit]:
-        """What has all these terms and may be read, the best first."""
+    async def find(self, terms: Sequence[str], permissions: Permissions, limit: int) -> Found:
+        """What has all these terms and may be read, the best first, at most `limit` of it."""
         async with self._making:
             self._of_robot = await self._robot_index(self._of_robot)
             self._of_kept = await self._kept_index(self._of_kept)
         may_read: Callable[[str], bool] | None = None if permissions.is_unrestricted else permissions.may_read
-        found = [hit for each in (self._of_robot, self._of_kept) for hit in each.index.find(terms, may_read)]
-        return sorted(found, key=lambda hit: hit.rank)
+        found = [each.index.find(terms, limit, may_read) for each in (self._of_robot, self._of_kept)]
+        hits = sorted((hit for each in found for hit in each.hits), key=lambda hit: hit.rank)
+        return Found(hits[:limit], sum(each.total for each in found))
 
     async def _robot_index(self, known: _Index | None) -> _Index:
         robot = self._robot

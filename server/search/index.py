@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from enum import IntEnum
+from heapq import nsmallest
 from typing import NamedTuple, TypeAlias
 
 from rosld.server.search.entry import Catalog, Entry, EntryKind
@@ -79,13 +79,19 @@ class Hit(NamedTuple):
     field: str | None
 
 
-class _Fit(NamedTuple):
-    match: Match
-    field: str | None = None
+class Found(NamedTuple):
+    """The best entries that fit, and how many do."""
+
+    hits: list[Hit]
+    total: int
+
+
+_Fits: TypeAlias = dict[int, Match]
+"""How a term fits entries, by their numbers."""
 
 
 def terms_of(query: str) -> tuple[str, ...]:
-    """The words that a query asks for. Raises ValueError where it has too many, or none."""
+    """The words that a query asks for. Raises ValueError where they are too many."""
     if len(query) > MAX_CHARACTERS:
         raise ValueError(f"it has {len(query)} characters, and {MAX_CHARACTERS} are searched for at the most")
     terms = tuple(dict.fromkeys(query.casefold().split()))
@@ -94,137 +100,123 @@ def terms_of(query: str) -> tuple[str, ...]:
     return terms
 
 
-@dataclass(frozen=True, slots=True)
-class _Words:
-    """Words in their order, each with where it occurs; a word is found whole, by how it begins and as a part."""
-
-    places: Mapping[str, list[tuple[int, _Place]]]
-    ordered: tuple[str, ...]
-
-    def beginning(self, term: str) -> Iterator[str]:
-        """The words that begin with a term, itself included."""
-        for index in range(bisect_left(self.ordered, term), len(self.ordered)):
-            if not self.ordered[index].startswith(term):
-                return
-            yield self.ordered[index]
-
-
 class SearchIndex:
-    """The entries of one catalog by their words; made once, searched often."""
+    """The entries of one catalog by their words; made once, searched often.
+
+    Entries have numbers in the order of what breaks ties, so that thousands that fit are ordered by two integers.
+    """
 
     def __init__(self, catalog: Catalog) -> None:
-        self._entries = tuple(catalog.entries)
+        self._entries = sorted(catalog.entries, key=_tie)
         self._names = [entry.name.casefold() for entry in self._entries]
-        self._words = _index((number, _places(entry)) for number, entry in enumerate(self._entries))
+        self._places: dict[str, dict[int, _Place]] = {}
+        for number, entry in enumerate(self._entries):
+            for word, place in _places(entry):
+                known = self._places.setdefault(word, {})
+                known[number] = min(place, known.get(number, place))
+        self._ordered = sorted(self._places)
         self._fields = {name: tuple(fields) for name, fields in catalog.fields.items()}
         self._by_type: dict[str, list[int]] = {}
         for number, entry in enumerate(self._entries):
             for name in entry.types:
                 self._by_type.setdefault(name, []).append(number)
 
-    def find(self, terms: Iterable[str], may_read: Callable[[str], bool] | None = None) -> list[Hit]:
-        """The entries that fit all terms, the best first; only those whose URLs may be read."""
-        found: dict[int, list[_Fit]] | None = None
-        for term in terms:
-            fits = self._fits(term)
-            if found is None:
-                found = {number: [fit] for number, fit in fits.items()}
-            else:
-                found = {number: [*before, fits[number]] for number, before in found.items() if number in fits}
-        hits = [
-            Hit(self._rank(number, fits), self._entries[number], *max(fits, key=lambda fit: fit.match))
-            for number, fits in (found or {}).items()
-            if may_read is None or may_read(self._entries[number].url)
-        ]
-        return sorted(hits, key=lambda hit: hit.rank)
+    def find(self, terms: Sequence[str], limit: int, may_read: Callable[[str], bool] | None = None) -> Found:
+        """The entries that fit all terms and whose URLs may be read, the best first, at most `limit` of them."""
+        fits = [self._fits(term) for term in terms]
+        shared = set(fits[0]).intersection(*fits[1:]) if fits else set[int]()
+        if may_read is not None:
+            shared = {number for number in shared if may_read(self._entries[number].url)}
+        best = nsmallest(limit, ((sum(fit[number] for fit in fits), number) for number in shared))
+        return Found([self._hit(number, points, terms, fits) for points, number in best], len(shared))
 
-    def _rank(self, number: int, fits: list[_Fit]) -> Rank:
+    def _hit(self, number: int, points: int, terms: Sequence[str], fits: Sequence[_Fits]) -> Hit:
         entry = self._entries[number]
-        return (
-            sum(fit.match for fit in fits),
-            _KIND_ORDER[entry.kind],
-            entry.name.count("/"),
-            len(entry.name),
-            entry.name,
-        )
+        match, term = max((fit[number], term) for fit, term in zip(fits, terms, strict=True))
+        field = self._field(entry, term) if match in (Match.FIELD, Match.FIELD_PREFIX) else None
+        return Hit((points, *_tie(entry)), entry, match, field)
 
-    def _fits(self, term: str) -> dict[int, _Fit]:
+    def _field(self, entry: Entry, term: str) -> str | None:
+        found = (self._type_fit(name, term) for name in entry.types)
+        return next((path for match, path in found if match in (Match.FIELD, Match.FIELD_PREFIX)), None)
+
+    def _fits(self, term: str) -> _Fits:
         """How a term fits each entry, the best way; a term of several words (`image_raw`) fits where all of them do."""
-        found: dict[int, _Fit] = {}
-        for number, fit in self._single_fits(term):
-            known = found.get(number)
-            if known is None or fit.match < known.match:
-                found[number] = fit
+        if "/" in term:
+            return self._path_fits(term)
+        found = self._word_fits(term)
         parts = words_of(term)
-        if not found and len(parts) > 1 and "/" not in term:
-            each = [self._fits(part) for part in parts]
-            shared = set(each[0]).intersection(*each[1:])
-            return {number: max((fits[number] for fits in each), key=lambda fit: fit.match) for number in shared}
+        if found or len(parts) < 2:
+            return found
+        each = [self._fits(part) for part in parts]
+        return {number: max(fits[number] for fits in each) for number in set(each[0]).intersection(*each[1:])}
+
+    def _word_fits(self, term: str) -> _Fits:
+        """The best is looked at last, in the place of what was found before."""
+        found: _Fits = {}
+        for name, numbers in self._by_type.items():
+            match, _ = self._type_fit(name, term)
+            if match is not None:
+                found |= {number: match for number in numbers if number not in found or match < found[number]}
+        if len(term) >= _MIN_PART:
+            found |= {number: Match.PART for number, name in enumerate(self._names) if term in name}
+        for word in self._beginning(term):
+            matches = _EXACT if word == term else _PREFIX
+            for number, place in self._places[word].items():
+                match = matches[place]
+                if number not in found or match < found[number]:
+                    found[number] = match
         return found
 
-    def _single_fits(self, term: str) -> Iterator[tuple[int, _Fit]]:
-        if "/" in term:
-            yield from self._path_fits(term)
-            return
-        for word in self._words.beginning(term):
-            matches = _EXACT if word == term else _PREFIX
-            for number, place in self._words.places[word]:
-                yield number, _Fit(matches[place])
-        if len(term) >= _MIN_PART:
-            yield from ((number, _Fit(Match.PART)) for number, name in enumerate(self._names) if term in name)
-        for name, numbers in self._by_type.items():
-            fit = self._type_fit(name, term)
-            if fit is not None:
-                for number in numbers:
-                    yield number, fit
+    def _beginning(self, term: str) -> Iterator[str]:
+        """The words that begin with a term, itself included."""
+        for index in range(bisect_left(self._ordered, term), len(self._ordered)):
+            if not self._ordered[index].startswith(term):
+                return
+            yield self._ordered[index]
 
-    def _path_fits(self, term: str) -> Iterator[tuple[int, _Fit]]:
+    def _path_fits(self, term: str) -> _Fits:
         """A term with a slash is a part of a whole name, or of a type's."""
-        for number, name in enumerate(self._names):
-            if name == term:
-                yield number, _Fit(Match.NAME)
-            elif name.startswith(term):
-                yield number, _Fit(Match.NAME_PREFIX)
-            elif term in name:
-                yield number, _Fit(Match.PART)
+        found: _Fits = {}
         for name, numbers in self._by_type.items():
             if name.casefold().startswith(term):
-                for number in numbers:
-                    yield number, _Fit(Match.TYPE if name.casefold() == term else Match.TYPE_PREFIX)
+                found |= dict.fromkeys(numbers, Match.TYPE if name.casefold() == term else Match.TYPE_PREFIX)
+        for number, name in enumerate(self._names):
+            if term in name:
+                is_prefix = Match.NAME_PREFIX if name.startswith(term) else Match.PART
+                found[number] = Match.NAME if name == term else is_prefix
+        return found
 
-    def _type_fit(self, name: str, term: str) -> _Fit | None:
-        """How a term fits a type: by a field's name, else by the words of its own."""
-        prefix: _Fit | None = None
+    def _type_fit(self, name: str, term: str) -> tuple[Match | None, str | None]:
+        """How a term fits a type: by a field's name (and the path of that), else by the words of its own."""
+        prefix: str | None = None
         for path in self._fields.get(name, ()):
             own = path.rpartition(".")[2].removesuffix("[]").casefold()
-            if own == term or term in words_of(own):
-                return _Fit(Match.FIELD, path)
-            if prefix is None and any(word.startswith(term) for word in (own, *words_of(own))):
-                prefix = _Fit(Match.FIELD_PREFIX, path)
+            words = words_of(own)
+            if own == term or term in words:
+                return Match.FIELD, path
+            if prefix is None and (own.startswith(term) or any(word.startswith(term) for word in words)):
+                prefix = path
         if prefix is not None:
-            return prefix
+            return Match.FIELD_PREFIX, prefix
         words = words_of(name)
         if term in words or name.rpartition("/")[2].casefold() == term:
-            return _Fit(Match.TYPE)
-        return _Fit(Match.TYPE_PREFIX) if any(word.startswith(term) for word in words) else None
+            return Match.TYPE, None
+        return (Match.TYPE_PREFIX, None) if any(word.startswith(term) for word in words) else (None, None)
+
+
+def _tie(entry: Entry) -> tuple[int, int, int, str]:
+    """What orders entries that fit equally well."""
+    return _KIND_ORDER[entry.kind], entry.name.count("/"), len(entry.name), entry.name
 
 
 def _places(entry: Entry) -> Iterator[tuple[str, _Place]]:
     """The words of an entry, each with where it is."""
-    segments = [segment.casefold() for segment in entry.name.split("/") if segment]
-    for segment in segments[:-1]:
-        yield segment, _Place.SEGMENT
-    yield from ((segment, _Place.LAST_SEGMENT) for segment in segments[-1:])
-    for word in words_of(entry.name):
-        yield word, _Place.WORD
+    segments = [segment for segment in entry.name.split("/") if segment]
+    for segment in segments:
+        yield segment.casefold(), _Place.LAST_SEGMENT if segment is segments[-1] else _Place.SEGMENT
+        for word in words_of(segment):
+            yield word, _Place.WORD
     for text in entry.texts:
         for word in words_of(text):
             yield word, _Place.TEXT
-
-
-def _index(occurrences: Iterable[tuple[int, Iterator[tuple[str, _Place]]]]) -> _Words:
-    places: dict[str, list[tuple[int, _Place]]] = {}
-    for number, words in occurrences:
-        for word, place in words:
-            places.setdefault(word, []).append((number, place))
-    return _Words(places, tuple(sorted(places)))

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import islice
 
 MAX_NEAR = 5
 """Names that are told of at the most."""
 _MAX_EDITS = 2
 _MIN_PART = 3
 """Characters from which a segment counts as a part of another."""
+_MAX_COMPARED = 1000
+"""Last segments that are compared letter by letter: a robot may have thousands that differ in a number alone."""
 _BEYOND = _MAX_EDITS + 1
 """The distance of segments of which one begins with the other."""
 
@@ -31,11 +34,15 @@ class NearNames:
         wanted, home = _last(name), _home(name)
         mask, edits = _mask(wanted), max_edits(wanted)
         found = []
-        for last, other in self._masks:
-            if (mask ^ other).bit_count() <= 2 * edits or last.startswith(wanted) or wanted.startswith(last):
-                distance = _distance(wanted, last, edits)
-                if distance is not None:
-                    found += [(distance, _home(each) != home, len(each), each) for each in self._by_last[last]]
+        near = (
+            last
+            for last, other in self._masks
+            if (mask ^ other).bit_count() <= 2 * edits or last.startswith(wanted) or wanted.startswith(last)
+        )
+        for last in islice(near, _MAX_COMPARED):
+            distance = _distance(wanted, last, edits)
+            if distance is not None:
+                found += [(distance, _home(each) != home, len(each), each) for each in self._by_last[last]]
         return [each for *_, each in sorted(found) if each.rstrip("/") != name.rstrip("/")][:limit]
 
 

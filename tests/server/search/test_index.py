@@ -33,7 +33,7 @@ def entry(name: str, *types: str, kind: EntryKind = EntryKind.TOPIC, texts: tupl
 
 
 def found(query: str, *entries: Entry) -> list[tuple[str, str, str | None]]:
-    hits = SearchIndex(Catalog(entries, FIELDS)).find(terms_of(query))
+    hits = SearchIndex(Catalog(entries, FIELDS)).find(terms_of(query), 20).hits
     return [(hit.entry.name, hit.match.label, hit.field) for hit in hits]
 
 
@@ -51,9 +51,10 @@ def fits(term: str, entry: Entry) -> bool:
 
 @given(st.lists(ENTRIES, max_size=8), st.lists(WORDS | st.just("st"), min_size=1, max_size=3))
 def test_what_is_found_is_what_has_all_words(entries: list[Entry], terms: list[str]) -> None:
-    hits = SearchIndex(Catalog(entries, TYPE_FIELDS)).find(terms)
+    hits, total = SearchIndex(Catalog(entries, TYPE_FIELDS)).find(terms, 20)
     expected = [each for each in entries if all(fits(term, each) for term in terms)]
     assert sorted(map(repr, expected)) == sorted(repr(hit.entry) for hit in hits)
+    assert total == len(expected)
     assert [hit.rank for hit in hits] == sorted(hit.rank for hit in hits)
 
 
@@ -104,7 +105,7 @@ def test_of_equal_names_what_can_be_done_comes_first_and_the_shortest_name() -> 
         entry("/dock"),
         entry("/dock", kind=EntryKind.ACTION),
     )
-    hits = SearchIndex(Catalog(entries)).find(["dock"])
+    hits = SearchIndex(Catalog(entries)).find(["dock"], 20).hits
     assert [(hit.entry.kind.value, hit.entry.name) for hit in hits] == [
         ("action", "/dock"), ("topic", "/dock"), ("topic", "/a/b/dock"), ("node", "/dock"),
     ]  # fmt: skip
@@ -112,7 +113,14 @@ def test_of_equal_names_what_can_be_done_comes_first_and_the_shortest_name() -> 
 
 def test_what_may_not_be_read_is_not_found() -> None:
     index = SearchIndex(Catalog([entry("/battery"), entry("/secret/battery")]))
-    assert [hit.entry.name for hit in index.find(["battery"], lambda url: "secret" not in url)] == ["/battery"]
+    hits, total = index.find(["battery"], 20, lambda url: "secret" not in url)
+    assert ([hit.entry.name for hit in hits], total) == (["/battery"], 1)
+
+
+def test_of_many_the_best_are_told_and_all_are_counted() -> None:
+    index = SearchIndex(Catalog([entry(f"/gain_{number}") for number in range(50)]))
+    hits, total = index.find(["gain"], 3)
+    assert ([hit.entry.name for hit in hits], total) == (["/gain_0", "/gain_1", "/gain_2"], 50)
 
 
 @pytest.mark.parametrize("query", ["x" * 201, " ".join("abcdefghi")])

@@ -1,0 +1,68 @@
+"""A search finds what the agent may read, and counts nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from tests.server.auth.conftest import Guarded
+
+RULES = """
+[[rule]]
+agents = ["reader"]
+modes = ["read"]
+paths = ["/find", "/topics/**", "/data/open/**"]
+
+[[rule]]
+agents = ["reader"]
+modes = ["read"]
+paths = ["/topics/cockpit/**"]
+deny = true
+
+[[rule]]
+agents = ["admin"]
+modes = ["read", "write", "control", "administer"]
+paths = ["/**"]
+"""
+JSON = {"Accept": "application/json"}
+
+
+@pytest.fixture(scope="module")
+def guarded(guard: Callable[..., Guarded]) -> Guarded:
+    found = guard(RULES, "reader", "admin")
+    for path in ("/data/open/plan", "/data/secret/plan"):
+        body, headers = b'<> <http://purl.org/dc/terms/title> "The zebra plan" .', {"Content-Type": "text/turtle"}
+        assert found["admin"].put(path, content=body, headers=headers).status_code == 201
+    return found
+
+
+def names(guarded: Guarded, agent: str, query: str) -> list[str]:
+    answer = guarded[agent].get("/find", params={"q": query}, headers=JSON)
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["total"] == len(answer.json()["results"])
+    return [each["url"].removeprefix(guarded.url) for each in answer.json()["results"]]
+
+
+def test_what_may_not_be_read_is_neither_found_nor_counted(guarded: Guarded) -> None:
+    assert names(guarded, "reader", "display") == []
+    assert "topics/cockpit/display" in names(guarded, "admin", "display")
+    assert names(guarded, "reader", "zebra") == ["data/open/plan"]
+    assert len(names(guarded, "admin", "zebra")) == 2
+    assert names(guarded, "reader", "speed") == ["topics/aircraft/engine/speed"]
+
+
+@pytest.mark.parametrize("format", ["ttl", "jsonld", "nt", "rdf", "json", "html"])
+def test_no_form_of_the_results_speaks_of_anything_else(guarded: Guarded, format: str) -> None:
+    told = guarded["reader"].get("/find", params={"q": "speed", "format": format}).text
+    assert "topics/aircraft/engine/speed" in told
+    assert "resources/" not in told
+    assert "services/" not in told
+
+
+def test_who_may_not_search_sees_no_box_and_no_link(guarded: Guarded) -> None:
+    answer = guarded["anybody"].get("/find?q=speed", headers=JSON)
+    assert answer.status_code == 401
+    page = guarded["reader"].get("/topics/", headers={"Accept": "text/html"}).text
+    assert 'class="find"' in page
+    assert 'class="find"' not in guarded["anybody"].get("/topics/", headers={"Accept": "text/html"}).text

@@ -19,7 +19,7 @@ from rosld.server.dataset import MemoryStore
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
-from rosld.server.sparql.process.work import Answer, Query
+from rosld.server.sparql.process.work import AnswerWork, QueryWork
 from rosld.server.sparql.restricted import RestrictedDatasets
 
 SPACE = Space("http://robot.example/")
@@ -71,11 +71,11 @@ async def restricted(anna: Permissions, count: int, small: str) -> None:
     analyser = Analyser(SPACE.base, SPACE.types)
 
     async def caught_up() -> int:
-        return await datasets.of(anna, limits, time.monotonic() + 60)
+        return await datasets.dataset_for(anna, limits, time.monotonic() + 60)
 
     async def ask(query: str) -> None:
         found = analyser.analyse(query)
-        work = Answer(Query(found.text, SPACE.base, found.prefixes, (), (), found.plan), "text/csv", 1_000_000)
+        work = AnswerWork(QueryWork(found.text, SPACE.base, found.prefixes, (), (), found.plan), "text/csv", 1_000_000)
         await process.answer(work, limits, time.monotonic() + 60, None, await caught_up())
 
     started = time.perf_counter()

@@ -27,35 +27,35 @@ from rosld.server.middleware.lifespan import Job, Lifespan
 from rosld.server.middleware.rate_limits import Admission, RateLimits
 from rosld.server.middleware.recorder import Recorder
 from rosld.server.middleware.scheduling import Scheduling
-from rosld.server.middleware.tokens_in_urls import NoTokensInUrls
+from rosld.server.middleware.tokens_in_urls import RejectTokensInUrls
 from rosld.server.middleware.websockets import WebSockets
-from rosld.server.resources.acl import acl_room
-from rosld.server.resources.channels import Notifications, fixed, rooms
+from rosld.server.resources.acl import acl_route
+from rosld.server.resources.channels import Notifications, fixed_resources, routes
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.kept.graphs import RecordGraphs
-from rosld.server.resources.live_graphs import ELSEWHERE, Dataset
-from rosld.server.resources.mirror import mirror_room
-from rosld.server.resources.mirroring import mirror_of
+from rosld.server.resources.live_graphs import OTHER_ROUTES, RobotGraphs
+from rosld.server.resources.mirror import replication_route
+from rosld.server.resources.mirroring import create_mirror
 from rosld.server.resources.near import near_urls
 from rosld.server.resources.resource_types import types_at
-from rosld.server.resources.status import status_room
-from rosld.server.resources.updating.service import Updates
+from rosld.server.resources.status import status_route
+from rosld.server.resources.updating.service import UpdateService
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.large import LargeDocuments
 from rosld.server.rest.pages import PageRenderer
 from rosld.server.routing.dispatcher import Dispatcher
-from rosld.server.routing.router import ROOMS, Router
+from rosld.server.routing.router import ROUTES, Router
 from rosld.server.runtime.watchdog import Watchdog
 from rosld.server.settings import Settings
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.endpoint import QueryService, QuerySettings, Unread
+from rosld.server.sparql.endpoint import QueryService, QuerySettings, UnreadGraphs
 from rosld.server.sparql.materializer import Synchroniser
-from rosld.server.sparql.mentions import Mentions, Noting
+from rosld.server.sparql.mentions import MentionRecorder, Mentions
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.receipt_graphs import ReceiptGraphs
 from rosld.server.sparql.restricted import RestrictedDatasets
-from rosld.server.sparql.syntax.lexer import Bounds, Reach
+from rosld.server.sparql.syntax.lexer import QueryBounds, ServiceAllowlist
 from rosld.server.sparql.update.executor import UpdateEvaluator
 
 
@@ -63,15 +63,17 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     """The ASGI app that serves this adapter; its lifespan opens and closes the adapter, raising what `open` raises."""
     robot = Robot(adapter, settings)
     large = LargeDocuments(robot.workers)
-    pages = PageRenderer(robot, robot.stops, large)
+    pages = PageRenderer(robot, robot.software_stop, large)
     process = QueryProcess(settings.query_concurrency, settings.query_queue)
-    kept = RecordGraphs(robot.records, robot.space.base, robot.queries.description, ELSEWHERE)
+    kept = RecordGraphs(robot.records, robot.space.base, robot.queries.description, OTHER_ROUTES)
     mentions = Mentions(robot.space.base, robot.space.types)
     receipts = ReceiptGraphs(robot.receipts, robot.space)
-    source = Dataset(robot)
-    synchroniser = Synchroniser(process, source, Noting(kept, mentions), receipts, mentioned=mentions.of)
-    reach = Reach(frozenset(settings.allow_service))
-    bounded = Bounds(size=settings.query_size_limit)
+    source = RobotGraphs(robot)
+    synchroniser = Synchroniser(
+        process, source, MentionRecorder(kept, mentions), receipts, mentioned=mentions.documents_of
+    )
+    reach = ServiceAllowlist(frozenset(settings.allow_service))
+    bounded = QueryBounds(size=settings.query_size_limit)
     analyser = Analyser(
         robot.space.base,
         robot.space.types,
@@ -79,20 +81,20 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         reach=reach,
         relations=lambda: relations(robot.mappings.mapping_set),
     )
-    service = query_service(robot, process, synchroniser, analyser, source.unread)
-    mirror = mirror_of(robot, process, synchroniser, {*ROOMS, "queries", "sparql"})
+    service = query_service(robot, process, synchroniser, analyser, source.count_unread)
+    mirror = create_mirror(robot, process, synchroniser, {*ROUTES, "queries", "sparql"})
     names = origin_policy(settings.base_url, settings.host, settings.port, settings.cors_origins)
     broadcasters = Broadcasters(robot.changes, settings.client_streams)
     keyed_lock = KeyedLock(settings.call_deadline)
-    bounds = Bounds(size=settings.body_limit)
+    bounds = QueryBounds(size=settings.body_limit)
     evaluator = UpdateEvaluator(service, analyser)
-    router = Router(robot, service, pages, lambda at: Updates(robot, evaluator, analyser, bounds, at, keyed_lock))
+    router = Router(robot, service, pages, lambda at: UpdateService(robot, evaluator, analyser, bounds, at, keyed_lock))
     notifications = Notifications(robot, Channels(robot.instance_id), broadcasters, names, router.resolve)
-    router.add(rooms(notifications, ROOMS[".well-known"]))
-    router.add(mirror_room(mirror))
+    router.add(routes(notifications, ROUTES[".well-known"]))
+    router.add(replication_route(mirror))
     watchdog = Watchdog()
-    router.add(status_room(watchdog))
-    described = {each.url: each.document for each in fixed(notifications)}
+    router.add(status_route(watchdog))
+    described = {each.url: each.document for each in fixed_resources(notifications)}
     described |= {router.endpoint.url: router.endpoint.document, router.graphs.url: router.graphs.document}
     described |= {router.search.url: router.search.document}
     changing = ("/status",) if mirror is None else ("/status", "/mirror")
@@ -102,7 +104,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     )
     if authenticator is not None:
         authenticator.changed.watch(broadcasters.wake_all)
-    router.add(acl_room(authenticator))
+    router.add(acl_route(authenticator))
     dispatcher = Dispatcher(robot.instance_id, pages, broadcasters, keyed_lock, large, partial(near_urls, robot))
     allowance = ClientLimits(
         settings.client_rate, settings.client_requests, settings.client_connections, settings.client_websockets
@@ -110,7 +112,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     clients = ClientLimiter(allowance, loopback=settings.limit_loopback)
     admission = Admission(clients, f"{robot.space.path}stop".encode("ascii"))
     handler = middleware(robot, router, dispatcher, pages, names, admission, authenticator)
-    background: list[Job] = [service.keep_up, partial(asyncio.to_thread, prepare_pages)]
+    background: list[Job] = [service.keep_synchronised, partial(asyncio.to_thread, prepare_pages)]
     closings: list[Job] = [large.close]
     if mirror is not None:
         background.append(mirror.run)
@@ -122,7 +124,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         clients,
         admission,
         broadcasters,
-        router.rooms,
+        router.route_names,
         HttpApplication(handler, clients, settings, link.render([notifications.link])),
         WebSockets(names, admission, notifications),
         Lifespan(robot, process, watchdog, background, closings),
@@ -144,7 +146,7 @@ def middleware(
     if authenticator is None:
         handler = Preflight(handler, names, lambda exchange: router.resolve(exchange.request.scope))
     handler = RateLimits(handler, admission)
-    handler = NoTokensInUrls(handler, space)
+    handler = RejectTokensInUrls(handler, space)
     if authenticator is not None:
         handler = Authentication(handler, authenticator, space)
         # A preflight request never says who asks, so it is told of nothing, before anybody is asked for.
@@ -160,7 +162,7 @@ def middleware(
 
 
 def query_service(
-    robot: Robot, process: QueryProcess, synchroniser: Synchroniser, analyser: Analyser, unread: Unread
+    robot: Robot, process: QueryProcess, synchroniser: Synchroniser, analyser: Analyser, unread: UnreadGraphs
 ) -> QueryService:
     """SPARQL over everything that the robot's resources say."""
     settings = robot.settings

@@ -18,7 +18,7 @@ _MOMENT = 1.0
 
 
 @contextmanager
-def hold(folder: Path) -> Iterator[None]:
+def lock(folder: Path) -> Iterator[None]:
     """Within it no other process serves the folder, which is made where it is missing.
 
     Raises ValueError where another process still does after a moment, OSError where the folder cannot be written. What
@@ -48,26 +48,26 @@ def _taken(lock: FileLock) -> bool:
     return True
 
 
-def owner(folder: Path) -> str | None:
+def read_base(folder: Path) -> str | None:
     """The base that a folder belongs to, None for one that belongs to none yet."""
     note = folder / NAME
     return note.read_text("utf-8").strip() if note.exists() else None
 
 
-def claim(folder: Path, base: str) -> None:
+def bind_base(folder: Path, base: str) -> None:
     """Make the folder where it is missing, and this base its own.
 
     Raises ValueError where it belongs to another base, OSError where it cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    found = owner(folder)
+    found = read_base(folder)
     if found is None:
         _write(folder / NAME, base)
     elif found != base:
         raise ValueError(f"the data in {folder} belongs to {found}, not {base}: start with --base-url {found}")
 
 
-def disown(folder: Path) -> None:
+def unbind(folder: Path) -> None:
     """The folder, which holds nothing, belongs to no base any more."""
     (folder / NAME).unlink(missing_ok=True)
 

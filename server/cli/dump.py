@@ -17,7 +17,7 @@ def dump(folder: Path, output: Path) -> None:
     """Write the records of a data folder, whether a server runs on it or not. Raises Failure."""
     draft = output.with_name(f".{output.name}.{os.getpid()}")
     with user_errors():
-        base = data_folder.owner(folder)
+        base = data_folder.read_base(folder)
         if base is None:
             raise Failure(f"{folder} is no folder that rosld keeps data in: {data_folder.NAME} is missing")
         try:

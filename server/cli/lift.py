@@ -22,7 +22,7 @@ from rosld.ontology.serialize import Syntax
 from rosld.ontology.urls import Space
 from rosld.server.cli.failure import Failure, user_errors
 from rosld.server.cli.lifting import Lifting
-from rosld.server.cli.types import opened
+from rosld.server.cli.types import open_source
 from rosld.server.cli.writing import writer
 from rosld.server.serving.signals import end_signals
 
@@ -63,7 +63,7 @@ def lift(recording: Path, output: Path, base: str, options: AdapterOptions, sett
             signal.signal(number, _exit)  # an exception, so that the draft is removed
     with user_errors():
         to, space = target(output), Space(base, settings.types)
-        with opened(f"recording:{recording}", options) as adapter:
+        with open_source(f"recording:{recording}", options) as adapter:
             for found in adapter.recordings.values():
                 lifting = Lifting(found, space, settings, simulated_time=adapter.graph.simulated_time)
                 write(lifting, to)
@@ -79,7 +79,10 @@ def write(lifting: Lifting, to: Target) -> None:
     gc.freeze()  # what is loaded stays: the collector need not look through it again and again
     to_bytes = writer(to.syntax, lifting)
     recording = lifting.recording
-    with draft(to) as file, click.progressbar(length=recording.count, label=recording.name, file=sys.stderr) as bar:
+    with (
+        draft_file(to) as file,
+        click.progressbar(length=recording.count, label=recording.name, file=sys.stderr) as bar,
+    ):
         for document in lifting.descriptions():
             file.write(to_bytes.document(document))
         for done, one in enumerate(lifting.messages(), 1):
@@ -90,7 +93,7 @@ def write(lifting: Lifting, to: Target) -> None:
 
 
 @contextlib.contextmanager
-def draft(to: Target) -> Iterator[IO[bytes]]:
+def draft_file(to: Target) -> Iterator[IO[bytes]]:
     """A file beside the target that takes its place at the end, and is removed if it does not come to that."""
     path = to.path.with_name(f".{to.path.name}.{os.getpid()}")
     try:

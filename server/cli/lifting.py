@@ -15,7 +15,7 @@ from rosld.ontology.lift import Lifter, LiftSettings, lifter
 from rosld.ontology.urls import Space
 
 
-class Told(NamedTuple):
+class DescribedMessage(NamedTuple):
     """A recorded message and what can be told of it: itself, lifted, or why it cannot be read."""
 
     recorded: RecordedMessage
@@ -52,7 +52,7 @@ class Lifting:
             if isinstance(reader, Reader):
                 yield type_document(reader.schema, self._space, [other for other in refs if other.name == ref.name])
 
-    def messages(self) -> Iterator[Told]:
+    def messages(self) -> Iterator[DescribedMessage]:
         """Every message in recorded order."""
         for recorded in self.recording.messages():
             told = self._told(recorded)
@@ -60,28 +60,28 @@ class Lifting:
                 self.unread[f"{recorded.topic}: {told.unreadable}"] += 1
             yield told
 
-    def document(self, told: Told) -> Document:
+    def document(self, told: DescribedMessage) -> Document:
         """The document of one message."""
         found = bag_message_document(
             self.recording, told.recorded, self._space, told.lifted, unreadable=told.unreadable
         )
         return replace(found, simulated_time=True) if self._simulated_time else found
 
-    def bare(self, told: Told) -> Document:
+    def document_without_payload(self, told: DescribedMessage) -> Document:
         """The document of one message without its triples: its URL, and how times are told."""
         return Document(f"{self._messages}{told.recorded.index}", (), (), self._simulated_time)
 
-    def _told(self, recorded: RecordedMessage) -> Told:
+    def _told(self, recorded: RecordedMessage) -> DescribedMessage:
         sample = recorded.sample
         reader = self._readers.get(sample.schema) or self._reader(sample.schema)
         if isinstance(reader, str):
-            return Told(recorded, None, reader)
+            return DescribedMessage(recorded, None, reader)
         try:
             message = reader.schema.codec.decode(sample.data, sample.encoding)
         except ValueError as error:
-            return Told(recorded, None, str(error))
+            return DescribedMessage(recorded, None, str(error))
         envelope = Envelope(sample.received_ns, sample.sequence, self._publisher(sample.publisher))
-        return Told(recorded, LiftedMessage("#message", reader.lifter, message, envelope))
+        return DescribedMessage(recorded, LiftedMessage("#message", reader.lifter, message, envelope))
 
     def _reader(self, ref: TypeRef) -> Reader | str:
         """How messages of a type are read and written, or why they are not."""

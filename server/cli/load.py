@@ -27,19 +27,19 @@ def load(archive: Path, folder: Path, base: str | None) -> None:
     """
     with user_errors(), archive.open("rb") as file:
         unpacking = ArchiveReader(file)
-        owner = data_folder.owner(folder)
+        owner = data_folder.read_base(folder)
         to = base or owner or canonical_base(unpacking.base)
         if to != unpacking.base and base is None:
             raise Failure(
                 f"{archive} belongs to {unpacking.base}, the data in {folder} to {owner}: "
                 f"--base-url {owner} rewrites its IRIs, or load it into another folder"
             )
-        data_folder.claim(folder, to)
+        data_folder.bind_base(folder, to)
         try:
             packed, freed = unpacking.restore_into(folder, to)
         except BaseException as error:
             if owner is None:
-                data_folder.disown(folder)
+                data_folder.unbind(folder)
             if isinstance(error, StorageError):
                 raise Failure(str(error)) from error
             raise

@@ -243,9 +243,9 @@ def token_add(name: str, modes: tuple[str, ...], globs: tuple[str, ...], file: P
 @_AUTH
 def token_list(file: Path) -> None:
     """List who has tokens: name, tab, how many."""
-    from rosld.server.cli.tokens import listed
+    from rosld.server.cli.tokens import count_tokens
 
-    listed(file)
+    count_tokens(file)
 
 
 @token.command("remove", short_help="Take all tokens of NAME away.")

@@ -18,7 +18,7 @@ from rosld.server import settings as settings_module
 from rosld.server.cli import data_folder
 from rosld.server.cli.failure import user_errors
 from rosld.server.serving import http_server, tls
-from rosld.server.serving.connection import Bounds
+from rosld.server.serving.connection import ConnectionBounds
 from rosld.server.serving.lifespan import lifespan
 from rosld.server.serving.signals import end_signals
 from rosld.server.settings import Settings
@@ -26,26 +26,26 @@ from rosld.server.settings import Settings
 if TYPE_CHECKING:
     from rosld.server.app import Application
 
-FILES = 256
+MAX_FILES = 256
 """Open files that are left to everything else than clients: databases, recordings, robots, connections in reserve."""
-LAST_SECONDS = 4.5
+EXIT_SECONDS = 4.5
 """Seconds after which a server that was told to end is ended, whatever still holds it: five are promised."""
 
 
 def serve(source: str, settings: Settings, *, base_given: bool) -> None:
     """Serve a source until a signal comes. Raises Failure where it cannot begin."""
-    http_server.quiet_logs()
-    allow_open_files()
+    http_server.configure_logging()
+    raise_file_limit()
     with user_errors():
         adapter = adapter_for(source, settings.adapter_options)
         sock = http_server.bind(settings.host, settings.port)
     with contextlib.closing(sock), user_errors(), contextlib.ExitStack() as lasting:
         settings = settings_module.bound(settings, sock.getsockname()[1], base_given=base_given)
         if settings.data is not None:
-            lasting.enter_context(data_folder.hold(settings.data))
-            data_folder.claim(settings.data, settings.base_url)
+            lasting.enter_context(data_folder.lock(settings.data))
+            data_folder.bind_base(settings.data, settings.base_url)
         if settings.tls_cert is not None:
-            tls.require(settings.tls_cert, settings.tls_key)
+            tls.require_certificate(settings.tls_cert, settings.tls_key)
         _warn(settings)
         from rosld.server.app import create_app
 
@@ -62,10 +62,10 @@ class Serving:
         self._url = url
         settings = app.robot.settings
         limits = (settings.head_limit, settings.head_timeout, settings.read_timeout)
-        bounds = Bounds(*limits, app.clients.connect, app.clients.open_websocket, app.is_urgent)
-        limit = min(settings.connections, max_open_files() - FILES)
+        bounds = ConnectionBounds(*limits, app.clients.connect, app.clients.open_websocket, app.is_urgent)
+        limit = min(settings.connections, max_open_files() - MAX_FILES)
         self._server = http_server.Server(app, self._listening, bounds, max(limit, 1))
-        tls.apply(self._server.config, app.robot.settings.tls_cert, app.robot.settings.tls_key)
+        tls.configure_tls(self._server.config, app.robot.settings.tls_cert, app.robot.settings.tls_key)
         self._work: asyncio.Task[None] | None = None
 
     async def until_stopped(self) -> None:
@@ -90,7 +90,7 @@ class Serving:
             print(self._url, flush=True)
 
     def _told_to_stop(self) -> None:
-        end_at_the_latest(LAST_SECONDS)
+        end_at_the_latest(EXIT_SECONDS)
         if not self._server.started and self._work is not None:
             self._work.cancel()
         self._app.end_streams()
@@ -111,7 +111,7 @@ def end_at_the_latest(seconds: float) -> None:
     timer.start()
 
 
-def allow_open_files() -> None:
+def raise_file_limit() -> None:
     """As many open files as the system lets this process have: each subscription and each client takes one."""
     if sys.platform == "win32":
         return

@@ -36,7 +36,7 @@ def add(file: Path, name: str, modes: Sequence[str], globs: Sequence[str]) -> No
     click.echo(token)
 
 
-def listed(file: Path) -> None:
+def count_tokens(file: Path) -> None:
     """Who has tokens, and how many."""
     with user_errors():
         found = _read(file)

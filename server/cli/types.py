@@ -16,7 +16,7 @@ from rosld.server.cli.failure import user_errors
 OPEN_SECONDS = 5.0
 
 
-class Nobody:
+class NullSink:
     """A `Sink` for who looks once and is told nothing."""
 
     def graph_changed(self, graph: Graph) -> None:
@@ -30,7 +30,7 @@ class Nobody:
 
 
 @contextmanager
-def opened(source: str, options: AdapterOptions) -> Iterator[Adapter]:
+def open_source(source: str, options: AdapterOptions) -> Iterator[Adapter]:
     """The adapter of a source, open; it is closed at the end. Raises ValueError and the adapter's errors.
 
     Its loop stands still between the two, so that Ctrl-C ends what is done with it at once.
@@ -38,14 +38,14 @@ def opened(source: str, options: AdapterOptions) -> Iterator[Adapter]:
     adapter = adapter_for(source, options)
     loop = asyncio.new_event_loop()
     try:
-        loop.run_until_complete(adapter.open(Nobody(), deadline=loop.time() + OPEN_SECONDS))
+        loop.run_until_complete(adapter.open(NullSink(), deadline=loop.time() + OPEN_SECONDS))
         yield adapter
     finally:
         loop.run_until_complete(adapter.close())
         loop.close()
 
 
-def used(graph: Graph) -> set[TypeRef]:
+def types_in_use(graph: Graph) -> set[TypeRef]:
     """The types that topics, services and actions of the graph have."""
     topics = {ref for topic in graph.topics.values() for ref in topic.types}
     services = {service.type for service in graph.services.values() if service.type is not None}
@@ -54,8 +54,8 @@ def used(graph: Graph) -> set[TypeRef]:
 
 def types(source: str, options: AdapterOptions) -> None:
     """Print one line a type: its name and, after a tab, its hash where it is known."""
-    with user_errors(), opened(source, options) as adapter:
-        found = used(adapter.graph) | set(adapter.known_types())
+    with user_errors(), open_source(source, options) as adapter:
+        found = types_in_use(adapter.graph) | set(adapter.known_types())
     hashed = {ref.name for ref in found if ref.hash is not None}
     for ref in sorted(found, key=lambda ref: (ref.name, ref.hash or "")):
         if ref.hash is not None:

@@ -11,7 +11,7 @@ from rosld.adapters.model import TypeRef
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.ontology.serialize import Syntax, serialize_named
-from rosld.server.cli.lifting import Lifting, Told
+from rosld.server.cli.lifting import DescribedMessage, Lifting
 
 _HEADER = re.compile(rb"(?:@(?:base|prefix) [^\n]*\n)+")
 _PLACE = 8_172_635_445_362_718
@@ -30,7 +30,7 @@ class Writer(Protocol):
         """A document that stands by itself."""
         ...
 
-    def message(self, told: Told) -> bytes:
+    def message(self, told: DescribedMessage) -> bytes:
         """The document of one recorded message."""
         ...
 
@@ -54,7 +54,7 @@ class Paragraphs:
         header = _HEADER.match(text)
         return text if header is None else self._new(header[0]) + text[header.end() :]
 
-    def message(self, told: Told) -> bytes:
+    def message(self, told: DescribedMessage) -> bytes:
         """The document of one recorded message."""
         return self.document(self._lifting.document(told))
 
@@ -83,18 +83,18 @@ class Template:
         received = date_time(0, recorded.sample.received_ns)
         return self._text.replace(_INDEX, b"%d" % recorded.index).replace(_RECEIVED, received.encode())
 
-    def prove(self, recorded: RecordedMessage, described: bytes) -> None:
+    def verify(self, recorded: RecordedMessage, described: bytes) -> None:
         """Compare with a description made in full."""
         self._proofs += 1
         self._holds = self._holds and self.text(recorded) == described
 
     @property
-    def proven(self) -> bool:
+    def is_verified(self) -> bool:
         """Whether it holds and has been compared often enough."""
         return self._holds and self._proofs >= _PROOFS
 
     @property
-    def open(self) -> bool:
+    def is_unverified(self) -> bool:
         """Whether it still is to be compared."""
         return self._holds and self._proofs < _PROOFS
 
@@ -111,7 +111,7 @@ class Lines:
         """The document's lines."""
         return serialize_named(document, self._syntax)
 
-    def message(self, told: Told) -> bytes:
+    def message(self, told: DescribedMessage) -> bytes:
         """The lines of one recorded message: its description by the stream's template, its values by its lifter."""
         if told.lifted is None:
             return self.document(self._lifting.document(told))
@@ -120,19 +120,19 @@ class Lines:
         template = self._templates.get(key)
         if template is None:
             template = self._templates[key] = self._template(told)
-        if not template.proven:
+        if not template.is_verified:
             return self._in_full(told, template)
-        bare = self._lifting.bare(told)
+        bare = self._lifting.document_without_payload(told)
         end = f" <{bare.url}> .\n" if self._syntax.datasets else " .\n"
         return template.text(recorded) + told.lifted.ntriples(bare, end).encode()
 
-    def _in_full(self, told: Told, template: Template) -> bytes:
+    def _in_full(self, told: DescribedMessage, template: Template) -> bytes:
         document = self._lifting.document(told)
-        if template.open:
-            template.prove(told.recorded, self._description(document))
+        if template.is_unverified:
+            template.verify(told.recorded, self._description(document))
         return self.document(document)
 
-    def _template(self, told: Told) -> Template:
+    def _template(self, told: DescribedMessage) -> Template:
         sample = told.recorded.sample._replace(received_ns=_PLACE_NS)
         placed = replace(told.recorded, index=_PLACE, sample=sample)
         return Template(self._description(self._lifting.document(told._replace(recorded=placed))))

@@ -24,7 +24,7 @@ from rosld.server.rest.errors import problem_of, problem_of_body, problem_of_out
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.pages import PageRenderer
 from rosld.server.runtime.memory import is_out_of_memory
-from rosld.server.sparql.protocol import UPDATE
+from rosld.server.sparql.protocol import UPDATE_MEDIA_TYPE
 from rosld.server.storage.record import StorageError
 
 _log = logging.getLogger("rosld")
@@ -44,7 +44,7 @@ class ErrorResponses:
         try:
             return await self._next(exchange)
         except Exception as raised:
-            error = self._admission.counted(exchange, raised)
+            error = self._admission.count_refused(exchange, raised)
             if isinstance(error, RateLimitExceeded):
                 await asyncio.sleep(RETRY_SECONDS)
             return self._failure(exchange, error)
@@ -75,4 +75,4 @@ class ErrorResponses:
         if exchange.audit.is_write or exchange.method in ("PUT", "PATCH"):
             return True
         is_write = enforcement.is_write(exchange.method, enforcement.location_of(exchange.request.scope, self._space))
-        return exchange.essence == UPDATE or is_write
+        return exchange.essence == UPDATE_MEDIA_TYPE or is_write

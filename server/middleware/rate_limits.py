@@ -30,7 +30,7 @@ class Admission:
         """Whether a request is answered whatever limits there are: it stops the robot."""
         return method == b"POST" and path == self._stop
 
-    def counted(self, exchange: Exchange, error: Exception) -> Exception:
+    def count_refused(self, exchange: Exchange, error: Exception) -> Exception:
         """What became of a request: one that was refused before it was let pass counts like any other (429)."""
         if exchange.client is None and not isinstance(error, RateLimitExceeded):
             try:
@@ -39,7 +39,7 @@ class Admission:
                 return too_much
         return error
 
-    def may_open(self, address: str | None) -> bool:
+    def admit_websocket(self, address: str | None) -> bool:
         """Whether a client may open a WebSocket now; it counts as a request."""
         try:
             self._clients.release(self._clients.acquire(ANONYMOUS, address))

@@ -16,7 +16,7 @@ from rosld.server.rest.exchange import Exchange
 _MARK = PREFIX.encode("ascii")
 
 
-class NoTokensInUrls:
+class RejectTokensInUrls:
     """Refuses a URL that has a token of rosld in it (400). What has such a name already can be deleted."""
 
     def __init__(self, next: Handler, space: Space) -> None:

@@ -25,7 +25,7 @@ class WebSockets:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve a WebSocket, or refuse its handshake with a problem."""
         client = scope["client"]
-        if not self._admission.may_open(client[0] if client else None):
+        if not self._admission.admit_websocket(client[0] if client else None):
             await asyncio.sleep(RETRY_SECONDS)
             await websocket.reject_handshake(
                 scope, send, Problem(429, "You open too many WebSockets a second: open fewer.")
@@ -33,7 +33,7 @@ class WebSockets:
             return
         try:
             websocket.check_request(self._site, scope)
-            receiver = self._notifications.receiver(scope)
+            receiver = self._notifications.websocket_receiver(scope)
         except Problem as problem:
             await websocket.reject_handshake(scope, send, problem)
             return

@@ -24,7 +24,7 @@ from rosld.server.openapi.components import (
     representation,
     schema_of,
 )
-from rosld.server.openapi.path import Path
+from rosld.server.openapi.path import DescribedPath
 from rosld.server.rest.path_item import QueryParameter
 
 VERSION = "3.1.1"
@@ -46,7 +46,7 @@ def description(
     base: str,
     version: str,
     about: str,
-    described: Iterable[Path],
+    described: Iterable[DescribedPath],
     schemas: Mapping[str, Schema],
 ) -> bytes:
     """The description of a server at `base`, as JSON; `schemas` are those that places refer to by name."""
@@ -96,7 +96,7 @@ class _Shared:
         self.items: dict[str, Json] = {}
         self._names: dict[bytes, str] = {}
 
-    def item(self, path: Path) -> dict[str, Json]:
+    def item(self, path: DescribedPath) -> dict[str, Json]:
         """A reference to the Path Item of a path."""
         item = _path_item(replace(path, item=replace(path.item, summary=f"A {path.item.alike}")), None)
         key = orjson.dumps(item)
@@ -107,7 +107,7 @@ class _Shared:
         return reference("pathItems", name)
 
 
-def _path_item(path: Path, names: _Names | None) -> dict[str, Json]:
+def _path_item(path: DescribedPath, names: _Names | None) -> dict[str, Json]:
     """The Path Item Object (4.8.9): an operation for each method, without names where they would occur twice."""
     segments: list[Json] = [_segment(name, path.segments[name]) for name in _TEMPLATE.findall(path.template)]
     item: dict[str, Json] = {"summary": path.item.summary}
@@ -129,7 +129,7 @@ def _segment(name: str, about: str) -> Json:
     }
 
 
-def _operation(path: Path, method: str, names: _Names | None) -> dict[str, Json]:
+def _operation(path: DescribedPath, method: str, names: _Names | None) -> dict[str, Json]:
     """The Operation Object (4.8.10). Those that tell only of the others are told in short."""
     operation: dict[str, Json] = {"tags": [path.tag]}
     if names is not None:
@@ -149,7 +149,7 @@ def _operation(path: Path, method: str, names: _Names | None) -> dict[str, Json]
     return operation
 
 
-def _parameters(path: Path, method: str) -> Iterator[Json]:
+def _parameters(path: DescribedPath, method: str) -> Iterator[Json]:
     if method == "GET":
         yield from (_query(one) for one in path.item.query)
         if path.item.is_paged:
@@ -168,7 +168,7 @@ def _query(one: QueryParameter) -> Json:
     return {**found, "required": True} if one.required else found
 
 
-def _body(path: Path, method: str) -> Json:
+def _body(path: DescribedPath, method: str) -> Json:
     accepted = path.accepts.get(method, ())
     if not accepted:
         return None
@@ -183,7 +183,7 @@ def _sent(media_type: str, sent: Schema | None) -> Schema:
     return schema_of(media_type)
 
 
-def _answers(path: Path, method: str) -> dict[str, Json]:
+def _answers(path: DescribedPath, method: str) -> dict[str, Json]:
     """The Responses Object (4.8.16)."""
     if method == "OPTIONS":
         return {"204": reference("responses", "options"), **refusals((308, 400, 404, 503, *path.item.also))}
@@ -195,18 +195,18 @@ def _answers(path: Path, method: str) -> dict[str, Json]:
     return {**done, **refusals((*WRITING, *path.item.also))}
 
 
-def _ways(path: Path) -> tuple[int, ...]:
+def _ways(path: DescribedPath) -> tuple[int, ...]:
     """What reading a path may come to besides."""
     return (303, *path.item.also) if path.item.is_paged else path.item.also
 
 
-def _read(path: Path) -> dict[str, Json]:
+def _read(path: DescribedPath) -> dict[str, Json]:
     if path.item.is_document:
         return document()
     return representation((*path.item.reads, EVENT_STREAM) if path.item.streams else path.item.reads, path.item.plain)
 
 
-def _done(path: Path, method: str, status: int) -> dict[str, Json]:
+def _done(path: DescribedPath, method: str, status: int) -> dict[str, Json]:
     """The answer to a write that was done."""
     if status in (202, 204):
         return reference("responses", str(status))

@@ -9,7 +9,7 @@ from rosld.server.rest.path_item import USUAL_STATUSES, PathItem, WriteMethod
 
 
 @dataclass(frozen=True, slots=True)
-class Path:
+class DescribedPath:
     """What `template` answers. It lies below the base and begins with a slash, encoded as in the URL.
 
     Names in braces stand for segments, each told of in `segments`. `accepts` are the media types that each of the

@@ -16,10 +16,10 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.resource_tree import ResourceTree
-from rosld.server.openapi.path import Path
+from rosld.server.openapi.path import DescribedPath
 from rosld.server.resources.channels import channel_item, source_item
 from rosld.server.resources.context import Robot
-from rosld.server.resources.namespaces import listed, namespaces
+from rosld.server.resources.namespaces import listed_graph, namespaces
 from rosld.server.rest.path_item import ANY_TYPE, FIELD_READS, FORMAT, PathItem
 from rosld.server.rest.resource import Resource
 
@@ -42,7 +42,7 @@ _NAME = "A name; those of several parts have slashes, as in the URL."
 
 
 @dataclass(frozen=True)
-class Paths:
+class PathCollector:
     """Finds the paths. `resolve` gives the resource at a path; nothing is waited for.
 
     `hidden`: whether hidden names have paths too.
@@ -54,7 +54,7 @@ class Paths:
     schemas: MessageSchemas
     hidden: bool = False
 
-    def all(self) -> Iterator[Path]:
+    def all(self) -> Iterator[DescribedPath]:
         """Every path."""
         yield self._path("/")
         yield from self._graph()
@@ -71,22 +71,22 @@ class Paths:
         with suppress(Problem):  # there is one only if it was asked for
             yield self._path("/mirror")
 
-    def _path(self, path: str) -> Path:
+    def _path(self, path: str) -> DescribedPath:
         """A path as its resource has it."""
         resource = self.resolve(path)
         return self._describe(path, resource, resource.path_item(self.schemas))
 
-    def _template(self, template: str, example: str, *, item: PathItem | None = None, **segments: str) -> Path:
+    def _template(self, template: str, example: str, *, item: PathItem | None = None, **segments: str) -> DescribedPath:
         """A template as the resource at a path has it for which it stands."""
         resource = self.resolve(example)
         found = self._describe(template, resource, item or resource.path_item(self.schemas))
         return replace(found, segments=segments)
 
-    def _describe(self, path: str, resource: Resource, item: PathItem) -> Path:
+    def _describe(self, path: str, resource: Resource, item: PathItem) -> DescribedPath:
         methods = resource.methods() if item.methods is None else item.methods
         own = {method: each.accepts for method, each in item.writes.items() if each.accepts is not None}
         accepts = {method: tuple(kinds) for method, kinds in {**resource.accepts, **own}.items() if method in methods}
-        return Path(path, self._tag(path[1:]), item, methods, accepts)
+        return DescribedPath(path, self._tag(path[1:]), item, methods, accepts)
 
     def _tag(self, path: str) -> str:
         if path in _ENTRY or path in _FILES:
@@ -99,14 +99,14 @@ class Paths:
     @property
     def _listed(self) -> Graph:
         """What is listed of the computation graph."""
-        return self.robot.graph if self.hidden else listed(self.robot)
+        return self.robot.graph if self.hidden else listed_graph(self.robot)
 
     def _leaves_out(self, path: str) -> bool:
         return not self.hidden and self.robot.adapter.capabilities.hidden_names and names.is_hidden(path)
 
     # The computation graph
 
-    def _graph(self) -> Iterator[Path]:
+    def _graph(self) -> Iterator[DescribedPath]:
         graph, space = self._listed, self.robot.space
         for room in ("nodes", "topics", "services", "actions"):
             for namespace in namespaces(graph, room):
@@ -124,11 +124,11 @@ class Paths:
             yield self._path(f"/{room}/")
             yield self._template(f"/{room}/{{id}}", f"/{room}/any", id=f"As in the URL of the {word}.")
 
-    def _activities(self) -> Iterator[Path]:
+    def _activities(self) -> Iterator[DescribedPath]:
         yield self._path("/activity/")
         yield self._template("/activity/{id}", "/activity/any", id="As in the URL of the receipt.")
 
-    def _parameters(self) -> Iterator[Path]:
+    def _parameters(self) -> Iterator[DescribedPath]:
         graph, space = self._listed, self.robot.space
         trees = dict.fromkeys([(), *namespaces(graph, "parameters")])
         for namespace in islice((each for each in trees if "" not in each), MAX_SINGLE):
@@ -142,7 +142,7 @@ class Paths:
 
     # Levels two and three
 
-    def _resources(self) -> Iterator[Path]:
+    def _resources(self) -> Iterator[DescribedPath]:
         found = (path for path in self._resource_paths() if not self._leaves_out(path))
         for path in islice(found, MAX_SINGLE):
             yield self._path(path)
@@ -160,17 +160,17 @@ class Paths:
                 for name in dict.fromkeys((*properties, *(one.name for one in plan.actions))):
                     yield self._of(url_of(name, space))
 
-    def _other_resources(self, one: Path) -> Path:
+    def _other_resources(self, one: DescribedPath) -> DescribedPath:
         """What stands for all resources and properties that are not described one by one, as `one` of them is."""
         summary = "One of the resources, properties and actions that are too many to be described one by one"
         accepts = dict.fromkeys(one.accepts, (ANY_TYPE,))
         segments = {"name": "A path, as in the URL: links lead to it."}
         item = PathItem(summary, FIELD_READS, query=(FORMAT,))
-        return Path("/resources/{name}", "resources", item, one.methods, accepts, segments)
+        return DescribedPath("/resources/{name}", "resources", item, one.methods, accepts, segments)
 
     # Everything else
 
-    def _types(self) -> Iterator[Path]:
+    def _types(self) -> Iterator[DescribedPath]:
         package, kind, name = "A package.", "`msg`, `srv` or `action`.", "The name of a type."
         for room in ("types", "shapes"):
             yield self._path(f"/{room}/")
@@ -182,7 +182,7 @@ class Paths:
             yield self._path(f"/shapes/{path}")
         yield self._template("/shapes/{name}", "/shapes/any", name="One segment, as in the URL.")
 
-    def _bags(self) -> Iterator[Path]:
+    def _bags(self) -> Iterator[DescribedPath]:
         space = self.robot.space
         yield self._path("/bags/")
         for name, recording in self.robot.adapter.recordings.items():
@@ -192,21 +192,21 @@ class Paths:
             if recording.count:
                 yield self._template(f"{path}{{index}}", f"{path}0", index=f"From 0 to {recording.count - 1}.")
 
-    def _kept(self) -> Iterator[Path]:
+    def _kept(self) -> Iterator[DescribedPath]:
         """What clients keep. What one URL answers depends on what is there: the template tells of all of it."""
         for room in ("mappings", "data"):
             yield self._path(f"/{room}/")
             path = "One segment or several, with slashes between them."
             yield self._template(f"/{room}/{{path}}", f"/{room}/any", path=path)
 
-    def _queries(self) -> Iterator[Path]:
+    def _queries(self) -> Iterator[DescribedPath]:
         """The room of queries and what is below it now; the template tells of those that come and go."""
         yield self._path("/queries/")
         for url, _ in self.robot.queries.all(limit=_MAX_QUERIES):
             yield self._path(self._of(url))
         yield self._template("/queries/{name}", "/queries/any", name="One segment, as in the URL.")
 
-    def _channels(self) -> Iterator[Path]:
+    def _channels(self) -> Iterator[DescribedPath]:
         """Notifications (Solid Notifications Protocol 2)."""
         yield self._path("/.well-known/solid")
         yield self._path("/channels/")

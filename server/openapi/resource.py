@@ -22,9 +22,9 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import OBJECT, Schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.openapi.description import description
-from rosld.server.openapi.path import Path
-from rosld.server.openapi.paths import Paths
-from rosld.server.openapi.rights import paths_for, with_security
+from rosld.server.openapi.path import DescribedPath
+from rosld.server.openapi.paths import PathCollector
+from rosld.server.openapi.rights import add_security, permitted_paths
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.namespaces import listing_parameters
 from rosld.server.rest.exchange import Exchange
@@ -61,7 +61,7 @@ class _Described:
 
     version: Hashable
     data: bytes
-    paths: tuple[Path, ...]
+    paths: tuple[DescribedPath, ...]
     schemas: Mapping[str, Schema]
 
 
@@ -110,9 +110,9 @@ class OpenApiResource(Resource):
         data = kept.data
         if not permissions.is_unrestricted:
             data = self._write(
-                paths_for(kept.paths, partial(self._may, permissions), permissions.may_read), kept.schemas
+                permitted_paths(kept.paths, partial(self._may, permissions), permissions.may_read), kept.schemas
             )
-        return with_security(data, partial(self._may, public), whole=permissions.is_unrestricted)
+        return add_security(data, partial(self._may, public), whole=permissions.is_unrestricted)
 
     def _may(self, permissions: Permissions, method: str, path: str) -> bool:
         """Whether a method may be used at a path below the base, or at some that a template stands for."""
@@ -148,27 +148,27 @@ class OpenApiResource(Resource):
         """A version and its description: found on the loop, written on a thread, for a large one takes its time."""
         robot = self.robot
         await _learn_types(robot)
-        tree = await robot.offers.tree()
+        tree = await robot.affordances.tree()
         version = self._version()
         schemas = MessageSchemas(partial(_known_type, robot), robot.lifting)
-        paths = await _in_turns(Paths(robot, tree, self._resolve, schemas, hidden).all())
+        paths = await _in_turns(PathCollector(robot, tree, self._resolve, schemas, hidden).all())
         if len(paths) > _MANY:
             data = await robot.workers.run(self._writing(paths, schemas.by_key))
         else:
             data = await asyncio.to_thread(self._write, paths, schemas.by_key)
         return _Described(version, data, paths, schemas.by_key)
 
-    def _writing(self, paths: Iterable[Path], schemas: Mapping[str, Schema]) -> Callable[[], bytes]:
+    def _writing(self, paths: Iterable[DescribedPath], schemas: Mapping[str, Schema]) -> Callable[[], bytes]:
         title, base = f"rosld: {self.robot.name}", self.robot.space.base
         return partial(description, title, base, __version__, _ABOUT, paths, schemas)
 
-    def _write(self, paths: Iterable[Path], schemas: Mapping[str, Schema]) -> bytes:
+    def _write(self, paths: Iterable[DescribedPath], schemas: Mapping[str, Schema]) -> bytes:
         return self._writing(paths, schemas)()
 
 
-async def _in_turns(paths: Iterable[Path]) -> tuple[Path, ...]:
+async def _in_turns(paths: Iterable[DescribedPath]) -> tuple[DescribedPath, ...]:
     """All paths; whatever else waits for the loop has its turn after every few."""
-    found: list[Path] = []
+    found: list[DescribedPath] = []
     for place in paths:
         found.append(place)
         if len(found) % _AT_ONCE == 0:

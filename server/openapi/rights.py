@@ -9,7 +9,7 @@ from typing import TypeAlias
 import orjson
 
 from rosld.server.hypermedia.json_schema import Schema
-from rosld.server.openapi.path import Path
+from rosld.server.openapi.path import DescribedPath
 
 _Json: TypeAlias = "dict[str, object]"
 May: TypeAlias = Callable[[str, str], bool]
@@ -23,7 +23,9 @@ _SCHEMES: _Json = {
 _DEMANDED: list[_Json] = [{"bearer": []}, {"basic": []}]
 
 
-def paths_for(paths: Iterable[Path], may: May, may_read: Callable[[str], bool]) -> Iterator[Path]:
+def permitted_paths(
+    paths: Iterable[DescribedPath], may: May, may_read: Callable[[str], bool]
+) -> Iterator[DescribedPath]:
     """The paths that an agent may use, with those methods and those members of their JSON that it may know of."""
     for path in paths:
         methods = frozenset(method for method in path.methods if may(method, path.template))
@@ -32,7 +34,7 @@ def paths_for(paths: Iterable[Path], may: May, may_read: Callable[[str], bool]) 
             yield _without_members(found, may_read) if path.item.members else found
 
 
-def _without_members(path: Path, may_read: Callable[[str], bool]) -> Path:
+def _without_members(path: DescribedPath, may_read: Callable[[str], bool]) -> DescribedPath:
     """The path without the members of its JSON that are values of what may not be read."""
     item = path.item
     hidden = {name for name, url in item.members.items() if not may_read(url)}
@@ -54,7 +56,7 @@ def _left(schema: Schema, hidden: Set[str]) -> Schema:
     return {**schema, "properties": {name: each for name, each in members.items() if name not in hidden}}
 
 
-def with_security(data: bytes, public: May, *, whole: bool) -> bytes:
+def add_security(data: bytes, public: May, *, whole: bool) -> bytes:
     """The description of what an agent may use, with how it says who it is: what the `public` may do takes no token."""
     said = orjson.loads(data)
     shared: _Json = said["components"].get("pathItems", {})

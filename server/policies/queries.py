@@ -15,8 +15,8 @@ from rosld.ontology.urls import Space, decode_segment
 from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.http import media
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.stored import StoredQuery, outline, read, shipped
-from rosld.server.sparql.syntax.lexer import Bounds
+from rosld.server.sparql.stored import StoredQuery, outline, read_stored_query, shipped_queries
+from rosld.server.sparql.syntax.lexer import QueryBounds
 from rosld.server.storage import Blob, Model, Record, RecordChange, Records
 
 ROUTE = "queries/"
@@ -28,8 +28,8 @@ _T = TypeVar("_T")
 class StoredQueries:
     """The stored queries. What is kept is read when it is asked for, so that records are the only copy."""
 
-    def __init__(self, records: Records, space: Space, bounds: Bounds) -> None:
-        self.shipped: Mapping[str, StoredQuery] = shipped()
+    def __init__(self, records: Records, space: Space, bounds: QueryBounds) -> None:
+        self.shipped: Mapping[str, StoredQuery] = shipped_queries()
         self.bounds = bounds
         self.version = records.version
         """The number of the last change of records in the room: it rises, from one run to the next too."""
@@ -96,7 +96,7 @@ class StoredQueries:
     def check(self, path: str, blob: Blob) -> None:
         """Raise ValueError where the bytes of a blob are no stored query, naming the line."""
         name = name_of(path)
-        read(name, self._text(name, blob), self.bounds)
+        read_stored_query(name, self._text(name, blob), self.bounds)
 
     def _outline(self, record: Record) -> StoredQuery:
         name = name_of(record.path)
@@ -114,7 +114,7 @@ class StoredQueries:
         name = name_of(record.path)
         assert record.blob is not None
         try:
-            return read(name, self._text(name, record.blob), self.bounds)
+            return read_stored_query(name, self._text(name, record.blob), self.bounds)
         except (OSError, ValueError) as error:
             return str(error)
 

@@ -39,10 +39,10 @@ class AclResource(Resource):
 
     async def state(self) -> State:
         policy = self._authenticator.config.policy
-        return State(lambda: Document(self.url, tuple(described(policy, self.url))))
+        return State(lambda: Document(self.url, tuple(policy_document(policy, self.url))))
 
 
-def acl_room(authenticator: Authenticator | None) -> Mapping[str, Callable[[Robot, Location], Resource]]:
+def acl_route(authenticator: Authenticator | None) -> Mapping[str, Callable[[Robot, Location], Resource]]:
     """The room of the rules; none where there are none."""
 
     def room(robot: Robot, location: Location) -> Resource:
@@ -54,7 +54,7 @@ def acl_room(authenticator: Authenticator | None) -> Mapping[str, Callable[[Robo
     return {} if authenticator is None else {ACL: room}
 
 
-def described(policy: Policy, url: str) -> Iterable[Triple]:
+def policy_document(policy: Policy, url: str) -> Iterable[Triple]:
     """Agents and rules, without what agents prove themselves with."""
     nodes = {agent.name: _node(agent, number, url) for number, agent in enumerate(policy.agents.values(), 1)}
     by_webid = {agent.webid: nodes[agent.name] for agent in policy.agents.values() if agent.webid}

@@ -36,8 +36,8 @@ from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.limits import require_message
-from rosld.server.resources.namespaces import is_absent, moved_to_namespace
-from rosld.server.resources.service_request import message_in
+from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
+from rosld.server.resources.service_request import read_message
 from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
@@ -71,7 +71,7 @@ class ActionResource(CommandResource):
         found = self.robot.graph.actions.get(self.name)
         if found is None:
             missing = Problem(404, f"There is no action {self.name}.")
-            raise moved_to_namespace(self.robot, "actions", self.name) or missing
+            raise redirect_to_namespace(self.robot, "actions", self.name) or missing
         return found
 
     @property
@@ -113,9 +113,9 @@ class ActionResource(CommandResource):
     async def state(self) -> State:
         _ = self.action
         await follow_action(self.robot, self.name)
-        return self.shown()
+        return self.current_state()
 
-    def shown(self) -> State:
+    def current_state(self) -> State:
         """What it is like, as far as its goals are known."""
         goals = tuple(goal.id for goal in self.robot.goals.of_action(self.name))
         version = (IdentityKey(self.action), goals, self.takes_goals, self.robot.graph.revision)
@@ -144,13 +144,13 @@ class ActionResource(CommandResource):
             return ()
 
     async def post(self, exchange: Exchange) -> Answer:
-        schema, message = await self.goal_in(exchange, self.url)
+        schema, message = await self.read_goal(exchange, self.url)
         return await self.send(exchange, schema, message)
 
-    async def goal_in(self, exchange: Exchange, url: str) -> tuple[ActionSchema, Message]:
+    async def read_goal(self, exchange: Exchange, url: str) -> tuple[ActionSchema, Message]:
         """The goal in a request to a URL, within the limits. Raises LoweringError, and Problems."""
         robot, schema = self.robot, await self._schema()
-        message = await message_in(exchange, robot, schema.goal, url, "#goal")
+        message = await read_message(exchange, robot, schema.goal, url, "#goal")
         await require_message(robot, Kind.ACTION, self.name, schema.goal, message, self.url, "#goal")
         return schema, message
 
@@ -162,7 +162,7 @@ class ActionResource(CommandResource):
         if problem is not None or sending.goal is None:
             raise problem or Problem(502, f"{self.name} did not take the goal.")
         resource = GoalResource(robot, sending.goal.id)
-        return CreatedAnswer(resource.url, resource, resource.shown(sending.goal))
+        return CreatedAnswer(resource.url, resource, resource.state_of(sending.goal))
 
     async def _sent(self, exchange: Exchange, schema: ActionSchema, message: Message) -> GoalSubmission:
         """What became of a goal that was sent, once only for each Idempotency-Key."""
@@ -253,7 +253,7 @@ class GoalResource(Resource):
         goal = self.goal
         if not goal.is_own and not goal.status.is_final:
             await follow_action(self.robot, goal.action)
-        return self.shown(self.goal)
+        return self.state_of(self.goal)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         goal = self.goal
@@ -261,7 +261,7 @@ class GoalResource(Resource):
             await follow_action(self.robot, goal.action)
         return self.robot.goals.watch(goal.action, wake, self.id)
 
-    def shown(self, goal: Goal) -> State:
+    def state_of(self, goal: Goal) -> State:
         """The state of this goal as it stood."""
         return self.robot.states.get_or_make(
             self.url,

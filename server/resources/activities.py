@@ -93,7 +93,7 @@ class ActivityContainer(Resource):
         if exchange.method not in ("GET", "HEAD"):
             return self
         if query_params.stream_is_preferred(exchange.accept, OFFERS):
-            return NewestActivity(self.robot)
+            return NewestReceipt(self.robot)
         token = exchange.query.get("page")
         if token is not None:
             return ActivityContainer(self.robot, parse_position(token))
@@ -151,7 +151,7 @@ class ActivityContainer(Resource):
         return self.robot.receipts.changes.watch(wake)
 
 
-class NewestActivity(Resource):
+class NewestReceipt(Resource):
     """`/activity/` as a stream: each write when it comes. Those that come faster than is read are left out."""
 
     kind = "Activity"

@@ -19,7 +19,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
-from rosld.server.resources.messages import decode, field_response, lifted
+from rosld.server.resources.messages import decode, field_response, lift_sample
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, permanent_redirect
@@ -153,10 +153,10 @@ class BagMessage(Resource):
         def plain() -> bytes:
             if decoded.schema is None or decoded.message is None:
                 raise Problem(406, f"The message cannot be read: {decoded.reason}.")
-            return lifted(robot, decoded).lifter.json(decoded.message, self.url)
+            return lift_sample(robot, decoded).lifter.json(decoded.message, self.url)
 
         def describe() -> Document:
-            found = lifted(robot, decoded) if decoded.message is not None else None
+            found = lift_sample(robot, decoded) if decoded.message is not None else None
             said = bag_message_document(recording, message, robot.space, found, unreadable=decoded.reason)
             return replace(said, simulated_time=robot.graph.simulated_time)
 
@@ -168,7 +168,7 @@ class BagMessage(Resource):
         return await field_response(self.robot, (await self.message()).sample, exchange.query["field"])
 
 
-def bag_room(robot: Robot, location: Location) -> Resource:
+def bag_route(robot: Robot, location: Location) -> Resource:
     """`/bags/` and below."""
     match location.segments:
         case ():

@@ -33,20 +33,20 @@ from rosld.server.hypermedia.value_body import content_from_rdf
 from rosld.server.hypermedia.views import ComplexView, Member
 from rosld.server.ldp.patch import merge_patch
 from rosld.server.resources.context import Robot
-from rosld.server.resources.preconditions import refuse
-from rosld.server.resources.writes import planned
+from rosld.server.resources.preconditions import condition_conflict
+from rosld.server.resources.writes import plan_property_write
 from rosld.server.rest.errors import problem_of
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class MemberChange:
     """A member that is to have another value: `content` is what becomes of it, or of the field that it shows."""
 
     member: MemberPlan
     content: object
 
 
-def changes_in_json(patch: object, plan: ComplexPlan, view: ComplexView) -> tuple[Change, ...]:
+def changes_in_json(patch: object, plan: ComplexPlan, view: ComplexView) -> tuple[MemberChange, ...]:
     """The changes that a JSON merge patch asks for (RFC 7396). Raises LoweringError for what is no member."""
     if not isinstance(patch, dict):
         raise LoweringError(Violation("", "expected an object of members and their values"))
@@ -62,17 +62,17 @@ def changes_in_json(patch: object, plan: ComplexPlan, view: ComplexView) -> tupl
     if wrong:
         raise LoweringError(*wrong)
     before = {one.affordance.name: _present(one) for one in view.members}
-    return tuple(Change(members[name], merge_patch(before[name], value)) for name, value in patch.items())
+    return tuple(MemberChange(members[name], merge_patch(before[name], value)) for name, value in patch.items())
 
 
-def changes_in_graph(body: RdfBody, plan: ComplexPlan, view: ComplexView, robot: Robot) -> tuple[Change, ...]:
+def changes_in_graph(body: RdfBody, plan: ComplexPlan, view: ComplexView, robot: Robot) -> tuple[MemberChange, ...]:
     """The changes between what is said of the members now and what `body` says. Raises LoweringError."""
     seen = {one.affordance.name: one for one in view.members}
     found = (_changed(body, one, seen[one.name], view.url, robot) for one in plan.members)
     return tuple(change for change in found if change is not None)
 
 
-def _changed(body: RdfBody, plan: MemberPlan, seen: Member, url: str, robot: Robot) -> Change | None:
+def _changed(body: RdfBody, plan: MemberPlan, seen: Member, url: str, robot: Robot) -> MemberChange | None:
     relation = seen.affordance.predicate
     subject = NamedNode(url if relation else seen.affordance.url)
     predicate = relation or rdf.value
@@ -86,7 +86,7 @@ def _changed(body: RdfBody, plan: MemberPlan, seen: Member, url: str, robot: Rob
     except LoweringError as error:
         raise _within(plan.name, error) from error
     same = _says(content, seen) if isinstance(content, Literal) else content == _present(seen)
-    return None if same else Change(plan, content)
+    return None if same else MemberChange(plan, content)
 
 
 def _says(stated: Literal, seen: Member) -> bool:
@@ -129,8 +129,8 @@ def _present(member: Member) -> object:
 # The plan
 
 
-async def planned_changes(
-    robot: Robot, plan: ComplexPlan, snapshot: Snapshot, changes: Sequence[Change]
+async def plan_changes(
+    robot: Robot, plan: ComplexPlan, snapshot: Snapshot, changes: Sequence[MemberChange]
 ) -> tuple[tuple[str, PlannedWrite], ...]:
     """The writes that bring these changes about, with the names of the members that ask for them.
 
@@ -138,12 +138,14 @@ async def planned_changes(
     that does not fit or breaks a limit (LoweringError). Nothing moves.
     """
     for change in changes:
-        refuse(robot, change.member.write_conditions, snapshot, f"{change.member.name} must not be written now")
+        condition_conflict(
+            robot, change.member.write_conditions, snapshot, f"{change.member.name} must not be written now"
+        )
     writes = []
     broken: list[Violation] = []
     for names, own, content in _by_property(changes, snapshot.readings):
         try:
-            writes.append((names, await planned(robot, own, content)))
+            writes.append((names, await plan_property_write(robot, own, content)))
         except LoweringError as error:
             broken += _within(names, error).violations
         except Problem as problem:
@@ -153,7 +155,9 @@ async def planned_changes(
     return tuple(writes)
 
 
-def _by_property(changes: Iterable[Change], readings: Mapping[str, Reading]) -> Iterable[tuple[str, Property, object]]:
+def _by_property(
+    changes: Iterable[MemberChange], readings: Mapping[str, Reading]
+) -> Iterable[tuple[str, Property, object]]:
     """One content a property: members that show fields of one message change that message together."""
     whole: dict[str, tuple[list[str], Property, object]] = {}
     for change in changes:
@@ -216,7 +220,7 @@ def _within(name: str, error: LoweringError) -> LoweringError:
 # Carrying it out
 
 
-async def carried_out(robot: Robot, writes: Sequence[tuple[str, PlannedWrite]]) -> Response:
+async def carry_out_all(robot: Robot, writes: Sequence[tuple[str, PlannedWrite]]) -> Response:
     """Carry the writes out in their order. The first that fails ends it: the Problem tells what became of each."""
     done: list[dict[str, object]] = []
     for place, (name, write) in enumerate(writes):

@@ -66,7 +66,7 @@ ROOM, SOURCE = "channels", "messages"
 WELL_KNOWN, THING = ".well-known", "wot"
 STORAGE_DESCRIPTION = "http://www.w3.org/ns/solid/terms#storageDescription"
 Resolve: TypeAlias = Callable[[Scope], Resource]
-Room: TypeAlias = Callable[[Robot, Location], Resource]
+Route: TypeAlias = Callable[[Robot, Location], Resource]
 
 _SUBSCRIPTION: DataSchema = {
     "type": "object",
@@ -103,23 +103,23 @@ class Notifications:
         """The service that makes channels of a type."""
         return next((service for service in self.services if service.type == kind), None)
 
-    def place(self, kind: str, token: str) -> tuple[str, str]:
+    def urls_of(self, kind: str, token: str) -> tuple[str, str]:
         """The URLs of a channel, and of what is received from."""
         url = self.robot.space.url(ROOM, (kind, token))
         source = f"{url}/{SOURCE}"
         return url, source.replace("http", "ws", 1) if kind == WEBSOCKET else source
 
-    async def subscribe(self, exchange: Exchange, service: Service) -> Channel:
+    async def create_channel(self, exchange: Exchange, service: Service) -> Channel:
         """The channel that a request asks for. Raises Problems, and BodyError for what cannot be read."""
         check_profile(exchange.header("content-type"))
         media_type = exchange.media_type
         data = exchange.to_utf8(await read_body(exchange.request, limit=MAX_BYTES))
         wish = read_subscription(data, media_type, service.url, service.type, time.time_ns())
         resource, state = await self._topic(wish.topic, exchange.permissions)
-        place = partial(self.place, service.type)
+        place = partial(self.urls_of, service.type)
         return self.channels.open(wish, service.type, resource, state, place, exchange.auth)
 
-    def receiver(self, scope: Scope) -> WebSocketReceiver:
+    def websocket_receiver(self, scope: Scope) -> WebSocketReceiver:
         """Who receives over the WebSocket that is to be opened. Raises Problems: 404 for every other path, 503."""
         try:
             path = scope["raw_path"].decode("ascii").removeprefix(self.robot.space.path.rstrip("/"))
@@ -193,7 +193,7 @@ def prefers_json(exchange: Exchange, offers: tuple[str, ...] = OFFERS) -> bool:
     return negotiation.choose(exchange.accept, offers) in (JSON_LD, JSON)
 
 
-class Described(Resource):
+class DescribedResource(Resource):
     """What all these have in common: a document, and the same as compact JSON-LD."""
 
     def __init__(self, notifications: Notifications, url: str) -> None:
@@ -228,7 +228,7 @@ def _content(body: bytes) -> list[tuple[bytes, bytes]]:
     return [(b"content-type", JSON_LD.encode()), (b"content-length", b"%d" % len(body))]
 
 
-class StorageDescription(Described):
+class StorageDescription(DescribedResource):
     """`/.well-known/solid`: which subscription services there are."""
 
     kind = "Storage description"
@@ -244,7 +244,7 @@ class StorageDescription(Described):
         return description_members(self.url, self.notifications.services)
 
 
-class WellKnownContainer(Described):
+class WellKnownContainer(DescribedResource):
     """`/.well-known/`: what is served below it. RFC 8615 3 asks for nothing there; the URLs below it lead up to it."""
 
     kind = "Well-known resources"
@@ -259,7 +259,7 @@ class WellKnownContainer(Described):
         return container_document(self.url, [described, f"{self.url}{THING}"], self.title)
 
 
-class ServiceContainer(Described):
+class ServiceContainer(DescribedResource):
     """`/channels/`: the subscription services. The channels are listed nowhere: who knows one may use it."""
 
     kind = "Subscription services"
@@ -273,7 +273,7 @@ class ServiceContainer(Described):
         return container_document(self.url, [one.url for one in self.notifications.services], self.title)
 
 
-class SubscriptionService(Described):
+class SubscriptionService(DescribedResource):
     """`/channels/TYPE`: makes channels of one type."""
 
     kind = "Subscription service"
@@ -307,7 +307,7 @@ class SubscriptionService(Described):
         return True
 
     async def post(self, exchange: Exchange) -> Answer:
-        channel = await self.notifications.subscribe(exchange, self._service)
+        channel = await self.notifications.create_channel(exchange, self._service)
         made = ChannelResource(self.notifications, channel)
         if not prefers_json(exchange, (JSON_LD, *OFFERS)):
             return CreatedAnswer(made.url, made, await made.state())
@@ -316,7 +316,7 @@ class SubscriptionService(Described):
         return RawResponse(201, body, [*headers, *_content(body)])
 
 
-class ChannelResource(Described):
+class ChannelResource(DescribedResource):
     """`/channels/TYPE/TOKEN`: one channel. Deleting it ends it."""
 
     kind = "Notification channel"
@@ -341,7 +341,7 @@ class ChannelResource(Described):
         return Response(status_code=204)
 
 
-class SourceResource(Described):
+class ChannelSourceResource(DescribedResource):
     """`/channels/TYPE/TOKEN/messages`: what is received from."""
 
     kind = "Notification source"
@@ -363,7 +363,7 @@ class SourceResource(Described):
         return ChannelStream(self.notifications.channels, self.notifications.broadcasters, self._channel, headers)
 
 
-def channel_room(robot: Robot, location: Location, *, notifications: Notifications) -> Resource:
+def channel_route(robot: Robot, location: Location, *, notifications: Notifications) -> Resource:
     """`/channels/` and below."""
     if not location.segments:
         url = robot.space.container(ROOM)
@@ -379,7 +379,7 @@ def channel_room(robot: Robot, location: Location, *, notifications: Notificatio
             case [token]:
                 return ChannelResource(notifications, channel_of(notifications, kind, token))
             case [token, name] if name == SOURCE:
-                return SourceResource(notifications, channel_of(notifications, kind, token))
+                return ChannelSourceResource(notifications, channel_of(notifications, kind, token))
     raise Problem(404, f"There is no subscription service there; {robot.space.container(ROOM)} lists them.")
 
 
@@ -404,7 +404,7 @@ def channel_of(notifications: Notifications, kind: str, token: str) -> Channel:
     return channel
 
 
-def fixed(notifications: Notifications) -> Sequence[Described]:
+def fixed_resources(notifications: Notifications) -> Sequence[DescribedResource]:
     """The resources of notifications that never change."""
     container = notifications.robot.space.container(ROOM)
     services = (SubscriptionService(notifications, service) for service in notifications.services)
@@ -416,7 +416,7 @@ def fixed(notifications: Notifications) -> Sequence[Described]:
     )
 
 
-def rooms(notifications: Notifications, well_known: Room) -> Mapping[str, Room]:
+def routes(notifications: Notifications, well_known: Route) -> Mapping[str, Route]:
     """The rooms of notifications; `well_known` is the room of whatever else is well known."""
 
     def known(robot: Robot, location: Location) -> Resource:
@@ -429,4 +429,4 @@ def rooms(notifications: Notifications, well_known: Room) -> Mapping[str, Room]:
             return StorageDescription(notifications, notifications.description)
         return well_known(robot, location)
 
-    return {ROOM: partial(channel_room, notifications=notifications), WELL_KNOWN: known}
+    return {ROOM: partial(channel_route, notifications=notifications), WELL_KNOWN: known}

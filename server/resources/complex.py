@@ -29,15 +29,15 @@ from rosld.server.hypermedia.thing_description import MEDIA_TYPE
 from rosld.server.hypermedia.views import ComplexView
 from rosld.server.ldp.patch import apply_update
 from rosld.server.resources.bulk_write import (
-    Change,
-    carried_out,
+    MemberChange,
+    carry_out_all,
     changes_in_graph,
     changes_in_json,
-    planned_changes,
+    plan_changes,
 )
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import Robot
-from rosld.server.resources.preconditions import seen_anew
+from rosld.server.resources.preconditions import read_fresh_state
 from rosld.server.resources.things import complex_thing, thing_response, wants_thing
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, MERGE_PATCH, OFFERS, SPARQL_UPDATE
@@ -69,7 +69,7 @@ class ComplexResource(CommandResource):
 
     @property
     def also_changes(self) -> Sequence[str]:
-        tree = self.robot.offers.cached_tree() or self.robot.offers.last_tree
+        tree = self.robot.affordances.cached_tree() or self.robot.affordances.last_tree
         plan = None if tree is None else tree.complex(self.path)
         return (
             () if plan is None else [url_of(one.url_name or one.source.name, self.robot.space) for one in plan.members]
@@ -83,7 +83,7 @@ class ComplexResource(CommandResource):
         await self._plan()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        offers, tree = self.robot.offers, self.robot.offers.cached_tree() or self.robot.offers.last_tree
+        offers, tree = self.robot.affordances, self.robot.affordances.cached_tree() or self.robot.affordances.last_tree
         plan = None if tree is None else tree.complex(self.path)
         read: dict[str, Json] = {}
         sent: dict[str, Json] = {}
@@ -105,16 +105,16 @@ class ComplexResource(CommandResource):
         )
 
     def methods(self) -> frozenset[str]:
-        tree, robot = self.robot.offers.cached_tree(), self.robot
+        tree, robot = self.robot.affordances.cached_tree(), self.robot
         plan = tree.complex(self.path) if tree is not None else None
         if plan is None or robot.settings.read_only:
             return READ
-        return READ | {"PATCH"} if any(robot.offers.is_writable(one.source) for one in plan.members) else READ
+        return READ | {"PATCH"} if any(robot.affordances.is_writable(one.source) for one in plan.members) else READ
 
     async def current_methods(self) -> frozenset[str]:
         """Nothing where it does not exist now: then it is 404, read or written."""
         tree, plan = await self._plan()
-        (exists,) = await self.robot.offers.conditions_hold(tree, plan.reads, plan.exists_when)
+        (exists,) = await self.robot.affordances.conditions_hold(tree, plan.reads, plan.exists_when)
         return self.methods() if exists else ABSENT
 
     def deny_reason(self, method: str) -> str:
@@ -126,20 +126,20 @@ class ComplexResource(CommandResource):
 
     async def state(self) -> State:
         tree, plan = await self._plan()
-        return await self.robot.offers.cached_state(
+        return await self.robot.affordances.cached_state(
             self.url, tree, plan.reads, lambda snapshot: self._shown(plan, snapshot)
         )
 
     def _shown(self, plan: ComplexPlan, snapshot: Snapshot) -> State:
         robot = self.robot
-        view = robot.offers.complex_view(plan, snapshot)
+        view = robot.affordances.complex_view(plan, snapshot)
         own = tuple(member.reading for member in view.members)
         times = [one.read_ns for one in own if one.read_ns is not None and one.fresh_until is not None]
         return State(
             lambda: complex_document(view, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time),
             lambda: complex_json(view, robot.lifting),
             received_ns=min(times, default=None),
-            max_age=0 if plan.is_conditional else robot.offers.max_age(own),
+            max_age=0 if plan.is_conditional else robot.affordances.max_age(own),
             view=view,
         )
 
@@ -154,7 +154,7 @@ class ComplexResource(CommandResource):
         )
 
     async def _plan(self) -> tuple[ResourceTree, ComplexPlan]:
-        tree = await self.robot.offers.tree()
+        tree = await self.robot.affordances.tree()
         plan = tree.complex(self.path)
         if plan is not None:
             return tree, plan
@@ -170,9 +170,9 @@ class ComplexResource(CommandResource):
         return thing_response(exchange, self.robot, complex_thing(self.robot, plan))
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        tree = await self.robot.offers.tree()
+        tree = await self.robot.affordances.tree()
         plan = tree.complex(self.path)
-        return None if plan is None else await self.robot.offers.watch(plan.reads, wake)
+        return None if plan is None else await self.robot.affordances.watch(plan.reads, wake)
 
     async def forms(self) -> Sequence[Form]:
         view = (await self.state()).view
@@ -183,35 +183,35 @@ class ComplexResource(CommandResource):
         tree, plan = await self._plan()
         data = await exchange.body()
         named = tuple(member.source.name for member in plan.members)
-        async with self.robot.offers.lock(tree, self.path, *named, modified=named):
-            snapshot = await seen_anew(self.robot, tree, plan.reads)
+        async with self.robot.affordances.lock(tree, self.path, *named, modified=named):
+            snapshot = await read_fresh_state(self.robot, tree, plan.reads)
             changes = self._changes(exchange.media_type, plan, snapshot, data)
-            return await carried_out(self.robot, await planned_changes(self.robot, plan, snapshot, changes))
+            return await carry_out_all(self.robot, await plan_changes(self.robot, plan, snapshot, changes))
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """Within a turn that names `concerned`."""
         robot, (tree, plan) = self.robot, await self._plan()
         if "PATCH" not in self.methods() or triples is None:
             raise Problem(403, self.deny_reason("PATCH" if triples is not None else "DELETE"))
-        snapshot = await seen_anew(robot, tree, plan.reads)
-        view = robot.offers.complex_view(plan, snapshot)
+        snapshot = await read_fresh_state(robot, tree, plan.reads)
+        view = robot.affordances.complex_view(plan, snapshot)
         body = body_of(triples)
-        writes = await planned_changes(robot, plan, snapshot, changes_in_graph(body, plan, view, robot))
+        writes = await plan_changes(robot, plan, snapshot, changes_in_graph(body, plan, view, robot))
 
         async def carried_out_all() -> bool:
-            await carried_out(robot, writes)
+            await carry_out_all(robot, writes)
             return True
 
         return RobotWrite(f"write {', '.join(name for name, _ in writes) or 'nothing'} of {self.path}", carried_out_all)
 
-    def concerned(self, tree: ResourceTree) -> tuple[str, ...]:
+    def affected_names(self, tree: ResourceTree) -> tuple[str, ...]:
         """The names that a write through its graph concerns."""
         plan = tree.complex(self.path)
         return (self.path, *(member.source.name for member in plan.members)) if plan is not None else (self.path,)
 
-    def _changes(self, media_type: str, plan: ComplexPlan, snapshot: Snapshot, data: bytes) -> Sequence[Change]:
+    def _changes(self, media_type: str, plan: ComplexPlan, snapshot: Snapshot, data: bytes) -> Sequence[MemberChange]:
         robot = self.robot
-        view = robot.offers.complex_view(plan, snapshot)
+        view = robot.affordances.complex_view(plan, snapshot)
         if media_type == MERGE_PATCH:
             return changes_in_json(parse_json(data), plan, view)
         before = complex_document(view, robot.space, robot.lifting.unelided)

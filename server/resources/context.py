@@ -23,7 +23,7 @@ from rosld.server.runtime.offload import WorkerPool
 from rosld.server.runtime.signals import Signal
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
-from rosld.server.sparql.syntax.lexer import Bounds
+from rosld.server.sparql.syntax.lexer import QueryBounds
 from rosld.server.storage import RecordChange
 from rosld.server.storage.sqlite import open_records
 from rosld.shapes.limits import Limits
@@ -37,7 +37,7 @@ class Robot(Session):
         self.instance_id = secrets.token_hex(4)
         self.states: VersionCache[State] = VersionCache()
         self.workers = WorkerPool()
-        self.limits_in_force = ActiveLimits(tuple(initial_limits(settings, adapter, self.space)), self.space)
+        self.active_limits = ActiveLimits(tuple(initial_limits(settings, adapter, self.space)), self.space)
         self.records = open_records(settings.data, roots=(mappings.ROUTE, queries.ROUTE, limits.ROUTE))
         self.receipts = Journal(
             settings.data,
@@ -45,10 +45,10 @@ class Robot(Session):
             age=settings.receipts_age,
             excerpt_bytes=settings.receipt_excerpt,
         )
-        self.kept_changes = Signal()
-        self.queries = queries.StoredQueries(self.records, self.space, Bounds(size=settings.query_size_limit))
+        self.record_changes = Signal()
+        self.queries = queries.StoredQueries(self.records, self.space, QueryBounds(size=settings.query_size_limit))
         self.mappings = Mappings(initial_mappings(settings, adapter, self.space))
-        self.readings = PropertyReader(
+        self.property_reader = PropertyReader(
             adapter,
             self.topics,
             self.schemas,
@@ -57,11 +57,11 @@ class Robot(Session):
             patience=settings.call_deadline,
         )
         self.latest_values = LatestValues(self.topics, self.schemas)
-        self.offers: AffordanceService[State] = AffordanceService(
-            self, self.mappings, self.readings, self.states, lambda: self.limits
+        self.affordances: AffordanceService[State] = AffordanceService(
+            self, self.mappings, self.property_reader, self.states, lambda: self.limits
         )
         self.holds = Holds(self)
-        self.stops = SoftwareStop(self, self.holds, lambda: self.mappings.mapping_set.stop_commands())
+        self.software_stop = SoftwareStop(self, self.holds, lambda: self.mappings.mapping_set.stop_commands())
 
     @property
     def revision(self) -> Hashable:
@@ -72,9 +72,9 @@ class Robot(Session):
             self.calls.revision,
             self.goals.revision,
             self.holds.revision,
-            self.stops.revision,
+            self.software_stop.revision,
             self.queries.version,
-            IdentityKey(self.limits_in_force.current),
+            IdentityKey(self.active_limits.current),
             IdentityKey(self.mappings.mapping_set),
         )
 
@@ -87,14 +87,14 @@ class Robot(Session):
     @property
     def limits(self) -> Limits:
         """The limits on what is written that are in force now."""
-        return self.limits_in_force.current
+        return self.active_limits.current
 
     async def start(self) -> None:
         """Open the session, and put into force what is kept. Raises what `Adapter.open` raises."""
         await self.open()
         self.records.watch(self._kept)
         self.receipts.start()
-        self.limits_in_force.load_stored(self.records)
+        self.active_limits.load_stored(self.records)
         await load_stored_mappings(self.mappings, self.records, self.settings, self.space)
         gc.collect()
         gc.freeze()  # what is loaded now stays: looking through it again and again would hold everybody up
@@ -105,16 +105,16 @@ class Robot(Session):
         self.holds.close("rosld ended")
         await self.workers.close()
         await self.holds.wait_closed()
-        await self.stops.wait_ended()
+        await self.software_stop.wait_ended()
         await self.receipts.close()
-        await self.readings.stop()
+        await self.property_reader.stop()
         await self.close()
         await self.records.close()
 
     def _kept(self, changes: Sequence[RecordChange]) -> None:
         for each in changes:
             self.queries.on_record_change(each)
-            self.kept_changes.emit(each.path)
+            self.record_changes.emit(each.path)
 
 
 class IdentityKey:

@@ -10,7 +10,7 @@ from rosld.server.html.page import NoticeLevel
 from rosld.server.http.link import Link
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
-from rosld.server.resources.namespaces import listed
+from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
@@ -37,7 +37,7 @@ class EntryResource(Resource):
         self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, described, search)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        graph, space = listed(self.robot), self.robot.space
+        graph, space = listed_graph(self.robot), self.robot.space
         numbers = {
             "topics": _seen(graph.topics, space.topic, site),
             "services": _seen(graph.services, space.service, site),
@@ -71,7 +71,7 @@ class EntryResource(Resource):
         return PathItem("The robot, with links to everything")
 
     async def state(self) -> State:
-        graph = listed(self.robot)
+        graph = listed_graph(self.robot)
         system, problems = self.robot.adapter.capabilities.system, self.robot.storage_problems
         return self.robot.states.get_or_make(
             self.url,

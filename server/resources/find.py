@@ -142,7 +142,7 @@ class FindResource(Resource):
     async def _values(self, entries: Sequence[Entry]) -> Mapping[str, LatestValue]:
         """The latest values by URL: of topics that are subscribed to, of parameters, and of getters that were asked."""
         robot, found = self.robot, dict[str, LatestValue]()
-        tree = await robot.offers.tree()
+        tree = await robot.affordances.tree()
         stored: dict[str, Property] = {}
         for entry in entries:
             if entry.kind is EntryKind.TOPIC:
@@ -156,9 +156,9 @@ class FindResource(Resource):
             elif entry.kind is EntryKind.RESOURCE:
                 plan = tree.property(entry.name)
                 if plan is not None and not any(isinstance(one, TopicSource) for one in plan.source.readers):
-                    found |= _read(entry.url, robot.readings.cached(plan.source))
+                    found |= _read(entry.url, robot.property_reader.cached(plan.source))
         deadline = robot.deadline(_PARAMETER_SECONDS)
-        readings = await robot.readings.read([*stored.values()], deadline=deadline) if stored else {}
+        readings = await robot.property_reader.read([*stored.values()], deadline=deadline) if stored else {}
         for url, own in stored.items():
             found |= _read(url, readings[own.name])
         return found

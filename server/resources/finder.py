@@ -12,7 +12,7 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.hypermedia.resource_tree import ResourceTree
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.kept_entries import kept_entries
-from rosld.server.resources.namespaces import listed
+from rosld.server.resources.namespaces import listed_graph
 from rosld.server.search.catalog import catalog_of
 from rosld.server.search.entry import Catalog
 from rosld.server.search.index import Found, SearchIndex
@@ -50,8 +50,8 @@ class Finder:
 
     async def _robot_index(self, known: _Index | None) -> _Index:
         robot = self._robot
-        tree = await robot.offers.tree()
-        graph = listed(robot)
+        tree = await robot.affordances.tree()
+        graph = listed_graph(robot)
         version = (IdentityKey(graph), IdentityKey(tree), robot.schemas.count)
         if known is not None and known.version == version:
             return known

@@ -27,11 +27,11 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import ALSO_OF_KEPT, Kept
+from rosld.server.resources.kept.base import EXTRA_STATUSES, StoredResource
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.routes import AbsentResource
 from rosld.server.resources.kept.sources import N3_PATCH
-from rosld.server.resources.sparql import answer_query, formats_of, wished
+from rosld.server.resources.sparql import accept_of, answer_query, available_formats
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import ANY_TYPE, FORMAT, PathItem, QueryParameter, WriteMethod
@@ -39,10 +39,10 @@ from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.sparql import results
 from rosld.server.sparql.endpoint import QueryService
-from rosld.server.sparql.protocol import QueryRequest, timeout_asked
-from rosld.server.sparql.update.base import Updates
+from rosld.server.sparql.protocol import QueryRequest, requested_timeout
+from rosld.server.sparql.update.base import UpdateRunner
 from rosld.server.sparql.update.copying import unmanaged_triples
-from rosld.server.sparql.update.operations import Manage, Modify, Operation, QuadTemplate, Verb
+from rosld.server.sparql.update.operations import GraphVerb, ManageGraph, Modify, Operation, QuadTemplate
 
 DATASET_BODIES = ("application/n-quads", "application/trig")
 _DIRECTLY = "The name of a graph is its own URL, so GET, PUT, PATCH and DELETE there do the same."
@@ -50,7 +50,7 @@ _MAX_PARAMETERS = 200
 _LONGEST_CACHED = 4096
 
 
-class Named(NamedTuple):
+class GraphSelection(NamedTuple):
     """What a query string names: a graph by its absolute URI, the default graph, all graphs (`?all`), or nothing.
 
     `others` are the parameters that are not the protocol's, percent-encoded.
@@ -59,10 +59,10 @@ class Named(NamedTuple):
     graph: str | None
     default: bool
     all: bool
-    others: str
+    other_parameters: str
 
 
-def named(query_string: bytes, base: str) -> Named:
+def parse_graph_selection(query_string: bytes, base: str) -> GraphSelection:
     """The graph that a request names (Graph Store Protocol 4.2); relative IRIs are resolved against `base` (4.1).
 
     Raises a 400 Problem for several of them at once, and for what is no IRI.
@@ -70,7 +70,7 @@ def named(query_string: bytes, base: str) -> Named:
     return _remembered(query_string, base) if len(query_string) <= _LONGEST_CACHED else _named(query_string, base)
 
 
-def _named(query_string: bytes, base: str) -> Named:
+def _named(query_string: bytes, base: str) -> GraphSelection:
     try:
         pairs = parse_qsl(
             query_string.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=_MAX_PARAMETERS
@@ -85,7 +85,7 @@ def _named(query_string: bytes, base: str) -> Named:
             400, "Name one graph: one ?graph=IRI, or ?default (SPARQL 1.1 Graph Store Protocol 4.2); or ?all."
         )
     others = urlencode([(name, value) for name, value in pairs if name not in ("graph", "default", "all")])
-    return Named(_resolved(graphs[0], base) if graphs else None, defaults == 1, all == 1, others)
+    return GraphSelection(_resolved(graphs[0], base) if graphs else None, defaults == 1, all == 1, others)
 
 
 _remembered = lru_cache(maxsize=256)(_named)
@@ -105,7 +105,7 @@ _GRAPH = QueryParameter(
 )
 _DEFAULT = QueryParameter("default", "Instead of a graph: all of them together.")
 _ALL = QueryParameter("all", "Instead of a graph: all of them with their names, as N-Quads, TriG or JSON-LD.")
-_GRAPH_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*{**FORMATS, **formats_of("CONSTRUCT")}]})
+_GRAPH_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*{**FORMATS, **available_formats("CONSTRUCT")}]})
 
 
 class GraphStore(Resource):
@@ -125,13 +125,13 @@ class GraphStore(Resource):
         robot: Robot,
         service: QueryService,
         resolve: Callable[[Scope], Resource],
-        updates: Updates | None = None,
+        updates: UpdateRunner | None = None,
     ) -> None:
         super().__init__(f"{robot.space.base}graphs")
         self._robot = robot
         self._resolve = resolve
-        self._default = DefaultGraph(f"{self.url}?default", service)
-        self._all = WholeDataset(f"{self.url}?all", service, robot.space.base, updates)
+        self._default = DefaultGraphResource(f"{self.url}?default", service)
+        self._all = DatasetResource(f"{self.url}?all", service, robot.space.base, updates)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         of_a_graph = (_GRAPH, _GRAPH_FORMAT)
@@ -144,7 +144,7 @@ class GraphStore(Resource):
                 "PUT": WriteMethod(accepts=(*self.accepts["PUT"], ANY_TYPE), query=of_a_graph),
                 **dict.fromkeys(("POST", "PATCH", "DELETE"), WriteMethod(query=of_a_graph)),
             },
-            also=ALSO_OF_KEPT,
+            also=EXTRA_STATUSES,
         )
 
     def methods(self) -> frozenset[str]:
@@ -175,15 +175,15 @@ class GraphStore(Resource):
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The graph that is named, as its own URL has it."""
-        asked = named(exchange.request.scope["query_string"], self.url)
+        asked = parse_graph_selection(exchange.request.scope["query_string"], self.url)
         if asked.default:
             return self._default
         if asked.all:
             return self._all
         if asked.graph is not None:
-            return await self._graph(exchange, asked.graph, asked.others)
+            return await self._graph(exchange, asked.graph, asked.other_parameters)
         if exchange.method == "POST":  # the server is to find a name (Graph Store Protocol 5.5)
-            return await self._graph(exchange, self._robot.space.container("data"), asked.others)
+            return await self._graph(exchange, self._robot.space.container("data"), asked.other_parameters)
         if exchange.method in READ:
             return self
         raise Problem(
@@ -233,7 +233,7 @@ def _address(below: str, root: str, others: str) -> Scope:
 
 async def _prepare(exchange: Exchange, resource: Resource) -> None:
     """See to it that a write means what the protocol says: a graph is merged or made, and nothing else happens."""
-    if exchange.method == "POST" and not isinstance(resource, Kept):
+    if exchange.method == "POST" and not isinstance(resource, StoredResource):
         await resource.prepare()
         raise Problem(
             405,
@@ -264,15 +264,15 @@ class _Whole(Resource):
         self._service = service
 
     async def custom_get(self, exchange: Exchange) -> Response:
-        accept = wished(exchange, formats_of(self.form))
+        accept = accept_of(exchange, available_formats(self.form))
         if exchange.method == "HEAD":
-            content_type = results.content_type(results.choose(self.form, accept))
+            content_type = results.content_type(results.choose_media_type(self.form, accept))
             return Response(headers={"Content-Type": content_type, "Vary": "Accept", "Cache-Control": "no-cache"})
-        asked = replace(self.asked, timeout=timeout_asked(exchange.query.items()))
+        asked = replace(self.asked, timeout=requested_timeout(exchange.query.items()))
         return await answer_query(self._service, asked, accept, permissions=exchange.permissions)
 
 
-class DefaultGraph(_Whole):
+class DefaultGraphResource(_Whole):
     """The default graph: all graphs together, as a query has it. It is read, and never written itself."""
 
     kind = "Default graph"
@@ -283,7 +283,7 @@ class DefaultGraph(_Whole):
         return "The default graph is all graphs together: write to the one that is to say it, by ?graph="
 
 
-class WholeDataset(_Whole):
+class DatasetResource(_Whole):
     """The dataset: all graphs with their names. What it tells is taken back, as far as clients keep it."""
 
     kind = "Dataset"
@@ -292,7 +292,7 @@ class WholeDataset(_Whole):
     accepts: Mapping[str, Sequence[str]] = {"PUT": DATASET_BODIES, "POST": DATASET_BODIES}
     takes_forms = False
 
-    def __init__(self, url: str, service: QueryService, base: str, updates: Updates | None) -> None:
+    def __init__(self, url: str, service: QueryService, base: str, updates: UpdateRunner | None) -> None:
         super().__init__(url, service)
         self._base = base
         self._updates = updates
@@ -316,7 +316,7 @@ class WholeDataset(_Whole):
         if strange is not None:
             room = f"{self._base}data/"
             raise Problem(403, f"No graph <{strange[:200]}> can be here: choose names below {room}. Nothing was done.")
-        kept = {name: triples for name, triples in graphs.items() if self._updates.keeps(name)}
+        kept = {name: triples for name, triples in graphs.items() if self._updates.is_stored(name)}
         operations = await asyncio.to_thread(_operations, kept, replaces=replaces)
         return await self._updates.carry_out(
             operations, dry_run=exchange.query_flag("dry-run"), permissions=exchange.permissions
@@ -327,9 +327,9 @@ def _operations(graphs: Mapping[str, Sequence[Triple]], *, replaces: bool) -> Se
     """What has the graphs say this, but for what the server says of each itself."""
     found: list[Operation] = []
     for name, triples in graphs.items():
-        found.append(Manage(Verb.CREATE, name, silent=True))
+        found.append(ManageGraph(GraphVerb.CREATE, name, silent=True))
         if replaces:
-            found.append(Manage(Verb.CLEAR, name, silent=True))
+            found.append(ManageGraph(GraphVerb.CLEAR, name, silent=True))
         said = unmanaged_triples(name, triples)
         graph = NamedNode(name)
         quads = (QuadTemplate(subject, predicate, object, graph) for subject, predicate, object in said)

@@ -30,7 +30,7 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.ldp.patch import merge_patch
 from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.publishing import Publishing
+from rosld.server.resources.publishing import Publisher
 from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
@@ -49,15 +49,15 @@ Find = Callable[[str], Resource]
 """The resource at a path below the base."""
 
 
-async def hold_topic(exchange: Exchange, robot: Robot, name: str, find: Find | None) -> Answer:
+async def create_hold(exchange: Exchange, robot: Robot, name: str, find: Find | None) -> Answer:
     """Carry out a POST of a message to a topic: hold it. Raises whatever there is to refuse."""
     rate = _rate(exchange, robot)
     if rate is None:
         raise Problem(400, f"Say how often the message is to be published: ?rate=10 for ten times a second ({_RATES}).")
     lease = _lease(exchange) or LEASE
-    publishing = Publishing(robot, name)
-    schema, message = await publishing.asked(exchange)
-    await publishing.require(schema, message)
+    publishing = Publisher(robot, name)
+    schema, message = await publishing.read_message(exchange)
+    await publishing.require_within_limits(schema, message)
     asked = _command(robot, publishing.name, schema, message, restamp=False)
     then, then_asked = await _then(
         exchange.query.get("then"), robot, publishing, asked, _readable(robot, find, exchange)
@@ -65,7 +65,7 @@ async def hold_topic(exchange: Exchange, robot: Robot, name: str, find: Find | N
     exchange.audit.add_step(f"hold {name} at {rate:g} Hz, unrenewed for {lease:g} s", robot.space.topic(name))
     begun = await robot.holds.start(new_hold(name, exchange.agent, rate, lease, asked, then, then_asked))
     resource = HoldResource(robot, begun.id, find)
-    return CreatedAnswer(resource.url, resource, resource.shown(begun))
+    return CreatedAnswer(resource.url, resource, resource.state_of(begun))
 
 
 _POSITIVE: DataSchema = {"type": "number", "minimum": MIN_OF_HOLDS}
@@ -143,12 +143,12 @@ class HoldResource(Resource):
         return READ if self.robot.settings.read_only else READ | {"PATCH", "DELETE"}
 
     async def state(self) -> State:
-        return self.shown(self.hold)
+        return self.state_of(self.hold)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         return self.robot.holds.changes.watch(wake, lambda about: about == self.id)
 
-    def shown(self, hold: Hold) -> State:
+    def state_of(self, hold: Hold) -> State:
         """The state of this hold as it stood."""
         return self.robot.states.get_or_make(
             self.url, IdentityKey(hold), lambda: State(lambda: self.document(hold), lambda: self._plain(hold))
@@ -209,7 +209,7 @@ class HoldResource(Resource):
     async def patch(self, exchange: Exchange) -> Answer:
         robot, hold = self.robot, self.hold
         require_holder(exchange, hold)
-        publishing = Publishing(robot, hold.topic)
+        publishing = Publisher(robot, hold.topic)
         asked = await self._changed(exchange, publishing, hold)
         then, then_asked = hold.release_message, hold.release_requested
         if "then" in exchange.query or (asked is not hold.message and then_asked == ZERO):
@@ -228,7 +228,7 @@ class HoldResource(Resource):
         robot.holds.renew(self.id, changed)
         return Response(status_code=204)
 
-    async def _changed(self, exchange: Exchange, publishing: Publishing, hold: Hold) -> HeldMessage:
+    async def _changed(self, exchange: Exchange, publishing: Publisher, hold: Hold) -> HeldMessage:
         """The command after the change that a body asks for."""
         data = await exchange.body()
         if not data.strip():
@@ -240,7 +240,7 @@ class HoldResource(Resource):
             message = lowerer(schema, self.robot.lifting).from_json(patched)
         else:
             message = await publishing.message_of(exchange, schema, self.url)
-        await publishing.require(schema, message)
+        await publishing.require_within_limits(schema, message)
         return _command(self.robot, publishing.name, schema, message, restamp=False)
 
     async def delete(self, exchange: Exchange) -> Answer:
@@ -301,7 +301,7 @@ def _readable(robot: Robot, find: Find | None, exchange: Exchange) -> Find | Non
 
 
 async def _then(
-    asked: str | None, robot: Robot, publishing: Publishing, held: HeldMessage, find: Find | None
+    asked: str | None, robot: Robot, publishing: Publisher, held: HeldMessage, find: Find | None
 ) -> tuple[HeldMessage | None, str]:
     """What is published when the hold ends, and how that was asked for: within the limits, ready to be sent."""
     schema = held.schema
@@ -310,7 +310,7 @@ async def _then(
         return None, NONE
     try:
         message = zeroed(schema, held.message) if words == ZERO else await _message_at(words, robot, schema, find)
-        await publishing.require(schema, message)
+        await publishing.require_within_limits(schema, message)
     except LoweringError as error:
         detail = f"?then={words[:500]}: {error}"
         raise Problem(422, detail, title="Does not fit", violations=error.violations) from error

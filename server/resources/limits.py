@@ -74,7 +74,7 @@ async def _of_parameter(robot: Robot, name: str, value: ParameterValue) -> list[
 
 async def _of_property(robot: Robot, kind: Kind, name: str, value: Value) -> list[Violation]:
     """What a value breaks of the limits on the property that a topic, service or parameter writes, by all its names."""
-    tree = await robot.offers.tree()
+    tree = await robot.affordances.tree()
     catalogue = tree.catalogue
     ways = {Kind.TOPIC: catalogue.by_topic, Kind.SERVICE: catalogue.by_service, Kind.PARAMETER: catalogue.by_parameter}
     found = ways[kind].get(name) if kind in ways else None

@@ -14,7 +14,7 @@ from rosld.server.rest.state import State
 from rosld.server.runtime.signals import Signal
 
 
-class Listing(Resource):
+class ListingResource(Resource):
     """`/NAME/`: a container of the members that there are now, whose URLs `members` tells; `changes` says when."""
 
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
@@ -42,23 +42,25 @@ class Listing(Resource):
         return self._changes.watch(wake)
 
 
-def calls(robot: Robot) -> Listing:
+def calls_listing(robot: Robot) -> ListingResource:
     """`/calls/`: the calls made through rosld and kept."""
     known, url = robot.calls, robot.space.call
-    return Listing(
+    return ListingResource(
         robot, "calls", "The calls that are kept", lambda: (url(call.id) for call in known.all()), known.changes
     )
 
 
-def goals(robot: Robot) -> Listing:
+def goals_listing(robot: Robot) -> ListingResource:
     """`/goals/`: the goals known and kept, ours and others'."""
     known, url = robot.goals, robot.space.goal
-    return Listing(
+    return ListingResource(
         robot, "goals", "The goals that are kept", lambda: (url(goal.id) for goal in known.all()), known.changes
     )
 
 
-def holds(robot: Robot) -> Listing:
+def holds_listing(robot: Robot) -> ListingResource:
     """`/holds/`: the holds that there are."""
     known, url = robot.holds, robot.space.hold
-    return Listing(robot, "holds", "The holds of topics", lambda: (url(hold.id) for hold in known.all()), known.changes)
+    return ListingResource(
+        robot, "holds", "The holds of topics", lambda: (url(hold.id) for hold in known.all()), known.changes
+    )

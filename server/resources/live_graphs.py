@@ -51,15 +51,22 @@ from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.holds import HoldResource
 from rosld.server.resources.members import MemberResource
-from rosld.server.resources.namespaces import listed, listed_members, namespace_described, namespaces, of_room
+from rosld.server.resources.namespaces import listed_graph, listed_members, listing_document, namespaces, things_of
 from rosld.server.resources.nodes import NodeResource
 from rosld.server.resources.ontology import OntologyResource
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
-from rosld.server.resources.queries import shipped_document, whole_container
+from rosld.server.resources.queries import queries_document, shipped_document
 from rosld.server.resources.services import CallResource
 from rosld.server.resources.stop import StopResource
 from rosld.server.resources.topics import TopicResource
-from rosld.server.resources.types import WHOLE, ShapeResource, TypeResource, known_types, names_below, whole_shape
+from rosld.server.resources.types import (
+    SHAPES_GRAPHS,
+    ShapeResource,
+    TypeResource,
+    child_names,
+    known_types,
+    shapes_graph,
+)
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 from rosld.server.runtime.loop_time import loop_time
@@ -71,7 +78,7 @@ from rosld.shapes.parameter import declared_triples
 
 _KEPT = 256
 """Needs whose resources are remembered."""
-ELSEWHERE = frozenset({queries.ROUTE, limits.ROUTE})
+OTHER_ROUTES = frozenset({queries.ROUTE, limits.ROUTE})
 """The containers of what clients keep in which something else lies too: they are described here, whole."""
 _AT_ONCE = 64
 """Looks that are begun before the loop has its turn."""
@@ -79,7 +86,7 @@ _TURNS = 4
 """Times that topics are looked at to have their values all of one moment."""
 
 
-class Dataset:
+class RobotGraphs:
     """The graphs of one robot: the `GraphSource` of its SPARQL endpoint."""
 
     def __init__(self, robot: Robot) -> None:
@@ -113,7 +120,7 @@ class Dataset:
 
     async def documents_of(self, terms: Collection[str]) -> Collection[str]:
         """The URLs of the complex resources, properties and actions that these terms may be said of."""
-        tree, space = await self._robot.offers.tree(), self._robot.space
+        tree, space = await self._robot.affordances.tree(), self._robot.space
         paths: set[str] = set()
         for term in terms:
             paths |= set(tree.paths) if term in COMPLEX else related(tree.mapping_set, term)
@@ -123,22 +130,22 @@ class Dataset:
             paths.update(tree.actions)
         return {url_of(path, space) for path in paths}
 
-    async def unread(self, needs: Needs, permissions: Permissions) -> Mapping[str, int]:
+    async def count_unread(self, needs: Needs, permissions: Permissions) -> Mapping[str, int]:
         """How many graphs that are there only on demand the needs could match without asking for them, by container.
 
         Only those count that the judge lets be read.
         """
         robot, space = self._robot, self._robot.space
         found: dict[str, int] = {}
-        if needs.everything:
+        if needs.is_everything:
             wanted = {one.url for one in self._resources(needs)}
             urls = {space.topic(name) for name in robot.graph.topics}
             found["topics"] = sum(map(permissions.may_read, urls - wanted))
         if needs.resources:
-            tree = await robot.offers.tree()
+            tree = await robot.affordances.tree()
             urls = {url_of(path, space) for path in (*tree.paths, *tree.properties, *tree.actions)}
             found["resources"] = sum(map(permissions.may_read, urls - needs.documents))
-            left = () if needs.everything else (url for url in self._live if url not in needs.documents)
+            left = () if needs.is_everything else (url for url in self._live if url not in needs.documents)
             found |= {url.removeprefix(space.base): int(permissions.may_read(url)) for url in left}
         if needs.trees:
             urls = {space.container("parameters", path) for path in namespaces(robot.graph, "parameters")}
@@ -166,7 +173,7 @@ class Dataset:
 
     def _resources(self, needs: Needs) -> Sequence[Resource]:
         """The resources of `_wanted`, kept for as long as they are the same: where needs name what they are about."""
-        if any(demand.anything for demand in needs.demands):
+        if any(demand.is_anything for demand in needs.demands):
             return list(self._wanted(needs))
         version = (self._robot.graph.revision, self._robot.schemas.count)
         known = self._found.get(needs)
@@ -178,15 +185,15 @@ class Dataset:
 
     def _wanted(self, needs: Needs) -> Iterator[Resource]:
         robot = self._robot
-        if needs.messages:
+        if needs.needs_messages:
             at_hand = {*robot.topics.subscribed(), *robot.adapter.published}
-            definite = Needs(tuple(demand for demand in needs.demands if not demand.anything))
+            definite = Needs(tuple(demand for demand in needs.demands if not demand.is_anything))
             for topic in self._candidates(needs.graphs):
                 url = robot.space.topic(topic.name)
                 asked = needs if topic.name in at_hand else definite  # looking at anything subscribes to nothing new
                 if asked.wants_topic(url, self._types_within(topic)):
                     yield TopicResource(robot, topic.name)
-        if needs.parameters:
+        if needs.needs_parameters:
             for name in robot.graph.parameters:
                 if needs.wants_parameter(robot.space.parameter(name)):
                     yield ParameterResource(robot, name)
@@ -194,7 +201,7 @@ class Dataset:
                 url = robot.space.container("parameters", path)
                 if url in needs.graph_names and needs.wants_parameter(url):
                     yield ParameterTree(robot, path)
-        anything = any(demand.anything for demand in needs.demands)
+        anything = any(demand.is_anything for demand in needs.demands)
         yield from (one for url, one in self._live.items() if anything or url in needs.documents)
         yield from self._named(needs.documents)
 
@@ -297,7 +304,7 @@ class Dataset:
         for _ in range(_TURNS):
             turns: list[None] = []
             asyncio.get_running_loop().call_soon(turns.append, None)
-            entries = [await self._entry(one.url, one.shown(known(one.name))) for one in resources]
+            entries = [await self._entry(one.url, one.state_of(known(one.name))) for one in resources]
             if not turns:
                 break
         return [entry for entry in entries if entry is not None]
@@ -313,11 +320,11 @@ class Dataset:
         robot, space, graph = self._robot, self._robot.space, self._robot.graph
         system = robot.adapter.capabilities.system
         problems = robot.storage_problems
-        entry = partial(entry_document, listed(robot), space, system, problems)
+        entry = partial(entry_document, listed_graph(robot), space, system, problems)
         yield _described(space.base, (graph.revision, problems), entry)
         simulated = graph.simulated_time
         for name, known in node_views(graph).items():
-            view = NodeResource(robot, name).seen(known)
+            view = NodeResource(robot, name).with_offers(known)
             describe = partial(node_document, view, space, simulated_time=simulated)
             yield _described(space.node(name), (view, simulated), describe)
         for topic in graph.topics.values():
@@ -336,7 +343,7 @@ class Dataset:
             yield _described(one.url, (action, goals, one.takes_goals), one.document)
         for parameter in graph.parameters.values():
             url = space.parameter(parameter.name)
-            yield _described(url, parameter, partial(described_parameter, parameter, space))
+            yield _described(url, parameter, partial(parameter_description, parameter, space))
         yield from self._containers()
         yield from self._types()
         yield from self._records()
@@ -354,13 +361,13 @@ class Dataset:
             for path, whole in namespaces(graph, room).items():
                 members = listed_members(self._robot, room, path)
                 assert members is not None
-                is_name = names.join(path) in of_room(graph, room)
-                describe = partial(namespace_described, self._robot, room, path, members)
+                is_name = names.join(path) in things_of(graph, room)
+                describe = partial(listing_document, self._robot, room, path, members)
                 yield _described(space.container(room, path), (members, is_name, members == whole), describe)
         recordings = tuple(map(space.bag, self._robot.adapter.recordings))
         bags = partial(container_document, space.container("bags"), recordings, "Recordings")
         yield _described(space.container("bags"), recordings, bags)
-        yield _described(space.container("queries"), self._robot.queries.version, whole_container(self._robot))
+        yield _described(space.container("queries"), self._robot.queries.version, queries_document(self._robot))
         for name, query in self._robot.queries.shipped.items():
             url = space.query(name)
             yield _described(url, 0, partial(shipped_document, url, query))
@@ -372,14 +379,14 @@ class Dataset:
         for room, path in product(("types", "shapes"), sorted(paths)):
             if room == "shapes" and not path:
                 continue
-            below = names_below(listed, room, path)
+            below = child_names(listed, room, path)
             describe = partial(type_container_document, room, path, below, space)
             yield _described(space.container(room, path), below, describe)
-        shapes = types.whole_container(self._robot)
+        shapes = types.shapes_document(self._robot)
         yield _described(shapes.url, IdentityKey(shapes), lambda: shapes)
-        for name in WHOLE:
+        for name in SHAPES_GRAPHS:
             yield _described(
-                space.shape(name), IdentityKey(self._robot.limits), partial(whole_shape, self._robot, name)
+                space.shape(name), IdentityKey(self._robot.limits), partial(shapes_graph, self._robot, name)
             )
         variants = known_types(self._robot)
         for schema in self._robot.schemas.all():
@@ -409,7 +416,7 @@ class Dataset:
             of = HoldResource(self._robot, hold.id)
             yield _described(of.url, IdentityKey(hold), partial(of.document, hold))
         stop = StopResource(self._robot)
-        yield _described(stop.url, (self._robot.stops.revision, self._robot.stops.steps), stop.document)
+        yield _described(stop.url, (self._robot.software_stop.revision, self._robot.software_stop.steps), stop.document)
         goals = self._robot.goals.all()
         known = tuple(space.goal(goal.id) for goal in goals)
         yield _described(
@@ -420,7 +427,7 @@ class Dataset:
             yield _described(told.url, IdentityKey(goal), partial(told.document, goal))
 
 
-def described_parameter(parameter: Parameter, space: Space) -> Document:
+def parameter_description(parameter: Parameter, space: Space) -> Document:
     """A parameter without its value, which is read when a query needs it."""
     url, descriptor = space.parameter(parameter.name), parameter.descriptor
     triples = about(NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(parameter.name)))
@@ -439,7 +446,7 @@ def _of_parameter(resource: ParameterResource | ParameterTree, value: ParameterV
     if value is None or isinstance(value, dict) == isinstance(resource, ParameterResource):
         return None
     try:
-        return _live(resource.url, resource.shown(value))._replace(passing=isinstance(resource, ParameterTree))
+        return _live(resource.url, resource.state_of(value))._replace(is_transient=isinstance(resource, ParameterTree))
     except Problem:
         return None
 

@@ -37,10 +37,10 @@ from rosld.server.resources.command import CommandResource
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message
-from rosld.server.resources.preconditions import require_offered, require_writable, seen_anew
-from rosld.server.resources.service_request import called, declined_by, failure, request_in
+from rosld.server.resources.preconditions import read_fresh_state, require_offered, require_writable
+from rosld.server.resources.service_request import call_problem, call_service, read_request, refusal_problem
 from rosld.server.resources.strictness import STRICT, is_strict
-from rosld.server.resources.writes import planned, write_response
+from rosld.server.resources.writes import plan_property_write, write_response
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, WriteMethod
@@ -70,13 +70,13 @@ class MemberResource(CommandResource):
         self.name = name
 
     async def prepare(self) -> None:
-        tree = await self.robot.offers.tree()
+        tree = await self.robot.affordances.tree()
         if tree.property(self.name) is None and tree.action(self.name) is None:
             raise self._missing(tree)
 
     @property
     def _tree(self) -> ResourceTree | None:
-        return self.robot.offers.cached_tree()
+        return self.robot.affordances.cached_tree()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         tree = self._tree
@@ -84,7 +84,7 @@ class MemberResource(CommandResource):
         action = None if tree is None else tree.action(self.name)
         value = sent = None
         if plan is not None:
-            shape = self.robot.offers.member_affordance(plan.member, write=True).shape
+            shape = self.robot.affordances.member_affordance(plan.member, write=True).shape
             value, sent = (value_schema(shape, schemas.lifting, sent=each) for each in (False, True))
         sends_goals = action is not None and action.sends_goals
         invoke = WriteMethod(
@@ -116,21 +116,21 @@ class MemberResource(CommandResource):
             return READ
         methods = READ
         plan = tree.property(self.name)
-        if plan is not None and robot.offers.is_writable(plan.source):
+        if plan is not None and robot.affordances.is_writable(plan.source):
             methods |= {"PUT", "PATCH"}
         action = tree.action(self.name)
-        if action is not None and robot.offers.is_callable(action):
+        if action is not None and robot.affordances.is_callable(action):
             methods |= {"POST"}
         return methods
 
     async def current_methods(self) -> frozenset[str]:
         """Nothing where it does not exist now; POST alone of an action that is not on offer, for it says why not."""
-        tree, methods = await self.robot.offers.tree(), self.methods()
+        tree, methods = await self.robot.affordances.tree(), self.methods()
         plan, action = tree.property(self.name), tree.action(self.name)
         reads = (*(() if plan is None else plan.reads), *(() if action is None else action.reads))
         exists_when = next((each.exists_when for each in (plan, action) if each is not None), ())
         conditions = () if plan is not None or action is None else action.conditions
-        exists, offered = await self.robot.offers.conditions_hold(tree, reads, exists_when, conditions)
+        exists, offered = await self.robot.affordances.conditions_hold(tree, reads, exists_when, conditions)
         if not exists:
             return ABSENT
         return methods if offered else methods - {"GET", "HEAD"}
@@ -155,33 +155,33 @@ class MemberResource(CommandResource):
     # Reading
 
     async def state(self) -> State:
-        tree = await self.robot.offers.tree()
+        tree = await self.robot.affordances.tree()
         plan = tree.property(self.name)
         if plan is not None:
-            return await self.robot.offers.cached_state(
+            return await self.robot.affordances.cached_state(
                 self.url, tree, plan.reads, lambda snapshot: self._shown(plan, snapshot)
             )
         action = tree.action(self.name)
         if action is not None:
-            return await self.robot.offers.cached_state(
+            return await self.robot.affordances.cached_state(
                 self.url, tree, action.reads, lambda snapshot: self._shown_action(action, snapshot)
             )
         raise self._missing(tree)
 
     def _shown(self, plan: PropertyPlan, snapshot: Snapshot) -> State:
         robot = self.robot
-        view = robot.offers.property_view(plan, snapshot)
+        view = robot.affordances.property_view(plan, snapshot)
         return State(
             lambda: property_document(view, robot.space, robot.lifting, simulated_time=robot.graph.simulated_time),
             lambda: property_json(view, robot.lifting),
             received_ns=view.reading.read_ns,
-            max_age=0 if plan.is_conditional else robot.offers.max_age((view.reading,)),
+            max_age=0 if plan.is_conditional else robot.affordances.max_age((view.reading,)),
             view=view,
         )
 
     def _shown_action(self, plan: ActionPlan, snapshot: Snapshot) -> State:
         robot = self.robot
-        view = robot.offers.action_view(plan, snapshot)
+        view = robot.affordances.action_view(plan, snapshot)
         return State(lambda: action_document(view, robot.space, robot.lifting), view=view)
 
     def _missing(self, tree: ResourceTree) -> Problem:
@@ -198,9 +198,9 @@ class MemberResource(CommandResource):
         return Problem(404, f"There is no resource {self.name}.")
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        tree = await self.robot.offers.tree()
+        tree = await self.robot.affordances.tree()
         plan = tree.property(self.name) or tree.action(self.name)
-        return None if plan is None else await self.robot.offers.watch(plan.reads, wake)
+        return None if plan is None else await self.robot.affordances.watch(plan.reads, wake)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         """`?field=PATH`: the bytes of one field of the value."""
@@ -218,7 +218,7 @@ class MemberResource(CommandResource):
 
     async def forms(self) -> Sequence[Form]:
         """Whatever conditions say now: a form that was on offer when its page was drawn is told why it no longer is."""
-        tree, offers = await self.robot.offers.tree(), self.robot.offers
+        tree, offers = await self.robot.affordances.tree(), self.robot.affordances
         forms: list[Form] = []
         if tree.property(self.name) is not None:
             view = (await self.state()).view
@@ -234,7 +234,7 @@ class MemberResource(CommandResource):
         tree, plan = await self._property()
         content = self._content(exchange, plan, await exchange.body())
         changed = () if plan.member.field is None else (plan.source.name,)
-        async with self.robot.offers.lock(tree, self.name, modified=changed):
+        async with self.robot.affordances.lock(tree, self.name, modified=changed):
             written = await self._write(tree, plan, content, defaults=not is_strict(exchange))
             return await self._answer(exchange, written)
 
@@ -250,10 +250,10 @@ class MemberResource(CommandResource):
     ) -> PlannedWrite:
         """How the property comes to be what `content` says, if it may be written now; nothing moves."""
         if plan.is_conditional or plan.member.field is not None:
-            snapshot = await seen_anew(self.robot, tree, plan.reads)
+            snapshot = await read_fresh_state(self.robot, tree, plan.reads)
             require_writable(self.robot, plan, snapshot)
             content = self._whole(plan, snapshot, content)
-        return await planned(self.robot, plan.source, content, defaults=defaults)
+        return await plan_property_write(self.robot, plan.source, content, defaults=defaults)
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """Within a turn that names `concerned`."""
@@ -270,7 +270,7 @@ class MemberResource(CommandResource):
 
         return RobotWrite(f"write {self.name} by {written.writer.name}", carried_out)
 
-    def concerned(self, tree: ResourceTree) -> tuple[str, ...]:
+    def affected_names(self, tree: ResourceTree) -> tuple[str, ...]:
         """The names that a write through its graph concerns."""
         plan = tree.property(self.name)
         return (self.name,) if plan is None else (self.name, plan.source.name)
@@ -278,15 +278,15 @@ class MemberResource(CommandResource):
     async def patch(self, exchange: Exchange) -> Answer:
         tree, plan = await self._property()
         data = await exchange.body()
-        async with self.robot.offers.lock(tree, self.name, modified=(plan.source.name,)):
-            snapshot = await seen_anew(self.robot, tree, plan.reads)
+        async with self.robot.affordances.lock(tree, self.name, modified=(plan.source.name,)):
+            snapshot = await read_fresh_state(self.robot, tree, plan.reads)
             require_writable(self.robot, plan, snapshot)
             content = self._whole(plan, snapshot, self._patch(exchange, plan, snapshot, data))
-            written = await planned(self.robot, plan.source, content)
+            written = await plan_property_write(self.robot, plan.source, content)
             return await self._answer(exchange, written)
 
     async def _property(self) -> tuple[ResourceTree, PropertyPlan]:
-        tree = await self.robot.offers.tree()
+        tree = await self.robot.affordances.tree()
         plan = tree.property(self.name)
         if plan is None:
             raise self._missing(tree)
@@ -315,7 +315,7 @@ class MemberResource(CommandResource):
         return content_from_rdf(body, subject, predicate, plan.source, self.robot.lifting)
 
     def _patch(self, exchange: Exchange, plan: PropertyPlan, snapshot: Snapshot, data: bytes) -> object:
-        view = self.robot.offers.property_view(plan, snapshot)
+        view = self.robot.affordances.property_view(plan, snapshot)
         if view.reading.value is None:
             why = view.reading.failure or "it has no value yet"
             raise Problem(409, f"{self.name} cannot be patched: {why}; PUT a whole value.")
@@ -325,7 +325,7 @@ class MemberResource(CommandResource):
         return self._stated(plan, apply_update(data, before.all_triples(), self.url, by_value=True))
 
     async def post(self, exchange: Exchange) -> Answer:
-        robot, tree = self.robot, await self.robot.offers.tree()
+        robot, tree = self.robot, await self.robot.affordances.tree()
         plan = tree.action(self.name)
         if plan is None:
             raise self._missing(tree)
@@ -333,13 +333,13 @@ class MemberResource(CommandResource):
             return await self._send_goal(exchange, tree, plan)
         if not isinstance(plan.schema, ServiceSchema):
             raise Problem(409, f"{self.name} cannot be invoked: the type of the service is not known.")
-        request = await request_in(exchange, robot, plan.schema, self.url)
+        request = await read_request(exchange, robot, plan.schema, self.url)
         url = robot.space.service(plan.service)
         await require_message(robot, Kind.SERVICE, plan.service, plan.schema.request, request, url, "#request")
-        async with robot.offers.lock(tree, self.name):
-            require_offered(robot, plan, await seen_anew(robot, tree, plan.reads))
-            outcome = await called(exchange, robot, plan.service, plan.schema, request)
-        problem = failure(robot, outcome) or declined_by(robot, outcome)
+        async with robot.affordances.lock(tree, self.name):
+            require_offered(robot, plan, await read_fresh_state(robot, tree, plan.reads))
+            outcome = await call_service(exchange, robot, plan.service, plan.schema, request)
+        problem = call_problem(robot, outcome) or refusal_problem(robot, outcome)
         if problem is not None:
             raise problem
         return await self._after(plan.parent, outcome)
@@ -347,9 +347,9 @@ class MemberResource(CommandResource):
     async def _send_goal(self, exchange: Exchange, tree: ResourceTree, plan: ActionPlan) -> Answer:
         """Send a goal to the action of ROS that the mapping names: what is made is the goal."""
         action = ActionResource(self.robot, plan.service)
-        schema, goal = await action.goal_in(exchange, self.url)
-        async with self.robot.offers.lock(tree, self.name):
-            require_offered(self.robot, plan, await seen_anew(self.robot, tree, plan.reads))
+        schema, goal = await action.read_goal(exchange, self.url)
+        async with self.robot.affordances.lock(tree, self.name):
+            require_offered(self.robot, plan, await read_fresh_state(self.robot, tree, plan.reads))
             return await action.send(exchange, schema, goal)
 
     async def _after(self, path: str, outcome: CallOutcome) -> ShownAnswer:

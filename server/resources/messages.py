@@ -15,7 +15,7 @@ from rosld.server.resources.context import Robot
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Decoded:
+class DecodedSample:
     """A sample with its message, or with the reason why it cannot be read."""
 
     sample: Sample
@@ -24,16 +24,16 @@ class Decoded:
     reason: str | None = None
 
 
-async def decode(robot: Robot, sample: Sample) -> Decoded:
+async def decode(robot: Robot, sample: Sample) -> DecodedSample:
     """A sample's message, or why it cannot be read."""
     try:
         schema = await robot.schemas.message(sample.schema)
-        return Decoded(sample, schema, schema.codec.decode(sample.data, sample.encoding))
+        return DecodedSample(sample, schema, schema.codec.decode(sample.data, sample.encoding))
     except (RosError, ValueError) as error:
-        return Decoded(sample, None, None, str(error))
+        return DecodedSample(sample, None, None, str(error))
 
 
-def lifted(robot: Robot, one: Decoded) -> LiftedMessage:
+def lift_sample(robot: Robot, one: DecodedSample) -> LiftedMessage:
     """A decoded sample as the `#message` of a document."""
     assert one.schema is not None
     assert one.message is not None

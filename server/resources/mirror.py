@@ -15,19 +15,19 @@ from rosld.server.dataset.replication import Mirror, ReplicationStatus
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
-from rosld.server.resources.mirroring import ROOM
+from rosld.server.resources.mirroring import ROUTE
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 
 
-class MirrorResource(Resource):
+class ReplicationResource(Resource):
     """What another store has been told."""
 
     kind = "Mirror"
 
     def __init__(self, robot: Robot, mirror: Mirror) -> None:
-        super().__init__(robot.space.base + ROOM)
+        super().__init__(robot.space.base + ROUTE)
         self._mirror = mirror
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -35,22 +35,22 @@ class MirrorResource(Resource):
 
     async def state(self) -> State:
         status = self._mirror.status
-        return State(lambda: mirror_document(self.url, status), lambda: _plain(status))
+        return State(lambda: replication_document(self.url, status), lambda: _plain(status))
 
 
-def mirror_room(mirror: Mirror | None) -> Mapping[str, Callable[[Robot, Location], Resource]]:
+def replication_route(mirror: Mirror | None) -> Mapping[str, Callable[[Robot, Location], Resource]]:
     """The room of the mirror; none where there is no mirror."""
 
     def room(robot: Robot, location: Location) -> Resource:
         if location.segments or location.is_container:
-            raise Problem(404, f"There is nothing below /{ROOM}.")
+            raise Problem(404, f"There is nothing below /{ROUTE}.")
         assert mirror is not None
-        return MirrorResource(robot, mirror)
+        return ReplicationResource(robot, mirror)
 
-    return {} if mirror is None else {ROOM: room}
+    return {} if mirror is None else {ROUTE: room}
 
 
-def mirror_document(url: str, status: ReplicationStatus) -> Document:
+def replication_document(url: str, status: ReplicationStatus) -> Document:
     """A mirror described. It is stale, with the reason, while its store cannot be told anything."""
     return Document(
         url,

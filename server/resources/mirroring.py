@@ -22,9 +22,9 @@ from rosld.server.settings import Settings
 from rosld.server.sparql.materializer import Synchroniser
 from rosld.server.sparql.needs import Demand, Needs
 from rosld.server.sparql.process.client import QueryProcess
-from rosld.server.sparql.process.work import Dump, Graphs, Work
+from rosld.server.sparql.process.work import DumpGraphs, ListGraphs, Work
 
-ROOM = "mirror"
+ROUTE = "mirror"
 """Where a robot tells of its mirror, and the graph that its store has of it."""
 _PARAMETERS_EVERY = 10.0
 """Seconds between two readings of all parameters: each may be a question to the robot."""
@@ -33,7 +33,9 @@ _LONGEST_READING = 5.0
 _log = logging.getLogger("rosld.store")
 
 
-def mirror_of(robot: Robot, process: QueryProcess, synchroniser: Synchroniser, rooms: Collection[str]) -> Mirror | None:
+def create_mirror(
+    robot: Robot, process: QueryProcess, synchroniser: Synchroniser, rooms: Collection[str]
+) -> Mirror | None:
     """The mirror that the settings ask for, None for none. `rooms` are the first segments of all paths of this server.
 
     Raises ValueError where the credentials cannot be used, OSError where they cannot be read.
@@ -87,15 +89,15 @@ class _Dataset:
         self._synchroniser = synchroniser
 
     def watch(self, told: Callable[[Collection[str], Sequence[Edit]], None], begun: Callable[[], None]) -> None:
-        self._process.watch(told)
-        self._process.watch_start(begun)
+        self._process.on_change(told)
+        self._process.on_start(begun)
 
     def graphs(self) -> Collection[str]:
-        names: list[str] = pickle.loads(self._result(Graphs()))  # from our own process
+        names: list[str] = pickle.loads(self._result(ListGraphs()))  # from our own process
         return names
 
     def ntriples(self, graph: str) -> str | None:
-        texts: dict[str, str | None] = pickle.loads(self._result(Dump((graph,))))
+        texts: dict[str, str | None] = pickle.loads(self._result(DumpGraphs((graph,))))
         return texts[graph]
 
     def _result(self, work: Work) -> bytes:
@@ -112,7 +114,7 @@ class _Graphs:
 
     def __init__(self, base: str, rooms: Collection[str], synchroniser: Synchroniser) -> None:
         self.base = base
-        self.heartbeat_graph = base + ROOM
+        self.heartbeat_graph = base + ROUTE
         self._rooms = frozenset(rooms)
         self._synchroniser = synchroniser
 
@@ -122,7 +124,7 @@ class _Graphs:
         return len(path) < len(graph) and room in self._rooms
 
     def transient_graphs(self) -> Collection[str]:
-        return self._synchroniser.held
+        return self._synchroniser.source_graphs
 
 
 class _Reading:
@@ -141,7 +143,7 @@ class _Reading:
             await asyncio.wait_for(self._read(self._parameters()), _LONGEST_READING)
 
     async def _read(self, needs: Needs) -> None:
-        async with self._synchroniser.synced(needs, deadline=self._robot.deadline(_LONGEST_READING)):
+        async with self._synchroniser.synchronised(needs, deadline=self._robot.deadline(_LONGEST_READING)):
             pass
 
     def _topics(self) -> Needs:

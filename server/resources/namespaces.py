@@ -48,7 +48,7 @@ _V = TypeVar("_V")
 _namespaces: Kept[Mapping[str, object], Namespaces] = Kept(members_of, 24)
 
 
-def of_room(graph: Graph, room: str) -> Mapping[str, object]:
+def things_of(graph: Graph, room: str) -> Mapping[str, object]:
     """The things of one room by name."""
     rooms: Mapping[str, Mapping[str, object]] = {
         "nodes": graph.nodes,
@@ -62,7 +62,7 @@ def of_room(graph: Graph, room: str) -> Mapping[str, object]:
 
 def namespaces(graph: Graph, room: str) -> Namespaces:
     """The namespaces of one room with their members."""
-    return _namespaces(of_room(graph, room))
+    return _namespaces(things_of(graph, room))
 
 
 def is_of_hidden(parameter: Parameter) -> bool:
@@ -94,7 +94,7 @@ def _unhidden(graph: Graph) -> Graph:
 _listed: Kept[Graph, Graph] = Kept(_unhidden)
 
 
-def listed(robot: Robot) -> Graph:
+def listed_graph(robot: Robot) -> Graph:
     """The graph as listings tell it: without hidden names, where the robot's kind of system has them."""
     return _listed(robot.graph) if robot.adapter.capabilities.hidden_names else robot.graph
 
@@ -117,31 +117,31 @@ def listed_members(robot: Robot, room: str, namespace: tuple[str, ...], *, hidde
     whole = namespaces(robot.graph, room).get(namespace)
     if whole is None or hidden or names.is_hidden(names.join(namespace)):
         return whole
-    return namespaces(listed(robot), room).get(namespace, Members())
+    return namespaces(listed_graph(robot), room).get(namespace, Members())
 
 
-def namespace_described(
+def listing_document(
     robot: Robot, room: str, namespace: tuple[str, ...], members: Members, *, hidden: bool = False
 ) -> Document:
     """A namespace with these members, or these of them; where its listing leaves some out it links to all."""
     url = robot.space.container(room, namespace)
-    is_name = names.join(namespace) in of_room(robot.graph, room)
+    is_name = names.join(namespace) in things_of(robot.graph, room)
     leaves_out = listed_members(robot, room, namespace, hidden=hidden) != namespaces(robot.graph, room).get(namespace)
     whole = with_hidden(url) if leaves_out else None
     return namespace_document(room, namespace, members, robot.space, is_name=is_name, whole=whole)
 
 
-def count(members: Members) -> int:
+def count_members(members: Members) -> int:
     """How many members a namespace has: names, and namespaces below."""
     return len(members.leaves) + len(members.namespaces)
 
 
-def ordered(members: Members) -> list[str]:
+def member_keys(members: Members) -> list[str]:
     """The members as they end their URLs, in the order of pages."""
     return sorted([*map(encode_segment, members.leaves), *(f"{encode_segment(one)}/" for one in members.namespaces)])
 
 
-def members_named(ends: Sequence[str]) -> Members:
+def members_from_keys(ends: Sequence[str]) -> Members:
     """The members whose URLs end so: the inverse of `ordered`."""
     leaves = tuple(sorted(decode_segment(end) for end in ends if not end.endswith("/")))
     return Members(leaves, tuple(sorted(decode_segment(end[:-1]) for end in ends if end.endswith("/"))))
@@ -150,10 +150,10 @@ def members_named(ends: Sequence[str]) -> Members:
 def is_absent(robot: Robot, room: str, name: str) -> bool:
     """Whether nothing in the computation graph has this name, nor is it a namespace."""
     things: Mapping[str, object] = getattr(robot.graph, room)
-    return name not in things and moved_to_namespace(robot, room, name) is None
+    return name not in things and redirect_to_namespace(robot, room, name) is None
 
 
-def moved_to_namespace(robot: Robot, room: str, name: str) -> Problem | None:
+def redirect_to_namespace(robot: Robot, room: str, name: str) -> Problem | None:
     """308 to the container where a name is a namespace and nothing else; None where it is none."""
     path = names.segments(name)
     if path not in namespaces(robot.graph, room):
@@ -213,7 +213,7 @@ class NamespaceContainer(Resource):
         place = None if token is None else parse_named_position(token)
         asked = NamespaceContainer(self.robot, self.room, self.namespace, place, hidden=hidden)
         if place is None:
-            require_page(exchange, self.url, count(asked._members()))
+            require_page(exchange, self.url, count_members(asked._members()))
         return asked
 
     async def current_methods(self) -> frozenset[str]:
@@ -241,11 +241,11 @@ class NamespaceContainer(Resource):
         return self.robot.states.get_or_make(page.url, version, make)
 
     def _document(self, members: Members) -> Document:
-        return namespace_described(self.robot, self.room, self.namespace, members, hidden=self._hidden)
+        return listing_document(self.robot, self.room, self.namespace, members, hidden=self._hidden)
 
     @property
     def _is_name(self) -> bool:
-        return names.join(self.namespace) in of_room(self.robot.graph, self.room)
+        return names.join(self.namespace) in things_of(self.robot.graph, self.room)
 
     def _members(self) -> Members:
         """The members; a Problem where there is no such namespace."""
@@ -259,8 +259,8 @@ class NamespaceContainer(Resource):
 
     def _page(self, place: PagePosition, members: Members) -> tuple[LdpPage, Members]:
         """A page, and the members it tells of."""
-        page, told = page_of_names(self._sequence, place, ordered(members))
-        return page, members_named(told)
+        page, told = page_of_names(self._sequence, place, member_keys(members))
+        return page, members_from_keys(told)
 
     @property
     def query(self) -> str:
@@ -274,7 +274,7 @@ class NamespaceContainer(Resource):
     def listing(self) -> MemberColumns | None:
         """Everything below, or below what a page tells of, with types and endpoints."""
         whole = self._hidden or names.is_hidden(names.join(self.namespace))
-        graph, space = self.robot.graph if whole else listed(self.robot), self.robot.space
+        graph, space = self.robot.graph if whole else listed_graph(self.robot), self.robot.space
         members = self._found()
         if self.room == "topics":
             told, total = self._below(graph.topics, members)
@@ -300,7 +300,7 @@ class NamespaceContainer(Resource):
                 {space.action(name): _action_cells(action, space) for name, action in actions.items()},
                 total,
             )
-        return None if self._place is None or members is None else MemberColumns(total=count(members))
+        return None if self._place is None or members is None else MemberColumns(total=count_members(members))
 
     def _below(self, known: Mapping[str, object], members: Members | None) -> tuple[list[str], int]:
         """The names in this namespace that its page lists, in order: at most `MAX_ROWS`; and how many there are."""
@@ -317,7 +317,7 @@ class NamespaceContainer(Resource):
     def _missing(self) -> Problem:
         """308 where the name is a leaf, else 404."""
         name = names.join(self.namespace)
-        if name in of_room(self.robot.graph, self.room):
+        if name in things_of(self.robot.graph, self.room):
             leaf = self.robot.space.url(self.room, self.namespace)
             return permanent_redirect(leaf)
         return Problem(404, f"There is no namespace {name} under /{self.room}/.")

@@ -9,7 +9,7 @@ from rosld.ontology.urls import Location
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.resource_tree import ResourceTree, path_of, segments_of
 from rosld.server.resources.context import Robot
-from rosld.server.resources.namespaces import listed, namespaces, of_room
+from rosld.server.resources.namespaces import listed_graph, namespaces, things_of
 from rosld.server.search.near_names import NearNames
 
 _IN_GRAPH = frozenset({"nodes", "topics", "services", "actions", "parameters"})
@@ -41,7 +41,7 @@ def near_urls(robot: Robot, url: str) -> Sequence[str]:
 
 
 def _near_names(robot: Robot, place: Location) -> Sequence[str]:
-    things, name, space = of_room(listed(robot), place.kind), _name(place), robot.space
+    things, name, space = things_of(listed_graph(robot), place.kind), _name(place), robot.space
     if name in things or place.segments in namespaces(robot.graph, place.kind):
         return ()
     return [
@@ -53,7 +53,7 @@ def _near_names(robot: Robot, place: Location) -> Sequence[str]:
 
 
 def _near_resources(robot: Robot, place: Location) -> Sequence[str]:
-    tree, name = robot.offers.cached_tree(), _name(place)
+    tree, name = robot.affordances.cached_tree(), _name(place)
     if tree is None or tree.property(name) is not None or tree.action(name) is not None or f"{name}/" in tree.paths:
         return ()
     return [url_of(each, robot.space) for each in _tree_names(tree).of(name)]

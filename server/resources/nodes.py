@@ -22,7 +22,7 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message
-from rosld.server.resources.namespaces import is_absent, moved_to_namespace
+from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
 from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
@@ -52,10 +52,10 @@ class NodeResource(CommandResource):
         found = node_views(self.robot.graph).get(self.name)
         if found is None:
             missing = Problem(404, f"There is no node {self.name}.")
-            raise moved_to_namespace(self.robot, "nodes", self.name) or missing
-        return self.seen(found)
+            raise redirect_to_namespace(self.robot, "nodes", self.name) or missing
+        return self.with_offers(found)
 
-    def seen(self, found: NodeView) -> NodeView:
+    def with_offers(self, found: NodeView) -> NodeView:
         """The view of this node with what is on offer here now."""
         return replace(found, offers=self._offers) if found.node.lifecycle else found
 

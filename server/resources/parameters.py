@@ -49,12 +49,12 @@ from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_parameter
 from rosld.server.resources.namespaces import (
     HIDDEN,
-    count,
+    count_members,
     is_of_hidden,
     listed_members,
     listing_parameters,
+    member_keys,
     namespaces,
-    ordered,
     with_hidden,
 )
 from rosld.server.rest.exchange import Exchange
@@ -259,12 +259,12 @@ class ParameterResource(_Parameters):
             raise Problem(404, f"There is no parameter {self.name}.")
         if isinstance(value, dict):
             raise permanent_redirect(self._tree_url())
-        return self.shown(value)
+        return self.state_of(value)
 
     def _tree_url(self) -> str:
         return self.robot.space.container("parameters", names.segments(self.name))
 
-    def shown(self, value: ParameterValue) -> State:
+    def state_of(self, value: ParameterValue) -> State:
         """The state with this value, which is no tree. Raises Problem 406 for one that is nested too deep."""
         plain, descriptor, note = self._plain(value), self._descriptor(self.name), self._note
 
@@ -298,7 +298,7 @@ class ParameterResource(_Parameters):
         if isinstance(value, dict):
             tree = ParameterTree(self.robot, names.segments(self.name))
             return CreatedAnswer(tree.url, tree, await tree.state())
-        return CreatedAnswer(self.url, self, self.shown(value))
+        return CreatedAnswer(self.url, self, self.state_of(value))
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         methods = self.methods()
@@ -428,9 +428,9 @@ class ParameterTree(_Parameters):
         return Operation.SET_PARAMETER in allowed and not self.robot.settings.read_only
 
     async def state(self) -> State:
-        return self.shown(await self._value())
+        return self.state_of(await self._value())
 
-    def shown(self, value: ParameterValue | None) -> State:
+    def state_of(self, value: ParameterValue | None) -> State:
         """The state with this value. Raises a 404 Problem where it is none of a tree."""
         if value is None and not self.namespace:
             value = {}
@@ -493,7 +493,7 @@ class ParameterTree(_Parameters):
         asked = ParameterTree(self.robot, self.namespace, place, hidden=exchange.query_flag("hidden"))
         members = asked._members()
         if place is None and members is not None and not _wants_value(exchange):
-            require_page(exchange, self.url, count(members))
+            require_page(exchange, self.url, count_members(members))
         return asked
 
     def _page_shown(self, place: PagePosition, tree: Mapping[str, ParameterValue], whole: bytes) -> State:
@@ -529,11 +529,11 @@ class ParameterTree(_Parameters):
         members = self._members()
         if self._place is None or members is None:
             return ()
-        return page_of_names(self._sequence, self._place, ordered(members))[0].neighbours()
+        return page_of_names(self._sequence, self._place, member_keys(members))[0].neighbours()
 
     def listing(self) -> MemberColumns | None:
         members = self._members()
-        return None if self._place is None or members is None else MemberColumns(total=count(members))
+        return None if self._place is None or members is None else MemberColumns(total=count_members(members))
 
     def redact(self, state: State, permissions: Permissions) -> State:
         plain = state.plain

@@ -14,24 +14,24 @@ from rosld.server.hypermedia.resource_tree import ActionPlan, PropertyPlan, Reso
 from rosld.server.resources.context import Robot
 
 
-async def seen_anew(robot: Robot, tree: ResourceTree, reads: Sequence[Property]) -> Snapshot:
+async def read_fresh_state(robot: Robot, tree: ResourceTree, reads: Sequence[Property]) -> Snapshot:
     """The state as it is now, not as it was a moment ago."""
-    return robot.offers.snapshot(tree, await robot.offers.read(reads, refresh=True))
+    return robot.affordances.snapshot(tree, await robot.affordances.read(reads, refresh=True))
 
 
 def require_writable(robot: Robot, plan: PropertyPlan, snapshot: Snapshot) -> None:
     """Raise a 404 Problem where a property is not there now, a 409 with the report where it must not be written."""
-    robot.offers.require_exists(plan.exists_when, snapshot.results, plan.source.name)
-    refuse(robot, plan.write_conditions, snapshot, f"{plan.source.name} must not be written now")
+    robot.affordances.require_exists(plan.exists_when, snapshot.results, plan.source.name)
+    condition_conflict(robot, plan.write_conditions, snapshot, f"{plan.source.name} must not be written now")
 
 
 def require_offered(robot: Robot, plan: ActionPlan, snapshot: Snapshot) -> None:
     """Raise a 404 Problem where what an action belongs to is not there, a 409 with the report if it is not offered."""
-    robot.offers.require_exists(plan.exists_when, snapshot.results, plan.parent)
-    refuse(robot, plan.conditions, snapshot, f"{plan.name} is not on offer now")
+    robot.affordances.require_exists(plan.exists_when, snapshot.results, plan.parent)
+    condition_conflict(robot, plan.conditions, snapshot, f"{plan.name} is not on offer now")
 
 
-def refuse(robot: Robot, conditions: Sequence[Condition], snapshot: Snapshot, sentence: str) -> None:
+def condition_conflict(robot: Robot, conditions: Sequence[Condition], snapshot: Snapshot, sentence: str) -> None:
     """Raise a 409 Problem with the report of the conditions that do not hold."""
     broken: tuple[Violation, ...] = snapshot.results.violations(conditions)
     if broken:

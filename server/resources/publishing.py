@@ -27,14 +27,14 @@ from rosld.server.robot.velocity import passes_stop
 
 
 @dataclass(frozen=True, slots=True)
-class Publish:
+class PlannedPublish:
     """A planned publish: everything that could be refused has been looked at."""
 
     publication: Publication
     creates: bool
 
 
-class Publishing:
+class Publisher:
     """Publishes on one topic. `plan` and `plan_patch` parse, find the type, lower and encode: nothing moves."""
 
     def __init__(self, robot: Robot, name: str) -> None:
@@ -47,12 +47,12 @@ class Publishing:
         """The topic in the computation graph, None where there is none of that name."""
         return self.robot.graph.topics.get(self.name)
 
-    async def plan(self, exchange: Exchange) -> Publish:
+    async def plan(self, exchange: Exchange) -> PlannedPublish:
         """What a PUT asks to be published. Raises whatever there is to refuse."""
         latch = exchange.query_flag("latch")
-        return await self._publish(*await self.asked(exchange), latch)
+        return await self._publish(*await self.read_message(exchange), latch)
 
-    async def asked(self, exchange: Exchange) -> tuple[MessageSchema, Message]:
+    async def read_message(self, exchange: Exchange) -> tuple[MessageSchema, Message]:
         """The message in a body that was sent to the topic, with its schema. Raises LoweringError, and Problems."""
         data = await exchange.body()
         if exchange.media_type == JSON:
@@ -79,17 +79,17 @@ class Publishing:
         lowering = lowerer(schema, self.robot.lifting)
         return lowering.from_json(parse_json(data), defaults=not is_strict(exchange))
 
-    async def require(self, schema: MessageSchema, message: Message) -> None:
+    async def require_within_limits(self, schema: MessageSchema, message: Message) -> None:
         """Raise a LoweringError where a message is outside the limits on what is published here."""
         await require_message(self.robot, Kind.TOPIC, self.name, schema, message, self.url, "#message")
 
-    async def plan_graph(self, triples: Sequence[Triple]) -> Publish:
+    async def plan_graph(self, triples: Sequence[Triple]) -> PlannedPublish:
         """What the graph of the topic asks to be published, if it is to say these triples."""
         body = body_of(triples)
         schema = await (self._schema() if self._typed() else self._stated_schema(body))
         return await self._publish(schema, self._lower(schema, body), latch=False)
 
-    async def plan_patch(self, exchange: Exchange, description: Sequence[Triple]) -> Publish:
+    async def plan_patch(self, exchange: Exchange, description: Sequence[Triple]) -> PlannedPublish:
         """What a PATCH of the latest message asks to be published; `description` is said of the topic beside it."""
         view = await self.robot.topics.read(self.name)
         if view.newest is None:
@@ -107,11 +107,11 @@ class Publishing:
             message = self._lower(base.schema, apply_update(data, before, self.url, by_value=True))
         return await self._publish(base.schema, message, exchange.query_flag("latch"))
 
-    async def _publish(self, schema: MessageSchema, message: Message, latch: bool) -> Publish:
-        await self.require(schema, message)
+    async def _publish(self, schema: MessageSchema, message: Message, latch: bool) -> PlannedPublish:
+        await self.require_within_limits(schema, message)
         data = schema.codec.encode(message, self.robot.adapter.capabilities.encoding)
         passes = passes_stop(self.robot, self.name, schema, message)
-        return Publish(Publication(self.name, schema.ref, data, latch, passes), creates=self.topic is None)
+        return PlannedPublish(Publication(self.name, schema.ref, data, latch, passes), creates=self.topic is None)
 
     def _lower(self, schema: MessageSchema, body: RdfBody) -> Message:
         self._check_stable(body)
@@ -160,7 +160,7 @@ class Publishing:
                     raise Problem(422, f"{error.sentence}.") from error
         raise Problem(422, f"{self.name} has no type yet, and the body states none: give the message a type of {base}.")
 
-    async def carry_out(self, plan: Publish, accept: str | None) -> Response:
+    async def carry_out(self, plan: PlannedPublish, accept: str | None) -> Response:
         published = await publish(self.robot, plan.publication)
         if plan.creates:
             return Response(status_code=201, headers={"Location": self.url})

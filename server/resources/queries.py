@@ -31,12 +31,12 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.policies.queries import ROUTE, query_triples
 from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.kept.base import ALSO_OF_KEPT
+from rosld.server.resources.kept.base import EXTRA_STATUSES
 from rosld.server.resources.kept.bodies import require_small
 from rosld.server.resources.kept.containers import ContainerResource
-from rosld.server.resources.kept.files import KeptFile
+from rosld.server.resources.kept.files import StoredFile
 from rosld.server.resources.kept.representation import all_members, page_at, state_of
-from rosld.server.resources.kept.routes import AbsentResource, kept_room
+from rosld.server.resources.kept.routes import AbsentResource, stored_route
 from rosld.server.resources.kept.sources import DescriptionResource
 from rosld.server.resources.sparql import (
     FORMATS,
@@ -45,11 +45,11 @@ from rosld.server.resources.sparql import (
     RESULT_FORMAT,
     RESULTS,
     TIMEOUT,
+    accept_of,
     answer_query,
-    formats_of,
+    available_formats,
+    page_results,
     prefers_page,
-    results_of,
-    wished,
 )
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.pages import PageRenderer
@@ -60,8 +60,14 @@ from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
 from rosld.server.sparql import disconnect
 from rosld.server.sparql.endpoint import QueryService
-from rosld.server.sparql.protocol import DIRECT, QueryRequest, timeout_asked
-from rosld.server.sparql.stored import OTHERS, Parameter, StoredQuery, Type, bind
+from rosld.server.sparql.protocol import QUERY_MEDIA_TYPE, QueryRequest, requested_timeout
+from rosld.server.sparql.stored import (
+    OTHER_SETTINGS,
+    ParameterType,
+    QueryParameterDeclaration,
+    StoredQuery,
+    bind_parameters,
+)
 from rosld.server.storage import Put, Record
 from rosld.server.storage.describe import record_document
 
@@ -75,29 +81,29 @@ _IRI: DataSchema = {
     "pattern": r"""^(/|[A-Za-z][A-Za-z0-9+.-]*:)([^\x00-\x20\x7f<>"{}|\\^`%\[\]]|%[0-9A-Fa-f]{2})*$""",
 }
 """An absolute IRI, or a path below the base."""
-_TYPES: Mapping[Type, DataSchema] = {
-    Type.IRI: _IRI,
-    Type.STRING: TEXT,
-    Type.INTEGER: {"type": "integer"},
-    Type.DOUBLE: {"type": "number"},
+_TYPES: Mapping[ParameterType, DataSchema] = {
+    ParameterType.IRI: _IRI,
+    ParameterType.STRING: TEXT,
+    ParameterType.INTEGER: {"type": "integer"},
+    ParameterType.DOUBLE: {"type": "number"},
 }
 
 
-def _query_item(purpose: str, parameters: Iterable[Parameter]) -> PathItem:
+def _query_item(purpose: str, parameters: Iterable[QueryParameterDeclaration]) -> PathItem:
     """What the URL of a stored query answers."""
     given = (QueryParameter(one.name, one.about, _TYPES[one.type], one.default is None) for one in parameters)
     return PathItem(
         purpose[:_LONGEST_SUMMARY],
-        (*RESULTS, DIRECT),
+        (*RESULTS, QUERY_MEDIA_TYPE),
         ANYTHING,
         (RESULT_FORMAT, TIMEOUT, *given),
         streams=False,
-        also=(409, *ALSO_OF_KEPT),
+        also=(409, *EXTRA_STATUSES),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class Runner:
+class QueryRunner:
     """Runs stored queries, and draws the pages that show what they find."""
 
     service: QueryService
@@ -111,18 +117,18 @@ class Runner:
 
         `state` is the state part of the ETags of a query that may change; else it is a digest of the results.
         """
-        given = {name: value for name, value in exchange.query.items() if name not in OTHERS}
-        timeout = timeout_asked((name, value) for name, value in exchange.query.items() if value)
-        if exchange.query.get("format") in (None, "", "html") and prefers_page(wished(exchange)):
+        given = {name: value for name, value in exchange.query.items() if name not in OTHER_SETTINGS}
+        timeout = requested_timeout((name, value) for name, value in exchange.query.items() if value)
+        if exchange.query.get("format") in (None, "", "html") and prefers_page(accept_of(exchange)):
             return await self._page(exchange, resource, query, given, timeout)
-        form = self.service.check(bind(query, self._samples(query, given), self.base)).form
+        form = self.service.check(bind_parameters(query, self._samples(query, given), self.base)).form
         is_description = form not in GRAPH_FORMS and not given
-        formats = {"html", *formats_of(form), *(formats_of("DESCRIBE") if is_description else ())}
-        accept = wished(exchange, [name for name in FORMATS if name in formats])
+        formats = {"html", *available_formats(form), *(available_formats("DESCRIBE") if is_description else ())}
+        accept = accept_of(exchange, [name for name in FORMATS if name in formats])
         if is_description and negotiation.choose(accept, OFFERS) in _DESCRIPTIONS:
             return None
-        request = QueryRequest(bind(query, given, self.base), timeout=timeout)
-        disconnected = disconnect.of(exchange.request.receive)
+        request = QueryRequest(bind_parameters(query, given, self.base), timeout=timeout)
+        disconnected = disconnect.disconnection_of(exchange.request.receive)
         answer = await answer_query(self.service, request, accept, disconnected, exchange.permissions)
         return self._identify(exchange, resource, answer, state)
 
@@ -159,9 +165,9 @@ class Runner:
         status, also = 200, dict[str, str]()
         if given or all(one.default is not None for one in query.parameters):
             try:
-                request = QueryRequest(bind(query, given, self.base), timeout=timeout)
-                results = await results_of(
-                    self.service, request, disconnect.of(exchange.request.receive), exchange.permissions
+                request = QueryRequest(bind_parameters(query, given, self.base), timeout=timeout)
+                results = await page_results(
+                    self.service, request, disconnect.disconnection_of(exchange.request.receive), exchange.permissions
                 )
             except Problem as problem:
                 notices, status, also = (Notice(problem.detail, NoticeLevel.ERROR),), problem.status, problem.headers
@@ -180,13 +186,13 @@ class Runner:
         return Response(html.render_query(page), status, headers, "text/html; charset=utf-8")
 
 
-class ShippedQuery(Resource):
+class ShippedQueryResource(Resource):
     """A query that comes with rosld. Results come in every format; its RDF description and its text are there too."""
 
     kind = "Stored query"
     is_cacheable = False
 
-    def __init__(self, robot: Robot, query: StoredQuery, runner: Runner) -> None:
+    def __init__(self, robot: Robot, query: StoredQuery, runner: QueryRunner) -> None:
         super().__init__(robot.space.query(query.name))
         self.title = query.name
         self.robot = robot
@@ -208,8 +214,11 @@ class ShippedQuery(Resource):
         )
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        if not exchange.query.get("format") and negotiation.choose(exchange.accept, (*OFFERS, DIRECT)) == DIRECT:
-            return Response(self._query.text, media_type=f"{DIRECT}; charset=utf-8")
+        if (
+            not exchange.query.get("format")
+            and negotiation.choose(exchange.accept, (*OFFERS, QUERY_MEDIA_TYPE)) == QUERY_MEDIA_TYPE
+        ):
+            return Response(self._query.text, media_type=f"{QUERY_MEDIA_TYPE}; charset=utf-8")
         return await self._runner.answer(exchange, self, self._query)
 
 
@@ -221,14 +230,14 @@ def shipped_document(url: str, query: StoredQuery) -> Document:
 # What clients keep
 
 
-class KeptQuery(KeptFile):
+class StoredQueryResource(StoredFile):
     """A query that a client keeps: its text is a file, byte for byte; its results come in every format."""
 
     kind = "Stored query"
     writes: ClassVar[frozenset[str]] = frozenset({"PUT", "DELETE"})
-    accepts: Mapping[str, Sequence[str]] = {"PUT": (DIRECT,)}
+    accepts: Mapping[str, Sequence[str]] = {"PUT": (QUERY_MEDIA_TYPE,)}
 
-    def __init__(self, robot: Robot, path: str, runner: Runner) -> None:
+    def __init__(self, robot: Robot, path: str, runner: QueryRunner) -> None:
         super().__init__(robot, path)
         self._runner = runner
 
@@ -237,16 +246,19 @@ class KeptQuery(KeptFile):
         return self
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        query = self.robot.queries.outline(self.there())
+        query = self.robot.queries.outline(self.require_record())
         return _query_item(query.purpose, query.parameters)
 
     async def state(self) -> State:
-        return _describe(self.robot, self.there())
+        return _describe(self.robot, self.require_record())
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        if not exchange.query.get("format") and negotiation.choose(exchange.accept, (*OFFERS, DIRECT)) == DIRECT:
+        if (
+            not exchange.query.get("format")
+            and negotiation.choose(exchange.accept, (*OFFERS, QUERY_MEDIA_TYPE)) == QUERY_MEDIA_TYPE
+        ):
             return await super().custom_get(exchange)
-        record = self.there()
+        record = self.require_record()
         query = await self.robot.queries.executable(record)
         state = f"{self.robot.records.identity}-{record.version}"
         return await self._runner.answer(exchange, self, query, state)
@@ -256,7 +268,7 @@ class QueryDescription(DescriptionResource):
     """The description of a query that a client keeps: what the text says of itself is not to be written there."""
 
     async def state(self) -> State:
-        return _describe(self.robot, self.there())
+        return _describe(self.robot, self.require_record())
 
     async def with_triples(
         self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
@@ -266,7 +278,7 @@ class QueryDescription(DescriptionResource):
         return await super().with_triples(record, [one for one in triples if one not in own], expected, said)
 
 
-class AbsentQuery(AbsentResource):
+class AbsentQueryResource(AbsentResource):
     """No query yet: PUT makes it."""
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -294,10 +306,10 @@ class QueryContainer(ContainerResource):
         return name in self.robot.queries.shipped or super().is_taken(name)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        return self.robot.kept_changes.watch(wake, lambda path: path.startswith(ROUTE))
+        return self.robot.record_changes.watch(wake, lambda path: path.startswith(ROUTE))
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The stored queries", query=(FORMAT, PAGE), also=ALSO_OF_KEPT)
+        return PathItem("The stored queries", query=(FORMAT, PAGE), also=EXTRA_STATUSES)
 
     async def state(self) -> State:
         kept = await super().state()
@@ -339,7 +351,7 @@ class QueryContainer(ContainerResource):
         if self._place is None:
             records = list(robot.queries.stored_records())
         else:
-            members = page_at(robot, self.there(), self._place)[1]
+            members = page_at(robot, self.require_record(), self._place)[1]
             records = [one for member in members if (one := robot.records.get(member.path)) and one.blob is not None]
         return [(robot.space.base + one.path, robot.queries.outline(one)) for one in records]
 
@@ -363,7 +375,7 @@ def _list(document: Document, shipped: Mapping[str, str], kept: Mapping[str, str
     return Document(document.url, tuple(dict.fromkeys((*document.triples, *more, *said))))
 
 
-def whole_container(robot: Robot) -> Callable[[], Document]:
+def queries_document(robot: Robot) -> Callable[[], Document]:
     """What describes `/queries/` with all that is in it, as it is now. What is returned may be called in any thread."""
     record = robot.records.get(ROUTE)
     assert record is not None
@@ -397,12 +409,12 @@ async def _require_size(robot: Robot, exchange: Exchange) -> None:
             pass
 
 
-def query_room(robot: Robot, location: Location, *, runner: Runner) -> Resource:
+def query_route(robot: Robot, location: Location, *, runner: QueryRunner) -> Resource:
     """`/queries/` and below."""
-    found = kept_room(robot, location)
+    found = stored_route(robot, location)
     match found:
-        case KeptFile():
-            return KeptQuery(robot, found.path, runner)
+        case StoredFile():
+            return StoredQueryResource(robot, found.path, runner)
         case DescriptionResource():
             return QueryDescription(robot, found.path + ".meta")
         case ContainerResource() if found.path == ROUTE:
@@ -410,6 +422,6 @@ def query_room(robot: Robot, location: Location, *, runner: Runner) -> Resource:
         case AbsentResource():
             query = robot.queries.shipped.get(location.segments[0]) if len(location.segments) == 1 else None
             if query is not None and not location.is_container:
-                return ShippedQuery(robot, query, runner)
-            return AbsentQuery(robot, found.path)
+                return ShippedQueryResource(robot, query, runner)
+            return AbsentQueryResource(robot, found.path)
     return found

@@ -25,14 +25,14 @@ def _refs(robot: Robot, location: Location) -> Iterable[TypeRef]:
     graph = robot.graph
     match location.kind:
         case "topics":
-            return of_name(graph, Kind.TOPIC, location.name)
+            return types_of(graph, Kind.TOPIC, location.name)
         case "services":
-            return of_name(graph, Kind.SERVICE, location.name)
+            return types_of(graph, Kind.SERVICE, location.name)
         case "actions":
             return _of_action(graph, location.name)
         case "calls":
             found = next((call.service for call in robot.calls.all() if call.id == location.segments[0]), None)
-            return () if found is None else of_name(graph, Kind.SERVICE, found)
+            return () if found is None else types_of(graph, Kind.SERVICE, found)
         case "goals":
             goal = next((goal.action for goal in robot.goals.all() if goal.id == location.segments[0]), None)
             return () if goal is None else _of_action(graph, goal)
@@ -41,7 +41,7 @@ def _refs(robot: Robot, location: Location) -> Iterable[TypeRef]:
     return ()
 
 
-def of_name(graph: Graph, kind: Kind, name: str) -> tuple[TypeRef, ...]:
+def types_of(graph: Graph, kind: Kind, name: str) -> tuple[TypeRef, ...]:
     """The types of a topic or a service, as far as they are known."""
     if kind is Kind.TOPIC:
         topic = graph.topics.get(name)
@@ -57,13 +57,13 @@ def _of_action(graph: Graph, name: str) -> tuple[TypeRef, ...]:
 
 def _of_member(robot: Robot, name: str) -> Iterable[TypeRef]:
     """Those of all topics and services that a property is read from and written to, or an action invokes."""
-    tree = robot.offers.cached_tree() or robot.offers.last_tree
+    tree = robot.affordances.cached_tree() or robot.affordances.last_tree
     if tree is None:
         return
     plan, action = tree.property(name), tree.action(name)
     if plan is not None:
         for way in (*plan.source.readers, *plan.source.writers):
             if not isinstance(way, ParameterSource):
-                yield from of_name(robot.graph, Kind.TOPIC if isinstance(way, TopicSource) else Kind.SERVICE, way.name)
+                yield from types_of(robot.graph, Kind.TOPIC if isinstance(way, TopicSource) else Kind.SERVICE, way.name)
     if action is not None:
-        yield from of_name(robot.graph, Kind.SERVICE, action.service)
+        yield from types_of(robot.graph, Kind.SERVICE, action.service)

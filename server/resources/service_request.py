@@ -15,12 +15,12 @@ from rosld.server.rest.formats import JSON
 from rosld.server.robot.calls import CallOutcome, IdempotencyKeyReused
 
 
-async def request_in(exchange: Exchange, robot: Robot, schema: ServiceSchema, url: str) -> Message:
+async def read_request(exchange: Exchange, robot: Robot, schema: ServiceSchema, url: str) -> Message:
     """The request in a body sent to `url`; an empty one where the request has no fields."""
-    return await message_in(exchange, robot, schema.request, url, "#request")
+    return await read_message(exchange, robot, schema.request, url, "#request")
 
 
-async def message_in(exchange: Exchange, robot: Robot, schema: MessageSchema, url: str, node: str) -> Message:
+async def read_message(exchange: Exchange, robot: Robot, schema: MessageSchema, url: str, node: str) -> Message:
     """The message in a body sent to `url`, in RDF the one at `node`.
 
     No body is a message without fields: for one that has some, `{}` asks for its defaults, and a body that got lost
@@ -37,7 +37,7 @@ async def message_in(exchange: Exchange, robot: Robot, schema: MessageSchema, ur
     return lowering.from_graph(body, root, url)
 
 
-async def called(
+async def call_service(
     exchange: Exchange, robot: Robot, service: str, schema: ServiceSchema, request: Message
 ) -> CallOutcome:
     """What became of a call of a service, once only for each Idempotency-Key."""
@@ -53,7 +53,7 @@ async def called(
         raise Problem(422, f"The Idempotency-Key {key!r} came before with another request.") from error
 
 
-def failure(robot: Robot, outcome: CallOutcome) -> Problem | None:
+def call_problem(robot: Robot, outcome: CallOutcome) -> Problem | None:
     """The Problem of a call that did not succeed, with the URL of the call; None where an answer came."""
     error = outcome.error
     if error is None:
@@ -69,7 +69,7 @@ def failure(robot: Robot, outcome: CallOutcome) -> Problem | None:
     return problem
 
 
-def declined_by(robot: Robot, outcome: CallOutcome) -> Problem | None:
+def refusal_problem(robot: Robot, outcome: CallOutcome) -> Problem | None:
     """The Problem of a call whose answer says `bool success` false: a refusal in the robot's words."""
     call = outcome.call
     if call.response is None:

@@ -18,8 +18,8 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.limits import require_message
-from rosld.server.resources.namespaces import is_absent, moved_to_namespace
-from rosld.server.resources.service_request import called, failure, request_in
+from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
+from rosld.server.resources.service_request import call_problem, call_service, read_request
 from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
@@ -48,7 +48,7 @@ class ServiceResource(CommandResource):
         found = self.robot.graph.services.get(self.name)
         if found is None:
             missing = Problem(404, f"There is no service {self.name}.")
-            raise moved_to_namespace(self.robot, "services", self.name) or missing
+            raise redirect_to_namespace(self.robot, "services", self.name) or missing
         return found
 
     @property
@@ -105,14 +105,14 @@ class ServiceResource(CommandResource):
 
     async def post(self, exchange: Exchange) -> Answer:
         schema = await self._schema()
-        request = await request_in(exchange, self.robot, schema, self.url)
+        request = await read_request(exchange, self.robot, schema, self.url)
         await require_message(self.robot, Kind.SERVICE, self.name, schema.request, request, self.url, "#request")
-        outcome = await called(exchange, self.robot, self.name, schema, request)
-        problem = failure(self.robot, outcome)
+        outcome = await call_service(exchange, self.robot, self.name, schema, request)
+        problem = call_problem(self.robot, outcome)
         if problem is not None:
             raise problem
         resource = CallResource(self.robot, outcome.call.id)
-        return CreatedAnswer(resource.url, resource, resource.shown(outcome.call))
+        return CreatedAnswer(resource.url, resource, resource.state_of(outcome.call))
 
     async def _schema(self) -> ServiceSchema:
         service = self.service
@@ -161,12 +161,12 @@ class CallResource(Resource):
 
     async def state(self) -> State:
         call = self.call
-        return self.robot.states.get_or_make(self.url, IdentityKey(call), lambda: self.shown(call))
+        return self.robot.states.get_or_make(self.url, IdentityKey(call), lambda: self.state_of(call))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         return self.robot.calls.changes.watch(wake)
 
-    def shown(self, call: Call) -> State:
+    def state_of(self, call: Call) -> State:
         """The state of this call as it stood."""
 
         def plain() -> bytes:

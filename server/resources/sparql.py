@@ -33,10 +33,17 @@ from rosld.server.sparql import disconnect
 from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.endpoint import QueryAnswer, QueryService
 from rosld.server.sparql.functions import functions
-from rosld.server.sparql.limits import described
-from rosld.server.sparql.protocol import DIRECT, UPDATE, QueryRequest, UpdateRequest, posted, query_request
-from rosld.server.sparql.results import GRAPHS, SOLUTIONS, offers_of, without_xml
-from rosld.server.sparql.update.base import Updates
+from rosld.server.sparql.limits import describe_limits
+from rosld.server.sparql.protocol import (
+    QUERY_MEDIA_TYPE,
+    UPDATE_MEDIA_TYPE,
+    QueryRequest,
+    UpdateRequest,
+    posted_request,
+    query_request,
+)
+from rosld.server.sparql.results import GRAPHS, SOLUTIONS, media_types_of, without_xml
+from rosld.server.sparql.update.base import UpdateRunner
 from rosld.server.sparql.xml_output import REASON
 
 ROWS = 500
@@ -68,9 +75,9 @@ _PROTOCOL = frozenset({"query", "update", "default-graph-uri", "named-graph-uri"
 """The parameters that make a GET a query, or an attempt at one."""
 
 
-def formats_of(form: str | None) -> Mapping[str, str]:
+def available_formats(form: str | None) -> Mapping[str, str]:
     """Those of `FORMATS` that the results of a query of this form can be had in, pages aside."""
-    offers = offers_of(form)
+    offers = media_types_of(form)
     return {name: accept for name, accept in FORMATS.items() if negotiation.choose(accept, offers) is not None}
 
 
@@ -78,7 +85,7 @@ _OF_GRAPHS = frozenset({"graph", "default", "all"})
 """Parameters of the graph store."""
 
 
-def wished(exchange: Exchange, formats: Collection[str] = FORMATS.keys()) -> str | None:
+def accept_of(exchange: Exchange, formats: Collection[str] = FORMATS.keys()) -> str | None:
     """The Accept field of a request, which `?format=` replaces; a 406 Problem for one that is not of these formats."""
     wanted = exchange.query.get("format")
     if not wanted:
@@ -141,7 +148,7 @@ _UNREAD = {
 """What graphs are by their container; all others are a document each."""
 
 
-async def results_of(
+async def page_results(
     service: QueryService,
     request: QueryRequest,
     disconnected: Disconnected | None = None,
@@ -221,7 +228,7 @@ class SparqlResource(Resource):
         service: QueryService,
         pages: PageRenderer,
         examples: Callable[[], Sequence[StoredQueryLink]],
-        updates: Updates | None = None,
+        updates: UpdateRunner | None = None,
     ) -> None:
         super().__init__(f"{robot.space.base}sparql")
         self.robot = robot
@@ -229,7 +236,7 @@ class SparqlResource(Resource):
         self._pages = pages
         self._examples = examples
         self._updates = None if robot.settings.read_only else updates
-        taken = (DIRECT, FORM) if self._updates is None else (DIRECT, UPDATE, FORM)
+        taken = (QUERY_MEDIA_TYPE, FORM) if self._updates is None else (QUERY_MEDIA_TYPE, UPDATE_MEDIA_TYPE, FORM)
         self.accepts: Mapping[str, Sequence[str]] = {"POST": taken}
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -267,7 +274,7 @@ class SparqlResource(Resource):
         return (
             *self._languages(service),
             *_dataset(service),
-            *described(service, self._service.limits),
+            *describe_limits(service, self._service.limits),
             *about(service, *each(sd.resultFormat, _formats((*SOLUTIONS, *GRAPHS)))),
             *_extensions(service),
             *about(service, (rdfs.seeAlso, NamedNode(f"{self.robot.space.base}graphs"))),
@@ -291,7 +298,7 @@ class SparqlResource(Resource):
         )
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        if exchange.method == "POST" and exchange.essence == UPDATE and self._updates is None:
+        if exchange.method == "POST" and exchange.essence == UPDATE_MEDIA_TYPE and self._updates is None:
             raise self._no_updates()
         return self
 
@@ -302,7 +309,7 @@ class SparqlResource(Resource):
         return Problem(415, "Updates are not taken here, only queries.", headers={"Accept-Post": taken})
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        accept = wished(exchange)
+        accept = accept_of(exchange)
         if exchange.query.keys().isdisjoint(_PROTOCOL):
             if not exchange.query.keys().isdisjoint(_OF_GRAPHS):
                 store = f"{self.robot.space.base}graphs"
@@ -314,10 +321,10 @@ class SparqlResource(Resource):
     async def post(self, exchange: Exchange) -> Answer:
         body = await exchange.raw_body()
         query_string = exchange.request.scope["query_string"]
-        asked = posted(query_string, exchange.header("content-type"), body)
+        asked = posted_request(query_string, exchange.header("content-type"), body)
         if isinstance(asked, QueryRequest):
             exchange.audit.mark_read_only()
-            return await self._answer(asked, wished(exchange), exchange)
+            return await self._answer(asked, accept_of(exchange), exchange)
         return await self._updated(asked, exchange)
 
     async def _updated(self, request: UpdateRequest, exchange: Exchange) -> Response:
@@ -326,15 +333,15 @@ class SparqlResource(Resource):
         dry_run, permissions = exchange.query_flag("dry-run"), exchange.permissions
         if dry_run:
             exchange.audit.mark_read_only()
-        return await self._updates.answer(request, dry_run=dry_run, accept=wished(exchange), permissions=permissions)
+        return await self._updates.answer(request, dry_run=dry_run, accept=accept_of(exchange), permissions=permissions)
 
     async def _answer(self, request: QueryRequest, accept: str | None, exchange: Exchange) -> Response:
-        disconnected, permissions = disconnect.of(exchange.request.receive), exchange.permissions
+        disconnected, permissions = disconnect.disconnection_of(exchange.request.receive), exchange.permissions
         if not prefers_page(accept):
             return await answer_query(self._service, request, accept, disconnected, permissions)
         try:
             return self._page(
-                permissions, request.text, await results_of(self._service, request, disconnected, permissions)
+                permissions, request.text, await page_results(self._service, request, disconnected, permissions)
             )
         except Problem as problem:
             return self._page(permissions, request.text, None, problem)

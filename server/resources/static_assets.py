@@ -49,7 +49,7 @@ class FileResource(Resource):
         return Response(self._data, media_type=self._media_type, headers=headers)
 
 
-def style(robot: Robot) -> FileResource:
+def stylesheet(robot: Robot) -> FileResource:
     """`/style.css`."""
     return FileResource(robot, "style.css", html.STYLESHEET, "text/css; charset=utf-8", "The style of pages")
 
@@ -95,7 +95,7 @@ def favicon(robot: Robot) -> FileResource:
 
 
 FILES: dict[str, Callable[[Robot], FileResource]] = {
-    "style.css": style,
+    "style.css": stylesheet,
     "live.js": script,
     "filter.js": filter_script,
     "find.js": find_script,

@@ -21,7 +21,7 @@ from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 from rosld.server.runtime.watchdog import Pauses, Watchdog
 
-ROOM = "status"
+ROUTE = "status"
 
 
 class StatusResource(Resource):
@@ -30,7 +30,7 @@ class StatusResource(Resource):
     kind = "Server status"
 
     def __init__(self, robot: Robot, watchdog: Watchdog) -> None:
-        super().__init__(robot.space.base + ROOM)
+        super().__init__(robot.space.base + ROUTE)
         self._robot = robot
         self._watchdog = watchdog
 
@@ -46,15 +46,15 @@ class StatusResource(Resource):
         return State(lambda: status_document(self.url, pauses, problems), lambda: _plain(pauses, problems))
 
 
-def status_room(watchdog: Watchdog) -> Mapping[str, Callable[[Robot, Location], Resource]]:
+def status_route(watchdog: Watchdog) -> Mapping[str, Callable[[Robot, Location], Resource]]:
     """The room of the server's status."""
 
     def room(robot: Robot, location: Location) -> Resource:
         if location.segments or location.is_container:
-            raise Problem(404, f"There is nothing below /{ROOM}.")
+            raise Problem(404, f"There is nothing below /{ROUTE}.")
         return StatusResource(robot, watchdog)
 
-    return {ROOM: room}
+    return {ROUTE: room}
 
 
 def status_document(url: str, pauses: Pauses, storage_problems: Sequence[str] = ()) -> Document:

@@ -35,16 +35,16 @@ _ABOUT = (
 )
 
 
-def may_stop(robot: Robot) -> str | None:
+def unusable_reason(robot: Robot) -> str | None:
     """Why the robot cannot be stopped and released from here, in a sentence; None where it can."""
     if robot.settings.read_only:
         return "This server is read-only: it tells the robot nothing, not even to stop."
-    return None if robot.stops.is_usable else f"Nothing moves in a {robot.adapter.capabilities.system}."
+    return None if robot.software_stop.is_usable else f"Nothing moves in a {robot.adapter.capabilities.system}."
 
 
 def require_right(exchange: Exchange, robot: Robot) -> None:
     """Raise a Problem where whoever asks must not stop (POST) or release (DELETE) the robot."""
-    refusal = may_stop(robot)
+    refusal = unusable_reason(robot)
     if refusal is not None:
         raise Problem(403, refusal)
 
@@ -80,28 +80,33 @@ class StopResource(Resource):
         return PathItem("The stop of the whole robot", plain=plain, writes={"POST": stop, "DELETE": release})
 
     def methods(self) -> frozenset[str]:
-        return READ | {"POST", "DELETE"} if may_stop(self.robot) is None else READ
+        return READ | {"POST", "DELETE"} if unusable_reason(self.robot) is None else READ
 
     def deny_reason(self, method: str) -> str:
         if method in ("POST", "DELETE"):
-            return may_stop(self.robot) or super().deny_reason(method)
+            return unusable_reason(self.robot) or super().deny_reason(method)
         return f"POST stops the robot, DELETE lets it be moved again; it does not answer {method}."
 
     async def state(self) -> State:
-        return self.shown()
+        return self.current_state()
 
-    def shown(self) -> State:
+    def current_state(self) -> State:
         """What it is like now."""
         robot = self.robot
-        version = (robot.stops.revision, robot.stops.steps, robot.stops.stop_state, robot.stops.warning)
+        version = (
+            robot.software_stop.revision,
+            robot.software_stop.steps,
+            robot.software_stop.stop_state,
+            robot.software_stop.warning,
+        )
         return robot.states.get_or_make(self.url, version, lambda: State(self.document, self._plain))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        return self.robot.stops.changes.watch(wake)
+        return self.robot.software_stop.changes.watch(wake)
 
     def document(self) -> Document:
         """The RDF of the stop."""
-        stops = self.robot.stops
+        stops = self.robot.software_stop
         stop_state = stops.stop_state
         return stop_document(
             self.robot.space,
@@ -113,7 +118,7 @@ class StopResource(Resource):
             since_ns=None if stop_state is None else stop_state.since_ns,
             reason=None if stop_state is None else stop_state.reason,
             warning=stops.warning,
-            usable=may_stop(self.robot) is None,
+            usable=unusable_reason(self.robot) is None,
         )
 
     def _plain(self) -> bytes:
@@ -121,7 +126,7 @@ class StopResource(Resource):
 
     def _plain_for(self, permissions: Permissions) -> bytes:
         """The stop as JSON, with the steps that the agent may know of."""
-        stops = self.robot.stops
+        stops = self.robot.software_stop
         stop_state = stops.stop_state
         since = None if stop_state is None else moment(stop_state.since_ns)
         steps = [
@@ -144,10 +149,10 @@ class StopResource(Resource):
         return state.redact(permissions, plain=lambda: self._plain_for(permissions))
 
     async def forms(self) -> Sequence[Form]:
-        if may_stop(self.robot) is not None:
+        if unusable_reason(self.robot) is not None:
             return ()
         stop = DeleteForm("Stop the robot", "Stop", _ABOUT, method="POST")
-        if self.robot.stops.stop_state is None:
+        if self.robot.software_stop.stop_state is None:
             return (stop,)
         about = "Writes reach the robot again. Nothing is begun anew by that."
         return (DeleteForm("Release the robot", "Release", about), stop)
@@ -156,15 +161,15 @@ class StopResource(Resource):
         require_right(exchange, self.robot)
         reason = _reason(await exchange.raw_body())  # a stop is not refused for its charset
         exchange.audit.add_step("stop the robot", self.url)
-        await self.robot.stops.stop(exchange.agent, reason)
-        return ShownAnswer(self, self.shown())
+        await self.robot.software_stop.stop(exchange.agent, reason)
+        return ShownAnswer(self, self.current_state())
 
     async def delete(self, exchange: Exchange) -> Answer:
         require_right(exchange, self.robot)
-        if self.robot.stops.is_running:
+        if self.robot.software_stop.is_running:
             raise _still_being_stopped()
         exchange.audit.add_step("let writes pass again", self.url)
-        if not await self.robot.stops.release(exchange.agent):
+        if not await self.robot.software_stop.release(exchange.agent):
             raise _still_being_stopped()
         return Response(status_code=204)
 

@@ -59,7 +59,7 @@ def complex_thing(robot: Robot, plan: ComplexPlan) -> bytes:
         actions,
         links=(*related, *up, *down),
         whole=bool(properties),
-        stop=space.stop if robot.stops.is_usable else None,
+        stop=space.stop if robot.software_stop.is_usable else None,
         lifting=robot.lifting,
     )
 
@@ -91,13 +91,13 @@ def robot_thing(robot: Robot, tree: ResourceTree, permissions: Permissions = ALL
         actions,
         links=links,
         description=system,
-        stop=robot.space.stop if robot.stops.is_usable else None,
+        stop=robot.space.stop if robot.software_stop.is_usable else None,
         lifting=robot.lifting,
     )
 
 
 def _affordances(robot: Robot, plan: ComplexPlan) -> tuple[Sequence[PropertyAffordance], Sequence[ActionAffordance]]:
-    offers = robot.offers
+    offers = robot.affordances
     properties = tuple(offers.member_affordance(one, write=True) for one in plan.members)
     return properties, tuple(map(offers.action_affordance, plan.actions))
 
@@ -107,7 +107,7 @@ def _by_themselves(robot: Robot, tree: ResourceTree, plan: ComplexPlan) -> Itera
     for name in (member.url_name for member in plan.members if member.url_name is not None):
         own = tree.property(name)
         if own is not None:
-            yield replace(robot.offers.member_affordance(own.member, write=True), name=name[1:])
+            yield replace(robot.affordances.member_affordance(own.member, write=True), name=name[1:])
 
 
 class RobotThing(Resource):
@@ -124,5 +124,5 @@ class RobotThing(Resource):
         return PathItem("The Thing Description of the whole robot", (MEDIA_TYPE,), OBJECT, (), streams=False)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        tree = await self.robot.offers.tree()
+        tree = await self.robot.affordances.tree()
         return thing_response(exchange, self.robot, robot_thing(self.robot, tree, exchange.permissions))

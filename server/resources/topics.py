@@ -24,10 +24,10 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import message_schema
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.holds import hold_parameters, hold_schema, hold_topic
-from rosld.server.resources.messages import Decoded, decode, field_response, lifted
-from rosld.server.resources.namespaces import moved_to_namespace
-from rosld.server.resources.publishing import Publishing
+from rosld.server.resources.holds import create_hold, hold_parameters, hold_schema
+from rosld.server.resources.messages import DecodedSample, decode, field_response, lift_sample
+from rosld.server.resources.namespaces import redirect_to_namespace
+from rosld.server.resources.publishing import Publisher
 from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
@@ -63,7 +63,7 @@ class TopicResource(CommandResource):
         self.title = name
         self.robot = robot
         self.name = name
-        self._publishing = Publishing(robot, name)
+        self._publishing = Publisher(robot, name)
         self._allowed: tuple[Graph, frozenset[str], str | None] | None = None
 
     @property
@@ -126,7 +126,7 @@ class TopicResource(CommandResource):
         """Whether to hold it is on offer now."""
         return "POST" in self.methods() and not self.robot.is_stopped
 
-    def why_unwritable(self) -> str | None:
+    def unwritable_reason(self) -> str | None:
         """Why nothing may be published here, in a sentence; None where it may."""
         return self._allowance()[2]
 
@@ -141,7 +141,7 @@ class TopicResource(CommandResource):
     def _verbs(self, denied_reason: str | None) -> frozenset[str]:
         """The verbs of a topic that is there; of one that is not, what makes it: nothing can be read of it."""
         verbs = READ if denied_reason else self._writing()
-        is_there = self.topic is not None or moved_to_namespace(self.robot, "topics", self.name) is not None
+        is_there = self.topic is not None or redirect_to_namespace(self.robot, "topics", self.name) is not None
         return verbs if is_there else verbs - {"GET", "HEAD"}
 
     def _writing(self) -> frozenset[str]:
@@ -167,9 +167,9 @@ class TopicResource(CommandResource):
         return None if _LEGAL.fullmatch(self.name) else f"{self.name!r} is no legal name for a new topic."
 
     def deny_reason(self, method: str) -> str:
-        if method == "DELETE" and self.why_unwritable() is None:
+        if method == "DELETE" and self.unwritable_reason() is None:
             return f"rosld does not advertise {self.name}, so there is nothing to delete."
-        return self.why_unwritable() or super().deny_reason(method)
+        return self.unwritable_reason() or super().deny_reason(method)
 
     async def state(self) -> State:
         robot = self.robot
@@ -178,13 +178,13 @@ class TopicResource(CommandResource):
             if self.name not in robot.graph.topics:
                 raise self._missing()
             view = await robot.topics.read(self.name)
-        return await self.shown(view)
+        return await self.state_of(view)
 
     def _missing(self) -> Problem:
         """Why nothing can be read where there is no topic of this name (now)."""
-        return moved_to_namespace(self.robot, "topics", self.name) or Problem(404, f"There is no topic {self.name}.")
+        return redirect_to_namespace(self.robot, "topics", self.name) or Problem(404, f"There is no topic {self.name}.")
 
-    async def shown(self, view: TopicView) -> State:
+    async def state_of(self, view: TopicView) -> State:
         """The state with these values; at once where the types of their messages are at hand."""
         robot = self.robot
         graph = robot.graph
@@ -201,7 +201,7 @@ class TopicResource(CommandResource):
         holds = self.robot.holds.changes.watch(wake, lambda about: about == self.name)
         return combine_watches(await self.robot.topics.watch(self.name, wake), self.robot.changes.watch(wake), holds)
 
-    def _state(self, topic: Topic, view: TopicView, decoded: Sequence[Decoded]) -> State:
+    def _state(self, topic: Topic, view: TopicView, decoded: Sequence[DecodedSample]) -> State:
         newest = decoded[-1] if decoded else None
 
         def plain() -> bytes:
@@ -218,9 +218,9 @@ class TopicResource(CommandResource):
         received = view.newest.received_ns if view.newest and not recorded else None
         return State(lambda: self._document(topic, view, decoded), plain, token, received)
 
-    def _document(self, topic: Topic, view: TopicView, decoded: Sequence[Decoded]) -> Document:
+    def _document(self, topic: Topic, view: TopicView, decoded: Sequence[DecodedSample]) -> Document:
         robot = self.robot
-        found = [lifted(robot, one) for one in decoded if one.message is not None]
+        found = [lift_sample(robot, one) for one in decoded if one.message is not None]
         hold = robot.holds.find_by_topic(self.name)
         reason = next((one.reason for one in decoded if one.reason), topic.unreadable)
         return topic_document(
@@ -275,7 +275,7 @@ class TopicResource(CommandResource):
         return await field_response(self.robot, view.newest, exchange.query["field"])
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
-        denied_reason = self.why_unwritable()
+        denied_reason = self.unwritable_reason()
         if denied_reason is not None:
             raise Problem(403, denied_reason)
         if triples is None:
@@ -291,7 +291,7 @@ class TopicResource(CommandResource):
         return await self._publishing.carry_out(await self._publishing.plan(exchange), exchange.accept)
 
     async def post(self, exchange: Exchange) -> Answer:
-        return await hold_topic(exchange, self.robot, self.name, self._find)
+        return await create_hold(exchange, self.robot, self.name, self._find)
 
     async def patch(self, exchange: Exchange) -> Answer:
         require_if_match(exchange.header("if-match"), "PATCH changes the latest message, which changes often.")

@@ -21,11 +21,11 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.policies import limits
 from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.kept.base import ALSO_OF_KEPT
+from rosld.server.resources.kept.base import EXTRA_STATUSES
 from rosld.server.resources.kept.bodies import require_small
 from rosld.server.resources.kept.containers import ContainerResource
 from rosld.server.resources.kept.representation import all_members
-from rosld.server.resources.kept.routes import kept_room
+from rosld.server.resources.kept.routes import stored_route
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, QueryParameter
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, permanent_redirect
@@ -38,7 +38,7 @@ from rosld.shapes.mapping import mapping_shape
 from rosld.shapes.message import shape_document
 
 DATA, LIMITS, MAPPING, QUERY = "data", "limits", "mapping", "query"
-WHOLE = (DATA, LIMITS, MAPPING, QUERY)
+SHAPES_GRAPHS = (DATA, LIMITS, MAPPING, QUERY)
 """What lies below `/shapes/` beside the shapes of types: what constrains kept data, the limits in force, and
 
 what constrains mapping documents and stored queries."""
@@ -105,7 +105,7 @@ class ShapeResource(Resource):
         )
 
 
-class WholeShapeResource(Resource):
+class ShapesGraphResource(Resource):
     """`/shapes/data`, `/shapes/limits`, `/shapes/mapping`, `/shapes/query`: a shapes graph by itself."""
 
     kind = "Shape"
@@ -126,11 +126,11 @@ class WholeShapeResource(Resource):
 
     async def state(self) -> State:
         return self.robot.states.get_or_make(
-            self.url, IdentityKey(self.robot.limits), lambda: State(lambda: whole_shape(self.robot, self.title))
+            self.url, IdentityKey(self.robot.limits), lambda: State(lambda: shapes_graph(self.robot, self.title))
         )
 
 
-def whole_shape(robot: Robot, name: str) -> Document:
+def shapes_graph(robot: Robot, name: str) -> Document:
     """One of the shapes graphs of WHOLE."""
     url = robot.space.shape(name)
     if name == LIMITS:
@@ -159,7 +159,7 @@ class TypeContainer(Resource):
 
     async def state(self) -> State:
         listed = sorted({ref.name for ref in known_types(self.robot)})
-        below = names_below(listed, self.room, self.namespace)
+        below = child_names(listed, self.room, self.namespace)
         if self.namespace and not below:
             raise Problem(404, f"No type of {'/'.join(self.namespace)} is known.")
         return self.robot.states.get_or_make(
@@ -188,38 +188,38 @@ def known_types(robot: Robot) -> Sequence[TypeRef]:
     return list(dict.fromkeys([*robot.adapter.known_types(), *used_types(robot.graph)]))
 
 
-def names_below(listed: Sequence[str], room: str, namespace: tuple[str, ...]) -> tuple[str, ...]:
+def child_names(listed: Sequence[str], room: str, namespace: tuple[str, ...]) -> tuple[str, ...]:
     """The names that a container of types or shapes shows, of those `listed` by the robot."""
     depth = len(namespace)
     below = tuple(name for name in listed if tuple(name.split("/"))[:depth] == namespace)
-    return (*below, *WHOLE) if room == "shapes" and not namespace else below
+    return (*below, *SHAPES_GRAPHS) if room == "shapes" and not namespace else below
 
 
-def type_room(robot: Robot, location: Location) -> Resource:
+def type_route(robot: Robot, location: Location) -> Resource:
     """`/types/` and below."""
     if location.is_container or len(location.segments) < 3:
         return _container(robot, "types", location)
     return TypeResource(robot, "/".join(location.segments))
 
 
-def shape_room(robot: Robot, location: Location) -> Resource:
+def shape_route(robot: Robot, location: Location) -> Resource:
     """`/shapes/` and below: shapes of types, and beside their packages the limits that clients keep."""
     if location.is_container and not location.segments:
         return LimitsContainer(robot, limits.ROUTE)
     if len(location.segments) == 1:
         name = location.segments[0]
-        if name in WHOLE and not location.is_container:
-            return WholeShapeResource(robot, name)
+        if name in SHAPES_GRAPHS and not location.is_container:
+            return ShapesGraphResource(robot, name)
         if not location.is_container and name in _packages(robot):
-            return PackageName(robot, name)
+            return PackageRedirect(robot, name)
         if not location.is_container:
-            return kept_room(robot, location)
+            return stored_route(robot, location)
     if location.is_container or len(location.segments) < 3:
         return _container(robot, "shapes", location)
     return ShapeResource(robot, "/".join(location.segments))
 
 
-class PackageName(Resource):
+class PackageRedirect(Resource):
     """`/shapes/PKG`: the shapes of a package are at the URL that ends in a slash, and nothing else has its name."""
 
     kind = "Shape"
@@ -248,10 +248,10 @@ class LimitsContainer(ContainerResource):
         return found
 
     def is_taken(self, name: str) -> bool:
-        return name in WHOLE or name in _packages(self.robot) or super().is_taken(name)
+        return name in SHAPES_GRAPHS or name in _packages(self.robot) or super().is_taken(name)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("Shapes", query=(FORMAT, PAGE), also=ALSO_OF_KEPT)
+        return PathItem("Shapes", query=(FORMAT, PAGE), also=EXTRA_STATUSES)
 
     async def state(self) -> State:
         kept = await super().state()
@@ -283,10 +283,10 @@ def _is_of(triple: Triple, *, containment: bool, minimal: bool) -> bool:
 
 def _generate(robot: Robot) -> Document:
     """What `/shapes/` says of what nobody keeps there."""
-    return type_container_document("shapes", (), names_below(_list(robot), "shapes", ()), robot.space)
+    return type_container_document("shapes", (), child_names(_list(robot), "shapes", ()), robot.space)
 
 
-def whole_container(robot: Robot) -> Document:
+def shapes_document(robot: Robot) -> Document:
     """What `/shapes/` says with all that is in it, as it is now."""
     record = robot.records.get(limits.ROUTE)
     assert record is not None

@@ -14,7 +14,7 @@ from rosld.server.resources.limits import require_message, require_parameter
 from rosld.server.robot.publication import no_subscriber_problem
 
 
-async def planned(robot: Robot, own: Property, content: object, *, defaults: bool = False) -> PlannedWrite:
+async def plan_property_write(robot: Robot, own: Property, content: object, *, defaults: bool = False) -> PlannedWrite:
     """How a property comes to have a value: within the limits, and nothing moves yet. Raises as `plan_write` does."""
     plan = plan_write(robot, own, content, defaults=defaults)
     name, value = plan.writer.name, plan.value

@@ -16,7 +16,7 @@ from rosld.server.openapi.resource import OpenApiResource
 from rosld.server.resources import listings
 from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.activities import ActivityContainer, ActivityResource
-from rosld.server.resources.bags import bag_room
+from rosld.server.resources.bags import bag_route
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.entry import EntryResource
@@ -24,26 +24,26 @@ from rosld.server.resources.find import FindResource
 from rosld.server.resources.finder import Finder
 from rosld.server.resources.graphs import GraphStore
 from rosld.server.resources.holds import HoldResource
-from rosld.server.resources.kept.routes import kept_room
+from rosld.server.resources.kept.routes import stored_route
 from rosld.server.resources.members import MemberResource
 from rosld.server.resources.namespaces import NamespaceContainer
 from rosld.server.resources.nodes import NodeResource
 from rosld.server.resources.ontology import ontology_room
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
-from rosld.server.resources.queries import Runner, query_room
+from rosld.server.resources.queries import QueryRunner, query_route
 from rosld.server.resources.services import CallResource, ServiceResource
 from rosld.server.resources.sparql import SparqlResource
 from rosld.server.resources.static_assets import FILES
 from rosld.server.resources.stop import StopResource
 from rosld.server.resources.things import RobotThing
 from rosld.server.resources.topics import TopicResource
-from rosld.server.resources.types import shape_room, type_room
+from rosld.server.resources.types import shape_route, type_route
 from rosld.server.rest.pages import PageRenderer
 from rosld.server.rest.resource import Resource, permanent_redirect
 from rosld.server.sparql.endpoint import QueryService
-from rosld.server.sparql.update.base import Updates
+from rosld.server.sparql.update.base import UpdateRunner
 
-Room: TypeAlias = Callable[[Robot, Location], Resource]
+Route: TypeAlias = Callable[[Robot, Location], Resource]
 _MAX_CACHED = 8192
 _SHORT = 256
 """Characters of a path up to which it is remembered where it leads."""
@@ -52,7 +52,7 @@ _EXAMPLES = 100
 """Kept queries that the page of the endpoint lists."""
 
 
-def _named(kind: str, leaf: Callable[[Robot, str], Resource]) -> Room:
+def _named(kind: str, leaf: Callable[[Robot, str], Resource]) -> Route:
     """A room of things with ROS names: leaves, and the containers of their namespaces."""
 
     def room(robot: Robot, location: Location) -> Resource:
@@ -92,7 +92,7 @@ def _well_known(robot: Robot, location: Location) -> Resource:
     return RobotThing(robot)
 
 
-def _flat(what: str, container: Callable[[Robot], Resource], leaf: Callable[[Robot, str], Resource]) -> Room:
+def _flat(what: str, container: Callable[[Robot], Resource], leaf: Callable[[Robot, str], Resource]) -> Route:
     """A room of things without namespaces, all directly in it; `what` one of them is called, with its article."""
 
     def room(robot: Robot, location: Location) -> Resource:
@@ -107,11 +107,11 @@ def _flat(what: str, container: Callable[[Robot], Resource], leaf: Callable[[Rob
     return room
 
 
-def _holds(find: Callable[[str], Resource] | None) -> Room:
-    return _flat("A hold", listings.holds, lambda robot, id: HoldResource(robot, id, find))
+def _holds(find: Callable[[str], Resource] | None) -> Route:
+    return _flat("A hold", listings.holds_listing, lambda robot, id: HoldResource(robot, id, find))
 
 
-def _single(make: Callable[[Robot], Resource]) -> Room:
+def _single(make: Callable[[Robot], Resource]) -> Route:
     def room(robot: Robot, location: Location) -> Resource:
         if location.segments or (location.is_container and location.kind):
             raise Problem(404, f"There is nothing below /{location.kind}.")
@@ -120,30 +120,30 @@ def _single(make: Callable[[Robot], Resource]) -> Room:
     return room
 
 
-ROOMS: Mapping[str, Room] = {
+ROUTES: Mapping[str, Route] = {
     "": _single(EntryResource),
     "nodes": _named("nodes", NodeResource),
     "topics": _named("topics", TopicResource),
     "services": _named("services", ServiceResource),
-    "calls": _flat("A call", listings.calls, CallResource),
+    "calls": _flat("A call", listings.calls_listing, CallResource),
     "actions": _named("actions", ActionResource),
-    "goals": _flat("A goal", listings.goals, GoalResource),
+    "goals": _flat("A goal", listings.goals_listing, GoalResource),
     "activity": _flat("A receipt", ActivityContainer, ActivityResource),
     "holds": _holds(None),
     "parameters": _parameters,
-    "types": type_room,
-    "shapes": shape_room,
-    "bags": bag_room,
+    "types": type_route,
+    "shapes": shape_route,
+    "bags": bag_route,
     "resources": _resources,
-    "data": kept_room,
-    "mappings": kept_room,
+    "data": stored_route,
+    "mappings": stored_route,
     ".well-known": _well_known,
     "stop": _single(StopResource),
     "ontology": ontology_room,
 } | {name: _single(make) for name, make in FILES.items()}
 
 
-def _holding(at: Callable[[str], Resource]) -> Mapping[str, Room]:
+def _holding(at: Callable[[str], Resource]) -> Mapping[str, Route]:
     """The rooms where a request may name the URL of a message."""
     return {
         "topics": _named("topics", lambda robot, name: TopicResource(robot, name, at)),
@@ -165,7 +165,7 @@ class Router:
         robot: Robot,
         service: QueryService,
         pages: PageRenderer,
-        updates: Callable[[Callable[[str], Resource]], Updates] | None = None,
+        updates: Callable[[Callable[[str], Resource]], UpdateRunner] | None = None,
     ) -> None:
         """`updates` makes what carries updates out, given what finds resources by their paths (`at`)."""
         self._robot = robot
@@ -174,12 +174,12 @@ class Router:
         changes = None if updates is None or robot.settings.read_only else updates(self.at)
         self.graphs = GraphStore(robot, service, self.resolve, changes)
         self.endpoint = SparqlResource(robot, service, pages, partial(_examples, robot), changes)
-        runner = Runner(service, pages, robot.space.base)
-        self._rooms: dict[str, Room] = {
-            **ROOMS,
+        runner = QueryRunner(service, pages, robot.space.base)
+        self._rooms: dict[str, Route] = {
+            **ROUTES,
             **_holding(self.at),
             "sparql": _single(lambda robot: self.endpoint),
-            "queries": partial(query_room, runner=runner),
+            "queries": partial(query_route, runner=runner),
             "openapi.json": _single(lambda robot: described),
             "find": _single(lambda robot: self.search),
             "graphs": _single(lambda robot: self.graphs),
@@ -187,12 +187,12 @@ class Router:
         self._base = robot.space.path.rstrip("/")
         self._kept: dict[bytes, Resource] = {}
 
-    def add(self, rooms: Mapping[str, Room]) -> None:
+    def add(self, rooms: Mapping[str, Route]) -> None:
         """Add rooms, in place of those of the same names."""
         self._rooms.update(rooms)
 
     @property
-    def rooms(self) -> frozenset[str]:
+    def route_names(self) -> frozenset[str]:
         """The first segments of all paths that lead anywhere; the entry's is empty."""
         return frozenset(self._rooms)
 

@@ -39,7 +39,7 @@ def _is_never(method: bytes, path: bytes) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
+class ConnectionBounds:
     """What a client has before it is cut off: bytes of a head, seconds to send one, seconds to read what it is sent.
 
     `connect` is asked whether the client at an address may have one more connection, `open_websocket` whether it may
@@ -55,10 +55,10 @@ class Bounds:
     is_urgent: Callable[[bytes, bytes], bool] = _is_never
 
 
-class Bounded(uvicorn.Config):
+class BoundedConfig(uvicorn.Config):
     """uvicorn's configuration with bounds for its connections."""
 
-    bounds = Bounds()
+    bounds = ConnectionBounds()
     connections = Connections(3000)
 
 
@@ -69,7 +69,7 @@ class Connection(HttpToolsProtocol):
     a new parser, which goes on with the body. What the first parser says of that head is passed over.
     """
 
-    _bounds = Bounded.bounds
+    _bounds = BoundedConfig.bounds
     _head_is_open = True
     _head_size = 0
     _block_size = 0
@@ -91,7 +91,7 @@ class Connection(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """A client connected, and has a while to say what it wants."""
         super().connection_made(cast("asyncio.Transport", CoalescingTransport(transport, self.loop)))
-        config = self.config if isinstance(self.config, Bounded) else Bounded
+        config = self.config if isinstance(self.config, BoundedConfig) else BoundedConfig
         self._bounds, self._connections = config.bounds, config.connections
         self._impatience = self.loop.call_later(self._bounds.head_seconds, self._too_slow)
         try:
@@ -188,7 +188,7 @@ class Connection(HttpToolsProtocol):
         """A request is answered."""
         is_last = not self.pipeline
         if is_last:
-            self._connections.rest(self)
+            self._connections.end_request(self)
         super().on_response_complete()
         if is_last and self._ending is not None and not self.transport.is_closing():
             self._say(self._ending)
@@ -215,7 +215,7 @@ class Connection(HttpToolsProtocol):
             self._check(self._head())
             if is_upgrade and not self._is_handshake:
                 return
-        if not self._connections.begin(self) and not self._is_urgent(self._head()):
+        if not self._connections.start_request(self) and not self._is_urgent(self._head()):
             raise self._refusal or _FULL
         self._head_is_open, self._head_size, self._framing, self._is_coded = False, 0, limit, False
         self._be_patient()
@@ -286,7 +286,7 @@ class Connection(HttpToolsProtocol):
         super().handle_websocket_upgrade()
         websocket = self.transport.get_protocol()
         assert isinstance(websocket, WebSocketConnection)
-        self._connections.replace(self, websocket)
+        self._connections.upgrade(self, websocket)
         websocket.count(self._connections, (close, let_go))
 
     def _leave(self) -> None:
@@ -330,7 +330,7 @@ class Connection(HttpToolsProtocol):
 
     def _say(self, ending: Problem) -> None:
         self._unset_keepalive_if_required()
-        self._connections.rest(self)
+        self._connections.end_request(self)
         self.transport.write(_response(ending))
         self.transport.write_eof()
         self._impatience = self.loop.call_later(LINGER_SECONDS, self.transport.close)

@@ -7,7 +7,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Protocol
 
-RESERVE = 64
+RESERVED_CONNECTIONS = 64
 """Connections beyond the most there may be, for requests that are always answered."""
 SILENT_SECONDS = 60.0
 """A WebSocket that was sent nothing for so long may be ended to make room."""
@@ -28,7 +28,9 @@ class Connections:
     same holds within the reserve, so that it cannot be filled with connections on which nothing is asked.
     """
 
-    def __init__(self, limit: int, reserve: int = RESERVE, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, limit: int, reserve: int = RESERVED_CONNECTIONS, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._clock = clock
         self._limit = limit
         self._most_extra = reserve
@@ -53,7 +55,7 @@ class Connections:
         self._idle_extra[connection] = None
         return True
 
-    def begin(self, connection: Endable) -> bool:
+    def start_request(self, connection: Endable) -> bool:
         """Note that a request is under way. False where the connection is in the reserve."""
         if connection in self._extra:
             self._idle_extra.pop(connection, None)
@@ -61,7 +63,7 @@ class Connections:
         self._idle.pop(connection, None)
         return True
 
-    def rest(self, connection: Endable) -> None:
+    def end_request(self, connection: Endable) -> None:
         """Note that the requests on a connection are answered."""
         if connection in self._open:
             idle = self._idle
@@ -72,13 +74,13 @@ class Connections:
         idle[connection] = None
         idle.move_to_end(connection)
 
-    def replace(self, connection: Endable, websocket: Endable) -> None:
+    def upgrade(self, connection: Endable, websocket: Endable) -> None:
         """Note that a connection has become a WebSocket."""
         self.close(connection)
         self._open.add(websocket)
-        self.touch(websocket)
+        self.note_activity(websocket)
 
-    def touch(self, websocket: Endable) -> None:
+    def note_activity(self, websocket: Endable) -> None:
         """Note that something is sent on a WebSocket."""
         self._websockets[websocket] = self._clock()
         self._websockets.move_to_end(websocket)

@@ -14,7 +14,7 @@ import uvicorn
 from starlette.types import ASGIApp
 
 from rosld.server.http.tokens import redact_tokens
-from rosld.server.serving.connection import Bounded, Bounds, Connection
+from rosld.server.serving.connection import BoundedConfig, Connection, ConnectionBounds
 from rosld.server.serving.connections import Connections
 from rosld.server.serving.websocket_connection import WebSocketConnection
 from rosld.server.sparql.process.evaluation import Aborted
@@ -23,7 +23,7 @@ _log = logging.getLogger("rosld")
 
 KEEP_ALIVE_SECONDS = 30
 GRACE_SECONDS = 2
-CONNECTIONS = 3000
+MAX_CONNECTIONS = 3000
 """Connections at a time. One more takes the place of one that is idle, or only POST /stop is answered on it."""
 
 MESSAGE_BYTES = 4096
@@ -62,10 +62,10 @@ class Server(uvicorn.Server):
         self,
         app: ASGIApp,
         listening: Callable[[], None],
-        bounds: Bounds | None = None,
-        connections: int = CONNECTIONS,
+        bounds: ConnectionBounds | None = None,
+        connections: int = MAX_CONNECTIONS,
     ) -> None:
-        config = Bounded(
+        config = BoundedConfig(
             app,
             http=Connection,
             ws=WebSocketConnection,
@@ -114,7 +114,7 @@ class _WithoutTokens(logging.Formatter):
         return redact_tokens(super().format(record))
 
 
-def quiet_logs() -> None:
+def configure_logging() -> None:
     """All logs to stderr; of uvicorn only what went wrong here, not what strangers send."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_WithoutTokens("%(levelname)s %(name)s: %(message)s"))

@@ -8,7 +8,7 @@ from pathlib import Path
 import uvicorn
 
 
-def require(certificate: Path, key: Path | None) -> None:
+def require_certificate(certificate: Path, key: Path | None) -> None:
     """Raises ValueError with a sentence where a certificate cannot be served with."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     try:
@@ -19,7 +19,7 @@ def require(certificate: Path, key: Path | None) -> None:
         raise ValueError(f"{where}: {words}: a certificate and its private key, both in PEM, are needed") from error
 
 
-def apply(config: uvicorn.Config, certificate: Path | None, key: Path | None) -> None:
+def configure_tls(config: uvicorn.Config, certificate: Path | None, key: Path | None) -> None:
     """Have a server speak TLS, if it has a certificate."""
     if certificate is not None:
         config.ssl_certfile = str(certificate)

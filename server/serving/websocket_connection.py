@@ -37,7 +37,7 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
     async def send(self, message: ASGISendEvent) -> None:
         """Send what the application says."""
         if self._connections is not None and not self.disconnected:
-            self._connections.touch(self)
+            self._connections.note_activity(self)
         await super().send(message)
 
     def end_idle(self) -> None:

@@ -12,14 +12,23 @@ from rosld.server.dataset import QueryError
 from rosld.server.dataset.encoding import NAMESPACE
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.functions import AGE
-from rosld.server.sparql.narrowing import needs
+from rosld.server.sparql.narrowing import needs_of
 from rosld.server.sparql.needs import Needs
-from rosld.server.sparql.process.cost import Plan, plan
+from rosld.server.sparql.process.cost import JoinPlan, join_plan
 from rosld.server.sparql.rewriting import rewrite
-from rosld.server.sparql.syntax.lexer import BOUNDS, NOWHERE, Bounds, Checked, Kind, Reach, check, update_keyword
+from rosld.server.sparql.syntax.lexer import (
+    DEFAULT_BOUNDS,
+    NO_SERVICES,
+    CheckedText,
+    Kind,
+    QueryBounds,
+    ServiceAllowlist,
+    check_text,
+    update_keyword,
+)
 from rosld.server.sparql.syntax.query import parse_query
 from rosld.server.sparql.syntax.tree import Group, Query, Variable, graphs_around
-from rosld.server.sparql.terms import Terms
+from rosld.server.sparql.terms import VocabularyView
 
 _KEPT = 512
 _NO_RELATIONS = frozenset[str]()
@@ -42,8 +51,8 @@ class Analysis:
     prefixes: Mapping[str, str]
     default_graphs: tuple[str, ...] = ()
     named_graphs: tuple[str, ...] = ()
-    enclosed: frozenset[str] | None = None
-    plan: Plan | None = None
+    is_enclosed: frozenset[str] | None = None
+    plan: JoinPlan | None = None
     asks_age: bool = True
     functions: frozenset[str] = frozenset()
 
@@ -61,8 +70,8 @@ class Analyser:
         types: str,
         *,
         prefixes: Mapping[str, str] = PREFIXES,
-        bounds: Bounds = BOUNDS,
-        reach: Reach = NOWHERE,
+        bounds: QueryBounds = DEFAULT_BOUNDS,
+        reach: ServiceAllowlist = NO_SERVICES,
         relations: Callable[[], frozenset[str]] = lambda: _NO_RELATIONS,
     ) -> None:
         self.base = base
@@ -87,26 +96,26 @@ class Analyser:
 
         Raises Problems: those of `check` and `parse_query`, and 400 for an update.
         """
-        checked = check(text, self._bounds, reach=self._reach)
+        checked = check_text(text, self._bounds, reach=self._reach)
         if keyword := update_keyword(checked.tokens):
             raise Problem(400, f"{keyword} is an update, and this is the endpoint for queries: it only reads.")
         query = parse_query(checked, self.prefixes, self.base, AGE, self._bounds)
-        terms = Terms(self._types, self.base, self._known)
+        terms = VocabularyView(self._types, self.base, self._known)
         words = [token.text.upper() for token in checked.tokens if token.kind is Kind.WORD]
         return Analysis(
-            rewrite(checked.text, query.literals, query.places),
+            rewrite(checked.text, query.literals, query.expressions),
             query.form,
-            needs(query, terms),
+            needs_of(query, terms),
             self._used_prefixes(checked),
             query.default,
             query.named,
             _enclose(query),
-            plan(query.where, words, len(checked.tokens)),
+            join_plan(query.where, words, len(checked.tokens)),
             AGE in query.functions,
             query.functions,
         )
 
-    def _used_prefixes(self, checked: Checked) -> Mapping[str, str]:
+    def _used_prefixes(self, checked: CheckedText) -> Mapping[str, str]:
         """Only what a query uses: the store's parser copies all that it is given."""
         names = {token.text.partition(":")[0] for token in checked.tokens if token.kind is Kind.NAME}
         return {name: self.prefixes[name] for name in names & self.prefixes.keys()}
@@ -125,7 +134,7 @@ def _names_any(group: Group) -> bool:
     return isinstance(group.graph, Variable) or any(map(_names_any, inner))
 
 
-def refusal(error: QueryError, text: str) -> Problem:
+def parse_problem(error: QueryError, text: str) -> Problem:
     """Why the store does not take a query that was read without an error; `text` is what it was given.
 
     Its parser's list of what it would have gone on with says nothing to people.

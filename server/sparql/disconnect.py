@@ -11,7 +11,7 @@ Disconnected: TypeAlias = Callable[[], Awaitable[None]]
 """Returns when the client has hung up."""
 
 
-def of(receive: Receive) -> Disconnected:
+def disconnection_of(receive: Receive) -> Disconnected:
     """The hang-up of a request whose body was read, or will not be: what is left of it is thrown away."""
 
     async def disconnected() -> None:

@@ -16,17 +16,17 @@ from rosld.server.dataset import QueryError
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.sparql import results
-from rosld.server.sparql.analysis import Analyser, Analysis, refusal
+from rosld.server.sparql.analysis import Analyser, Analysis, parse_problem
 from rosld.server.sparql.disconnect import Disconnected
-from rosld.server.sparql.limits import Limits, busy, out_of_time
-from rosld.server.sparql.materializer import Seen, Synchroniser
+from rosld.server.sparql.limits import Limits, out_of_time, too_many_queries
+from rosld.server.sparql.materializer import SeenVersions, Synchroniser
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.process.client import QueryProcess
-from rosld.server.sparql.process.work import Answer, Query, Work
-from rosld.server.sparql.process.work import Table as FirstRows
+from rosld.server.sparql.process.work import AnswerWork, QueryWork, Work
+from rosld.server.sparql.process.work import TableWork as FirstRows
 from rosld.server.sparql.protocol import QueryRequest
 from rosld.server.sparql.restricted import RestrictedDatasets
-from rosld.server.sparql.results import Table
+from rosld.server.sparql.results import ResultRows
 
 
 class QueryAnswer(NamedTuple):
@@ -65,7 +65,7 @@ class QuerySettings:
         return Limits(self.time_limit, self.memory_limit, self.row_limit, self.workers, self.waiting)
 
 
-Unread: TypeAlias = Callable[[Needs, Permissions], Awaitable[Mapping[str, int]]]
+UnreadGraphs: TypeAlias = Callable[[Needs, Permissions], Awaitable[Mapping[str, int]]]
 """How many graphs the needs could match without asking for them, by container."""
 
 
@@ -91,7 +91,7 @@ class QueryService:
         ages: Callable[[], Mapping[str, float]] = dict,
         settings: QuerySettings = QuerySettings(),
         restricted: RestrictedDatasets | None = None,
-        unread: Unread = _nothing,
+        unread: UnreadGraphs = _nothing,
     ) -> None:
         self._process = process
         self._synchroniser = synchroniser
@@ -103,9 +103,9 @@ class QueryService:
         self._reader = ThreadPoolExecutor(1, "sparql-reader")
         self._long = 0
 
-    async def keep_up(self) -> None:
+    async def keep_synchronised(self) -> None:
         """Have the dataset ready for queries, until this is cancelled: a query then has little to wait for."""
-        await self._synchroniser.keep_up()
+        await self._synchroniser.run()
 
     async def answer(
         self,
@@ -123,12 +123,12 @@ class QueryService:
         """
         limits, until = self._begun(request)
         analysis = await self._analyse(request.text, limits, until)
-        media_type = results.choose(results.QUADS if request.quads else analysis.form, accept)
-        await self._process.ready(until)
+        media_type = results.choose_media_type(results.QUADS if request.quads else analysis.form, accept)
+        await self._process.wait_ready(until)
         needs = await self._needed(analysis, request, permissions)
         unread = await self._unread(needs, permissions)
         async with self._sync(needs, limits, _scope(analysis, request)):
-            work = Answer(self._query(analysis, request, permissions), media_type, limits.rows)
+            work = AnswerWork(self._query(analysis, request, permissions), media_type, limits.rows)
             body = await self._done(work, analysis.text, limits, until, disconnected, permissions)
         return QueryAnswer(media_type, body, unread)
 
@@ -138,32 +138,32 @@ class QueryService:
         limit: int,
         disconnected: Disconnected | None = None,
         permissions: Permissions = ALLOW_ALL,
-    ) -> Table:
+    ) -> ResultRows:
         """At most `limit` rows of the results, as terms, for a page. Raises as `answer` does."""
         limits, until = self._begun(request)
         analysis = await self._analyse(request.text, limits, until)
-        await self._process.ready(until)
+        await self._process.wait_ready(until)
         needs = await self._needed(analysis, request, permissions)
         async with self._sync(needs, limits, _scope(analysis, request)):
             work = FirstRows(self._query(analysis, request, permissions), limit)
             body = await self._done(work, analysis.text, limits, until, disconnected, permissions)
         whole = body if isinstance(body, bytes) else b"".join([chunk async for chunk in body])
-        table: Table = pickle.loads(whole)  # from our own process
+        table: ResultRows = pickle.loads(whole)  # from our own process
         return table._replace(unread=await self._unread(needs, permissions))
 
-    async def over(
+    async def run_on_snapshot(
         self, needs: Needs, graphs: frozenset[str] | None, prepare: Callable[[], Awaitable[Work]]
-    ) -> tuple[bytes, Seen]:
+    ) -> tuple[bytes, SeenVersions]:
         """What a work comes to over a dataset that holds what the needs ask for, and what it has seen there.
 
         `graphs` are the only ones that are looked at, None for all. `prepare` makes the work once the dataset is there.
         Raises as `answer` does.
         """
         limits, until = self.limits, time.monotonic() + self.limits.seconds
-        await self._process.ready(until)
-        needs = await self._synchroniser.resolved(needs)
+        await self._process.wait_ready(until)
+        needs = await self._synchroniser.resolve_documents(needs)
         async with self._sync(needs, limits, graphs):
-            seen = self._synchroniser.seen(graphs)
+            seen = self._synchroniser.versions_of(graphs)
             work = await prepare()
             try:
                 return await self._process.result(work, limits, until), seen
@@ -174,7 +174,7 @@ class QueryService:
         """The analysis of a query that is not asked now. Raises Problem 400; syntax is left to the store's parser."""
         return self._analyser.analyse(text)
 
-    def prepared(self, text: str, default_graphs: tuple[str, ...] = (), named_graphs: tuple[str, ...] = ()) -> Query:
+    def prepare(self, text: str, default_graphs: tuple[str, ...] = (), named_graphs: tuple[str, ...] = ()) -> QueryWork:
         """A query as the process takes it now: the ages of topics are of this moment. Raises Problem 400."""
         request = QueryRequest(text, default_graphs, named_graphs)
         return self._query(self._analyser.analyse(text), request, ALLOW_ALL)
@@ -191,7 +191,7 @@ class QueryService:
         if len(text) <= _LONG:
             return self._analyser.analyse(text)
         if self._long >= limits.queue:
-            raise busy()
+            raise too_many_queries()
         self._long += 1
         reading = asyncio.get_running_loop().run_in_executor(self._reader, self._analyser.analyse_once, text)
         try:
@@ -203,13 +203,13 @@ class QueryService:
 
     async def _needed(self, analysis: Analysis, request: QueryRequest, permissions: Permissions) -> Needs:
         """What the query needs, with all documents that it names, as far as it may be read."""
-        return _readable(await self._synchroniser.resolved(_needs(analysis, request)), permissions)
+        return _readable(await self._synchroniser.resolve_documents(_needs(analysis, request)), permissions)
 
     @asynccontextmanager
     async def _sync(self, needs: Needs, limits: Limits, scope: frozenset[str] | None) -> AsyncIterator[None]:
         """Within it the dataset holds what the needs ask for."""
         deadline = loop_time() + limits.seconds
-        synced = self._synchroniser.synced(needs, deadline=deadline, scope=scope)
+        synced = self._synchroniser.synchronised(needs, deadline=deadline, scope=scope)
         try:
             await synced.__aenter__()
         except asyncio.TimeoutError as error:
@@ -219,13 +219,13 @@ class QueryService:
         finally:
             await synced.__aexit__(None, None, None)
 
-    def _query(self, analysis: Analysis, request: QueryRequest, permissions: Permissions) -> Query:
+    def _query(self, analysis: Analysis, request: QueryRequest, permissions: Permissions) -> QueryWork:
         default, named = _dataset(analysis, request)
         ages = None
         if analysis.asks_age:
             ages = {topic: age for topic, age in self._ages().items() if permissions.may_read(topic)}
         base, prefixes = self._analyser.base, analysis.prefixes
-        return Query(analysis.text, base, prefixes, default, named, analysis.plan, ages, analysis.functions)
+        return QueryWork(analysis.text, base, prefixes, default, named, analysis.plan, ages, analysis.functions)
 
     async def _done(
         self,
@@ -240,22 +240,22 @@ class QueryService:
         if not permissions.may_read_all:
             if self._restricted is None:
                 raise Problem(403, "Queries are for those who may read everything.")
-            dataset = await self._restricted.of(permissions, limits, until)
+            dataset = await self._restricted.dataset_for(permissions, limits, until)
         try:
             return await self._process.answer(work, limits, until, disconnected, dataset)
         except QueryError as error:
-            raise refusal(error, text) from error
+            raise parse_problem(error, text) from error
 
 
 def _needs(analysis: Analysis, request: QueryRequest) -> Needs:
     default, named = _dataset(analysis, request)
-    return analysis.needs.within(default + named) if default or named else analysis.needs
+    return analysis.needs.restrict_to(default + named) if default or named else analysis.needs
 
 
 def _scope(analysis: Analysis, request: QueryRequest) -> frozenset[str] | None:
     """The only graphs that the query can look at; None for all."""
     default, named = _dataset(analysis, request)
-    return frozenset(default + named) if default or named else analysis.enclosed
+    return frozenset(default + named) if default or named else analysis.is_enclosed
 
 
 def _readable(needs: Needs, permissions: Permissions) -> Needs:

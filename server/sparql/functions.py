@@ -44,7 +44,7 @@ def functions(seconds_since: Callable[[str], float | None]) -> Mapping[str, Func
     return {**_LASTING, AGE: _guard(age)}
 
 
-def unknown(iris: Iterable[str]) -> Mapping[str, Function]:
+def unknown_functions(iris: Iterable[str]) -> Mapping[str, Function]:
     """What stands for the functions that neither the store knows nor `functions`: calling one is an error (17.2)."""
     return {iri: _error for iri in iris if not _is_known(iri)}
 
@@ -65,7 +65,7 @@ def _is_known(iri: str) -> bool:
     return True
 
 
-def at(array: Term, index: Term) -> Term:
+def element_at(array: Term, index: Term) -> Term:
     """`ros:at(?array, ?index)`: the element at an index from 0."""
     elements, position = _array(array), _index(index)
     if not 0 <= position < len(elements):
@@ -78,12 +78,12 @@ def length(array: Term) -> Term:
     return Literal(len(_array(array)))
 
 
-def least(array: Term) -> Term:
+def minimum(array: Term) -> Term:
     """`ros:min(?array)`: the least number, NaN left out (NaN where there is nothing else)."""
     return _number(min(_numbers(array), default=math.nan))
 
 
-def greatest(array: Term) -> Term:
+def maximum(array: Term) -> Term:
     """`ros:max(?array)`: the greatest number, NaN left out (NaN where there is nothing else)."""
     return _number(max(_numbers(array), default=math.nan))
 
@@ -181,5 +181,11 @@ def _term(element: object, *, numeric: bool) -> Term:
 
 _LASTING: Mapping[str, Function] = {
     iri.value: _guard(function)
-    for iri, function in ((ros.at, at), (ros.length, length), (ros.min, least), (ros.max, greatest), (ros.mean, mean))
+    for iri, function in (
+        (ros.at, element_at),
+        (ros.length, length),
+        (ros.min, minimum),
+        (ros.max, maximum),
+        (ros.mean, mean),
+    )
 }

@@ -28,7 +28,7 @@ class Limits(NamedTuple):
     queue: int = 256
 
 
-def described(service: NamedNode, limits: Limits) -> tuple[Triple, ...]:
+def describe_limits(service: NamedNode, limits: Limits) -> tuple[Triple, ...]:
     """The limits as the description of the service tells them."""
     return (
         Triple(service, ros.timeLimit, Literal(str(limits.seconds), datatype=xsd.double)),
@@ -44,7 +44,7 @@ def described(service: NamedNode, limits: Limits) -> tuple[Triple, ...]:
     )
 
 
-class Reason(Enum):
+class StopReason(Enum):
     """Why a query was stopped: the member `reason` of its problem details."""
 
     TIME = "time"
@@ -55,7 +55,7 @@ class Reason(Enum):
 def out_of_time(seconds: float) -> Problem:
     """The query was at it for longer than it may be."""
     return _stopped(
-        Reason.TIME, f"The query took longer than {seconds:g} s, which is its limit here: ask for less at a time."
+        StopReason.TIME, f"The query took longer than {seconds:g} s, which is its limit here: ask for less at a time."
     )
 
 
@@ -63,16 +63,16 @@ def out_of_memory(memory: int) -> Problem:
     """The query wanted more memory than it may have."""
     mebibytes = memory // _MIB
     return _stopped(
-        Reason.MEMORY, f"The query needed more than {mebibytes} MiB of memory, this server's limit: ask for less."
+        StopReason.MEMORY, f"The query needed more than {mebibytes} MiB of memory, this server's limit: ask for less."
     )
 
 
 def too_many_rows(rows: int) -> Problem:
     """The answer has more rows than one may have."""
-    return _stopped(Reason.ROWS, f"The answer has more than {rows} rows, this server's limit: ask with LIMIT.")
+    return _stopped(StopReason.ROWS, f"The answer has more than {rows} rows, this server's limit: ask with LIMIT.")
 
 
-def busy() -> Problem:
+def too_many_queries() -> Problem:
     """As many queries as may be are being answered, and as many as may wait do: come again."""
     return Problem(
         503,
@@ -82,12 +82,12 @@ def busy() -> Problem:
     )
 
 
-def crashed(how: str) -> Problem:
+def process_crashed(how: str) -> Problem:
     """The process that answered the query is gone."""
     return Problem(500, f"The process that answered the query ended before it was done ({how}); the server goes on.")
 
 
-def restarting(seconds: int, progress: str = "") -> Problem:
+def process_restarting(seconds: int, progress: str = "") -> Problem:
     """The query process has to be started and filled again; `progress` is a sentence on how far that is."""
     words = "The process that answers queries is being started: try again in a moment."
     if progress:
@@ -95,5 +95,5 @@ def restarting(seconds: int, progress: str = "") -> Problem:
     return Problem(503, words, headers={"Retry-After": str(seconds)}, extra={"reason": "starting"})
 
 
-def _stopped(reason: Reason, detail: str) -> Problem:
+def _stopped(reason: StopReason, detail: str) -> Problem:
     return Problem(503, detail, extra={"reason": reason.value})

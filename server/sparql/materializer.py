@@ -25,12 +25,12 @@ from rosld.server.dataset import Edit
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.memory import PROCESS_MEMORY, SENT_PER_CHARACTER
 from rosld.server.sparql.change_source import NOTHING, Changes, ChangeSource
-from rosld.server.sparql.limits import restarting
+from rosld.server.sparql.limits import process_restarting
 from rosld.server.sparql.needs import Needs
 
 _log = logging.getLogger("rosld.sparql")
 
-WILDCARD_INTERVAL = 0.2
+WILDCARD_SECONDS = 0.2
 """Seconds for which a look at everything is good enough for the next query that looks at everything.
 
 They count for what the robot did by itself: after a write through the server everything is looked at again.
@@ -60,7 +60,7 @@ class GraphEntry(NamedTuple):
     token: Hashable
     ntriples: Callable[[], str]
     triples: Callable[[], Iterable[Triple]] | None = None
-    passing: bool = False
+    is_transient: bool = False
 
 
 class GraphSource(Protocol):
@@ -99,11 +99,11 @@ class GraphSource(Protocol):
         ...
 
 
-Mentioned: TypeAlias = Callable[[Collection[str]], frozenset[str] | None]
+MentionedDocuments: TypeAlias = Callable[[Collection[str]], frozenset[str] | None]
 """The live documents of which clients say any of these predicates or classes, None for all: of what was synced."""
 
 
-class Target(Protocol):
+class SyncTarget(Protocol):
     """Where the graphs go: what was sent is seen by all that is asked afterwards. Called on the loop."""
 
     @property
@@ -111,7 +111,7 @@ class Target(Protocol):
         """Another number whenever it holds nothing any more."""
         ...
 
-    async def drained(self) -> None:
+    async def wait_drained(self) -> None:
         """Return when little is on its way that was not taken yet."""
         ...
 
@@ -157,14 +157,14 @@ class _Look(NamedTuple):
     @property
     def extras(self) -> list[str]:
         """Graphs that are there only because they were named."""
-        return [entry.iri for entry in self.entries if entry.passing or entry.iri not in self.described]
+        return [entry.iri for entry in self.entries if entry.is_transient or entry.iri not in self.described]
 
 
-class Seen(NamedTuple):
+class SeenVersions(NamedTuple):
     """The tokens of the graphs with live values, and the version of what clients keep, that a query sees."""
 
     tokens: Mapping[str, Hashable]
-    kept: int
+    stored: int
 
 
 class _Synced:
@@ -180,10 +180,10 @@ class _Synced:
         self._extras: Sequence[str] = ()
 
     async def __aenter__(self) -> None:
-        self._extras = await self._synchroniser.enter(self._needs, self._scope, self._deadline)
+        self._extras = await self._synchroniser.begin(self._needs, self._scope, self._deadline)
 
     async def __aexit__(self, *error: object) -> None:
-        self._synchroniser.leave(self._extras)
+        self._synchroniser.end(self._extras)
 
 
 class _Filling:
@@ -230,12 +230,12 @@ class Synchroniser:
 
     def __init__(
         self,
-        target: Target,
+        target: SyncTarget,
         source: GraphSource,
         kept: ChangeSource = NOTHING,
         *more: ChangeSource,
-        interval: float = WILDCARD_INTERVAL,
-        mentioned: Mentioned | None = None,
+        interval: float = WILDCARD_SECONDS,
+        mentioned: MentionedDocuments | None = None,
     ) -> None:
         self._target = target
         self._source = source
@@ -256,10 +256,10 @@ class Synchroniser:
     def _require(self, generation: int) -> None:
         """Raise Problem 503 where the target holds nothing any more that it was told in this generation."""
         if not generation == self._state.generation == self._target.generation:
-            raise restarting(1)
+            raise process_restarting(1)
 
     @property
-    def held(self) -> Sequence[str]:
+    def source_graphs(self) -> Sequence[str]:
         """The graphs in the dataset that come from the source: all but those that clients keep."""
         return list(self._state.held)
 
@@ -272,13 +272,13 @@ class Synchroniser:
         missing = self._kept[0].version - (0 if is_new else self._state.versions[0])
         return str(_Filling(missing)) if missing >= _MUCH else None
 
-    async def resolved(self, needs: Needs) -> Needs:
+    async def resolve_documents(self, needs: Needs) -> Needs:
         """The needs with the documents that their terms name, and those that clients mention: to be `synced`.
 
         Raises Problem 503 where what clients keep is to be read first.
         """
         if needs.terms:
-            needs = needs.resolved(await self._source.documents_of(needs.terms))
+            needs = needs.with_documents(await self._source.documents_of(needs.terms))
         if needs.rests_on and self._mentioned is not None:
             if self._state.generation != self._target.generation:
                 self._forget()
@@ -286,10 +286,10 @@ class Synchroniser:
             if not self._is_current(None, wanted):
                 await self._caught_up(None, wanted, float("inf"))
             mentioned = self._mentioned(needs.rests_on)
-            needs = needs if mentioned == frozenset() else needs.mentioning(mentioned)
+            needs = needs if mentioned == frozenset() else needs.with_mentions(mentioned)
         return needs
 
-    def synced(
+    def synchronised(
         self, needs: Needs, *, deadline: float, scope: frozenset[str] | None = None
     ) -> AbstractAsyncContextManager[None]:
         """Within it the dataset holds what the needs ask for: send the query there, at once.
@@ -299,7 +299,7 @@ class Synchroniser:
         """
         return _Synced(self, needs, scope, deadline)
 
-    async def enter(self, needs: Needs, scope: frozenset[str] | None, deadline: float) -> Sequence[str]:
+    async def begin(self, needs: Needs, scope: frozenset[str] | None, deadline: float) -> Sequence[str]:
         """Bring the dataset to what the needs ask for. What is returned is kept until it is given to `leave`."""
         if self._state.generation != self._target.generation:
             self._forget()
@@ -313,21 +313,21 @@ class Synchroniser:
             if not self._at_once(look):  # it goes on even where the query is given up
                 await asyncio.shield(asyncio.ensure_future(self._apply(look)))
             self._require(self._state.generation)
-            if needs.everything and look.asked:
+            if needs.is_everything and look.asked:
                 self._state.everything = look
         except BaseException:
-            self.leave(extras)
+            self.end(extras)
             raise
         return extras
 
-    def seen(self, graphs: frozenset[str] | None) -> Seen:
+    def versions_of(self, graphs: frozenset[str] | None) -> SeenVersions:
         """What the dataset holds now of values that change by themselves (None: of all), and of what clients keep."""
         live = self._state.live if graphs is None else self._state.live & graphs
         wanted = self._wanted
         kept = wanted[0] if self._is_current(graphs, wanted) else self._state.versions[0]
-        return Seen({iri: self._state.held[iri].token for iri in live}, kept)
+        return SeenVersions({iri: self._state.held[iri].token for iri in live}, kept)
 
-    def leave(self, extras: Sequence[str]) -> None:
+    def end(self, extras: Sequence[str]) -> None:
         """The query has begun: graphs that were there for it alone may go."""
         if extras:
             self._pinned.subtract(extras)
@@ -355,7 +355,7 @@ class Synchroniser:
         if not needs.demands:
             return False
         last = self._state.everything
-        if last is None or not needs.everything or not last.needs.covers(needs):
+        if last is None or not needs.is_everything or not last.needs.covers(needs):
             return True
         return last.writes != self._source.writes or time.monotonic() - last.ended >= self._interval
 
@@ -388,14 +388,14 @@ class Synchroniser:
 
     def _vanished(self, look: _Look) -> Iterator[tuple[str, _Change]]:
         """What was there for an earlier query only, and values that a look at everything no longer finds."""
-        if not self._state.extras and not look.needs.everything:
+        if not self._state.extras and not look.needs.is_everything:
             return
         found = {entry.iri for entry in look.entries}
         for iri in self._state.extras - found:
             if iri not in self._pinned and self._state.held[iri].look < look.number:
                 entry = look.described.get(iri)
                 yield iri, _Change(entry, entry and entry.token, False, 0)
-        if look.needs.everything and look.asked:
+        if look.needs.is_everything and look.asked:
             for iri in self._state.live - found - self._state.extras:
                 entry = look.described.get(iri)
                 if entry is not None and self._state.held[iri].look < look.number:
@@ -429,7 +429,7 @@ class Synchroniser:
 
     # --- what clients keep
 
-    async def catch_up(self) -> None:
+    async def sync_stored(self) -> None:
         """Bring to the dataset what clients keep, before a query asks for it."""
         if self._state.generation != self._target.generation:
             self._forget()
@@ -437,13 +437,13 @@ class Synchroniser:
         assert filling.task is not None
         await asyncio.shield(filling.task)
 
-    async def keep_up(self) -> None:
+    async def run(self) -> None:
         """Catch up whenever much has changed since a query asked, at once and then for ever: to be cancelled."""
         while True:
             is_new = self._state.generation != self._target.generation
             if self._kept[0].version - (0 if is_new else self._state.versions[0]) >= _MUCH:
                 try:
-                    await self.catch_up()
+                    await self.sync_stored()
                 except MemoryError as error:
                     _log.error("what clients keep cannot be brought to the dataset now: %s", error)
                     await asyncio.sleep(_SHORT_OF_MEMORY)
@@ -483,7 +483,7 @@ class Synchroniser:
                 if now < until and filling.seconds_left < _PATIENCE:
                     await asyncio.wait([filling.task], timeout=max(0.0, min(until, deadline, now + _GLANCE) - now))
                 else:
-                    raise restarting(min(_LONGEST_RETRY, 1 + int(filling.seconds_left)), str(filling))
+                    raise process_restarting(min(_LONGEST_RETRY, 1 + int(filling.seconds_left)), str(filling))
             if filling.task.done():
                 filling.task.result()
                 await asyncio.sleep(0)  # it is put away by a callback, which may not have had its turn
@@ -545,7 +545,7 @@ class Synchroniser:
             texts = _rendered(part.graphs)
         else:
             texts = await asyncio.to_thread(_rendered, part.graphs, _SLICE)
-        await self._target.drained()
+        await self._target.wait_drained()
         self._require(generation)
         self._target.change(texts, part.edits)
         for iri in part.graphs:
@@ -568,7 +568,7 @@ class Synchroniser:
         self._state.held[iri] = _Held(change.entry.token, change.description, change.live, look.number, size)
         if change.live:
             self._state.live.add(iri)
-            if change.entry.passing or iri not in look.described:
+            if change.entry.is_transient or iri not in look.described:
                 self._state.extras.add(iri)
 
 

@@ -9,7 +9,7 @@ from pyoxigraph import NamedNode, RdfFormat, parse
 
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.sparql.change_source import Changes, ChangeSource
-from rosld.server.sparql.terms import document
+from rosld.server.sparql.terms import document_of
 
 _LIVE = ("topics/", "parameters/", "resources/", "bags/")
 _LISTS = frozenset({rdf.first.value, rdf.rest.value})
@@ -28,7 +28,7 @@ class Mentions:
         self._of: dict[str, dict[str, frozenset[str]]] = {}
         self._lists: set[str] = set()
 
-    def of(self, terms: Collection[str]) -> frozenset[str] | None:
+    def documents_of(self, terms: Collection[str]) -> frozenset[str] | None:
         """The documents of which any of these terms is said; None for all: clients say something of the empty list."""
         if self._lists and terms:
             return None
@@ -54,7 +54,7 @@ class Mentions:
             if not isinstance(term, NamedNode) or not self._is_relied_on(term.value):
                 continue
             nodes = (node.value for node in (quad.subject, quad.object) if isinstance(node, NamedNode))
-            documents = frozenset(document(node) for node in nodes if node.startswith(self._places))
+            documents = frozenset(document_of(node) for node in nodes if node.startswith(self._places))
             if documents:
                 graphs = self._of.setdefault(term.value, {})
                 graphs[graph] = graphs.get(graph, frozenset()) | documents
@@ -63,7 +63,7 @@ class Mentions:
         return term.startswith(self._terms) or term in _LISTS
 
 
-class Noting:
+class MentionRecorder:
     """What clients keep, noting what it mentions as it is rendered: a `ChangeSource`."""
 
     def __init__(self, kept: ChangeSource, mentions: Mentions) -> None:

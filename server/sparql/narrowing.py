@@ -36,22 +36,31 @@ from dataclasses import dataclass, field, replace
 from functools import reduce
 
 from rosld.ontology.vocab import rdf
-from rosld.server.sparql.needs import Demand, Needs, largest
+from rosld.server.sparql.needs import Demand, Needs, remove_covered
 from rosld.server.sparql.syntax.tree import Group, Iri, Pattern, Query, Term, Variable
-from rosld.server.sparql.terms import ANY, COMPLEX, NEITHER, UNKNOWN, Live, Said, Terms, document
+from rosld.server.sparql.terms import (
+    ANY,
+    COMPLEX,
+    NEITHER,
+    UNKNOWN_NODE,
+    LiveKinds,
+    NodeMeaning,
+    VocabularyView,
+    document_of,
+)
 
 
-def needs(query: Query, terms: Terms) -> Needs:
+def needs_of(query: Query, terms: VocabularyView) -> Needs:
     """What a query needs, its FROM aside."""
-    parts = [Meaning(part, terms) for group in _groups(query.where) for part in _parts(group, terms)]
+    parts = [PartNeeds(part, terms) for group in _groups(query.where) for part in _parts(group, terms)]
     demands = [demand for part in parts if (demand := part.demand)]
-    if any(demand.anything for demand in demands):
+    if any(demand.is_anything for demand in demands):
         demands.extend(_named(query.constants, terms))
-    unread = reduce(Live.__or__, (part.unread for part in parts), NEITHER)
+    unread = reduce(LiveKinds.__or__, (part.unread for part in parts), NEITHER)
     return Needs(
-        tuple(largest(demands)),
-        frozenset(document(iri) for iri in _documents(query) if terms.is_here(iri)),
-        frozenset().union(terms.of_constants(query.constants), *(part.terms for part in parts)),
+        tuple(remove_covered(demands)),
+        frozenset(document_of(iri) for iri in _documents(query) if terms.is_here(iri)),
+        frozenset().union(terms.resource_terms(query.constants), *(part.terms for part in parts)),
         frozenset().union(*(part.rests_on for part in parts)),
         unread.resources,
         unread.records,
@@ -78,18 +87,18 @@ def _documents(query: Query) -> Iterator[str]:
                 yield term.value
 
 
-def _named(constants: Iterable[str], terms: Terms) -> Iterator[Demand]:
+def _named(constants: Iterable[str], terms: VocabularyView) -> Iterator[Demand]:
     """The demands for what is named outside of patterns: where nothing else says so, it is looked at all the same."""
     for iri in constants:
         named = terms.type_named(iri)
         if named is not None:
             yield Demand(types=frozenset({named}))
         elif terms.is_here(iri):
-            yield Demand(frozenset({document(iri)}), parameters=True)
+            yield Demand(frozenset({document_of(iri)}), parameters=True)
 
 
 @dataclass(eq=False, slots=True)
-class Part:
+class LivePart:
     """Patterns that match in one graph if any of them matches live values; `graphs` are the only ones it can be.
 
     `links` are those that connect it. `free`: it matches any node. `in_one`: it matches within one graph in any case;
@@ -104,7 +113,7 @@ class Part:
     is_named: bool = False
 
 
-class Meaning:
+class PartNeeds:
     """What a part needs.
 
     `demand` are the values of topics and parameters. `terms` are the classes and predicates by which it names resources
@@ -112,11 +121,11 @@ class Meaning:
     and classes that narrow it, if they are said by the server alone.
     """
 
-    def __init__(self, part: Part, vocabulary: Terms) -> None:
+    def __init__(self, part: LivePart, vocabulary: VocabularyView) -> None:
         self._part = part
         self._vocabulary = vocabulary
-        self._sayings = [vocabulary.says(each) for each in part.patterns]
-        self._said = reduce(Said.also, self._sayings, UNKNOWN)
+        self._sayings = [vocabulary.subject_meaning(each) for each in part.patterns]
+        self._said = reduce(NodeMeaning.combine, self._sayings, UNKNOWN_NODE)
         self._live = ANY if part.free else self._of(self._resources()) & self._said.live
         self.demand = self._demand()
         self.terms = self._named_by()
@@ -128,10 +137,10 @@ class Meaning:
         together = zip(self._part.patterns, self._sayings, strict=True)
         return {each.subject for each, said in together if self._vocabulary.is_of_resource(each, said)}
 
-    def _of(self, resources: Collection[Term]) -> Live:
+    def _of(self, resources: Collection[Term]) -> LiveKinds:
         """The kinds of live values that its patterns can match, these being resources themselves."""
-        found = (self._vocabulary.live(each, each.subject in resources) for each in self._part.patterns)
-        return reduce(Live.__or__, found, NEITHER)
+        found = (self._vocabulary.live_kinds(each, each.subject in resources) for each in self._part.patterns)
+        return reduce(LiveKinds.__or__, found, NEITHER)
 
     def _demand(self) -> Demand | None:
         part, live = self._part, self._live
@@ -145,9 +154,9 @@ class Meaning:
         if self._part.graphs is not None or not self._live.resources:
             return frozenset()
         known = self._vocabulary
-        return frozenset().union(*(known.of_constants(known.spoken(each)) for each in self._part.patterns))
+        return frozenset().union(*(known.resource_terms(known.defining_terms(each)) for each in self._part.patterns))
 
-    def _left_unread(self) -> Live:
+    def _left_unread(self) -> LiveKinds:
         part, known = self._part, self._vocabulary
         if part.is_named:
             return NEITHER
@@ -157,7 +166,7 @@ class Meaning:
         if part.graphs is not None:
             of_resources = is_left and any(map(known.is_of_resources, part.graphs))
             of_parameters = part.in_one and any(map(known.is_of_parameters, part.graphs))
-            return Live(resources=of_resources, parameters=of_parameters)
+            return LiveKinds(resources=of_resources, parameters=of_parameters)
         is_covered = not part.free and any(map(known.names_resources, part.patterns))
         resources = self._live.resources and (is_left or not is_covered)
         return self._live._replace(resources=resources, parameters=part.in_one and self._is_of_trees)
@@ -171,31 +180,31 @@ class Meaning:
         part = self._part
         if part.in_one or len(part.patterns) < 2 or not any(self._of(())):
             return frozenset()
-        saying = (each for each, said in zip(part.patterns, self._sayings, strict=True) if said != UNKNOWN)
-        return frozenset().union(*map(self._vocabulary.spoken, (*saying, *part.links)))
+        saying = (each for each, said in zip(part.patterns, self._sayings, strict=True) if said != UNKNOWN_NODE)
+        return frozenset().union(*map(self._vocabulary.defining_terms, (*saying, *part.links)))
 
 
-def _parts(group: Group, terms: Terms) -> Iterator[Part]:
+def _parts(group: Group, terms: VocabularyView) -> Iterator[LivePart]:
     """The patterns of a group, by the graphs they must match in."""
     free = [each for each in group.patterns if _is_free(each, group.patterns)]
     bound = [each for each in group.patterns if each not in free]
     if group.graph is not None:
         names = frozenset({group.graph.value}) if isinstance(group.graph, Iri) else None
         for pattern in free:
-            yield Part(names, [pattern], free=True, in_one=True, is_named=names is not None)
-        subjects = (frozenset({document(each.subject.value)}) for each in bound if isinstance(each.subject, Iri))
-        yield Part(_common((names, *subjects)), bound, in_one=True, is_named=names is not None)
+            yield LivePart(names, [pattern], free=True, in_one=True, is_named=names is not None)
+        subjects = (frozenset({document_of(each.subject.value)}) for each in bound if isinstance(each.subject, Iri))
+        yield LivePart(_common((names, *subjects)), bound, in_one=True, is_named=names is not None)
         return
     for pattern in free:
-        yield Part(None, [pattern], free=True)
-    staying = [each for each in bound if not each.repeated or terms.stays(each)]
+        yield LivePart(None, [pattern], free=True)
+    staying = [each for each in bound if not each.repeated or terms.stays_in_graph(each)]
     for pattern in bound:
         if pattern not in staying:
-            yield Part(None, [pattern])
+            yield LivePart(None, [pattern])
     yield from _connect(staying, terms)
 
 
-def _connect(patterns: Sequence[Pattern], terms: Terms) -> Iterator[Part]:
+def _connect(patterns: Sequence[Pattern], terms: VocabularyView) -> Iterator[LivePart]:
     """The patterns by what they are about: a union-find over their subjects, constants going by their documents."""
     rooted = _rooted(patterns)
     leaders: dict[str, str] = {}
@@ -204,12 +213,14 @@ def _connect(patterns: Sequence[Pattern], terms: Terms) -> Iterator[Part]:
         above = leaders.setdefault(key, key)
         return key if above == key else leader(above)
 
-    links = [each for each in patterns if terms.stays(each) and (each.object in rooted or _is_node(each.object))]
+    links = [
+        each for each in patterns if terms.stays_in_graph(each) and (each.object in rooted or _is_node(each.object))
+    ]
     for pattern in links:
         leaders[leader(_key(pattern.object))] = leader(_key(pattern.subject))
-    parts: dict[str, Part] = {}
+    parts: dict[str, LivePart] = {}
     for pattern in patterns:
-        part = parts.setdefault(leader(_key(pattern.subject)), Part())
+        part = parts.setdefault(leader(_key(pattern.subject)), LivePart())
         part.patterns.append(pattern)
         if pattern in links:
             part.links.append(pattern)
@@ -257,4 +268,4 @@ _NIL = rdf.nil.value
 def _key(term: Term) -> str:
     if isinstance(term, Variable):
         return "?" + term.name
-    return "<" + document(term.value) if isinstance(term, Iri) and term.value != _NIL else "!"
+    return "<" + document_of(term.value) if isinstance(term, Iri) and term.value != _NIL else "!"

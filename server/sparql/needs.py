@@ -23,7 +23,7 @@ class Demand:
     parameters: bool = False
 
     @property
-    def anything(self) -> bool:
+    def is_anything(self) -> bool:
         """Whether it names no graph and no type."""
         return self.graphs is None and not self.types
 
@@ -59,22 +59,22 @@ class Needs:
     graph_names: frozenset[str] = frozenset()
 
     @cached_property
-    def nothing(self) -> bool:
+    def is_nothing(self) -> bool:
         """Whether the query needs no live value and names no document."""
         return not (self.demands or self.documents or self.terms)
 
     @cached_property
-    def everything(self) -> bool:
+    def is_everything(self) -> bool:
         """Whether it looks at the messages of any topic whatever: all that are subscribed to are to be there."""
-        return any(demand.anything and demand.messages for demand in self.demands)
+        return any(demand.is_anything and demand.messages for demand in self.demands)
 
     @cached_property
-    def messages(self) -> bool:
+    def needs_messages(self) -> bool:
         """Whether it needs values of topics at all."""
         return any(demand.messages for demand in self.demands)
 
     @cached_property
-    def parameters(self) -> bool:
+    def needs_parameters(self) -> bool:
         """Whether it needs values of parameters at all."""
         return any(demand.parameters for demand in self.demands)
 
@@ -107,7 +107,7 @@ class Needs:
         """Whether whoever brings all of this has brought all of the other, documents aside."""
         return all(any(_is_for(mine, one) for mine in self.demands) for one in other.demands)
 
-    def within(self, graphs: Collection[str]) -> Needs:
+    def restrict_to(self, graphs: Collection[str]) -> Needs:
         """The same query over these graphs alone (FROM, `default-graph-uri`), which it thereby names, and no others."""
         allowed = frozenset(graphs)
         narrowed = (
@@ -117,21 +117,23 @@ class Needs:
         of_trees = (Demand(trees, messages=False, parameters=True),) if trees else ()
         demands = (*(one for one in narrowed if one.graphs), *of_trees)
         documents = self.documents | allowed
-        return Needs(tuple(largest(demands)), documents, rests_on=self.rests_on, graph_names=self.graph_names | allowed)
+        return Needs(
+            tuple(remove_covered(demands)), documents, rests_on=self.rests_on, graph_names=self.graph_names | allowed
+        )
 
-    def resolved(self, documents: Collection[str]) -> Needs:
+    def with_documents(self, documents: Collection[str]) -> Needs:
         """The same with the documents that its terms stand for."""
         return replace(self, documents=self.documents.union(documents), terms=frozenset())
 
-    def mentioning(self, documents: frozenset[str] | None) -> Needs:
+    def with_mentions(self, documents: frozenset[str] | None) -> Needs:
         """The same with the resources of which clients say what it rests on; None: of any."""
-        demands = tuple(largest((*self.demands, Demand(documents, parameters=True))))
+        demands = tuple(remove_covered((*self.demands, Demand(documents, parameters=True))))
         if documents is None:
             return replace(self, demands=demands, rests_on=frozenset(), resources=True, records=True)
         return replace(self, demands=demands, rests_on=frozenset(), documents=self.documents | documents)
 
 
-def largest(demands: Iterable[Demand]) -> Iterator[Demand]:
+def remove_covered(demands: Iterable[Demand]) -> Iterator[Demand]:
     """The demands that no other stands for."""
     kept: list[Demand] = []
     for one in dict.fromkeys(demands):
@@ -143,4 +145,4 @@ def largest(demands: Iterable[Demand]) -> Iterator[Demand]:
 
 def _is_for(one: Demand, other: Demand) -> bool:
     """Whether a demand covers another. What names something has it subscribed to, which one for anything has not."""
-    return one.covers(other) and (one.anything == other.anything or not other.messages)
+    return one.covers(other) and (one.is_anything == other.is_anything or not other.messages)

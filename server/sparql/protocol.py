@@ -15,11 +15,11 @@ from rosld.server.http import header_syntax, media
 from rosld.server.http.media import MediaType
 from rosld.server.http.problem import Problem
 from rosld.server.http.text import FORM, codec_for, to_utf8
-from rosld.server.sparql.syntax.lexer import Kind, place, tokens
+from rosld.server.sparql.syntax.lexer import Kind, line_and_column, tokens
 
-DIRECT = "application/sparql-query"
-UPDATE = "application/sparql-update"
-ACCEPT_POST = f"{DIRECT}, {UPDATE}, {FORM}"
+QUERY_MEDIA_TYPE = "application/sparql-query"
+UPDATE_MEDIA_TYPE = "application/sparql-update"
+ACCEPT_POST = f"{QUERY_MEDIA_TYPE}, {UPDATE_MEDIA_TYPE}, {FORM}"
 _MAX_PARAMETERS = 1000
 _LONGEST_CACHED = 4096
 
@@ -60,7 +60,7 @@ def query_request(method: str, query_string: bytes, content_type: str | None = N
     """
     if method in ("GET", "HEAD"):
         return _remembered(query_string) if len(query_string) <= _LONGEST_CACHED else _from_url(query_string)
-    asked = posted(query_string, content_type, body)
+    asked = posted_request(query_string, content_type, body)
     if isinstance(asked, UpdateRequest):
         raise Problem(400, "This is an update, and only queries are taken here.")
     return asked
@@ -72,13 +72,13 @@ def update_request(query_string: bytes, content_type: str | None, body: bytes) -
     Raises Problems: 400 for no update, several, a query, text that is not UTF-8, graph names that are no IRIs, and
     graphs named beside a text that names its own (USING, WITH); 415 for bodies of other media types.
     """
-    asked = posted(query_string, content_type, body)
+    asked = posted_request(query_string, content_type, body)
     if isinstance(asked, QueryRequest):
         raise Problem(400, "This is a query, and only updates are taken here.")
     return asked
 
 
-def posted(query_string: bytes, content_type: str | None, body: bytes) -> QueryRequest | UpdateRequest:
+def posted_request(query_string: bytes, content_type: str | None, body: bytes) -> QueryRequest | UpdateRequest:
     """The query or the update that a POST asks for. Raises Problems as `query_request` and `update_request` do."""
     in_url = _parameters(query_string, "query string")
     if any(name == "update" for name, _ in in_url):
@@ -92,13 +92,14 @@ def posted(query_string: bytes, content_type: str | None, body: bytes) -> QueryR
         if any(name == "query" for name, _ in in_url):
             raise Problem(400, "The query stands in the URL and the form: send it in one of them.")
         return _request([*in_url, *in_form])
-    if essence == DIRECT:
+    if essence == QUERY_MEDIA_TYPE:
         return _request([*in_url, ("query", _decode(body, "query", stated))])
-    if essence == UPDATE:
+    if essence == UPDATE_MEDIA_TYPE:
         return _update([*in_url, ("update", _decode(body, "update", stated))])
     raise Problem(
         415,
-        f"A query comes as {DIRECT}, an update as {UPDATE}, either as a form ({FORM}), not as {content_type}.",
+        f"A query comes as {QUERY_MEDIA_TYPE}, an update as {UPDATE_MEDIA_TYPE}, either as a form ({FORM}), not as "
+        f"{content_type}.",
         headers=_ACCEPTED,
     )
 
@@ -117,7 +118,7 @@ def _media_type(content_type: str | None) -> MediaType:
     if content_type is None:
         raise Problem(
             415,
-            f"The request has no Content-Type; a query comes as {DIRECT}, an update as {UPDATE}.",
+            f"The request has no Content-Type; a query comes as {QUERY_MEDIA_TYPE}, an update as {UPDATE_MEDIA_TYPE}.",
             headers=_ACCEPTED,
         )
     try:
@@ -156,10 +157,10 @@ def _request(parameters: list[tuple[str, str]]) -> QueryRequest:
         raise Problem(400, f"There are {len(queries)} queries in one request; send one.")
     _refuse(parameters, _USING, "are for updates; a query has default-graph-uri and named-graph-uri")
     default, named = (_graphs(parameters, name) for name in _DATASET)
-    return QueryRequest(queries[0], default, named, timeout_asked(parameters))
+    return QueryRequest(queries[0], default, named, requested_timeout(parameters))
 
 
-def timeout_asked(parameters: Iterable[tuple[str, str]]) -> float | None:
+def requested_timeout(parameters: Iterable[tuple[str, str]]) -> float | None:
     """The seconds of `?timeout=`, None where it is not given. Raises a 400 Problem for what is no such number."""
     given = [value for name, value in parameters if name == "timeout"]
     if not given:
@@ -196,7 +197,7 @@ def _refuse_own_dataset(text: str) -> None:
     """Raise a 400 Problem for an update that says itself which graphs it reads (SPARQL 1.1 Protocol 2.2.3)."""
     for token in tokens(text):
         if token.is_word("WITH") or (token.kind is Kind.WORD and token.text.upper().startswith("USING")):
-            where = place(text, token.start)
+            where = line_and_column(text, token.start)
             raise Problem(
                 400, f"{token.text} at {where}: the graphs are named beside the update already, name them once."
             )

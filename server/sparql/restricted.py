@@ -22,7 +22,7 @@ from rosld.server.auth.redaction.documents import redact_document
 from rosld.server.dataset import Edit
 from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
-from rosld.server.sparql.process.work import Dump, Graphs
+from rosld.server.sparql.process.work import DumpGraphs, ListGraphs
 
 _MAX_DATASETS = 8
 """Restricted datasets at a time; the one that was asked longest ago goes first."""
@@ -37,16 +37,16 @@ class RestrictedDatasets:
         self._process = process
         self._revision = revision
         self._kept: OrderedDict[str, _Restricted] = OrderedDict()
-        process.watch(self._changed)
+        process.on_change(self._changed)
 
-    async def of(self, permissions: Permissions, limits: Limits, until: float) -> int:
+    async def dataset_for(self, permissions: Permissions, limits: Limits, until: float) -> int:
         """The number of the dataset as the judge lets it be seen, of now: to be asked at once. Raises Problems."""
         revision = self._revision() if permissions.rights.is_typed else None
         found = self._kept.get(permissions.rights_key)
         if found is None or found.revision != revision or found.generation != self._process.generation:
             if found is not None:
                 self._drop(permissions.rights_key)
-            names: list[str] = pickle.loads(await self._process.result(Graphs(), limits, until))
+            names: list[str] = pickle.loads(await self._process.result(ListGraphs(), limits, until))
             found = self._kept[permissions.rights_key] = _Restricted(self._process, permissions, revision, names)
             while len(self._kept) > _MAX_DATASETS:
                 self._drop(next(iter(self._kept)))
@@ -89,7 +89,7 @@ class _Restricted:
             texts: dict[str, str | None] = dict.fromkeys(part)
             try:
                 if readable:
-                    texts |= pickle.loads(await self._process.result(Dump(readable), limits, until))
+                    texts |= pickle.loads(await self._process.result(DumpGraphs(readable), limits, until))
                     texts = await asyncio.to_thread(self._seen, texts)
                 self._process.change(texts, dataset=self.number)
             except BaseException:

@@ -26,7 +26,7 @@ from rosld.server.dataset.base import Term
 from rosld.server.dataset.encoding import Decoder, decode_term, decode_triple
 from rosld.server.http import negotiation
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.xml_output import HELD, XmlOutput, not_in_xml
+from rosld.server.sparql.xml_output import MAX_HELD_BYTES, XmlOutput, not_in_xml
 
 Check: TypeAlias = Callable[[], None]
 """Raises once the time is over."""
@@ -66,9 +66,9 @@ _PREFIXED = frozenset({RdfFormat.TURTLE, RdfFormat.TRIG, RdfFormat.N3})
 _PREFIXES = dict(PREFIXES)
 
 
-def choose(form: str | None, accept: str | None) -> str:
+def choose_media_type(form: str | None, accept: str | None) -> str:
     """The media type of the answer to a query of this form; Problem 406 where none is acceptable."""
-    offers = offers_of(form)
+    offers = media_types_of(form)
     chosen = negotiation.choose(accept, offers)
     if chosen is None:
         of = "A dataset" if form == QUADS else f"The results of {form or 'a query'}"
@@ -76,7 +76,7 @@ def choose(form: str | None, accept: str | None) -> str:
     return chosen
 
 
-def offers_of(form: str | None) -> tuple[str, ...]:
+def media_types_of(form: str | None) -> tuple[str, ...]:
     """The media types that the answer to a query of this form can be had in, the favourite first."""
     if form == QUADS:
         return _DATASETS
@@ -88,7 +88,7 @@ _SOLUTIONS, _GRAPHS, _DATASETS = tuple(SOLUTIONS), tuple(GRAPHS), tuple(DATASETS
 
 def without_xml(form: str | None, accept: str | None) -> str | None:
     """The media type of the answer to a query of this form that is not XML, None where none is acceptable."""
-    return negotiation.choose(accept, tuple(offer for offer in offers_of(form) if not offer.endswith("xml")))
+    return negotiation.choose(accept, tuple(offer for offer in media_types_of(form) if not offer.endswith("xml")))
 
 
 def content_type(media_type: str) -> str:
@@ -96,7 +96,7 @@ def content_type(media_type: str) -> str:
     return f"{media_type}; charset=utf-8" if media_type in _CHARSET else media_type
 
 
-def write(results: Results, media_type: str, output: BinaryIO, check: Check, base: str) -> None:
+def write_results(results: Results, media_type: str, output: BinaryIO, check: Check, base: str) -> None:
     """Write results as they come. Raises what `check` and `output` raise, and Problem 406 for what XML cannot carry."""
     if isinstance(results, QueryTriples):
         _write_graph(results, GRAPHS[media_type], output, check, base)
@@ -121,9 +121,9 @@ def _write_solutions(results: QuerySolutions | QueryBoolean, media_type: str, ou
     if isinstance(results, QueryBoolean) and media_type in _BOOLEANS:
         output.write(_BOOLEANS[media_type] % (b"true" if results else b"false"))
     elif syntax == QueryResultsFormat.XML:
-        xml = XmlOutput(output, HELD)
+        xml = XmlOutput(output, MAX_HELD_BYTES)
         results.serialize(cast("BinaryIO", xml), syntax)
-        xml.end()
+        xml.finish()
     else:
         results.serialize(output, syntax)
 
@@ -186,7 +186,7 @@ def _check(triples: Iterable[Triple], check: Check) -> Iterator[Triple]:
         yield decode_triple(triple)
 
 
-class Table(NamedTuple):
+class ResultRows(NamedTuple):
     """The first rows of results, for a page: of a graph, subject, predicate and object; `boolean` is ASK's answer.
 
     `unread` is how many graphs the query could match that are not looked at unless it names them, by container.
@@ -198,17 +198,17 @@ class Table(NamedTuple):
     unread: Mapping[str, int] = {}
 
 
-def table(results: Results, limit: int, check: Check) -> Table:
+def result_rows(results: Results, limit: int, check: Check) -> ResultRows:
     """At most `limit` rows of results. Raises what `check` raises."""
     if isinstance(results, QueryBoolean):
-        return Table(boolean=bool(results))
+        return ResultRows(boolean=bool(results))
     if isinstance(results, QuerySolutions):
         names = tuple(variable.value for variable in results.variables)
-        return Table(names, tuple(_rows((tuple(row) for row in results), limit, check)))
+        return ResultRows(names, tuple(_rows((tuple(row) for row in results), limit, check)))
     triples: Iterator[tuple[Term | None, ...]] = (
         (triple.subject, triple.predicate, triple.object) for triple in results
     )
-    return Table(("subject", "predicate", "object"), tuple(_rows(triples, limit, check)))
+    return ResultRows(("subject", "predicate", "object"), tuple(_rows(triples, limit, check)))
 
 
 def _rows(rows: Iterator[tuple[Term | None, ...]], limit: int, check: Check) -> Iterator[tuple[Term | None, ...]]:

@@ -20,14 +20,14 @@ from rosld.server.sparql.syntax.tree import (
     Call,
     Choices,
     Constant,
+    EvaluatedExpression,
     Expression,
+    ExpressionPurpose,
     Operand,
     Part,
-    Place,
-    Purpose,
     Reference,
     Value,
-    core,
+    strip_brackets,
 )
 
 _NAMES = (
@@ -63,12 +63,12 @@ class _Edit(NamedTuple):
     text: str
 
 
-def rewrite(text: str, literals: Iterable[Constant], places: Iterable[Place]) -> str:
+def rewrite(text: str, literals: Iterable[Constant], expressions: Iterable[EvaluatedExpression]) -> str:
     """Return a text for the dataset: its literals in patterns and data, and the places of its expressions, changed."""
     rewriter = _Rewriter(text)
     for literal in literals:
         rewriter.literal(literal)
-    for place in places:
+    for place in expressions:
         rewriter.place(place)
     return rewriter.rewritten()
 
@@ -109,16 +109,16 @@ class _Rewriter:
         elif stored is not literal:
             self._replace(constant.start, constant.end, str(stored))
 
-    def place(self, place: Place) -> None:
+    def place(self, place: EvaluatedExpression) -> None:
         """Change an expression for what it is evaluated for."""
-        if place.purpose is Purpose.ORDER:
+        if place.purpose is ExpressionPurpose.ORDER:
             self._order(place)
         else:
-            self._change(place.operand, _Use.TEST if place.purpose is Purpose.TEST else _Use.TERM)
+            self._change(place.operand, _Use.TEST if place.purpose is ExpressionPurpose.TEST else _Use.TERM)
 
-    def _order(self, place: Place) -> None:
+    def _order(self, place: EvaluatedExpression) -> None:
         """A condition of ORDER BY: what is compared has a total order."""
-        operand, within = place.operand, core(place.operand)
+        operand, within = place.operand, strip_brackets(place.operand)
         if isinstance(within, Reference):
             conditions = (f" {place.direction}({each.replace('?', within.name)})" for each in _ORDERED)
             self._replace(place.start, operand.end, f"{''.join(conditions)} ")
@@ -182,7 +182,7 @@ class _Rewriter:
         [argument] = call.arguments
         before, after = self._text[call.start : argument.start], self._text[argument.end : call.end]
         opened, closed = ("", "") if use is _Use.TERM else (f"<{VALUE}>(", ")")
-        within = core(argument)
+        within = strip_brackets(argument)
         if isinstance(within, Reference):
             name, function = within.name, GREATER if call.name == "MAX" else LESS
             no_number, no_key = (f"<{NAMESPACE}>", '""') if call.name == "MAX" else (f'"{NOTHING}"',) * 2
@@ -227,7 +227,7 @@ _ORDERED = (
 
 def _passes(operand: Operand) -> bool:
     """Whether its result may be a term that is stored, and not only one that is computed."""
-    within = core(operand)
+    within = strip_brackets(operand)
     if isinstance(within, Call):
         return within.name in _PASSING or within.name in ("IF", "MIN", "MAX", "STRDT")
     return isinstance(within, Reference | Constant)

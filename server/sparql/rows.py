@@ -18,7 +18,7 @@ _UNSEEN = 4 * 1024 * 1024
 """Bytes that are kept for being counted later."""
 
 
-def limited(output: BinaryIO, media_type: str, graph: bool, limit: int) -> BinaryIO:
+def limit_rows(output: BinaryIO, media_type: str, graph: bool, limit: int) -> BinaryIO:
     """An output that raises Problem 503 (rows) for more than `limit` rows, or triples of a `graph`.
 
     It is `output` itself for what has no rows that can be counted so: these are for `Count`.
@@ -31,7 +31,7 @@ def limited(output: BinaryIO, media_type: str, graph: bool, limit: int) -> Binar
     return cast("BinaryIO", _Limited(output, make(), limit, min(limit * shortest, _UNSEEN)))
 
 
-class Count:
+class RowCounter:
     """Counts what is made one by one; `check` is called before each."""
 
     def __init__(self, check: Check, limit: int) -> None:
@@ -39,7 +39,7 @@ class Count:
         self._limit = limit
         self._left = limit
 
-    def one(self) -> None:
+    def count(self) -> None:
         """Count one more. Raises what `check` raises, and Problem 503 (rows)."""
         self._check()
         self._left -= 1

@@ -25,13 +25,21 @@ from rosld.ontology.urls import Space, locate
 from rosld.ontology.vocab import xsd
 from rosld.server.dataset import QueryError
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.analysis import Analyser, refusal
-from rosld.server.sparql.syntax.lexer import BOUNDS, Bounds, Kind, check, place, tokens, update_keyword
+from rosld.server.sparql.analysis import Analyser, parse_problem
+from rosld.server.sparql.syntax.lexer import (
+    DEFAULT_BOUNDS,
+    Kind,
+    QueryBounds,
+    check_text,
+    line_and_column,
+    tokens,
+    update_keyword,
+)
 
 _SUFFIX = ".rq"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 _PARAMETER = re.compile(r"@param\s+(?P<name>\S+)\s+(?P<type>\S+)(?:\s+(?P<default>.*?))??\s+--\s+(?P<about>\S.*)")
-OTHERS = {"format": "in which format the results come", "timeout": "how long the query may take"}
+OTHER_SETTINGS = {"format": "in which format the results come", "timeout": "how long the query may take"}
 """What else the query of a URL says, whatever the parameters are."""
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _INT64 = range(-(2**63), 2**63)
@@ -43,7 +51,7 @@ _LINE_END = re.compile(r"\r\n?|\n")
 _PLACE = re.compile(r" at (\d+):\d+")
 
 
-class Type(Enum):
+class ParameterType(Enum):
     """What a parameter can be."""
 
     IRI = "iri"
@@ -53,11 +61,11 @@ class Type(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class QueryParameterDeclaration:
     """A parameter: the variable it binds, without its mark; `default` as it would be given, None where it must be."""
 
     name: str
-    type: Type
+    type: ParameterType
     default: str | None
     about: str
 
@@ -68,14 +76,14 @@ class StoredQuery:
 
     name: str
     purpose: str
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[QueryParameterDeclaration, ...]
     text: str
 
 
 # Reading
 
 
-def shipped() -> Mapping[str, StoredQuery]:
+def shipped_queries() -> Mapping[str, StoredQuery]:
     """The queries that come with rosld, by name in order. They were looked at when they were made."""
     found = (file for file in files("rosld.queries").iterdir() if file.name.endswith(_SUFFIX))
     ordered = sorted(found, key=lambda file: file.name)
@@ -83,7 +91,7 @@ def shipped() -> Mapping[str, StoredQuery]:
     return {name: outline(name, text) for name, text in texts.items()}
 
 
-def read(name: str, text: str, bounds: Bounds = BOUNDS) -> StoredQuery:
+def read_stored_query(name: str, text: str, bounds: QueryBounds = DEFAULT_BOUNDS) -> StoredQuery:
     """The stored query that a text is.
 
     Raises ValueError naming the query and the line (or the parameter) that is not as it should be.
@@ -101,7 +109,7 @@ def outline(name: str, text: str) -> StoredQuery:
 def _outline(name: str, text: str) -> tuple[StoredQuery, Mapping[str, int]]:
     """The query, and the line in which each parameter is told of."""
     purpose: list[str] = []
-    parameters: list[Parameter] = []
+    parameters: list[QueryParameterDeclaration] = []
     lines: dict[str, int] = {}
     for number, line in enumerate(_comments(text), 1):
         if line.startswith("@"):
@@ -129,21 +137,23 @@ def _comments(text: str) -> Iterable[str]:
         yield line[1:].strip()
 
 
-def _parameter(line: str, where: str) -> Parameter:
+def _parameter(line: str, where: str) -> QueryParameterDeclaration:
     match = _PARAMETER.fullmatch(line)
     if match is None:
         raise ValueError(f"{where}: {_told(line)} should look like '@param seconds double 5 -- what it is'")
     name, kind, default = match["name"], match["type"], match["default"]
     if not _NAME.fullmatch(name):
         raise ValueError(f"{where}: the parameter {_told(name)} must be named with ASCII letters, digits, underscores")
-    if name in OTHERS:
-        raise ValueError(f"{where}: no parameter can be called {name}: it says {OTHERS[name]}")
-    if kind not in (one.value for one in Type):
-        raise ValueError(f"{where}: {_told(kind)} is no type of parameter: take {', '.join(one.value for one in Type)}")
-    return Parameter(name, Type(kind), "" if default == '""' else default, match["about"])
+    if name in OTHER_SETTINGS:
+        raise ValueError(f"{where}: no parameter can be called {name}: it says {OTHER_SETTINGS[name]}")
+    if kind not in (one.value for one in ParameterType):
+        raise ValueError(
+            f"{where}: {_told(kind)} is no type of parameter: take {', '.join(one.value for one in ParameterType)}"
+        )
+    return QueryParameterDeclaration(name, ParameterType(kind), "" if default == '""' else default, match["about"])
 
 
-def _check(query: StoredQuery, lines: Mapping[str, int], bounds: Bounds) -> None:
+def _check(query: StoredQuery, lines: Mapping[str, int], bounds: QueryBounds) -> None:
     """That the parameters fit their types and stand where terms may stand, and that it is a query then."""
     name = query.name
     for parameter in query.parameters:
@@ -152,10 +162,10 @@ def _check(query: StoredQuery, lines: Mapping[str, int], bounds: Bounds) -> None
         except ValueError as error:
             raise ValueError(f"{name}:{lines[parameter.name]}: the default of {parameter.name}: {error}") from error
     try:
-        checked = check(query.text, bounds)
+        checked = check_text(query.text, bounds)
         if keyword := update_keyword(checked.tokens):
             word = next(token for token in checked.tokens if token.text.upper() == keyword)
-            line = place(checked.text, word.start).partition(":")[0]
+            line = line_and_column(checked.text, word.start).partition(":")[0]
             raise ValueError(f"{name}:{line}: {keyword} is an update, and a stored query only reads")
         there = {token.text[1:] for token in checked.tokens if token.kind is Kind.VARIABLE}
         if unused := [one for one in lines if one not in there]:
@@ -163,7 +173,7 @@ def _check(query: StoredQuery, lines: Mapping[str, int], bounds: Bounds) -> None
                 f"{name}:{lines[unused[0]]}: no ?{unused[0]} is in the query, though it is told of as a parameter"
             )
         samples = {one.name: _SAMPLES[one.type] for one in query.parameters if one.default is None}
-        bound = bind(query, samples, _ANYWHERE)
+        bound = bind_parameters(query, samples, _ANYWHERE)
     except Problem as problem:
         raise ValueError(f"{name}: {problem.detail}") from problem
     try:
@@ -174,7 +184,7 @@ def _check(query: StoredQuery, lines: Mapping[str, int], bounds: Bounds) -> None
         raise ValueError(f"{where}: with its parameters bound it is no query. {problem.detail}") from problem
 
 
-def _parse(text: str, bounds: Bounds, nobodys: str) -> None:
+def _parse(text: str, bounds: QueryBounds, nobodys: str) -> None:
     """Hold that a text is a query, in which there is no variable of that name. Raises Problem 400."""
     analysis = Analyser(_ANYWHERE, TYPES, bounds=bounds).analyse(text)
     # A value for a variable that is not there is refused after the text was parsed, and before it is evaluated.
@@ -182,7 +192,7 @@ def _parse(text: str, bounds: Bounds, nobodys: str) -> None:
     try:
         Store().query(analysis.text, base_iri=_ANYWHERE, prefixes=dict(analysis.prefixes), substitutions=values)
     except SyntaxError as error:
-        raise refusal(QueryError(str(error)), analysis.text) from error
+        raise parse_problem(QueryError(str(error)), analysis.text) from error
     except RuntimeError:
         pass  # it parsed
 
@@ -190,7 +200,7 @@ def _parse(text: str, bounds: Bounds, nobodys: str) -> None:
 # Binding
 
 
-def bind(query: StoredQuery, given: Mapping[str, str], base: str) -> str:
+def bind_parameters(query: StoredQuery, given: Mapping[str, str], base: str) -> str:
     """The text of the query with its parameters bound to what is given, or by default.
 
     `base` is the server's base URL (with its slash at the end): an `iri` may be given as a path below it (`/topics/x`).
@@ -222,9 +232,9 @@ def _with_terms(query: StoredQuery, terms: Mapping[str, str]) -> Iterator[str]:
         yield text
 
 
-def _bound(parameter: Parameter, given: str | None, base: str) -> str:
+def _bound(parameter: QueryParameterDeclaration, given: str | None, base: str) -> str:
     """The term a parameter stands for, as SPARQL. Raises ValueError (a Misfit, or with words of its own)."""
-    if given is None or (not given and parameter.type is not Type.STRING):
+    if given is None or (not given and parameter.type is not ParameterType.STRING):
         given = parameter.default
     if given is None:
         raise ValueError(f"must be given; it is {parameter.about}")
@@ -246,7 +256,7 @@ def _refused(query: StoredQuery, wrong: list[str]) -> Problem:
     )
 
 
-def _offer(parameters: tuple[Parameter, ...]) -> str:
+def _offer(parameters: tuple[QueryParameterDeclaration, ...]) -> str:
     if not parameters:
         return "This query has no parameters."
     return f"Its parameters: {', '.join(f'{one.name} ({one.type.value})' for one in parameters)}."
@@ -315,11 +325,16 @@ def _url(path: str, base: str) -> str:
     return f"{written}{'/' if location.is_container else ''}{match[2]}"
 
 
-_TERMS: Mapping[Type, Callable[[str, str], str]] = {
-    Type.IRI: _iri,
-    Type.STRING: _string,
-    Type.INTEGER: _integer,
-    Type.DOUBLE: _double,
+_TERMS: Mapping[ParameterType, Callable[[str, str], str]] = {
+    ParameterType.IRI: _iri,
+    ParameterType.STRING: _string,
+    ParameterType.INTEGER: _integer,
+    ParameterType.DOUBLE: _double,
 }
 _ANYWHERE = "http://localhost/"
-_SAMPLES: Mapping[Type, str] = {Type.IRI: "/", Type.STRING: "", Type.INTEGER: "0", Type.DOUBLE: "0"}
+_SAMPLES: Mapping[ParameterType, str] = {
+    ParameterType.IRI: "/",
+    ParameterType.STRING: "",
+    ParameterType.INTEGER: "0",
+    ParameterType.DOUBLE: "0",
+}

@@ -12,7 +12,7 @@ from rosld.ontology.vocab import PREFIXES, prov, rdf, ros, td
 from rosld.server.sparql.syntax.tree import Iri, Pattern, Term, Variable
 
 
-class Live(NamedTuple):
+class LiveKinds(NamedTuple):
     """Kinds of what is not always in the dataset.
 
     Values of topics (`messages`) and of parameters, what lies below `/resources/`, and recorded messages.
@@ -23,21 +23,21 @@ class Live(NamedTuple):
     resources: bool = False
     records: bool = False
 
-    def __or__(self, other: Live) -> Live:
-        return Live(self[0] or other[0], self[1] or other[1], self[2] or other[2], self[3] or other[3])
+    def __or__(self, other: LiveKinds) -> LiveKinds:
+        return LiveKinds(self[0] or other[0], self[1] or other[1], self[2] or other[2], self[3] or other[3])
 
-    def __and__(self, other: Live) -> Live:
-        return Live(self[0] and other[0], self[1] and other[1], self[2] and other[2], self[3] and other[3])
+    def __and__(self, other: LiveKinds) -> LiveKinds:
+        return LiveKinds(self[0] and other[0], self[1] and other[1], self[2] and other[2], self[3] and other[3])
 
 
-ANY, NEITHER = Live(True, True, True, True), Live()
-_OF_MESSAGES = Live(messages=True, resources=True, records=True)
+ANY, NEITHER = LiveKinds(True, True, True, True), LiveKinds()
+_OF_MESSAGES = LiveKinds(messages=True, resources=True, records=True)
 """Of any message, wherever it is shown: as a topic's, as the value of a resource, as a recorded one."""
-_BESIDE = Live(resources=True, records=True)
+_BESIDE = LiveKinds(resources=True, records=True)
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class NodeMeaning:
     """What is known of a node.
 
     `resource`: it is a resource itself, no message within one; `live`: the kinds of graphs it can be of; `types`: the
@@ -45,18 +45,18 @@ class Said:
     """
 
     resource: bool = False
-    live: Live = ANY
+    live: LiveKinds = ANY
     types: frozenset[str] = frozenset()
 
-    def also(self, other: Said) -> Said:
+    def combine(self, other: NodeMeaning) -> NodeMeaning:
         """Both at once."""
-        return Said(self.resource or other.resource, self.live & other.live, self.types | other.types)
+        return NodeMeaning(self.resource or other.resource, self.live & other.live, self.types | other.types)
 
 
-UNKNOWN = Said()
-_TOPIC, _PARAMETER = Said(True, Live(messages=True)), Said(True, Live(parameters=True))
-_MESSAGE, _BELOW = Said(False, _OF_MESSAGES), Said(True, Live(resources=True))
-_RESOURCE, _OTHER = Said(True), Said(True, NEITHER)
+UNKNOWN_NODE = NodeMeaning()
+_TOPIC, _PARAMETER = NodeMeaning(True, LiveKinds(messages=True)), NodeMeaning(True, LiveKinds(parameters=True))
+_MESSAGE, _BELOW = NodeMeaning(False, _OF_MESSAGES), NodeMeaning(True, LiveKinds(resources=True))
+_RESOURCE, _OTHER = NodeMeaning(True), NodeMeaning(True, NEITHER)
 
 
 _LIVE = frozenset(
@@ -100,7 +100,7 @@ _DESCRIBED = frozenset(
     )
 )  # fmt: skip
 """Never said of what is live. Terms of the vocabulary that are not listed anywhere here count as live."""
-_PREDICATES: Mapping[str, Said] = {
+_PREDICATES: Mapping[str, NodeMeaning] = {
     **{one.value: _TOPIC for one in (ros.rate, ros.latest, ros.latestFrom, ros.hasMessageType)},
     **{
         one.value: _RESOURCE
@@ -112,7 +112,7 @@ _PREDICATES: Mapping[str, Said] = {
     **{one.value: _MESSAGE for one in (ros.received, ros.sequence, ros.dateTime, ros.sentBy)},
     ros.value.value: _PARAMETER,
 }
-_CLASSES: Mapping[str, Said] = {
+_CLASSES: Mapping[str, NodeMeaning] = {
     ros.Topic.value: _TOPIC,
     ros.Parameter.value: _PARAMETER,
     ros.Message.value: _MESSAGE,
@@ -149,7 +149,7 @@ _OF_ONE_KIND = (
 
 
 @dataclass(frozen=True, slots=True)
-class Terms:
+class VocabularyView:
     """The vocabulary as seen by a query.
 
     `types` is the namespace of message types, `relations` are the predicates that mappings give complex resources,
@@ -168,26 +168,26 @@ class Terms:
         """Whether an IRI is one of this server's resources, or a fragment of one."""
         return iri.startswith(self.base)
 
-    def stays(self, pattern: Pattern) -> bool:
+    def stays_in_graph(self, pattern: Pattern) -> bool:
         """Whether a live match leads to a node of the graph it stands in, if it leads to a node that has triples."""
         return pattern.predicates is not None and all(map(self._stays, pattern.predicates))
 
     def _stays(self, predicate: str) -> bool:
         return predicate in _STAYS or predicate.startswith(self.types)
 
-    def says(self, pattern: Pattern) -> Said:
+    def subject_meaning(self, pattern: Pattern) -> NodeMeaning:
         """What a pattern tells of its subject."""
         if name := self._field_of(pattern) or self._instance_of(pattern):
-            return Said(False, _OF_MESSAGES, frozenset({name}))
+            return NodeMeaning(False, _OF_MESSAGES, frozenset({name}))
         if pattern.empty or pattern.predicates is None or len(pattern.predicates) != 1:
-            return UNKNOWN
+            return UNKNOWN_NODE
         [predicate] = pattern.predicates
         if predicate == rdf.type.value and isinstance(pattern.object, Iri):
-            return UNKNOWN if pattern.repeated else _CLASSES.get(pattern.object.value, UNKNOWN)
+            return UNKNOWN_NODE if pattern.repeated else _CLASSES.get(pattern.object.value, UNKNOWN_NODE)
         if predicate == ros.hasMessageType.value and isinstance(pattern.object, Iri) and not pattern.repeated:
             named = self.type_named(pattern.object.value)
-            return Said(True, _TOPIC.live, frozenset({named}) if named else frozenset())
-        return _PREDICATES.get(predicate, UNKNOWN)
+            return NodeMeaning(True, _TOPIC.live, frozenset({named}) if named else frozenset())
+        return _PREDICATES.get(predicate, UNKNOWN_NODE)
 
     def _field_of(self, pattern: Pattern) -> str | None:
         """The one type whose field the first step must be."""
@@ -200,36 +200,36 @@ class Terms:
         is_type = pattern.predicates == _TYPE and not pattern.repeated
         return self.type_named(pattern.object.value) if is_type and isinstance(pattern.object, Iri) else None
 
-    def is_of_resource(self, pattern: Pattern, said: Said) -> bool:
+    def is_of_resource(self, pattern: Pattern, said: NodeMeaning) -> bool:
         """Whether the subject is a resource itself, no message within one; `said` is what the pattern says."""
         if pattern.repeated:
             return False
         return said.resource or (isinstance(pattern.subject, Iri) and "#" not in pattern.subject.value)
 
-    def live(self, pattern: Pattern, resource: bool) -> Live:
+    def live_kinds(self, pattern: Pattern, resource: bool) -> LiveKinds:
         """The kinds of live values that the pattern can match; `resource`: its subject is a resource itself."""
         if pattern.predicates is None:
             return ANY
         object = _UNKNOWN if pattern.repeated else pattern.object
         found = (self._live(each, object, resource and not pattern.repeated) for each in pattern.predicates)
-        return reduce(Live.__or__, found, NEITHER)
+        return reduce(LiveKinds.__or__, found, NEITHER)
 
-    def _live(self, predicate: str, object: Term, resource: bool) -> Live:
+    def _live(self, predicate: str, object: Term, resource: bool) -> LiveKinds:
         if predicate == rdf.type.value:
             return self._live_class(object, resource)
         if predicate in _LIVE or predicate.startswith(self.types):
             return _OF_MESSAGES
         if predicate == ros.value.value:
-            return Live(parameters=True)
+            return LiveKinds(parameters=True)
         if predicate in _BELOW_RESOURCES or predicate in _OF_RECORDS:
-            return Live(resources=predicate in _BELOW_RESOURCES, records=predicate in _OF_RECORDS)
+            return LiveKinds(resources=predicate in _BELOW_RESOURCES, records=predicate in _OF_RECORDS)
         if predicate in _DESCRIBED:
             return NEITHER
         if predicate.startswith(ros.iri):
             return ANY
         return _BESIDE if predicate in self.relations or predicate.startswith(_VOCABULARIES) else NEITHER
 
-    def _live_class(self, object: Term, resource: bool) -> Live:
+    def _live_class(self, object: Term, resource: bool) -> LiveKinds:
         if isinstance(object, Variable):
             return _BESIDE._replace(messages=not resource)
         if not isinstance(object, Iri):
@@ -237,16 +237,16 @@ class Terms:
         if object.value in (ros.Message.value, ros.Elided.value) or object.value.startswith(self.types):
             return _OF_MESSAGES
         if object.value == ros.Record.value:
-            return Live(records=True)
+            return LiveKinds(records=True)
         if object.value in (ros.ServerStatus.value, ros.Mirror.value):
             return ANY
         if object.value.startswith(ros.iri):
-            return Live(resources=object.value in _OF_RESOURCES)
+            return LiveKinds(resources=object.value in _OF_RESOURCES)
         return _BESIDE if object.value.startswith(_VOCABULARIES) else NEITHER
 
     def names_resources(self, pattern: Pattern) -> bool:
         """Whether what it can match below `resources/` is all named by its class or its predicates."""
-        spoken = self.spoken(pattern)
+        spoken = self.defining_terms(pattern)
         return bool(spoken) and spoken <= _OF_ONE_KIND | self.relations
 
     def is_of_resources(self, iri: str) -> bool:
@@ -263,11 +263,11 @@ class Terms:
         """Whether an IRI is that of a parameter or of a tree of them."""
         return iri.startswith(self.base + "parameters/")
 
-    def of_constants(self, iris: Iterable[str]) -> frozenset[str]:
+    def resource_terms(self, iris: Iterable[str]) -> frozenset[str]:
         """Those of the terms that name resources below `resources/`."""
         return frozenset(iris) & (_OF_RESOURCES | self.relations)
 
-    def spoken(self, pattern: Pattern) -> frozenset[str]:
+    def defining_terms(self, pattern: Pattern) -> frozenset[str]:
         """By what a client would have to say it: the class, or else the predicates."""
         is_class = pattern.predicates == _TYPE and not pattern.repeated
         if is_class and isinstance(pattern.object, Iri):
@@ -281,9 +281,9 @@ _TYPE = frozenset({rdf.type.value})
 
 @lru_cache(maxsize=4096)
 def _type_named(types: str, iri: str) -> str:
-    return unquote(document(iri[len(types) :]))
+    return unquote(document_of(iri[len(types) :]))
 
 
-def document(iri: str) -> str:
+def document_of(iri: str) -> str:
     """The document an IRI points into: the IRI without its fragment."""
     return iri.partition("#")[0]

@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 from rosld.server.http.problem import Problem
 
-HELD = 32 * 1024 * 1024
+MAX_HELD_BYTES = 32 * 1024 * 1024
 """Bytes that are held back."""
 _NO_CHARACTER = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]|\xef\xbf[\xbe\xbf]")
 REASON = {"reason": "xml"}
@@ -55,9 +55,9 @@ class XmlOutput(io.RawIOBase):
         self._held.append(piece)
         self._size += len(piece)
         if self._size > self._limit:
-            self.end()
+            self.finish()
 
-    def end(self) -> None:
+    def finish(self) -> None:
         """Pass on what is held back."""
         held, self._held = self._held, None
         for piece in held or ():

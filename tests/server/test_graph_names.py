@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.server.http.problem import Problem
-from rosld.server.resources.graphs import Named, named
+from rosld.server.resources.graphs import GraphSelection, parse_graph_selection
 
 STORE = "http://robot:8080/under/graphs"
 
@@ -28,14 +28,20 @@ STORE = "http://robot:8080/under/graphs"
     ],
 )
 def test_a_graph_is_named_by_an_iri(query: bytes, graph: str) -> None:
-    assert named(query, STORE) == Named(graph, False, False, "")
+    assert parse_graph_selection(query, STORE) == GraphSelection(graph, False, False, "")
 
 
 def test_all_other_parameters_are_kept() -> None:
-    assert named(b"a=1%20%26&graph=urn:x:y&b", STORE) == Named("urn:x:y", False, False, "a=1+%26&b=")
-    the_default_graph = Named(None, True, False, "format=nt")
-    assert named(b"format=nt&default", STORE) == named(b"default=&format=nt", STORE) == the_default_graph
-    assert named(b"", STORE) == Named(None, False, False, "")
+    assert parse_graph_selection(b"a=1%20%26&graph=urn:x:y&b", STORE) == GraphSelection(
+        "urn:x:y", False, False, "a=1+%26&b="
+    )
+    the_default_graph = GraphSelection(None, True, False, "format=nt")
+    assert (
+        parse_graph_selection(b"format=nt&default", STORE)
+        == parse_graph_selection(b"default=&format=nt", STORE)
+        == the_default_graph
+    )
+    assert parse_graph_selection(b"", STORE) == GraphSelection(None, False, False, "")
 
 
 @pytest.mark.parametrize(
@@ -47,7 +53,7 @@ def test_all_other_parameters_are_kept() -> None:
 )
 def test_what_names_no_graph_is_refused(query: bytes) -> None:
     with pytest.raises(Problem) as caught:
-        named(query, STORE)
+        parse_graph_selection(query, STORE)
     assert caught.value.status == 400
 
 
@@ -55,4 +61,4 @@ def test_what_names_no_graph_is_refused(query: bytes) -> None:
 def test_nothing_that_arrives_makes_it_raise_anything_else(text: str, raw: bytes) -> None:
     for query in (raw, b"graph=" + raw, b"graph=" + text.encode("utf-8", "surrogatepass")):
         with suppress(Problem):
-            named(query, STORE)
+            parse_graph_selection(query, STORE)

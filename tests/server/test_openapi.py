@@ -15,7 +15,7 @@ from rosld.adapters.registry import adapter_for
 from rosld.server.app import create_app
 from rosld.server.hypermedia import json_schema
 from rosld.server.openapi.description import description
-from rosld.server.openapi.path import Path
+from rosld.server.openapi.path import DescribedPath
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import READ
 from rosld.server.settings import Settings
@@ -241,7 +241,7 @@ def test_what_only_the_server_says_is_not_to_be_sent() -> None:
 
 def test_places_come_in_the_order_of_their_paths_and_operations_have_names_of_their_own() -> None:
     paths = ["/b/x_y", "/b/x/y", "/a/", "/a"]
-    given = [Path(path, "room", PathItem(path), READ) for path in paths]
+    given = [DescribedPath(path, "room", PathItem(path), READ) for path in paths]
     first = description("t", "http://127.0.0.1/", "1", "a", given, {})
     assert first == description("t", "http://127.0.0.1/", "1", "a", reversed(given), {})
     assert [path.encode() in first for path in paths] == [True] * 4

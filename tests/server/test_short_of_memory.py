@@ -33,7 +33,7 @@ from rosld.server.runtime.memory import (
 )
 from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
-from rosld.server.sparql.process.work import Graphs
+from rosld.server.sparql.process.work import ListGraphs
 from tests.server.disks.server import Server, server_on
 from tests.server.sparql.processes import query_processes
 
@@ -225,7 +225,7 @@ def lines(number: int, first: int = 0) -> str:
 
 
 async def graphs(process: QueryProcess) -> bytes:
-    return await process.result(Graphs(), LIMITS, time.monotonic() + LIMITS.seconds)
+    return await process.result(ListGraphs(), LIMITS, time.monotonic() + LIMITS.seconds)
 
 
 def run(scenario: Callable[[QueryProcess], Awaitable[None]]) -> None:
@@ -249,7 +249,7 @@ def test_a_query_process_that_is_given_no_memory_is_replaced_and_its_query_is_to
         with pytest.raises(Problem, match="ended before it was done") as told:
             await process.result(Starve(), LIMITS, time.monotonic() + LIMITS.seconds)
         assert told.value.status == 500
-        await process.ready(time.monotonic() + PATIENCE)
+        await process.wait_ready(time.monotonic() + PATIENCE)
         assert process.pid != before
         assert pickle.loads(await graphs(process)) == []
         process.change({G: lines(20_000)})
@@ -286,7 +286,7 @@ def test_a_query_process_is_sent_no_more_than_it_has_memory_for_with_what_is_on_
 def test_a_query_process_most_of_whose_memory_is_garbage_is_replaced_where_it_has_none_left() -> None:
     async def scenario(process: QueryProcess) -> None:
         started = asyncio.Event()
-        process.watch_start(started.set)
+        process.on_start(started.set)
         for number in range(3):  # what is gone is not freed
             process.change({G: lines(10_000, 10_000 * number)})
         await graphs(process)

@@ -12,8 +12,8 @@ from rosld.adapters.base import Watch
 from rosld.server.http.conditional import require_if_match
 from rosld.server.http.problem import Problem
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.transaction import kept_together
-from rosld.server.resources.kept.validation import judge_of
+from rosld.server.resources.kept.transaction import write_together
+from rosld.server.resources.kept.validation import validator_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.rest.resource import READ, Answer, Resource, permanent_redirect
@@ -21,11 +21,11 @@ from rosld.server.storage import Conflict, ConflictCause, Record, Remove, Write
 
 ANYTHING = "*/*"
 
-ALSO_OF_KEPT = (303, 410, 507)
+EXTRA_STATUSES = (303, 410, 507)
 """Statuses of refusals that what clients keep has beside the usual ones."""
 
 
-class Kept(Resource):
+class StoredResource(Resource):
     """What all of them have in common. `path` is the URL without the base."""
 
     is_cacheable = False
@@ -39,10 +39,10 @@ class Kept(Resource):
     writes: ClassVar[frozenset[str]] = frozenset()
 
     @property
-    def makes(self) -> Sequence[str]:
+    def accepted_media_types(self) -> Sequence[str]:
         """The media types of what may be made here: those of its judge, where somebody judges it."""
-        permissions = judge_of(self.robot, self.path + "?")
-        return (*RDF_BODIES, ANYTHING) if permissions is None else permissions.makes
+        permissions = validator_of(self.robot, self.path + "?")
+        return (*RDF_BODIES, ANYTHING) if permissions is None else permissions.media_types
 
     def methods(self) -> frozenset[str]:
         return READ if self.robot.settings.read_only else READ | self.writes
@@ -54,25 +54,25 @@ class Kept(Resource):
 
     @property
     def constrained_by(self) -> str | None:
-        permissions = judge_of(self.robot, self.path)
+        permissions = validator_of(self.robot, self.path)
         return self.robot.space.shape("data" if permissions is None else permissions.shape)
 
-    def there(self) -> Record:
+    def require_record(self) -> Record:
         """The record; a 404 or 410 Problem where there is none."""
         found = self.robot.records.get(self.path)
         if found is None:
-            raise missing(self.robot, self.path)
+            raise missing_problem(self.robot, self.path)
         return found
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        return self.robot.kept_changes.watch(wake, lambda path: path == self.path)
+        return self.robot.record_changes.watch(wake, lambda path: path == self.path)
 
-    def require_guard(self, exchange: Exchange) -> None:
+    def require_if_match(self, exchange: Exchange) -> None:
         """Raise a 428 Problem where writes must say what they change, and this one does not."""
         if self.robot.settings.demand_if_match:
             require_if_match(exchange.header("if-match"), "What is kept is changed by those who have read it.")
 
-    async def change(self, exchange: Exchange, make: Callable[[Record], Awaitable[Write]]) -> None:
+    async def change_record(self, exchange: Exchange, make: Callable[[Record], Awaitable[Write]]) -> None:
         """Do what `make` makes of the record as it is.
 
         Where somebody else changes it meanwhile it is made anew, or 412 if the request is conditional. A 503 Problem
@@ -82,7 +82,7 @@ class Kept(Resource):
         until = time.monotonic() + patience
         while True:
             try:
-                await kept_together(self.robot, [await make(self.there())])
+                await write_together(self.robot, [await make(self.require_record())])
                 return
             except Conflict as error:
                 if error.cause is not ConflictCause.CHANGED or exchange.is_conditional:
@@ -92,12 +92,12 @@ class Kept(Resource):
                     raise Problem(503, words, headers={"Retry-After": "1"}) from error
 
     async def delete(self, exchange: Exchange) -> Answer:
-        self.require_guard(exchange)
+        self.require_if_match(exchange)
 
         async def removed(record: Record) -> Write:
             return Remove(self.path, record.version if exchange.is_conditional else None)
 
-        await self.change(exchange, removed)
+        await self.change_record(exchange, removed)
         return Response(status_code=204)
 
 
@@ -107,7 +107,7 @@ def conflict_problem(robot: Robot, error: Conflict) -> Problem:
     return Problem(status, f"{robot.space.base}{error.path}: {error.words}.")
 
 
-def missing(robot: Robot, path: str) -> Problem:
+def missing_problem(robot: Robot, path: str) -> Problem:
     """410 where something was removed and not made again, 308 to a container, else 404."""
     if robot.records.is_tombstone(path):
         return Problem(410, f"/{path} was deleted; PUT makes it again.")

@@ -14,18 +14,18 @@ from rosld.server.http.link import Link
 from rosld.server.http.link import parse as parse_links
 from rosld.server.http.problem import Problem
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.representation import all_members, stand_ins
+from rosld.server.resources.kept.representation import all_members, member_uris
 from rosld.server.resources.kept.stated import (
-    CONTAINED,
+    CONTAINMENT,
     MAX_PATCHED,
-    NOTHING,
+    NO_STATEMENTS,
     Statements,
-    contained,
-    is_light,
-    looked_through,
-    own,
-    read,
-    stated,
+    client_triples,
+    contained_members,
+    is_small,
+    parse_body_statements,
+    parse_statements,
+    statements_of,
 )
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.files import exact_media_type
@@ -35,7 +35,7 @@ from rosld.server.storage.describe import to_ntriples
 from rosld.server.storage.models import rdf_types
 
 
-def asked_model(exchange: Exchange, url: str, *, container: bool) -> Model:
+def model_of_request(exchange: Exchange, url: str, *, container: bool) -> Model:
     """The interaction model that a request to `url` asks for; `container`: what is made has a URL of a container."""
     return requested_model(_links(exchange), url, exchange.essence, container_hint=container)
 
@@ -56,17 +56,17 @@ def _links(exchange: Exchange) -> Sequence[Link]:
     return () if stated is None else parse_links(stated)
 
 
-async def statements(robot: Robot, exchange: Exchange, url: str, subject: str) -> Statements:
+async def read_statements(robot: Robot, exchange: Exchange, url: str, subject: str) -> Statements:
     """The triples of a body about `subject`, resolved against `url`. No body at all, of no type, states nothing.
 
     Raises BodyError, and a 422 Problem for triples about triples, which are not kept.
     """
     data = await exchange.body()
     if not data and exchange.header("content-type") is None:
-        return NOTHING
-    if is_light(data):
-        return stated(read_ntriples(data, exchange.media_type, url))
-    return await robot.workers.run(partial(read, data, exchange.media_type, url, subject))
+        return NO_STATEMENTS
+    if is_small(data):
+        return statements_of(read_ntriples(data, exchange.media_type, url))
+    return await robot.workers.run(partial(parse_body_statements, data, exchange.media_type, url, subject))
 
 
 async def as_statements(triples: Sequence[Triple], subject: str) -> Statements:
@@ -77,8 +77,8 @@ async def as_statements(triples: Sequence[Triple], subject: str) -> Statements:
     if isinstance(triples, Statements):
         return triples
     if len(triples) <= MAX_PATCHED:
-        return stated([*triples])
-    return await asyncio.to_thread(lambda: looked_through(to_ntriples(triples), subject))
+        return statements_of([*triples])
+    return await asyncio.to_thread(lambda: parse_statements(to_ntriples(triples), subject))
 
 
 def require_small(triples: Sequence[Triple]) -> None:
@@ -87,32 +87,32 @@ def require_small(triples: Sequence[Triple]) -> None:
         raise Problem(413, "This says more than can be kept here: a few thousand triples at the most.")
 
 
-def require_contained(robot: Robot, record: Record, triples: Iterable[Triple]) -> None:
+def require_same_containment(robot: Robot, record: Record, triples: Iterable[Triple]) -> None:
     """Raise a 409 Problem where a body would change what a container contains (LDP 5.2.4.1)."""
-    stated = contained(triples, robot.space.base + record.path)
+    stated = contained_members(triples, robot.space.base + record.path)
     if stated and stated != {NamedNode(robot.space.base + each.path) for each in all_members(robot, record)}:
-        raise Problem(409, f"{CONTAINED}, not by its triples.")
+        raise Problem(409, f"{CONTAINMENT}, not by its triples.")
 
 
-async def received(robot: Robot, exchange: Exchange) -> Blob:
+async def receive_blob(robot: Robot, exchange: Exchange) -> Blob:
     """The body as a blob, streamed to where it is kept, unless it was read already."""
     media_type = exact_media_type(exchange.header("content-type"))
     limit, whole = robot.settings.upload_limit, exchange.consumed_body
-    chunks = exchange.chunks(limit=limit) if whole is None else one_chunk(whole)
+    chunks = exchange.chunks(limit=limit) if whole is None else single_chunk(whole)
     return await robot.records.receive(chunks, media_type, limit=limit)
 
 
-async def one_chunk(data: bytes) -> AsyncIterator[bytes]:
+async def single_chunk(data: bytes) -> AsyncIterator[bytes]:
     yield data
 
 
-async def own_statements(robot: Robot, record: Record, triples: Statements, times: bytes) -> bytes:
+async def client_statements(robot: Robot, record: Record, triples: Statements, times: bytes) -> bytes:
     """What is the client's to say of a body, as it is kept: all but what the server says of the record itself.
 
     It begins with `times`, which its first writer said.
     """
     subject, servers = robot.space.base + record.path, frozenset[Triple]()
     if record.membership is not None:
-        servers = frozenset(membership_triples(record.membership, stand_ins(robot, all_members(robot, record))))
-    work = partial(own, triples, subject, record.model, servers, times)
+        servers = frozenset(membership_triples(record.membership, member_uris(robot, all_members(robot, record))))
+    work = partial(client_triples, triples, subject, record.model, servers, times)
     return await robot.workers.run(work) if triples.is_large else work()

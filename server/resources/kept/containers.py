@@ -9,12 +9,12 @@ from rosld.server.html import Form, SequenceLink
 from rosld.server.http.link import Link
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import ALSO_OF_KEPT, Kept, conflict_problem
-from rosld.server.resources.kept.bodies import asked_model, received
-from rosld.server.resources.kept.creation import create
-from rosld.server.resources.kept.files import KeptFile
-from rosld.server.resources.kept.representation import page_at, page_shown, state_of
-from rosld.server.resources.kept.sources import N3_PATCH, SourceResource
+from rosld.server.resources.kept.base import EXTRA_STATUSES, StoredResource, conflict_problem
+from rosld.server.resources.kept.bodies import model_of_request, receive_blob
+from rosld.server.resources.kept.creation import create_record
+from rosld.server.resources.kept.files import StoredFile
+from rosld.server.resources.kept.representation import page_at, page_state, state_of
+from rosld.server.resources.kept.sources import N3_PATCH, RdfSourceResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.interaction import model_links
@@ -30,7 +30,7 @@ from rosld.server.storage.describe import META
 _SUMMARIES = {"data/": "Data that clients keep", "mappings/": "Mapping documents"}
 
 
-class ContainerResource(SourceResource):
+class ContainerResource(RdfSourceResource):
     """A container (LDP 5): POST makes a member, its members are told with it, in pages where there are many."""
 
     kind = "Container"
@@ -42,7 +42,7 @@ class ContainerResource(SourceResource):
         self, robot: Robot, path: str, parts: ContainerParts = ALL_PARTS, place: PagePosition | None = None
     ) -> None:
         super().__init__(robot, path)
-        self.accepts = {"POST": self.makes, "PUT": RDF_BODIES, "PATCH": (SPARQL_UPDATE, N3_PATCH)}
+        self.accepts = {"POST": self.accepted_media_types, "PUT": RDF_BODIES, "PATCH": (SPARQL_UPDATE, N3_PATCH)}
         self._parts = parts
         self._place = place
         record = robot.records.get(path)
@@ -53,7 +53,7 @@ class ContainerResource(SourceResource):
         return self._parts, self._place
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(_SUMMARIES.get(self.path, "A container"), is_paged=True, also=ALSO_OF_KEPT)
+        return PathItem(_SUMMARIES.get(self.path, "A container"), is_paged=True, also=EXTRA_STATUSES)
 
     def methods(self) -> frozenset[str]:
         is_root = self.path.count("/") == 1
@@ -68,14 +68,14 @@ class ContainerResource(SourceResource):
         if page is not None:
             return ContainerResource(self.robot, self.path, parts, parse_position(page))
         if parts.containment or parts.membership:
-            require_page(exchange, self.url, self.there().count)
+            require_page(exchange, self.url, self.require_record().count)
         return self if parts is ALL_PARTS else ContainerResource(self.robot, self.path, parts)
 
     async def state(self) -> State:
-        record = self.there()
+        record = self.require_record()
         if self._place is None:
             return state_of(self.robot, record, self._parts)
-        return page_shown(self.robot, record, self._parts, self._place)
+        return page_state(self.robot, record, self._parts, self._place)
 
     @property
     def query(self) -> str:
@@ -92,7 +92,7 @@ class ContainerResource(SourceResource):
         return exchange.method == "POST" and self._model(exchange) is Model.NON_RDF_SOURCE
 
     def _model(self, exchange: Exchange) -> Model:
-        return asked_model(exchange, self.url, container=False)
+        return model_of_request(exchange, self.url, container=False)
 
     def is_taken(self, name: str) -> bool:
         """Whether a member of this name, not yet encoded, is there or ever was (LDP 5.2.3.11)."""
@@ -102,7 +102,7 @@ class ContainerResource(SourceResource):
 
     async def post(self, exchange: Exchange) -> Answer:
         """A member, named by Slug where that is free (LDP 5.2.3)."""
-        self.there()
+        self.require_record()
         model = self._model(exchange)
         permissions = exchange.permissions
 
@@ -110,33 +110,33 @@ class ContainerResource(SourceResource):
             """Whether it is taken, or not for who asks to give: which of both is not told."""
             return not permissions.may("PUT", self.url + encode_segment(name)) or self.is_taken(name)
 
-        blob = await received(self.robot, exchange) if model is Model.NON_RDF_SOURCE else None
+        blob = await receive_blob(self.robot, exchange) if model is Model.NON_RDF_SOURCE else None
         while True:
             name = encode_segment(choose_name(exchange.header("slug"), is_taken))
             path = f"{self.path}{name}/" if model.is_container else self.path + name
             try:
-                return await creation(self.robot, path, model, exchange, blob, unused=True)
+                return await create_resource(self.robot, path, model, exchange, blob, unused=True)
             except Conflict as error:
                 if error.path != path or error.cause not in _NAMED_MEANWHILE:
                     raise conflict_problem(self.robot, error) from error
 
 
-def resource_of(robot: Robot, path: str, model: Model) -> Kept:
+def resource_of(robot: Robot, path: str, model: Model) -> StoredResource:
     """The resource of a model."""
     if model is Model.NON_RDF_SOURCE:
-        return KeptFile(robot, path)
-    return ContainerResource(robot, path) if model.is_container else SourceResource(robot, path)
+        return StoredFile(robot, path)
+    return ContainerResource(robot, path) if model.is_container else RdfSourceResource(robot, path)
 
 
 _NAMED_MEANWHILE = frozenset({ConflictCause.THERE, ConflictCause.NAME, ConflictCause.GONE})
 """Why a name that was free is not any more: another one is looked for."""
 
 
-async def creation(
+async def create_resource(
     robot: Robot, path: str, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
 ) -> CreatedAnswer:
     """A new resource, and the answer that tells of it (LDP 4.2.3, 5.2.3). Raises Conflict as `create` does."""
-    record = await create(resource_of(robot, path, model), model, exchange, blob, unused=unused)
+    record = await create_record(resource_of(robot, path, model), model, exchange, blob, unused=unused)
     resource = resource_of(robot, path, model)  # as it is now that it is there
     if model is Model.NON_RDF_SOURCE:
         return CreatedAnswer(

@@ -10,18 +10,20 @@ from pyoxigraph import Triple
 
 from rosld.server.http.problem import Problem
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import Kept
-from rosld.server.resources.kept.bodies import as_statements, statements
-from rosld.server.resources.kept.managed import first_times, managed_of, require_classes
-from rosld.server.resources.kept.stated import NOTHING, Statements, contained, own, stand_in
-from rosld.server.resources.kept.transaction import kept_together
+from rosld.server.resources.kept.base import StoredResource
+from rosld.server.resources.kept.bodies import as_statements, read_statements
+from rosld.server.resources.kept.managed import initial_times, managed_triples_in, require_classes
+from rosld.server.resources.kept.stated import NO_STATEMENTS, Statements, client_triples, contained_members, member_uri
+from rosld.server.resources.kept.transaction import write_together
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.interaction import parse_membership
 from rosld.server.storage import Blob, Model, Put, Record
 from rosld.server.storage.paths import container_of
 
 
-async def create(kept: Kept, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False) -> Record:
+async def create_record(
+    kept: StoredResource, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
+) -> Record:
     """Make the resource that `kept` stands for, and the containers on the way to it that are missing.
 
     `blob` is the body of a non-RDF source. Raises Conflict where something was made at its path meanwhile, or with
@@ -31,16 +33,16 @@ async def create(kept: Kept, model: Model, exchange: Exchange, blob: Blob | None
     if model is Model.NON_RDF_SOURCE:
         require_free(robot, path)
         put = Put(path, model, blob=blob, expected=0, unused=unused)
-        writes = [*_ways_to(robot, path), await _as_member(robot, put, NOTHING, kept.url)]
+        writes = [*_ways_to(robot, path), await _as_member(robot, put, NO_STATEMENTS, kept.url)]
     else:
-        stated = await statements(robot, exchange, kept.url, kept.url)
-        writes = await making(robot, path, model, stated, unused=unused)
-    record = (await kept_together(robot, writes))[-1]
+        stated = await read_statements(robot, exchange, kept.url, kept.url)
+        writes = await creation_writes(robot, path, model, stated, unused=unused)
+    record = (await write_together(robot, writes))[-1]
     assert record is not None
     return record
 
 
-async def making(
+async def creation_writes(
     robot: Robot, path: str, model: Model, triples: Sequence[Triple], *, unused: bool = False
 ) -> list[Put]:
     """The writes that make an RDF source or a container that says these triples, the last being its own.
@@ -51,15 +53,15 @@ async def making(
     require_free(robot, path)
     url = robot.space.base + path
     stated = await as_statements(triples, url)
-    managed = managed_of(stated.managed, url, model)
+    managed = managed_triples_in(stated.managed, url, model)
     if managed:
-        if contained(managed, url):
+        if contained_members(managed, url):
             raise Problem(409, "A new container contains nothing: leave ldp:contains away, and POST its members to it.")
         require_classes(managed, model)
-        work = partial(own, stated, url, model, frozenset[Triple](), first_times(managed))
+        work = partial(client_triples, stated, url, model, frozenset[Triple](), initial_times(managed))
         kept = await robot.workers.run(work) if stated.is_large else work()
     else:
-        kept = stated.kept
+        kept = stated.packed
     put = Put(path, model, kept, membership=parse_membership(managed, url, model), expected=0, unused=unused)
     return [*_ways_to(robot, path), await _as_member(robot, put, stated, url)]
 
@@ -69,7 +71,7 @@ async def _as_member(robot: Robot, put: Put, stated: Statements, url: str) -> Pu
     container = robot.records.get(container_of(put.path))
     if container is None or container.membership is None:
         return put
-    work = partial(stand_in, container.membership, stated, url)
+    work = partial(member_uri, container.membership, stated, url)
     member = await robot.workers.run(work) if stated.is_large else work()
     return replace(put, member=member)
 

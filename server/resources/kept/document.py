@@ -13,7 +13,7 @@ from rosld.server.storage import Member, Record
 from rosld.server.storage.describe import record_document, without_statements
 
 
-def kept_document(
+def stored_document(
     base: str, record: Record, parts: ContainerParts, members: Sequence[Member], more: Sequence[Triple]
 ) -> Document:
     """The parts of a record, and of a container with these members, that are asked for; `more` is said beside them."""
@@ -22,12 +22,12 @@ def kept_document(
         membership_declaration(record.membership, url) if record.membership is not None and parts.minimal else []
     )
     if record.membership is not None and parts.membership:
-        membership += membership_triples(record.membership, members_stand_for(base, members))
+        membership += membership_triples(record.membership, member_derived_uris_of(base, members))
     contained = [base + each.path for each in members] if parts.containment else []
     kept = record if parts.minimal else without_statements(record, url)
     return record_document(kept, url, contained, [*membership, *more])
 
 
-def members_stand_for(base: str, members: Iterable[Member]) -> list[str]:
+def member_derived_uris_of(base: str, members: Iterable[Member]) -> list[str]:
     """What stands for members in the membership triples of their container (LDP 5.4.1.5, 5.5.1.2)."""
     return list(member_derived_uris((base + each.path, each.member) for each in members))

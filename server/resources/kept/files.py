@@ -18,10 +18,10 @@ from rosld.server.http.problem import Problem
 from rosld.server.http.text import codec_for, to_utf8
 from rosld.server.ldp.patch import merge_patch
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import ANYTHING, Kept
-from rosld.server.resources.kept.bodies import one_chunk, received, require_model
+from rosld.server.resources.kept.base import ANYTHING, StoredResource
+from rosld.server.resources.kept.bodies import receive_blob, require_model, single_chunk
 from rosld.server.resources.kept.representation import state_of
-from rosld.server.resources.kept.stated import LIGHT_BYTES
+from rosld.server.resources.kept.stated import SMALL_BYTES
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.files import file_response
 from rosld.server.rest.formats import JSON, MERGE_PATCH
@@ -33,7 +33,7 @@ from rosld.server.storage import Blob, Conflict, ConflictCause, Model, Put, Reco
 from rosld.server.storage.describe import META
 
 
-class KeptFile(Kept):
+class StoredFile(StoredResource):
     """A non-RDF source: bytes as they were sent."""
 
     kind = "File"
@@ -48,13 +48,13 @@ class KeptFile(Kept):
         return exchange.method == "PUT"
 
     async def state(self) -> State:
-        return state_of(self.robot, self.there())
+        return state_of(self.robot, self.require_record())
 
     in_turn = frozenset({"PATCH"})
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         while True:
-            record = self.there()
+            record = self.require_record()
             try:
                 return await self._sent(exchange, record)
             except FileNotFoundError:
@@ -82,31 +82,31 @@ class KeptFile(Kept):
         )
 
     async def put(self, exchange: Exchange) -> Answer:
-        self.require_guard(exchange)
-        before = self.there()
+        self.require_if_match(exchange)
+        before = self.require_record()
         require_model(exchange, before.model, self.url)
-        return await self.replaced(exchange, before, await received(self.robot, exchange))
+        return await self.replace(exchange, before, await receive_blob(self.robot, exchange))
 
-    async def replaced(self, exchange: Exchange, before: Record, blob: Blob) -> Answer:
+    async def replace(self, exchange: Exchange, before: Record, blob: Blob) -> Answer:
         """The answer to a PUT of these bytes; `before` is what the request was judged against."""
 
         async def with_these(record: Record) -> Write:
             return with_blob(before if exchange.is_conditional else record, blob)
 
-        await self.change(exchange, with_these)
+        await self.change_record(exchange, with_these)
         return Response(status_code=204)
 
     async def patch(self, exchange: Exchange) -> Answer:
         """JSON merge patch of a JSON file (RFC 7396)."""
-        self.require_guard(exchange)
+        self.require_if_match(exchange)
         patch = await exchange.body()
-        if len(patch) <= LIGHT_BYTES:
+        if len(patch) <= SMALL_BYTES:
             parse_json(patch)  # before all else that may be wrong
 
         async def changed(record: Record) -> Write:
             return with_blob(record, await self._patch(record, patch))
 
-        await self.change(exchange, changed)
+        await self.change_record(exchange, changed)
         return Response(status_code=204)
 
     async def _patch(self, record: Record, patch: bytes) -> Blob:
@@ -115,18 +115,18 @@ class KeptFile(Kept):
             raise Problem(415, f"{MERGE_PATCH} changes {JSON}, and this is {record.blob.media_type}.")
         if record.blob.size > self.robot.settings.body_limit:
             raise Problem(413, f"A file of {record.blob.size} bytes is too large to be patched; PUT it whole.")
-        is_light = record.blob.size + len(patch) <= LIGHT_BYTES
+        is_light = record.blob.size + len(patch) <= SMALL_BYTES
         try:
-            work = partial(merged_json, self.robot.records.file(record.blob), patch, record.blob.media_type)
+            work = partial(merge_json_file, self.robot.records.file(record.blob), patch, record.blob.media_type)
             data = await (asyncio.to_thread(work) if is_light else self.robot.workers.run(work))
         except FileNotFoundError as error:
             if self.robot.records.get(self.path) is record:
                 raise
             raise Conflict(record.path, "its bytes were replaced meanwhile", ConflictCause.CHANGED) from error
-        return await self.robot.records.receive(one_chunk(data), record.blob.media_type, limit=len(data))
+        return await self.robot.records.receive(single_chunk(data), record.blob.media_type, limit=len(data))
 
 
-def merged_json(path: Path, patch: bytes, media_type: str) -> bytes:
+def merge_json_file(path: Path, patch: bytes, media_type: str) -> bytes:
     """The JSON of a file of a media type after a merge patch (RFC 7396). Raises FileNotFoundError, LoweringError."""
     stated = media.parse(media_type)
     before = parse_json(to_utf8(path.read_bytes(), stated))

@@ -12,7 +12,7 @@ from rosld.server.http.multipart import MULTIPART, Part, split_parts
 from rosld.server.http.problem import Problem
 from rosld.server.http.text import to_utf8
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.stated import Statements, apart, is_light, looked_through
+from rosld.server.resources.kept.stated import Statements, is_small, parse_statements, rename_blank_nodes
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.storage.describe import to_ntriples
@@ -23,7 +23,7 @@ _MAX_UNITED = 4 * 1024 * 1024
 """Bytes of N-Triples that several parts may make a new graph of."""
 
 
-async def united(robot: Robot, exchange: Exchange, url: str, subject: str) -> Statements:
+async def merged_statements(robot: Robot, exchange: Exchange, url: str, subject: str) -> Statements:
     """The statements about `subject` of a request whose body is multipart/form-data: what all its parts say.
 
     The parts are resolved against `url`. Raises BodyError and Problems: 400 for what cannot be cut into parts, 415 for
@@ -31,18 +31,18 @@ async def united(robot: Robot, exchange: Exchange, url: str, subject: str) -> St
     """
     data, stated = await exchange.raw_body(), media.parse(exchange.header("content-type") or "")
     work = partial(_unite, data, stated.parameter("boundary"), url, subject)
-    return work() if is_light(data) else await robot.workers.run(work)
+    return work() if is_small(data) else await robot.workers.run(work)
 
 
-async def unite(robot: Robot, exchange: Exchange, url: str) -> None:
+async def merge_parts(robot: Robot, exchange: Exchange, url: str) -> None:
     """Turn a request whose body is multipart/form-data into one of N-Triples that says what all its parts say.
 
     Raises what `united` raises, and a 413 Problem where that is too large.
     """
-    found = await united(robot, exchange, url, url)
-    if size_of(found.kept) > _MAX_UNITED:
+    found = await merged_statements(robot, exchange, url, url)
+    if size_of(found.packed) > _MAX_UNITED:
         raise Problem(413, f"The parts say more than {_MAX_UNITED} bytes of N-Triples: PUT one body instead.")
-    exchange.override(exchange.method, _N_TRIPLES, unpack(found.kept))
+    exchange.override(exchange.method, _N_TRIPLES, unpack(found.packed))
 
 
 def _unite(data: bytes, boundary: str | None, url: str, subject: str) -> Statements:
@@ -51,7 +51,7 @@ def _unite(data: bytes, boundary: str | None, url: str, subject: str) -> Stateme
     except ValueError as error:
         raise Problem(400, f"{MULTIPART}: {error}.") from error
     triples = [triple for number, part in enumerate(found, 1) for triple in _read(part, number, url)]
-    return looked_through(to_ntriples(triples), subject)
+    return parse_statements(to_ntriples(triples), subject)
 
 
 def _read(part: Part, number: int, url: str) -> list[Triple]:
@@ -62,4 +62,4 @@ def _read(part: Part, number: int, url: str) -> list[Triple]:
             f"Part {number} is {stated or 'of unknown type'}; each part says by its Content-Type which RDF it is: "
             f"{', '.join(RDF_BODIES)}.",
         )
-    return apart(parse_triples(to_utf8(part.body, stated), stated.essence, url))
+    return rename_blank_nodes(parse_triples(to_utf8(part.body, stated), stated.essence, url))

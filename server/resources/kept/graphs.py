@@ -35,7 +35,7 @@ _OVERHEAD = 600
 """About how many characters the server adds to what a record says."""
 
 
-Said: TypeAlias = Callable[[Record], Sequence[Triple]]
+ExtraTriples: TypeAlias = Callable[[Record], Sequence[Triple]]
 """What a resource says of itself beside what its record says. Called in any thread."""
 
 
@@ -50,7 +50,7 @@ class RecordGraphs:
     """
 
     def __init__(
-        self, records: Records, base: str, said: Said = _nothing, elsewhere: frozenset[str] = frozenset()
+        self, records: Records, base: str, said: ExtraTriples = _nothing, elsewhere: frozenset[str] = frozenset()
     ) -> None:
         self._records = records
         self._base = base
@@ -107,7 +107,7 @@ class _Search:
     """
 
     def __init__(
-        self, records: Records, base: str, after: int, times: _Times, said: Said, elsewhere: frozenset[str]
+        self, records: Records, base: str, after: int, times: _Times, said: ExtraTriples, elsewhere: frozenset[str]
     ) -> None:
         self._records = records
         self._said = said
@@ -258,7 +258,7 @@ def _membership(membership: Membership, member: str) -> str:
     return f"<{one}> <{relation}> <{other}> .\n"
 
 
-def _text(record: Record, url: str, said: Said) -> str:
+def _text(record: Record, url: str, said: ExtraTriples) -> str:
     """What it says, its members aside. What clients say stands as it is kept, which spares reading it."""
     membership = membership_declaration(record.membership, url) if record.membership is not None else ()
     managed = record_document(without_statements(record, url), url, (), (*membership, *said(record)))

@@ -27,7 +27,7 @@ _MILLISECOND = 1_000_000
 """Nanoseconds: many clients know times no better, JavaScript's do not."""
 
 
-def managed_of(triples: Sequence[Triple], url: str, model: Model) -> list[Triple]:
+def managed_triples_in(triples: Sequence[Triple], url: str, model: Model) -> list[Triple]:
     """Those of the triples by which a body says of the resource at `url` what is the server's to say."""
     if not triples:
         return []
@@ -38,7 +38,7 @@ def managed_of(triples: Sequence[Triple], url: str, model: Model) -> list[Triple
 # Of what is new
 
 
-def first_times(managed: Sequence[Triple]) -> bytes:
+def initial_times(managed: Sequence[Triple]) -> bytes:
     """When a new resource was created and modified as its first writer says, as lines of N-Triples.
 
     Raises a 409 Problem for what is said more than once, or by something else than a short literal.
@@ -66,7 +66,7 @@ def require_classes(managed: Sequence[Triple], model: Model) -> None:
 # Of what is there
 
 
-def require_as_it_is(managed: Sequence[Triple], record: Record, url: str) -> None:
+def require_unchanged(managed: Sequence[Triple], record: Record, url: str) -> None:
     """Raise a 409 Problem, which names the property, where a body says otherwise what the server says of a resource.
 
     A time of modification that it had at any time since it was made passes: it is an earlier state that is put back.

@@ -10,7 +10,7 @@ from pyoxigraph import Triple
 
 from rosld.server.http.link import render
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.document import kept_document, members_stand_for
+from rosld.server.resources.kept.document import member_derived_uris_of, stored_document
 from rosld.server.rest.interaction import model_links
 from rosld.server.rest.paging import MAX_PAGE_SIZE, LdpPage, PagePosition, last_page_size, last_position, page_of
 from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts
@@ -28,9 +28,9 @@ def all_members(robot: Robot, record: Record) -> list[Member]:
     return found
 
 
-def stand_ins(robot: Robot, members: Iterable[Member]) -> list[str]:
+def member_uris(robot: Robot, members: Iterable[Member]) -> list[str]:
     """What stands for members in the membership triples of their container (LDP 5.4.1.5, 5.5.1.2)."""
-    return members_stand_for(robot.space.base, members)
+    return member_derived_uris_of(robot.space.base, members)
 
 
 def state_of(robot: Robot, record: Record, parts: ContainerParts = ALL_PARTS) -> State:
@@ -48,7 +48,7 @@ def state_of(robot: Robot, record: Record, parts: ContainerParts = ALL_PARTS) ->
     )
 
 
-def page_shown(robot: Robot, record: Record, parts: ContainerParts, place: PagePosition) -> State:
+def page_state(robot: Robot, record: Record, parts: ContainerParts, place: PagePosition) -> State:
     """One page of a container (LDP Paging 1.0)."""
     url = robot.space.base + record.path
 
@@ -100,7 +100,7 @@ def _state(
     if record.model.is_container:
         headers = {**headers, "vary": "Accept, Prefer"}
     return State(
-        partial(kept_document, robot.space.base, record, parts, members, said),
+        partial(stored_document, robot.space.base, record, parts, members, said),
         token=_tag(record),
         scope=robot.records.identity,
         part=f"{page}{parts.variant}",

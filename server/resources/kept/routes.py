@@ -16,16 +16,16 @@ from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.ldp.patch import has_deletes
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import ALSO_OF_KEPT, Kept, conflict_problem, missing
-from rosld.server.resources.kept.bodies import asked_model, received, require_model
-from rosld.server.resources.kept.containers import creation, resource_of
-from rosld.server.resources.kept.creation import making, require_free
-from rosld.server.resources.kept.files import KeptFile
-from rosld.server.resources.kept.graph_merge import unite
+from rosld.server.resources.kept.base import EXTRA_STATUSES, StoredResource, conflict_problem, missing_problem
+from rosld.server.resources.kept.bodies import model_of_request, receive_blob, require_model
+from rosld.server.resources.kept.containers import create_resource, resource_of
+from rosld.server.resources.kept.creation import creation_writes, require_free
+from rosld.server.resources.kept.files import StoredFile
+from rosld.server.resources.kept.graph_merge import merge_parts
 from rosld.server.resources.kept.representation import state_of
 from rosld.server.resources.kept.sources import DescriptionResource
-from rosld.server.resources.kept.stated import N3_PATCH, is_light, patched
-from rosld.server.resources.kept.transaction import kept_together
+from rosld.server.resources.kept.stated import N3_PATCH, is_small, patch_statements
+from rosld.server.resources.kept.transaction import write_together
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import ANY_TYPE, PathItem, WriteMethod
@@ -39,7 +39,7 @@ from rosld.server.storage.describe import META
 _PATCHES = (SPARQL_UPDATE, N3_PATCH)
 
 
-class AbsentResource(Kept):
+class AbsentResource(StoredResource):
     """Nothing yet: PUT makes it, and so does a PATCH that only inserts (Solid Protocol 5.3.1)."""
 
     kind = "Absent"
@@ -50,7 +50,7 @@ class AbsentResource(Kept):
 
     def __init__(self, robot: Robot, path: str) -> None:
         super().__init__(robot, path)
-        puts = RDF_BODIES if path.endswith("/") else self.makes
+        puts = RDF_BODIES if path.endswith("/") else self.accepted_media_types
         self.accepts: Mapping[str, Sequence[str]] = {"PUT": puts}
         if RDF_BODIES[0] in puts:
             self.accepts = {"PUT": puts, "PATCH": _PATCHES}
@@ -65,7 +65,7 @@ class AbsentResource(Kept):
             return PathItem(
                 "Limits that a client keeps in force",
                 writes={"PUT": WriteMethod(accepts=RDF_BODIES), "PATCH": WriteMethod(accepts=_PATCHES)},
-                also=ALSO_OF_KEPT,
+                also=EXTRA_STATUSES,
                 methods=methods,
             )
         taken = (*RDF_BODIES, ANY_TYPE)
@@ -79,7 +79,7 @@ class AbsentResource(Kept):
                 "PATCH": WriteMethod(accepts=(*_PATCHES, MERGE_PATCH)),
             },
             is_paged=True,
-            also=ALSO_OF_KEPT,
+            also=EXTRA_STATUSES,
             methods=methods,
         )
 
@@ -101,13 +101,13 @@ class AbsentResource(Kept):
         Raises what `unite` raises.
         """
         if exchange.essence == MULTIPART:
-            await unite(self.robot, exchange, self.url)
+            await merge_parts(self.robot, exchange, self.url)
         self.merges = True
         exchange.method = "PUT"
 
     def _missing(self, exchange: Exchange) -> Problem:
         """That nothing is here, and for those who may make something what that may be."""
-        problem = missing(self.robot, self.path)
+        problem = missing_problem(self.robot, self.path)
         if problem.status in (404, 410) and self.methods() > ABSENT and exchange.permissions.may("PUT", self.url):
             problem.headers |= {name: value for name, value in resource_headers(self).items() if name != "link"}
         return problem
@@ -115,22 +115,22 @@ class AbsentResource(Kept):
     async def state(self) -> State:
         found = self.robot.records.get(self.path)
         if found is None:
-            raise missing(self.robot, self.path)
+            raise missing_problem(self.robot, self.path)
         return state_of(self.robot, found)  # it was made while this request waited for its turn
 
     def streams_body(self, exchange: Exchange) -> bool:
         return exchange.method == "PUT" and self._model(exchange) is Model.NON_RDF_SOURCE
 
     def _model(self, exchange: Exchange) -> Model:
-        return asked_model(exchange, self.url, container=self.url.endswith("/"))
+        return model_of_request(exchange, self.url, container=self.url.endswith("/"))
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> StorageWrite:
         if "PUT" not in self.methods():
             raise Problem(403, self.deny_reason("PUT"))
         if triples is None:
-            raise missing(self.robot, self.path)
+            raise missing_problem(self.robot, self.path)
         return StorageWrite(
-            f"make {self.title}", tuple(await making(self.robot, self.path, self._plain_model, triples))
+            f"make {self.title}", tuple(await creation_writes(self.robot, self.path, self._plain_model, triples))
         )
 
     @property
@@ -142,9 +142,9 @@ class AbsentResource(Kept):
         model, blob = self._model(exchange), None
         if model is Model.NON_RDF_SOURCE:
             require_free(self.robot, self.path)
-            blob = await received(self.robot, exchange)
+            blob = await receive_blob(self.robot, exchange)
         try:
-            return await creation(self.robot, self.path, model, exchange, blob)
+            return await create_resource(self.robot, self.path, model, exchange, blob)
         except Conflict as error:
             if error.path != self.path or error.cause is not ConflictCause.THERE:
                 raise conflict_problem(self.robot, error) from error
@@ -159,10 +159,12 @@ class AbsentResource(Kept):
         data, media_type = await exchange.body(), exchange.media_type
         if media_type == SPARQL_UPDATE and has_deletes(data):
             raise self._missing(exchange)
-        work = partial(patched, partial(Document, self.url, ()), data, media_type, self.url, self.url)
-        said = await (asyncio.to_thread(work) if is_light(data) else self.robot.workers.run(work))
+        work = partial(patch_statements, partial(Document, self.url, ()), data, media_type, self.url, self.url)
+        said = await (asyncio.to_thread(work) if is_small(data) else self.robot.workers.run(work))
         try:
-            record = (await kept_together(self.robot, await making(self.robot, self.path, self._plain_model, said)))[-1]
+            record = (
+                await write_together(self.robot, await creation_writes(self.robot, self.path, self._plain_model, said))
+            )[-1]
         except Conflict as error:
             if error.path != self.path or error.cause is not ConflictCause.THERE or exchange.is_conditional:
                 raise conflict_problem(self.robot, error) from error
@@ -172,18 +174,18 @@ class AbsentResource(Kept):
         return CreatedAnswer(made.url, made, state_of(self.robot, record))
 
     async def _patch_there(self, exchange: Exchange) -> Answer:
-        there = resource_of(self.robot, self.path, self.there().model)
+        there = resource_of(self.robot, self.path, self.require_record().model)
         if exchange.media_type not in there.accepts["PATCH"]:
             raise Problem(415, f"PATCH takes {', '.join(there.accepts['PATCH'])} here, not {exchange.media_type}.")
         return await there.patch(exchange)
 
     async def _once_more(self, exchange: Exchange, blob: Blob | None) -> Answer:
         """The same write of what another request has made meanwhile: of those without a condition the last one wins."""
-        record = self.there()
+        record = self.require_record()
         there = resource_of(self.robot, self.path, record.model)
-        if isinstance(there, KeptFile):
+        if isinstance(there, StoredFile):
             require_model(exchange, record.model, self.url)
-            return await there.replaced(exchange, record, blob or await received(self.robot, exchange))
+            return await there.replace(exchange, record, blob or await receive_blob(self.robot, exchange))
         if blob is not None:
             raise Problem(415, f"PUT takes {', '.join(RDF_BODIES)} here, not {blob.media_type}.")
         return await (there.post(exchange) if self.merges else there.put(exchange))
@@ -199,7 +201,7 @@ def missing_description(robot: Robot, path: str) -> Problem:
     )
 
 
-def kept_room(robot: Robot, location: Location) -> Resource:
+def stored_route(robot: Robot, location: Location) -> Resource:
     """`/data/` and below: as what is recorded now has it."""
     if not location.segments and not location.is_container:
         raise permanent_redirect(robot.space.container(location.kind))

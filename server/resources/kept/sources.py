@@ -14,26 +14,26 @@ from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
 from rosld.server.ldp.patch import TooManyTriples
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import Kept
+from rosld.server.resources.kept.base import StoredResource
 from rosld.server.resources.kept.bodies import (
     as_statements,
-    own_statements,
-    require_contained,
+    client_statements,
+    read_statements,
     require_model,
-    statements,
+    require_same_containment,
 )
-from rosld.server.resources.kept.graph_merge import united
-from rosld.server.resources.kept.managed import managed_of, require_as_it_is, require_membership
+from rosld.server.resources.kept.graph_merge import merged_statements
+from rosld.server.resources.kept.managed import managed_triples_in, require_membership, require_unchanged
 from rosld.server.resources.kept.representation import state_of
 from rosld.server.resources.kept.stated import (
     MAX_PATCHED,
     N3_PATCH,
     Statements,
-    merged,
-    patch_of,
-    patched,
+    member_uri,
+    merge_statements,
+    parse_patch,
+    patch_statements,
     require_same_members,
-    stand_in,
 )
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
@@ -45,10 +45,10 @@ from rosld.server.storage import NO_MEMBER, Model, Put, Record, Remove, Write
 from rosld.server.storage.describe import META, client_times
 from rosld.server.storage.paths import container_of
 
-__all__ = ["N3_PATCH", "DescriptionResource", "SourceResource"]
+__all__ = ["N3_PATCH", "DescriptionResource", "RdfSourceResource"]
 
 
-class SourceResource(Kept):
+class RdfSourceResource(StoredResource):
     """An RDF source."""
 
     kind = "RDF source"
@@ -61,47 +61,47 @@ class SourceResource(Kept):
     }
 
     async def state(self) -> State:
-        return state_of(self.robot, self.there())
+        return state_of(self.robot, self.require_record())
 
     async def forms(self) -> Sequence[Form]:
         return [DeleteForm("Delete it")] if "DELETE" in self.methods() else []
 
     async def put(self, exchange: Exchange) -> Answer:
-        self.require_guard(exchange)
-        require_model(exchange, self.there().model, self.url)
-        triples = await statements(self.robot, exchange, self.document_url, self._subject)
+        self.require_if_match(exchange)
+        require_model(exchange, self.require_record().model, self.url)
+        triples = await read_statements(self.robot, exchange, self.document_url, self._subject)
 
         async def replaced(record: Record) -> Write:
             whole = record.model is Model.RDF_SOURCE and not exchange.is_conditional
             expected = None if whole else record.version  # the last one counts, whatever was there
             return await self.with_triples(record, triples, expected)
 
-        await self.change(exchange, replaced)
+        await self.change_record(exchange, replaced)
         return no_content()
 
     async def post(self, exchange: Exchange) -> Answer:
         """The body is merged into what is here (SPARQL 1.1 Graph Store Protocol 5.5)."""
-        self.require_guard(exchange)
-        read = united if exchange.essence == MULTIPART else statements
+        self.require_if_match(exchange)
+        read = merged_statements if exchange.essence == MULTIPART else read_statements
         added = await read(self.robot, exchange, self.document_url, self._subject)
 
         async def with_added(record: Record) -> Write:
             before = state_of(self.robot, record)
             require_memory(before)
-            work = partial(merged, before.describe, added, self._subject)
+            work = partial(merge_statements, before.describe, added, self._subject)
             is_large = added.is_large or before.is_large
             stated = await self.robot.workers.run(work) if is_large else work()
             return await self.with_triples(record, stated, record.version)
 
-        await self.change(exchange, with_added)
+        await self.change_record(exchange, with_added)
         return no_content()
 
     async def patch(self, exchange: Exchange) -> Answer:
-        self.require_guard(exchange)
+        self.require_if_match(exchange)
         data, media_type, url = await exchange.body(), exchange.media_type, self.document_url
 
         def patch(before: Sequence[Triple]) -> Sequence[Triple]:
-            return patch_of(data, media_type, url, MAX_PATCHED)(before)
+            return parse_patch(data, media_type, url, MAX_PATCHED)(before)
 
         async def changed(record: Record) -> Write:
             before = state_of(self.robot, record)
@@ -111,10 +111,10 @@ class SourceResource(Kept):
                     said = before.document.triples
                     after = await self._patch(patch, said)
                     return await self.with_triples(record, after, record.version, frozenset(said))
-            work = partial(patched, before.describe, data, media_type, url, self._subject)
+            work = partial(patch_statements, before.describe, data, media_type, url, self._subject)
             return await self.with_triples(record, await self.robot.workers.run(work), record.version)
 
-        await self.change(exchange, changed)
+        await self.change_record(exchange, changed)
         return no_content()
 
     async def _patch(
@@ -129,8 +129,8 @@ class SourceResource(Kept):
         if method not in self.methods():
             raise Problem(403, self.deny_reason(method))
         if triples is None:
-            return StorageWrite(f"delete {self.title}", (Remove(self.path, self.there().version),))
-        record = self.there()
+            return StorageWrite(f"delete {self.title}", (Remove(self.path, self.require_record().version),))
+        record = self.require_record()
         return StorageWrite(f"store {self.title}", (await self.with_triples(record, triples, record.version),))
 
     @property
@@ -152,18 +152,18 @@ class SourceResource(Kept):
         """
         url = self._subject
         stated = await as_statements(triples, url)
-        managed = managed_of(stated.managed, url, record.model)
+        managed = managed_triples_in(stated.managed, url, record.model)
         times = b"".join(client_times(record, url))
         if record.membership is not None or managed or times:
             new = [each for each in managed if each not in said] if said else managed
             if new:
-                require_contained(self.robot, record, managed)
-                require_as_it_is(new, record, url)
+                require_same_containment(self.robot, record, managed)
+                require_unchanged(new, record, url)
                 if record.membership is not None:
                     require_membership(record.membership, new, url)
-            kept = await own_statements(self.robot, record, stated, times)
+            kept = await client_statements(self.robot, record, stated, times)
         else:
-            kept = stated.kept
+            kept = stated.packed
         member = await self._member(record, stated)
         difference = stated.difference(record, url, times) if expected == record.version else None
         return Put(
@@ -184,11 +184,11 @@ class SourceResource(Kept):
         container = self.robot.records.get(container_of(record.path))
         if container is None or container.membership is None:
             return None
-        work = partial(stand_in, container.membership, stated, self._subject)
+        work = partial(member_uri, container.membership, stated, self._subject)
         return await self.robot.workers.run(work) if stated.is_large else work()
 
 
-class DescriptionResource(SourceResource):
+class DescriptionResource(RdfSourceResource):
     """The description of a file, at its URL and `.meta`: it comes and goes with the file (LDP 4.2.1.6, 5.2.3.12)."""
 
     kind = "Description"

@@ -25,7 +25,7 @@ from rosld.server.storage.differences import MAX_BYTES as DIFFERENT
 from rosld.server.storage.packing import is_packed, pack, unpack
 
 N3_PATCH = "text/n3"
-LIGHT_BYTES = 32 * 1024
+SMALL_BYTES = 32 * 1024
 """Bytes of a body that the loop reads itself: at most some 15,000 triples, which take 15 ms."""
 _TINY_BYTES = 4 * 1024
 _LONG = re.compile(rb"""<[^>\s]{512}|"[^"]{512}|'[^']{512}|[^\s,;"'<>\[\](){}]{512}""")
@@ -38,7 +38,7 @@ MAX_PATCHED = 5_000
 _Term = TypeVar("_Term")
 
 
-class Changed(NamedTuple):
+class TripleChanges(NamedTuple):
     """What a patch, or a merge, changed of a large document."""
 
     removed: Sequence[Triple]
@@ -56,14 +56,14 @@ class Statements(Sequence[Triple]):
         self,
         given: bytes | list[Triple],
         managed: Sequence[Triple] | None = None,
-        changed: Changed | None = None,
+        changed: TripleChanges | None = None,
     ) -> None:
         self._given = given
         self._managed = managed
         self.changed = changed
 
     @cached_property
-    def kept(self) -> bytes:
+    def packed(self) -> bytes:
         """As they are kept."""
         return self._given if isinstance(self._given, bytes) else pack(to_ntriples(self._given))
 
@@ -79,13 +79,13 @@ class Statements(Sequence[Triple]):
             return self._managed
         return self if not isinstance(self._given, bytes) or may_be_managed(unpack(self._given)) else ()
 
-    def look(self, managed: Sequence[Triple]) -> None:
+    def set_managed(self, managed: Sequence[Triple]) -> None:
         """These are the ones that the server manages."""
         self._managed = managed
 
     def __reduce__(self) -> tuple[object, ...]:
         """Without what was parsed."""
-        return Statements, (self.kept, self._managed, self.changed)
+        return Statements, (self.packed, self._managed, self.changed)
 
     def difference(self, before: Record, url: str, times: bytes) -> Difference | None:
         """What they change of the record at `url`; None where that is much, or not the client's alone to say."""
@@ -117,17 +117,17 @@ class Statements(Sequence[Triple]):
         return iter(self._triples)
 
 
-NOTHING = Statements(b"")
+NO_STATEMENTS = Statements(b"")
 
 
-def is_light(data: bytes) -> bool:
+def is_small(data: bytes) -> bool:
     """Whether a body is read in an instant, and comes to little more than it is itself."""
     if len(data) <= _TINY_BYTES:
         return True
-    return len(data) <= LIGHT_BYTES and _LONG.search(data) is None
+    return len(data) <= SMALL_BYTES and _LONG.search(data) is None
 
 
-def stated(given: bytes | list[Triple]) -> Statements:
+def statements_of(given: bytes | list[Triple]) -> Statements:
     """The statements of N-Triples or of triples. Raises a 422 Problem for triples about triples, which are not kept."""
     if not isinstance(given, bytes):
         found = Statements(given)
@@ -140,7 +140,7 @@ def stated(given: bytes | list[Triple]) -> Statements:
     return found
 
 
-def contained(triples: Iterable[Triple], url: str) -> set[Term]:
+def contained_members(triples: Iterable[Triple], url: str) -> set[Term]:
     """What triples say that the container at `url` contains."""
     subject = NamedNode(url)
     return {each.object for each in triples if each.predicate == ldp.contains and each.subject == subject}
@@ -148,11 +148,11 @@ def contained(triples: Iterable[Triple], url: str) -> set[Term]:
 
 def require_same_members(before: Iterable[Triple], after: Iterable[Triple], url: str) -> None:
     """Raise a 409 Problem where a patch would change what a container contains (LDP 5.2.4.1)."""
-    if contained(before, url) != contained(after, url):
-        raise Problem(409, f"{CONTAINED}, not by a patch.")
+    if contained_members(before, url) != contained_members(after, url):
+        raise Problem(409, f"{CONTAINMENT}, not by a patch.")
 
 
-CONTAINED = "What a container contains (ldp:contains) is changed by POST and DELETE"
+CONTAINMENT = "What a container contains (ldp:contains) is changed by POST and DELETE"
 
 
 def triples_of(body: RdfBody) -> list[Triple]:
@@ -165,7 +165,7 @@ def triples_of(body: RdfBody) -> list[Triple]:
     ]
 
 
-def apart(triples: Iterable[Triple]) -> list[Triple]:
+def rename_blank_nodes(triples: Iterable[Triple]) -> list[Triple]:
     """These triples with new blank nodes: graphs that are merged share none (RDF 1.1 Semantics 4.1)."""
     new: dict[BlankNode, BlankNode] = {}
     return [
@@ -182,7 +182,7 @@ def _anew(term: _Term, new: dict[BlankNode, BlankNode]) -> _Term | BlankNode:
     return new.setdefault(term, BlankNode()) if isinstance(term, BlankNode) else term
 
 
-def patch_of(
+def parse_patch(
     data: bytes, media_type: str, url: str, limit: int | None = None
 ) -> Callable[[Sequence[Triple]], list[Triple]]:
     """What a patch makes of triples. Raises Problems for what is no patch; what is returned, `Grown` beyond `limit`."""
@@ -195,32 +195,36 @@ def patch_of(
 # In a worker
 
 
-def looked_through(ntriples: bytes, subject: str) -> Statements:
+def parse_statements(ntriples: bytes, subject: str) -> Statements:
     """The statements of N-Triples, with those about the resource `subject` that the server manages."""
-    found, node = stated(ntriples), NamedNode(subject)
+    found, node = statements_of(ntriples), NamedNode(subject)
     may_be = found if may_be_managed(ntriples) else ()
-    found.look(tuple(each for each in may_be if each.subject == node and is_managed(each.predicate, each.object)))
+    found.set_managed(
+        tuple(each for each in may_be if each.subject == node and is_managed(each.predicate, each.object))
+    )
     return found
 
 
-def read(data: bytes, media_type: str, url: str, subject: str) -> Statements:
+def parse_body_statements(data: bytes, media_type: str, url: str, subject: str) -> Statements:
     """The statements of a body about `subject`, resolved against `url`. Raises BodyError and Problems."""
-    return looked_through(read_ntriples(data, media_type, url), subject)
+    return parse_statements(read_ntriples(data, media_type, url), subject)
 
 
-def merged(describe: Callable[[], Document], added: Statements, subject: str) -> Statements:
+def merge_statements(describe: Callable[[], Document], added: Statements, subject: str) -> Statements:
     """The statements of a document and those that are added to it."""
     before = describe().triples
-    after = dict.fromkeys((*before, *apart(added)))
-    return _noting(before, after, looked_through(to_ntriples(after), subject))
+    after = dict.fromkeys((*before, *rename_blank_nodes(added)))
+    return _noting(before, after, parse_statements(to_ntriples(after), subject))
 
 
-def patched(describe: Callable[[], Document], data: bytes, media_type: str, url: str, subject: str) -> Statements:
+def patch_statements(
+    describe: Callable[[], Document], data: bytes, media_type: str, url: str, subject: str
+) -> Statements:
     """The statements of a document after a patch. Raises Problems."""
     before = describe().triples
-    after = patch_of(data, media_type, url)(before)
+    after = parse_patch(data, media_type, url)(before)
     require_same_members(before, after, url)
-    return _noting(before, after, looked_through(to_ntriples(after), subject))
+    return _noting(before, after, parse_statements(to_ntriples(after), subject))
 
 
 def _noting(before: Sequence[Triple], after: Collection[Triple], found: Statements) -> Statements:
@@ -232,11 +236,11 @@ def _noting(before: Sequence[Triple], after: Collection[Triple], found: Statemen
         if len(added) <= MAX_CHANGED and len(after) - len(added) < len(known):
             removed = known.difference(after)
         if len(added) + len(removed) <= MAX_CHANGED:
-            found.changed = Changed([*removed], added)
+            found.changed = TripleChanges([*removed], added)
     return found
 
 
-def own(kept: Statements, subject: str, model: Model, servers: frozenset[Triple], times: bytes) -> bytes:
+def client_triples(kept: Statements, subject: str, model: Model, servers: frozenset[Triple], times: bytes) -> bytes:
     """As it is kept, what is the client's to say: neither what the server manages nor what `servers` has.
 
     It begins with `times`, which its first writer said.
@@ -244,6 +248,6 @@ def own(kept: Statements, subject: str, model: Model, servers: frozenset[Triple]
     return pack(times + to_ntriples([each for each in remove_managed(kept, subject, model) if each not in servers]))
 
 
-def stand_in(membership: Membership, kept: Statements, url: str) -> str:
+def member_uri(membership: Membership, kept: Statements, url: str) -> str:
     """What stands for a new member at `url` in membership triples. Raises 409 Problems as `member_of`."""
     return member_derived_uri(membership, body_of(kept), url)

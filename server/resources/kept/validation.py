@@ -16,7 +16,7 @@ from rosld.server.policies.mappings import stored_mapping
 from rosld.server.policies.queries import ROUTE as QUERIES
 from rosld.server.resources.context import Robot
 from rosld.server.rest.formats import RDF_BODIES
-from rosld.server.sparql.protocol import DIRECT
+from rosld.server.sparql.protocol import QUERY_MEDIA_TYPE
 from rosld.server.storage import Model, Put, Remove, Write
 from rosld.server.storage.packing import size_of, unpack
 
@@ -24,38 +24,38 @@ MAX_BYTES = 4 * 1024 * 1024
 """Bytes of N-Triples that a mapping, or limits, may say: some 40,000 triples."""
 
 
-class Judge(Protocol):
+class Validator(Protocol):
     """Says what may be kept in a room."""
 
     shape: str
     """The name, below `/shapes/`, of what constrains it."""
-    makes: Sequence[str]
+    media_types: Sequence[str]
     """The media types of what may be made."""
 
     @property
-    def turn(self) -> asyncio.Lock:
+    def lock(self) -> asyncio.Lock:
         """Held while a write is judged and done."""
         ...
 
-    async def judged(self, write: Write) -> Callable[[], None]:
+    async def validate(self, write: Write) -> Callable[[], None]:
         """What is to happen once a write is done. Raises Problems and LoweringError for what must not be done."""
         ...
 
 
-class MappingJudge:
+class MappingValidator:
     """Keeps mapping documents: what is kept is in force."""
 
     shape = "mapping"
-    makes: Sequence[str] = RDF_BODIES
+    media_types: Sequence[str] = RDF_BODIES
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
 
     @property
-    def turn(self) -> asyncio.Lock:
+    def lock(self) -> asyncio.Lock:
         return self._robot.mappings.lock
 
-    async def judged(self, write: Write) -> Callable[[], None]:
+    async def validate(self, write: Write) -> Callable[[], None]:
         robot, url = self._robot, self._robot.space.base + write.path
         if isinstance(write, Remove):
             return self._told(lambda: robot.mappings.remove(url))
@@ -76,20 +76,20 @@ class MappingJudge:
         return sequel
 
 
-class QueryJudge:
+class QueryValidator:
     """Keeps stored queries, byte for byte; they are read anew when they are run."""
 
     shape = "query"
-    makes: Sequence[str] = (DIRECT,)
+    media_types: Sequence[str] = (QUERY_MEDIA_TYPE,)
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
 
     @property
-    def turn(self) -> asyncio.Lock:
+    def lock(self) -> asyncio.Lock:
         return self._robot.queries.lock
 
-    async def judged(self, write: Write) -> Callable[[], None]:
+    async def validate(self, write: Write) -> Callable[[], None]:
         if isinstance(write, Put):
             await self._permissions(write)
         return self._robot.changes.emit
@@ -98,7 +98,9 @@ class QueryJudge:
         robot = self._robot
         if put.blob is None or "/" in put.path.removeprefix(QUERIES):
             room = robot.space.base + QUERIES
-            raise Problem(409, f"A stored query is {DIRECT} directly under {room}: nothing else has a place there.")
+            raise Problem(
+                409, f"A stored query is {QUERY_MEDIA_TYPE} directly under {room}: nothing else has a place there."
+            )
         before = robot.records.get(put.path)
         if before is not None and before.blob == put.blob:
             return  # its description changes
@@ -109,21 +111,21 @@ class QueryJudge:
             raise Problem(422, f"This is no stored query: {error}.") from error
 
 
-class LimitsJudge:
+class LimitsValidator:
     """Keeps limits: what is kept bounds what may be written, from then on."""
 
     shape = "limits"
-    makes: Sequence[str] = RDF_BODIES
+    media_types: Sequence[str] = RDF_BODIES
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
 
     @property
-    def turn(self) -> asyncio.Lock:
-        return self._robot.limits_in_force.lock
+    def lock(self) -> asyncio.Lock:
+        return self._robot.active_limits.lock
 
-    async def judged(self, write: Write) -> Callable[[], None]:
-        limits, url = self._robot.limits_in_force, self._robot.space.base + write.path
+    async def validate(self, write: Write) -> Callable[[], None]:
+        limits, url = self._robot.active_limits, self._robot.space.base + write.path
         if isinstance(write, Remove):
             return self._told(lambda: limits.remove(url))
         if write.model is not Model.RDF_SOURCE or "/" in write.path.removeprefix(SHAPES):
@@ -153,10 +155,14 @@ def _unpack(put: Put) -> bytes:
     return unpack(put.triples)
 
 
-_JUDGES: Mapping[str, Callable[[Robot], Judge]] = {MAPPINGS: MappingJudge, QUERIES: QueryJudge, SHAPES: LimitsJudge}
+_JUDGES: Mapping[str, Callable[[Robot], Validator]] = {
+    MAPPINGS: MappingValidator,
+    QUERIES: QueryValidator,
+    SHAPES: LimitsValidator,
+}
 
 
-def judge_of(robot: Robot, path: str) -> Judge | None:
+def validator_of(robot: Robot, path: str) -> Validator | None:
     """Who judges what is kept at a path; nobody, for most."""
     room = path[: path.find("/") + 1]
     return _JUDGES[room](robot) if room in _JUDGES and path != room else None

@@ -15,7 +15,7 @@ from rosld.server.http.text import to_utf8
 from rosld.server.sparql.update.operations import Load, Modify, Operation, QuadTemplate
 
 
-async def loaded(
+async def load_documents(
     operations: Sequence[Operation], allowed: frozenset[str], *, seconds: float, limit: int
 ) -> Sequence[Operation]:
     """The operations with what each LOAD found in its place; each may take `seconds` and find `limit` bytes.

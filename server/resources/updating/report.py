@@ -18,7 +18,7 @@ from rosld.server.http.problem_details import members
 from rosld.server.rest.errors import problem_of, problem_of_body
 
 
-class Fate(Enum):
+class Outcome(Enum):
     """What became of the write of one graph."""
 
     PLANNED = "planned"
@@ -33,29 +33,29 @@ class Fate(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class ReportEntry:
     """One graph of a report: what its write does, what became of it, and why where it was not done."""
 
     graph: str
-    does: str
-    fate: Fate
-    why: Problem | None = None
+    description: str
+    outcome: Outcome
+    reason: Problem | None = None
 
     @property
     def members(self) -> dict[str, object]:
         """As JSON."""
-        found: dict[str, object] = {"graph": self.graph, "does": self.does, "outcome": self.fate.value}
-        if self.why is not None:
-            found |= {"status": self.why.status, "detail": self.why.detail}
+        found: dict[str, object] = {"graph": self.graph, "does": self.description, "outcome": self.outcome.value}
+        if self.reason is not None:
+            found |= {"status": self.reason.status, "detail": self.reason.detail}
         return found
 
 
-def answer(entries: Sequence[Entry], *, dry_run: bool = False) -> Response:
+def report_response(entries: Sequence[ReportEntry], *, dry_run: bool = False) -> Response:
     """The answer to an update that was carried out, or planned: 204; with the report 200, and 202 for what was unheard.
 
     The report is JSON: `graphs` lists what is written.
     """
-    unheard = any(entry.fate is Fate.UNHEARD for entry in entries)
+    unheard = any(entry.outcome is Outcome.UNHEARD for entry in entries)
     if not dry_run and not unheard:
         return Response(status_code=204)
     status = HTTPStatus.ACCEPTED if unheard else HTTPStatus.OK
@@ -83,25 +83,25 @@ class RefusedGraphs(Problem):
         )
 
 
-def partly(entries: Sequence[Entry]) -> Problem:
+def partial_failure(entries: Sequence[ReportEntry]) -> Problem:
     """The Problem of an update that failed part-way: what was done, what was not, and what is unknown."""
-    failed = next(entry for entry in entries if entry.why is not None)
-    assert failed.why is not None
+    failed = next(entry for entry in entries if entry.reason is not None)
+    assert failed.reason is not None
     by_fate = {
-        fate: ", ".join(f"<{entry.graph}>" for entry in entries if entry.fate in fates)
+        fate: ", ".join(f"<{entry.graph}>" for entry in entries if entry.outcome in fates)
         for fate, fates in (
-            ("Done", (Fate.DONE, Fate.UNHEARD)),
-            ("unknown", (Fate.UNKNOWN,)),
-            ("not done", (Fate.FAILED, Fate.LEFT)),
+            ("Done", (Outcome.DONE, Outcome.UNHEARD)),
+            ("unknown", (Outcome.UNKNOWN,)),
+            ("not done", (Outcome.FAILED, Outcome.LEFT)),
         )
     }
     told = "; ".join(f"{fate}: {graphs or 'none'}" for fate, graphs in by_fate.items())
     return Problem(
-        failed.why.status,
-        f"<{failed.graph}>: {failed.why.detail.rstrip('.')}. {told}.",
-        title=failed.why.title,
-        headers=_retry_after(failed.why),
-        extra={**failed.why.extra, "graphs": [entry.members for entry in entries]},
+        failed.reason.status,
+        f"<{failed.graph}>: {failed.reason.detail.rstrip('.')}. {told}.",
+        title=failed.reason.title,
+        headers=_retry_after(failed.reason),
+        extra={**failed.reason.extra, "graphs": [entry.members for entry in entries]},
     )
 
 
@@ -109,11 +109,11 @@ def _retry_after(problem: Problem) -> dict[str, str]:
     return {name: value for name, value in problem.headers.items() if name == "Retry-After"}
 
 
-def failure(error: RosError | Problem) -> tuple[Fate, Problem]:
+def failed_entry(error: RosError | Problem) -> tuple[Outcome, Problem]:
     """What an error in carrying out says of the write."""
     if isinstance(error, RosError):
-        return Fate.UNKNOWN if error.sent is Sent.MAYBE else Fate.FAILED, problem_of(error)
-    return Fate.UNKNOWN if error.extra.get("sent") == Sent.MAYBE.value else Fate.FAILED, error
+        return Outcome.UNKNOWN if error.sent is Sent.MAYBE else Outcome.FAILED, problem_of(error)
+    return Outcome.UNKNOWN if error.extra.get("sent") == Sent.MAYBE.value else Outcome.FAILED, error
 
 
 def reason(error: Problem | LoweringError | BodyError | RosError) -> Problem:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from rosld.server.auth.errors import forbidden
 from rosld.server.auth.permissions import Permissions
 from rosld.server.rest.resource import Resource
-from rosld.server.sparql.update.evaluate import graphs_named
-from rosld.server.sparql.update.operations import Manage, Modify, Operation
+from rosld.server.sparql.update.evaluate import named_graphs
+from rosld.server.sparql.update.operations import ManageGraph, Modify, Operation
 
 
 def require_rights(operations: Sequence[Operation], permissions: Permissions) -> None:
@@ -18,8 +18,8 @@ def require_rights(operations: Sequence[Operation], permissions: Permissions) ->
     """
     if permissions.is_unrestricted:
         return
-    sources = [each.source for each in operations if isinstance(each, Manage) and isinstance(each.source, str)]
-    for graph in sorted(graphs_named(operations)):
+    sources = [each.source for each in operations if isinstance(each, ManageGraph) and isinstance(each.source, str)]
+    for graph in sorted(named_graphs(operations)):
         if graph in sources and not permissions.may_read(graph):
             raise forbidden(permissions.agent, f"read <{graph[:200]}>")
         if not (permissions.may("PUT", graph) or graph in sources):

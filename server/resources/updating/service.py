@@ -18,11 +18,19 @@ from rosld.server.http.problem import Problem
 from rosld.server.receipts.account import record_step
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import Kept, conflict_problem
-from rosld.server.resources.kept.transaction import kept_together
+from rosld.server.resources.kept.base import StoredResource, conflict_problem
+from rosld.server.resources.kept.transaction import write_together
 from rosld.server.resources.members import MemberResource
-from rosld.server.resources.updating.loading import loaded
-from rosld.server.resources.updating.report import Entry, Fate, RefusedGraphs, answer, failure, partly, reason
+from rosld.server.resources.updating.loading import load_documents
+from rosld.server.resources.updating.report import (
+    Outcome,
+    RefusedGraphs,
+    ReportEntry,
+    failed_entry,
+    partial_failure,
+    reason,
+    report_response,
+)
 from rosld.server.resources.updating.rights import require_change, require_rights
 from rosld.server.resources.updating.silent import without_silent_failures, without_silent_on
 from rosld.server.rest.keyed_lock import KeyedLock
@@ -30,10 +38,10 @@ from rosld.server.rest.plan import Plan, RobotWrite, StorageWrite
 from rosld.server.rest.resource import READ, Resource
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.protocol import UpdateRequest
-from rosld.server.sparql.syntax.lexer import Bounds
-from rosld.server.sparql.update.evaluate import GraphChange, graphs_named
+from rosld.server.sparql.syntax.lexer import QueryBounds
+from rosld.server.sparql.update.evaluate import GraphChange, named_graphs
 from rosld.server.sparql.update.executor import Delta, UpdateEvaluator
-from rosld.server.sparql.update.operations import Manage, Operation, Verb
+from rosld.server.sparql.update.operations import GraphVerb, ManageGraph, Operation
 from rosld.server.sparql.update.reading import read_update
 from rosld.server.storage import Conflict, ConflictCause, Write
 
@@ -56,14 +64,14 @@ class Target(NamedTuple):
     resource: Resource
 
 
-class Planned(NamedTuple):
+class PlannedGraph(NamedTuple):
     """The plan for one graph."""
 
     graph: str
     plan: Plan
 
 
-class Updates:
+class UpdateService:
     """Carries updates out. Belongs to one loop. `at` finds the resource at a path below the base."""
 
     def __init__(
@@ -71,7 +79,7 @@ class Updates:
         robot: Robot,
         evaluator: UpdateEvaluator,
         analyser: Analyser,
-        bounds: Bounds,
+        bounds: QueryBounds,
         at: Callable[[str], Resource],
         keyed_lock: KeyedLock,
     ) -> None:
@@ -104,7 +112,7 @@ class Updates:
         operations = without_silent_failures(operations, lambda each: require_rights([each], permissions))
         operations = without_silent_failures(operations, self._require_manageable)
         settings = self._robot.settings
-        operations = await loaded(
+        operations = await load_documents(
             operations,
             frozenset(settings.allow_load),
             seconds=settings.query_time_limit,
@@ -129,7 +137,7 @@ class Updates:
         """
         async with contextlib.AsyncExitStack() as held:
             with contextlib.suppress(Problem):
-                for graph in sorted(graphs_named(operations)):
+                for graph in sorted(named_graphs(operations)):
                     await held.enter_async_context(self._line.acquire(graph))
             yield
 
@@ -140,11 +148,11 @@ class Updates:
         turns: frozenset[str] = frozenset()
         for _ in range(ATTEMPTS):
             async with self._held(turns):  # where others write these graphs all the time, it is drawn in its turn
-                drawn = await self._evaluator.draw(operations, more)
+                drawn = await self._evaluator.evaluate(operations, more)
                 unseen = self._unseen(drawn)
                 if unseen - more:
                     more |= unseen
-                    drawn = await self._evaluator.draw(operations, more)
+                    drawn = await self._evaluator.evaluate(operations, more)
                 done = await self._carried_out(drawn, permissions, turns, dry_run=dry_run)
             if done is not None:
                 return done
@@ -174,17 +182,17 @@ class Updates:
 
     def _require_manageable(self, operation: Operation) -> None:
         """Raise a 403 Problem where an operation on whole graphs is about one that clients do not keep."""
-        if not isinstance(operation, Manage):
+        if not isinstance(operation, ManageGraph):
             return
-        moved = [operation.source] if operation.verb is Verb.MOVE else []
+        moved = [operation.source] if operation.verb is GraphVerb.MOVE else []
         for graph in (operation.target, *moved):
-            if isinstance(graph, str) and not isinstance(self._found(graph), Kept):
+            if isinstance(graph, str) and not isinstance(self._found(graph), StoredResource):
                 words = f"{operation.verb.value} is for what clients keep, and <{graph}> is the robot's."
                 raise Problem(403, f"{words} Nothing was done.", extra={"graph": graph})
 
-    def keeps(self, graph: str) -> bool:
+    def is_stored(self, graph: str) -> bool:
         """Whether clients keep the graph of this name, or may."""
-        return isinstance(self._found(graph), Kept)
+        return isinstance(self._found(graph), StoredResource)
 
     def _found(self, graph: str) -> Resource | None:
         """The resource whose graph this is; None where nothing of this server has that URL."""
@@ -216,7 +224,9 @@ class Updates:
                 return None
             plans = await self._plans(targets)
             if dry_run:
-                return answer([Entry(graph, plan.description, Fate.PLANNED) for graph, plan in plans], dry_run=True)
+                return report_response(
+                    [ReportEntry(graph, plan.description, Outcome.PLANNED) for graph, plan in plans], dry_run=True
+                )
             if not await self._holds(drawn, targets):
                 return None
             return await self._done(plans)
@@ -253,17 +263,17 @@ class Updates:
             await held.enter_async_context(self._held({target.resource.url for target in targets} - held_already))
             members = [each.resource for each in targets if isinstance(each.resource, MemberResource | ComplexResource)]
             if members:
-                tree = await self._robot.offers.tree()
-                names = [name for each in members for name in each.concerned(tree)]
-                await held.enter_async_context(self._robot.offers.lock(tree, *names, modified=names))
+                tree = await self._robot.affordances.tree()
+                names = [name for each in members for name in each.affected_names(tree)]
+                await held.enter_async_context(self._robot.affordances.lock(tree, *names, modified=names))
             yield
 
     async def _holds(self, drawn: Delta, targets: Sequence[Target]) -> bool:
         """Whether everything that the update was drawn over is as it was."""
         for target in targets:
-            if isinstance(target.resource, Kept):
+            if isinstance(target.resource, StoredResource):
                 record = self._robot.records.get(target.resource.path)
-                if record is not None and max(record.version, record.listed) > drawn.kept:
+                if record is not None and max(record.version, record.listed) > drawn.stored:
                     return False
                 if (record is not None) != target.change.was_there:
                     return False
@@ -278,12 +288,12 @@ class Updates:
         except (Problem, RosError, ValueError):
             return False
 
-    async def _plans(self, targets: Sequence[Target]) -> Sequence[Planned]:
+    async def _plans(self, targets: Sequence[Target]) -> Sequence[PlannedGraph]:
         """A plan a graph; the Problem of all that are refused, if any is."""
         found, reasons = [], []
         for change, resource in targets:
             try:
-                found.append(Planned(change.graph, await self._plan(change, resource)))
+                found.append(PlannedGraph(change.graph, await self._plan(change, resource)))
             except (Problem, LoweringError, BodyError, RosError) as error:
                 reasons.append((change.graph, reason(error)))
         if reasons:
@@ -294,7 +304,7 @@ class Updates:
         await resource.prepare()
         return await resource.plan_graph_write(change.after)
 
-    async def _done(self, plans: Sequence[Planned]) -> Response | None:
+    async def _done(self, plans: Sequence[PlannedGraph]) -> Response | None:
         """Carry plans out: what is kept in one transaction, then what moves the robot, one after the other."""
         kept = [(graph, plan) for graph, plan in plans if isinstance(plan, StorageWrite)]
         moves = [(graph, plan) for graph, plan in plans if isinstance(plan, RobotWrite)]
@@ -307,22 +317,22 @@ class Updates:
                     if write.path not in writes or graph == self._robot.space.base + write.path:
                         writes[write.path] = write
             try:
-                await kept_together(self._robot, tuple(writes.values()))
+                await write_together(self._robot, tuple(writes.values()))
             except Conflict as error:
                 if error.cause in _CHANGED:
                     return None
                 raise RefusedGraphs(
                     [(self._robot.space.base + error.path, conflict_problem(self._robot, error))]
                 ) from error
-        entries = [Entry(graph, plan.description, Fate.DONE) for graph, plan in kept]
+        entries = [ReportEntry(graph, plan.description, Outcome.DONE) for graph, plan in kept]
         for graph, move in moves:
             record_step(move.description, graph)
         for place, (graph, move) in enumerate(moves):
             try:
                 heard = await move.carry_out()
             except (RosError, Problem) as error:
-                fate, problem = failure(error)
-                left = [Entry(name, plan.description, Fate.LEFT) for name, plan in moves[place + 1 :]]
-                raise partly([*entries, Entry(graph, move.description, fate, problem), *left]) from error
-            entries.append(Entry(graph, move.description, Fate.DONE if heard else Fate.UNHEARD))
-        return answer(entries)
+                fate, problem = failed_entry(error)
+                left = [ReportEntry(name, plan.description, Outcome.LEFT) for name, plan in moves[place + 1 :]]
+                raise partial_failure([*entries, ReportEntry(graph, move.description, fate, problem), *left]) from error
+            entries.append(ReportEntry(graph, move.description, Outcome.DONE if heard else Outcome.UNHEARD))
+        return report_response(entries)

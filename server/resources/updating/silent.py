@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence, Set
 
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.update.evaluate import graphs_named
+from rosld.server.sparql.update.evaluate import named_graphs
 from rosld.server.sparql.update.operations import Operation
 
 
@@ -27,4 +27,4 @@ def without_silent_failures(
 
 def without_silent_on(operations: Sequence[Operation], graphs: Set[str]) -> Sequence[Operation]:
     """Return the operations without those with SILENT that name one of these graphs, which are refused."""
-    return [each for each in operations if not (each.silent and graphs & graphs_named([each]))]
+    return [each for each in operations if not (each.silent and graphs & named_graphs([each]))]

@@ -16,8 +16,8 @@ from typing import cast
 
 from rosld.server.dataset.encoding import NAMESPACE, VARIABLE
 from rosld.server.runtime.memory import Memory, NotEnoughMemory, available_bytes
-from rosld.server.sparql.limits import restarting
-from rosld.server.sparql.process.frames import AtWork, Buffer, Reply, Tidy, packed
+from rosld.server.sparql.limits import process_restarting
+from rosld.server.sparql.process.frames import FrameBuffer, ReduceMemory, Reply, SharedStatus, pack
 
 _RECEIVED = 256 * 1024
 _AHEAD = 4 * 1024 * 1024
@@ -27,15 +27,15 @@ _AT_ONCE = 64
 _START = "import sys; sys.path[:] = sys.argv[1:-3]; from rosld.server.sparql.process.main import main; main()"
 """What the process runs: with the same modules as the server, wherever that found them."""
 
-Spawned = tuple["subprocess.Popen[bytes]", socket.socket, AtWork]
+SpawnedProcess = tuple["subprocess.Popen[bytes]", socket.socket, SharedStatus]
 
 
-def spawn(concurrency: int, queue: int) -> Spawned:
+def spawn(concurrency: int, queue: int) -> SpawnedProcess:
     """Start a process, with the socket to it and the memory in which it notes what it is at. Raises OSError."""
     ours, theirs = socket.socketpair()
     with theirs, tempfile.TemporaryFile() as file:
         try:
-            file.truncate(AtWork.SIZE)
+            file.truncate(SharedStatus.SIZE)
             command = [sys.executable, "-c", _START, *sys.path, str(file.fileno()), str(concurrency), str(queue)]
             popen = subprocess.Popen(
                 command,
@@ -45,7 +45,7 @@ def spawn(concurrency: int, queue: int) -> Spawned:
                 env={**os.environ, VARIABLE: NAMESPACE},
                 start_new_session=True,
             )
-            at_work = AtWork(file.fileno())
+            at_work = SharedStatus(file.fileno())
         except BaseException:
             ours.close()
             raise
@@ -53,7 +53,7 @@ def spawn(concurrency: int, queue: int) -> Spawned:
     return popen, ours, at_work
 
 
-class Child:
+class ChildProcess:
     """A process that has been spawned. Belongs to one loop.
 
     `on_reply` is called with each reply and the descriptors that have come and belong to this or later ones, `on_lost`
@@ -62,7 +62,7 @@ class Child:
 
     def __init__(
         self,
-        spawned: Spawned,
+        spawned: SpawnedProcess,
         loop: asyncio.AbstractEventLoop,
         on_reply: Callable[[Reply, deque[int]], None],
         on_lost: Callable[[], None],
@@ -75,7 +75,7 @@ class Child:
         self._on_lost = on_lost
         self._output: deque[memoryview] = deque()
         self._descriptors: deque[int] = deque()
-        self._buffer = Buffer()
+        self._buffer = FrameBuffer()
         self._taken: asyncio.Future[None] | None = None
         self._memory = Memory(lambda: available_bytes(self.popen.pid))
         self._changes = count(1)
@@ -99,7 +99,7 @@ class Child:
     def send(self, data: bytes) -> None:
         """Send frames, after all that was sent before. Raises Problem 503 where the process is gone."""
         if self._socket is None:
-            raise restarting(1)
+            raise process_restarting(1)
         if not self._output:
             self._loop.call_soon(self._flush)
         self._output.append(memoryview(data))
@@ -115,17 +115,17 @@ class Child:
         Raises Problem 503 where the process is gone.
         """
         if self._socket is None:
-            raise restarting(1)
+            raise process_restarting(1)
         made = self.at_work.changes
         while self._ahead and self._ahead[0][0] <= made:
             self._ahead.popleft()
         try:
             self._memory.require(needed + sum(each for _, each in self._ahead), what)
         except NotEnoughMemory:
-            self.send(packed(Tidy()))
+            self.send(pack(ReduceMemory()))
             raise
 
-    async def drained(self) -> None:
+    async def wait_drained(self) -> None:
         """Return when the process has taken most of what it was sent, or is gone."""
         while sum(map(len, self._output)) > _AHEAD:
             self._taken = self._taken or self._loop.create_future()

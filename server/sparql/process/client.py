@@ -19,11 +19,11 @@ from rosld.server.dataset.base import Edit
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.memory import DATASET_PER_CHARACTER, DATASET_PER_TRIPLE
 from rosld.server.sparql.disconnect import Disconnected
-from rosld.server.sparql.limits import Limits, restarting
-from rosld.server.sparql.process.child import Child, spawn
-from rosld.server.sparql.process.evaluation import Aborted, Evaluation, PendingJob, why_crashed
-from rosld.server.sparql.process.fork import Ended
-from rosld.server.sparql.process.frames import Cancel, Change, Drop, Job, Kind, Reply, packed
+from rosld.server.sparql.limits import Limits, process_restarting
+from rosld.server.sparql.process.child import ChildProcess, spawn
+from rosld.server.sparql.process.evaluation import Aborted, Evaluation, PendingJob, crash_reason
+from rosld.server.sparql.process.fork import ExitStatus
+from rosld.server.sparql.process.frames import Cancel, Change, Drop, Job, Kind, Reply, pack
 from rosld.server.sparql.process.work import Work
 
 _log = logging.getLogger("rosld.sparql")
@@ -53,7 +53,7 @@ class QueryProcess:
         self.version = 0
         self.generation = 0
         self._jobs: dict[int, PendingJob] = {}
-        self._child: Child | None = None
+        self._child: ChildProcess | None = None
         self._up = asyncio.Event()
         self._restart: asyncio.Task[None] | None = None
         self._closed = False
@@ -65,13 +65,13 @@ class QueryProcess:
         """The number of the process, None while there is none."""
         return None if self._child is None else self._child.popen.pid
 
-    def watch_start(self, told: Callable[[], None]) -> None:
+    def on_start(self, listener: Callable[[], None]) -> None:
         """Call `told` whenever the process has been started again, and holds nothing."""
-        self._on_start.append(told)
+        self._on_start.append(listener)
 
-    def watch(self, told: Callable[[Mapping[str, str | None], Sequence[Edit]], None]) -> None:
+    def on_change(self, listener: Callable[[Mapping[str, str | None], Sequence[Edit]], None]) -> None:
         """Call `told` with each change of the first dataset from now on."""
-        self._on_change.append(told)
+        self._on_change.append(listener)
 
     async def start(self) -> None:
         """Start the process; it need not be waited for. Raises OSError."""
@@ -82,7 +82,7 @@ class QueryProcess:
             popen.kill()
             connection.close()
             return
-        self._child = Child(spawned, self._loop, self._take, self._lost)
+        self._child = ChildProcess(spawned, self._loop, self._take, self._lost)
         self.generation += 1
         self.version += 1
         for told in self._on_start:
@@ -100,23 +100,23 @@ class QueryProcess:
             child.close()
             child.popen.kill()
             await self._loop.run_in_executor(None, child.popen.wait)
-        self._fail_all(restarting(1))
+        self._fail_all(process_restarting(1))
 
     @property
-    def _running(self) -> Child:
+    def _running(self) -> ChildProcess:
         """The process. Raises Problem 503 where it is not there."""
         if self._child is None:
-            raise restarting(1)
+            raise process_restarting(1)
         return self._child
 
-    async def ready(self, until: float) -> None:
+    async def wait_ready(self, until: float) -> None:
         """Wait a moment for the process to be there. Raises Problem 503 where it is not."""
         if self._up.is_set():
             return
         try:
             await asyncio.wait_for(self._up.wait(), max(0.0, min(_PATIENCE, until - time.monotonic())))
         except asyncio.TimeoutError as error:
-            raise restarting(1) from error
+            raise process_restarting(1) from error
 
     # --- what it is told
 
@@ -133,7 +133,7 @@ class QueryProcess:
         needed = characters * DATASET_PER_CHARACTER + sum(text.count("\n") for text in added) * DATASET_PER_TRIPLE
         if needed:
             self._running.require_memory(needed, f"the dataset, for changes of {characters} characters,")
-        self._running.send_change(packed(Change(dataset, dict(graphs), [*edits])), needed)
+        self._running.send_change(pack(Change(dataset, dict(graphs), [*edits])), needed)
         if dataset == 0:
             self.version += 1
             for told in self._on_change:
@@ -146,7 +146,7 @@ class QueryProcess:
     def drop(self, dataset: int) -> None:
         """Let go of another dataset."""
         with contextlib.suppress(Problem):
-            self._running.send(packed(Drop(dataset)))
+            self._running.send(pack(Drop(dataset)))
 
     async def answer(
         self,
@@ -184,7 +184,7 @@ class QueryProcess:
     def begin(self, work: Work, limits: Limits, dataset: int, on_wait: Callable[[], None]) -> tuple[int, PendingJob]:
         """Have work begun. For `Evaluation`."""
         number, pending = next(self._numbers), PendingJob(self._loop, work, on_wait)
-        data = packed(Job(number, dataset, work, limits.seconds, limits.memory))
+        data = pack(Job(number, dataset, work, limits.seconds, limits.memory))
         if len(data) > _LARGE:
             self._running.require_memory(len(data) * _PER_BYTE, f"a request of {len(data)} bytes")
         self._running.send(data)
@@ -197,16 +197,16 @@ class QueryProcess:
         if pending is not None and not pending.is_over:
             pending.is_over = True
             with contextlib.suppress(Problem):
-                self._running.send(packed(Cancel(number)))
+                self._running.send(pack(Cancel(number)))
 
     def forget(self, number: int) -> None:
         """Nothing more is expected of a job. For `Evaluation`."""
         self._jobs.pop(number, None)
 
-    async def drained(self) -> None:
+    async def wait_drained(self) -> None:
         """Return when the process has taken most of what it was sent, or is gone."""
         if self._child is not None:
-            await self._child.drained()
+            await self._child.wait_drained()
 
     # --- what it tells
 
@@ -236,7 +236,7 @@ class QueryProcess:
                 pending.on_wait()
             case Kind.ENDED:
                 if pending.ended is not None and not pending.ended.done():
-                    pending.ended.set_result(cast("Ended", value))
+                    pending.ended.set_result(cast("ExitStatus", value))
 
     # --- its death
 
@@ -269,8 +269,8 @@ class QueryProcess:
         how = f"signal {-status}" if status < 0 else f"exit {status}"
         _log.error("the query process was ended%s (%s); it is started again", what, how)
         if guilty is not None and not guilty.first.done():
-            guilty.first.set_exception(why_crashed(status))
-        self._fail_all(restarting(1))
+            guilty.first.set_exception(crash_reason(status))
+        self._fail_all(process_restarting(1))
 
     def _fail_all(self, problem: Problem) -> None:
         for pending in self._jobs.values():
@@ -281,7 +281,7 @@ class QueryProcess:
         self._jobs.clear()
 
 
-def _looked_at(future: asyncio.Future[Ended]) -> None:
+def _looked_at(future: asyncio.Future[ExitStatus]) -> None:
     """Nobody may ask for it."""
     if not future.cancelled():
         future.exception()

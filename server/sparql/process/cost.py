@@ -58,7 +58,7 @@ OPTIONAL and EXISTS may, and nothing that makes more of what goes in, as CONCAT 
 """
 
 
-class Step(NamedTuple):
+class PlanStep(NamedTuple):
     """A triple pattern: IRIs in angle brackets, which are pickled faster than nodes, or the names of variables."""
 
     subject: str
@@ -73,20 +73,20 @@ class Step(NamedTuple):
         return {each for each in (self.subject, self.object) if each is not None and not _is_iri(each)}
 
 
-class Plan(NamedTuple):
+class JoinPlan(NamedTuple):
     """Patterns in the order in which they are joined, each from a constant on, or from what those before it bind.
 
     Empty where one must be looked for everywhere. There are as many `patterns`; all stand in `graph`, where it is one.
     `tokens` is how many the query has.
     """
 
-    steps: tuple[Step, ...]
+    steps: tuple[PlanStep, ...]
     patterns: int
     graph: str | None
     tokens: int
 
 
-def plan(where: Group, words: Sequence[str], tokens: int) -> Plan | None:
+def join_plan(where: Group, words: Sequence[str], tokens: int) -> JoinPlan | None:
     """The patterns of a query of so many tokens, to be followed; None where it may take long whatever is stored.
 
     `words` are its keywords, in capitals.
@@ -99,10 +99,10 @@ def plan(where: Group, words: Sequence[str], tokens: int) -> Plan | None:
     ordered = _ordered([step for step in steps if step is not None])
     graphs = graphs_around(where) or frozenset()
     graph = next(iter(graphs)) if len(graphs) == 1 else None
-    return None if ordered is None and graph is None else Plan(ordered or (), len(steps), graph, tokens)
+    return None if ordered is None and graph is None else JoinPlan(ordered or (), len(steps), graph, tokens)
 
 
-def _steps(group: Group) -> Iterator[Step | None]:
+def _steps(group: Group) -> Iterator[PlanStep | None]:
     """The patterns of a group, or of the one GRAPH that is all there is in it; None for what is no plain pattern."""
     is_apart = group.children and (group.patterns or len(group.children) > 1)
     if group.scoped or group.mixed or is_apart or isinstance(group.graph, Variable):
@@ -113,12 +113,12 @@ def _steps(group: Group) -> Iterator[Step | None]:
             yield from _steps(child)
 
 
-def _step(pattern: Pattern) -> Step | None:
+def _step(pattern: Pattern) -> PlanStep | None:
     subject, predicates = _slot(pattern.subject), pattern.predicates
     if pattern.repeated or pattern.empty or subject is None or len(predicates or "1") != 1:
         return None
     predicate = None if predicates is None else next(iter(predicates))
-    return Step(subject, predicate, _slot(pattern.object))
+    return PlanStep(subject, predicate, _slot(pattern.object))
 
 
 def _slot(term: Term) -> str | None:
@@ -127,10 +127,10 @@ def _slot(term: Term) -> str | None:
     return term.name or None if isinstance(term, Variable) else None
 
 
-def _ordered(steps: list[Step]) -> tuple[Step, ...] | None:
+def _ordered(steps: list[PlanStep]) -> tuple[PlanStep, ...] | None:
     """The steps as the store joins them, greedily; None where it must scan for one."""
     known: set[str] = set()
-    ordered: list[Step] = []
+    ordered: list[PlanStep] = []
     while steps:
         connected = [step for step in steps if step.names & known] or steps
         step = min(connected, key=lambda each: _ESTIMATES[_known(each, known)])
@@ -142,7 +142,7 @@ def _ordered(steps: list[Step]) -> tuple[Step, ...] | None:
     return tuple(ordered)
 
 
-def _is_anchored(step: Step, known: set[str]) -> bool:
+def _is_anchored(step: PlanStep, known: set[str]) -> bool:
     subject, predicate, object = _known(step, known)
     return subject or (predicate and object and step.object is not None)
 
@@ -151,7 +151,7 @@ def _is_iri(slot: str) -> bool:
     return slot.startswith("<")
 
 
-def _known(step: Step, known: set[str]) -> tuple[bool, bool, bool]:
+def _known(step: PlanStep, known: set[str]) -> tuple[bool, bool, bool]:
     """Whether subject, predicate and object are known when it is looked up."""
     subject = _is_iri(step.subject) or step.subject in known
     object = step.object is None or _is_iri(step.object) or step.object in known
@@ -171,7 +171,7 @@ _ESTIMATES = {
 """What the store takes for the number of matches of a pattern, by what is known of it."""
 
 
-def may_take_long(plan: Plan | None, dataset: Dataset) -> bool:
+def may_take_long(plan: JoinPlan | None, dataset: Dataset) -> bool:
     """Whether a query whose patterns these are may look at more than some hundred statements.
 
     The store walks past as much on the way to them as is walked past here: so what is found out late may take long.
@@ -205,7 +205,7 @@ def may_take_long(plan: Plan | None, dataset: Dataset) -> bool:
     return size * max(1, len(solutions)) > _MAX_TEXT or looked * plan.tokens > _MAX_EVALUATED
 
 
-def _is_within_a_small_graph(plan: Plan, graph: NamedNode, dataset: Dataset) -> bool:
+def _is_within_a_small_graph(plan: JoinPlan, graph: NamedNode, dataset: Dataset) -> bool:
     triples, size = dataset.extent(graph, MAX_STATEMENTS)
     if triples >= MAX_STATEMENTS:
         return False
@@ -213,7 +213,7 @@ def _is_within_a_small_graph(plan: Plan, graph: NamedNode, dataset: Dataset) -> 
     return combined * plan.tokens <= _MAX_COMBINED and size * max(1, triples) <= _MAX_TEXT
 
 
-def _bound(solution: dict[str, _Node], step: Step, quad: Quad) -> dict[str, _Node]:
+def _bound(solution: dict[str, _Node], step: PlanStep, quad: Quad) -> dict[str, _Node]:
     found = {**solution}
     if not _is_iri(step.subject):
         found[step.subject] = quad.subject

@@ -12,12 +12,12 @@ from typing import Protocol
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.disconnect import Disconnected
-from rosld.server.sparql.limits import Limits, busy, crashed, out_of_memory, out_of_time
-from rosld.server.sparql.process.fork import HEAD as FRAME
-from rosld.server.sparql.process.fork import OUT_OF_MEMORY, Ended, Piece
+from rosld.server.sparql.limits import Limits, out_of_memory, out_of_time, process_crashed, too_many_queries
+from rosld.server.sparql.process.fork import FRAME_HEADER as FRAME
+from rosld.server.sparql.process.fork import OUT_OF_MEMORY, ExitStatus, FrameKind
 from rosld.server.sparql.process.work import Work
 
-HEAD = 1024 * 1024
+MAX_FIRST_BYTES = 1024 * 1024
 """Bytes that are gathered before the first is sent: up to these, an answer is sent whole or refused."""
 _CHUNK = 256 * 1024
 
@@ -33,13 +33,13 @@ class PendingJob:
 
     def __init__(self, loop: asyncio.AbstractEventLoop, work: Work, on_wait: Callable[[], None]) -> None:
         self.first: asyncio.Future[bytes | int] = loop.create_future()
-        self.ended: asyncio.Future[Ended] | None = None
+        self.ended: asyncio.Future[ExitStatus] | None = None
         self.is_over = False
         self.on_wait = on_wait
         self.work = work
 
 
-class Jobs(Protocol):
+class JobRunner(Protocol):
     """What does the work: the query process."""
 
     def begin(self, work: Work, limits: Limits, dataset: int, on_wait: Callable[[], None]) -> tuple[int, PendingJob]:
@@ -55,26 +55,26 @@ class Jobs(Protocol):
         ...
 
 
-def why_crashed(status: int) -> Problem:
-    return crashed(f"signal {-status}" if status < 0 else f"exit {status}")
+def crash_reason(status: int) -> Problem:
+    return process_crashed(f"signal {-status}" if status < 0 else f"exit {status}")
 
 
-def _why_ended(ended: Ended, limits: Limits) -> Problem:
+def _why_ended(ended: ExitStatus, limits: Limits) -> Problem:
     """Why a fork ended that did not say so."""
     status, words = ended
     if "memory allocation of" in words or (os.WIFEXITED(status) and os.WEXITSTATUS(status) == OUT_OF_MEMORY):
         return out_of_memory(limits.memory)
     if not os.WIFSIGNALED(status):
-        return crashed(f"exit {os.WEXITSTATUS(status)}")
+        return process_crashed(f"exit {os.WEXITSTATUS(status)}")
     number = os.WTERMSIG(status)
-    return out_of_time(limits.seconds) if number == signal.SIGALRM else crashed(f"signal {number}")
+    return out_of_time(limits.seconds) if number == signal.SIGALRM else process_crashed(f"signal {number}")
 
 
 class Evaluation:
     """One piece of work: sent, waited for within its time, and its bytes passed on as they come."""
 
     def __init__(
-        self, process: Jobs, work: Work, limits: Limits, until: float, disconnected: Disconnected | None
+        self, process: JobRunner, work: Work, limits: Limits, until: float, disconnected: Disconnected | None
     ) -> None:
         self._process = process
         self._work = work
@@ -107,7 +107,7 @@ class Evaluation:
         first = self._pending.first
         if not first.done():
             is_waiting = self._watch is not None
-            first.set_exception(busy() if is_waiting else out_of_time(self._limits.seconds))
+            first.set_exception(too_many_queries() if is_waiting else out_of_time(self._limits.seconds))
             self._process.cancel(self._number)
 
     def _watch_client(self) -> None:
@@ -144,7 +144,7 @@ class Evaluation:
         self._transport, _ = await asyncio.get_running_loop().connect_read_pipe(lambda: protocol, pipe)
         head: list[bytes] = []
         size = 0
-        while size < HEAD:
+        while size < MAX_FIRST_BYTES:
             data = await self._next()
             if data is None:
                 return b"".join(head)
@@ -182,9 +182,9 @@ class Evaluation:
         except asyncio.IncompleteReadError:
             assert self._pending.ended is not None
             raise _why_ended(await self._pending.ended, self._limits) from None
-        if kind == Piece.DATA.value:
+        if kind == FrameKind.DATA.value:
             return data
-        if kind == Piece.RAISED.value:
+        if kind == FrameKind.RAISED.value:
             error: Exception = pickle.loads(data)  # from our own process
             raise error
         return None

@@ -22,7 +22,7 @@ from enum import Enum
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, NoReturn, TypeAlias, cast
 
-HEAD = struct.Struct("<cI")
+FRAME_HEADER = struct.Struct("<cI")
 """What a frame begins with: what it is, and its bytes."""
 _CHUNK = 64 * 1024
 _PIPE = 1024 * 1024
@@ -34,10 +34,10 @@ OUT_OF_MEMORY = 86
 _MAX_WORDS = 4096
 _PR_SET_PDEATHSIG = 1
 
-Do: TypeAlias = Callable[[BinaryIO], None]
+Task: TypeAlias = Callable[[BinaryIO], None]
 
 
-class Piece(Enum):
+class FrameKind(Enum):
     """What a frame is: bytes of the result, its end, a pickled exception."""
 
     DATA = b"d"
@@ -45,7 +45,7 @@ class Piece(Enum):
     RAISED = b"r"
 
 
-class Ended(NamedTuple):
+class ExitStatus(NamedTuple):
     """How a fork ended: its status as `os.waitpid` has it, and what native code said last, if anything."""
 
     status: int
@@ -55,7 +55,7 @@ class Ended(NamedTuple):
 class Fork:
     """A fork at work: its process, and the ends of the pipes that its result and its last words are read from."""
 
-    def __init__(self, do: Do, seconds: float, memory: int) -> None:
+    def __init__(self, do: Task, seconds: float, memory: int) -> None:
         """Begin. Raises OSError where there can be no further process."""
         self.reading, writing = os.pipe()
         self._words, words = os.pipe()
@@ -74,20 +74,20 @@ class Fork:
         os.close(writing)
         os.close(words)
 
-    def reap(self) -> Ended | None:
+    def reap(self) -> ExitStatus | None:
         """How it ended; None while it is at work."""
         pid, status = os.waitpid(self.pid, os.WNOHANG)
         if not pid:
             return None
         words = os.read(self._words, _MAX_WORDS)
         os.close(self._words)
-        return Ended(status, words.decode("utf-8", "replace"))
+        return ExitStatus(status, words.decode("utf-8", "replace"))
 
 
 # --- in the fork
 
 
-def _live(do: Do, writing: int, seconds: float, memory: int, parent: int) -> NoReturn:
+def _live(do: Task, writing: int, seconds: float, memory: int, parent: int) -> NoReturn:
     """Its whole life. It shares nothing that it could harm."""
     codes: list[int] = []
     try:
@@ -104,7 +104,7 @@ def _live(do: Do, writing: int, seconds: float, memory: int, parent: int) -> NoR
         os._exit(codes[0] if codes else 1)
 
 
-def _work(do: Do, writing: int) -> int:
+def _work(do: Task, writing: int) -> int:
     """Do it; how to exit."""
     try:
         frames = _Frames(writing)
@@ -114,9 +114,9 @@ def _work(do: Do, writing: int) -> int:
         except (MemoryError, BrokenPipeError):
             raise
         except Exception as error:
-            frames.send(Piece.RAISED, pickled(error))
+            frames.send(FrameKind.RAISED, pickle_error(error))
         else:
-            frames.send(Piece.END, b"")
+            frames.send(FrameKind.END, b"")
     except MemoryError:
         return OUT_OF_MEMORY
     except BaseException:
@@ -124,7 +124,7 @@ def _work(do: Do, writing: int) -> int:
     return 0
 
 
-def pickled(error: Exception) -> bytes:
+def pickle_error(error: Exception) -> bytes:
     """An exception as bytes, without where it came from; one that cannot be, in words."""
     bare = error.with_traceback(None)
     bare.__cause__ = bare.__context__ = None
@@ -187,11 +187,11 @@ class _Frames(io.RawIOBase):
     def flush(self) -> None:
         """Send what was taken."""
         if self._buffer:
-            self.send(Piece.DATA, bytes(self._buffer))
+            self.send(FrameKind.DATA, bytes(self._buffer))
             self._buffer.clear()
 
-    def send(self, kind: Piece, data: bytes) -> None:
+    def send(self, kind: FrameKind, data: bytes) -> None:
         """Send one frame."""
-        view = memoryview(HEAD.pack(kind.value, len(data)) + data)
+        view = memoryview(FRAME_HEADER.pack(kind.value, len(data)) + data)
         while view:
             view = view[os.write(self._descriptor, view) :]

@@ -46,11 +46,11 @@ class Drop(NamedTuple):
     dataset: int
 
 
-class Tidy(NamedTuple):
+class ReduceMemory(NamedTuple):
     """Memory is short: return what can be returned, and end where a new process would need less than half of it."""
 
 
-Request: TypeAlias = "Change | Job | Cancel | Drop | Tidy"
+Request: TypeAlias = "Change | Job | Cancel | Drop | ReduceMemory"
 
 
 class Kind(IntEnum):
@@ -78,13 +78,13 @@ class Reply(NamedTuple):
     value: object = None
 
 
-def packed(message: Request | Reply) -> bytes:
+def pack(message: Request | Reply) -> bytes:
     """A message as a frame. Exceptions that cannot be pickled raise what pickle raises."""
     data = pickle.dumps(message, protocol=5)
     return _LENGTH.pack(len(data)) + data
 
 
-class Buffer:
+class FrameBuffer:
     """Bytes as they come, cut into the messages that they are."""
 
     def __init__(self) -> None:
@@ -106,7 +106,7 @@ class Buffer:
             del self._bytes[:at]
 
 
-class AtWork:
+class SharedStatus:
     """What the process does just now, in memory that survives it: a job, and how many changes it has made."""
 
     def __init__(self, descriptor: int) -> None:
@@ -115,11 +115,11 @@ class AtWork:
 
     SIZE = 2 * _NUMBER.size
 
-    def note(self, number: int) -> None:
+    def set_job(self, number: int) -> None:
         """It is at this job from now on, 0 for none."""
         _NUMBER.pack_into(self._memory, 0, number)
 
-    def note_change(self) -> None:
+    def count_change(self) -> None:
         """It has made another change."""
         _NUMBER.pack_into(self._memory, _NUMBER.size, self.changes + 1)
 

@@ -17,9 +17,20 @@ from typing import BinaryIO, cast
 
 from rosld.server.dataset.memory import MemoryStore
 from rosld.server.runtime.memory import PROCESS_MEMORY, trim
-from rosld.server.sparql.limits import busy
-from rosld.server.sparql.process.fork import Fork, pickled
-from rosld.server.sparql.process.frames import AtWork, Buffer, Cancel, Change, Drop, Job, Kind, Reply, Tidy, packed
+from rosld.server.sparql.limits import too_many_queries
+from rosld.server.sparql.process.fork import Fork, pickle_error
+from rosld.server.sparql.process.frames import (
+    Cancel,
+    Change,
+    Drop,
+    FrameBuffer,
+    Job,
+    Kind,
+    ReduceMemory,
+    Reply,
+    SharedStatus,
+    pack,
+)
 
 _MAX_BYTES = 1024 * 1024
 """Bytes of a result that is not made in a fork."""
@@ -46,10 +57,10 @@ class _Few(io.BytesIO):
         return super().write(data)
 
 
-class Process:
+class QueryProcessMain:
     """Datasets by number, and what is being done over them. `limit` forks work at a time, `waiting` jobs may wait."""
 
-    def __init__(self, connection: socket.socket, at_work: AtWork, limit: int, waiting: int) -> None:
+    def __init__(self, connection: socket.socket, at_work: SharedStatus, limit: int, waiting: int) -> None:
         self._connection = connection
         self._at_work = at_work
         self._limit = limit
@@ -57,7 +68,7 @@ class Process:
         self._stores: dict[int, MemoryStore] = {0: MemoryStore()}
         self._forks: dict[int, Fork] = {}  # by the number of the job
         self._queue: deque[Job] = deque()
-        self._buffer = Buffer()
+        self._buffer = FrameBuffer()
         self._replies = bytearray()
 
     def run(self) -> None:
@@ -104,7 +115,7 @@ class Process:
                     self._cancel(number)
                 case Drop(dataset):
                     self._stores.pop(dataset, None)
-                case Tidy():
+                case ReduceMemory():
                     if any(store.is_mostly_garbage for store in self._stores.values()):
                         return False
                     trim()
@@ -112,7 +123,7 @@ class Process:
         return bool(data)
 
     def _send(self, kind: Kind, number: int, value: object = None) -> None:
-        self._gather(packed(Reply(kind, number, value)))
+        self._gather(pack(Reply(kind, number, value)))
 
     def _gather(self, reply: bytes) -> None:
         """Reply together with what else came at once: waking the server costs more than a small query does."""
@@ -133,15 +144,15 @@ class Process:
             store = self._stores[change.dataset] = MemoryStore()
         for refused in store.replace_valid(change.graphs, change.edits):
             self._send(Kind.REFUSED, change.dataset, refused)
-        self._at_work.note_change()
+        self._at_work.count_change()
 
     # --- work
 
     def _begin(self, job: Job) -> None:
         store = self._stores[job.dataset]
-        self._at_work.note(job.number)
+        self._at_work.set_job(job.number)
         is_done = not job.work.may_take_long(store) and self._done(job, store)
-        self._at_work.note(0)
+        self._at_work.set_job(0)
         if is_done:
             return
         if len(self._forks) < self._limit:
@@ -150,7 +161,7 @@ class Process:
             self._queue.append(job)
             self._send(Kind.WAITING, job.number)
         else:
-            self._send(Kind.RAISED, job.number, pickled(busy()))
+            self._send(Kind.RAISED, job.number, pickle_error(too_many_queries()))
 
     def _done(self, job: Job, store: MemoryStore) -> bool:
         """Do a job here; False where it turns out to be too much."""
@@ -162,26 +173,26 @@ class Process:
         except _TooMuch:
             return False
         except Exception as error:
-            reply = Reply(Kind.RAISED, job.number, pickled(error))
+            reply = Reply(Kind.RAISED, job.number, pickle_error(error))
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0)
-        self._gather(packed(reply))
+        self._gather(pack(reply))
         return True
 
     def _fork(self, job: Job) -> None:
         store = self._stores.get(job.dataset)
         if store is None:
-            self._send(Kind.RAISED, job.number, pickled(busy()))
+            self._send(Kind.RAISED, job.number, pickle_error(too_many_queries()))
             return
         try:
             PROCESS_MEMORY.require(_MIN_MEMORY, "a query")
             fork = Fork(lambda output: job.work(store, output), job.seconds, job.memory)
         except (OSError, MemoryError) as error:
-            self._send(Kind.RAISED, job.number, pickled(error))
+            self._send(Kind.RAISED, job.number, pickle_error(error))
             return
         self._forks[job.number] = fork
         self._flush()
-        message = packed(Reply(Kind.FORKED, job.number))
+        message = pack(Reply(Kind.FORKED, job.number))
         sent = socket.send_fds(self._connection, [message], [fork.reading])
         self._connection.sendall(message[sent:])
         os.close(fork.reading)
@@ -211,7 +222,7 @@ def main() -> None:
     connection = socket.socket(fileno=0)
     descriptor, limit, waiting = map(int, sys.argv[-3:])
     with suppress(BrokenPipeError, ConnectionResetError):  # the server has gone
-        Process(connection, AtWork(descriptor), limit, waiting).run()
+        QueryProcessMain(connection, SharedStatus(descriptor), limit, waiting).run()
     os._exit(0)  # what it holds need not be taken apart
 
 

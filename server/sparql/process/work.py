@@ -27,10 +27,18 @@ from rosld.server.dataset.encoding import decode_term
 from rosld.server.dataset.memory import MemoryStore
 from rosld.server.http.problem import Problem
 from rosld.server.sparql import results, rows
-from rosld.server.sparql.functions import functions, unknown
-from rosld.server.sparql.process.cost import Plan, may_take_long
-from rosld.server.sparql.update.evaluate import GraphChange, Row, StagingDataset, asks_again, copies, draw, graphs_named
-from rosld.server.sparql.update.operations import Hole, Modify, Operation, QuadTemplate, Where
+from rosld.server.sparql.functions import functions, unknown_functions
+from rosld.server.sparql.process.cost import JoinPlan, may_take_long
+from rosld.server.sparql.update.evaluate import (
+    GraphChange,
+    Row,
+    StagingDataset,
+    evaluate,
+    has_copy,
+    has_dependent_where,
+    named_graphs,
+)
+from rosld.server.sparql.update.operations import Modify, Operation, QuadTemplate, TemplateVariable, Where
 
 _MAX_GRAPHS = 8
 """Graphs of a dataset that is chosen for a query which does not take long."""
@@ -57,7 +65,7 @@ class Work(Protocol):
         ...
 
 
-class Query(NamedTuple):
+class QueryWork(NamedTuple):
     """A query as the store takes it. `ages` are the seconds since the newest message of topics, where it asks.
 
     `plan` tells how to find out whether it takes long, None where it may. `functions` are those that it calls by IRI.
@@ -68,7 +76,7 @@ class Query(NamedTuple):
     prefixes: Mapping[str, str]
     default_graphs: tuple[str, ...]
     named_graphs: tuple[str, ...]
-    plan: Plan | None
+    plan: JoinPlan | None
     ages: Mapping[str, float] | None = None
     functions: frozenset[str] = frozenset()
 
@@ -86,7 +94,7 @@ class Query(NamedTuple):
     def _known(self) -> Mapping[str, Function]:
         """The functions that it may call, with those that nobody knows: calling one is an error of its expression."""
         known = _LASTING if self.ages is None else functions(self.ages.get)
-        more = unknown(self.functions) if self.functions else {}
+        more = unknown_functions(self.functions) if self.functions else {}
         return {**known, **more} if more else known
 
     def may_take_long(self, store: MemoryStore) -> bool:
@@ -95,10 +103,10 @@ class Query(NamedTuple):
         return many or may_take_long(self.plan, store)
 
 
-class Answer(NamedTuple):
+class AnswerWork(NamedTuple):
     """The results of a query in one media type. Problem 503 for more than `limit` rows, or triples of a graph."""
 
-    query: Query
+    query: QueryWork
     media_type: str
     limit: int
 
@@ -108,15 +116,15 @@ class Answer(NamedTuple):
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         with _reaching_others():
             found = self.query.results(store)
-            limited = rows.limited(output, self.media_type, isinstance(found, QueryTriples), self.limit)
-            counted = _unlimited if limited is not output else rows.Count(_unlimited, self.limit).one
-            results.write(found, self.media_type, limited, counted, self.query.base)
+            limited = rows.limit_rows(output, self.media_type, isinstance(found, QueryTriples), self.limit)
+            counted = _unlimited if limited is not output else rows.RowCounter(_unlimited, self.limit).count
+            results.write_results(found, self.media_type, limited, counted, self.query.base)
 
 
-class Table(NamedTuple):
+class TableWork(NamedTuple):
     """The first rows of the results of a query: a pickled `results.Table`."""
 
-    query: Query
+    query: QueryWork
     limit: int
 
     def may_take_long(self, store: MemoryStore) -> bool:
@@ -124,7 +132,7 @@ class Table(NamedTuple):
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         with _reaching_others():
-            output.write(pickle.dumps(results.table(self.query.results(store), self.limit, _unlimited)))
+            output.write(pickle.dumps(results.result_rows(self.query.results(store), self.limit, _unlimited)))
 
 
 @contextmanager
@@ -142,12 +150,12 @@ def _unlimited() -> None:
     """Nothing has to be looked at: a fork is killed in time."""
 
 
-class Ask(NamedTuple):
+class WhereWork(NamedTuple):
     """A WHERE, and the queries that it may come to: its own, and that over the graph of WITH."""
 
     where: Where
-    query: Query
-    home: Query | None
+    query: QueryWork
+    home: QueryWork | None
 
     def may_take_long(self, store: MemoryStore) -> bool:
         """Whether its query may; that of WITH has all graphs in its dataset."""
@@ -161,8 +169,8 @@ class Ask(NamedTuple):
         assert isinstance(found, QuerySolutions)
         return (tuple(None if term is None else decode_term(term) for term in row) for row in found)
 
-    def _chosen(self, store: MemoryStore) -> Query:
-        home = self.where.home
+    def _chosen(self, store: MemoryStore) -> QueryWork:
+        home = self.where.with_graph
         if home is None or self.home is None or store.count(home.graph, 1):
             return self.query
         return self.home._replace(default_graphs=(home.graph,), named_graphs=tuple(store.graphs()))
@@ -172,10 +180,10 @@ class _Update(NamedTuple):
     """Operations, and what their WHEREs come to."""
 
     operations: Sequence[Operation]
-    asked: Sequence[Ask]
+    asked: Sequence[WhereWork]
 
 
-class Draw(NamedTuple):
+class EvaluateUpdate(NamedTuple):
     """What operations come to: pickled graphs, each with whether it was there, and what it says after, as N-Triples."""
 
     update: bytes
@@ -184,21 +192,21 @@ class Draw(NamedTuple):
         if len(self.update) > _MAX_UPDATE:
             return True
         operations, asked = _open(self.update)
-        if asks_again(operations) or copies(operations) or any(one.may_take_long(store) for one in asked):
+        if has_dependent_where(operations) or has_copy(operations) or any(one.may_take_long(store) for one in asked):
             return True
-        return any(store.count(graph, _MAX_TRIPLES + 1) > _MAX_TRIPLES for graph in graphs_named(operations))
+        return any(store.count(graph, _MAX_TRIPLES + 1) > _MAX_TRIPLES for graph in named_graphs(operations))
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         operations, asked = _open(self.update)
         by_where = {id(one.where): one for one in asked}
-        canvas = StagingDataset(store.triples, store.dataset if asks_again(operations) else None)
-        draw(operations, canvas, lambda where: by_where[id(where)].solutions(store))
+        canvas = StagingDataset(store.triples, store.dataset if has_dependent_where(operations) else None)
+        evaluate(operations, canvas, lambda where: by_where[id(where)].solutions(store))
         output.write(pickle.dumps([_write(change) for change in canvas.changes()]))
 
 
-def to_draw(operations: Sequence[Operation], asked: Sequence[Ask]) -> Draw:
+def evaluate_work(operations: Sequence[Operation], asked: Sequence[WhereWork]) -> EvaluateUpdate:
     """The work that draws operations; in any thread."""
-    return Draw(pickle.dumps(([*map(_compact, operations)], asked), protocol=5))
+    return EvaluateUpdate(pickle.dumps(([*map(_compact, operations)], asked), protocol=5))
 
 
 class _Compact(NamedTuple):
@@ -218,7 +226,9 @@ def _compact(operation: Operation) -> Operation | _Compact:
 
 def _split(quads: Sequence[QuadTemplate]) -> tuple[bytes, tuple[QuadTemplate, ...]]:
     """The quads without holes and blank nodes as N-Quads, and the others."""
-    constant = [not any(term is None or isinstance(term, Hole | BlankNode) for term in quad) for quad in quads]
+    constant = [
+        not any(term is None or isinstance(term, TemplateVariable | BlankNode) for term in quad) for quad in quads
+    ]
     text = "".join(f"{s} {p} {o} {g} .\n" for s, p, o, g in compress(quads, constant))
     return text.encode(), tuple(quad for quad, is_constant in zip(quads, constant, strict=True) if not is_constant)
 
@@ -260,7 +270,7 @@ def _read(text: bytes | None) -> tuple[Triple, ...] | None:
     return None if text is None else tuple(quad.triple for quad in parse(text, RdfFormat.N_TRIPLES))
 
 
-class Dump(NamedTuple):
+class DumpGraphs(NamedTuple):
     """What graphs hold, of one moment: a pickled mapping of names to N-Triples, None for a graph that is not there."""
 
     graphs: tuple[str, ...]
@@ -272,7 +282,7 @@ class Dump(NamedTuple):
         output.write(pickle.dumps({graph: store.ntriples(graph) for graph in self.graphs}))
 
 
-class Graphs(NamedTuple):
+class ListGraphs(NamedTuple):
     """The names of all graphs, pickled."""
 
     def may_take_long(self, store: MemoryStore) -> bool:

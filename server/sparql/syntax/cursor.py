@@ -9,7 +9,7 @@ from typing import NoReturn, Protocol
 from pyoxigraph import NamedNode, RdfFormat, parse
 
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.syntax.lexer import Checked, Kind, Token, place, unescaped
+from rosld.server.sparql.syntax.lexer import CheckedText, Kind, Token, line_and_column, unescape_codepoints
 from rosld.server.sparql.syntax.tree import TYPE
 from rosld.server.sparql.syntax.words import KEYWORDS
 
@@ -32,7 +32,7 @@ class Cursor:
     Whatever does not fit raises a Problem 400: one sentence with the token, its place and what was expected.
     """
 
-    def __init__(self, checked: Checked, prefixes: Mapping[str, str], base: str) -> None:
+    def __init__(self, checked: CheckedText, prefixes: Mapping[str, str], base: str) -> None:
         self.text = checked.text
         self.prefixes = dict(prefixes)
         self.base = base
@@ -135,8 +135,8 @@ class Cursor:
         namespace = self.prefixes.get(prefix)
         if namespace is None:
             written = self._written[token.start : token.start + len(prefix)]
-            near = like(written, self.prefixes, ":")
-            where = place(self.text, token.start)
+            near = did_you_mean(written, self.prefixes, ":")
+            where = line_and_column(self.text, token.start)
             raise Problem(400, f"The prefix {_short(written)}: is not declared{near}, at {where}.")
         return namespace + (_unslash(local) if "\\" in local else local)
 
@@ -144,7 +144,7 @@ class Cursor:
         """The IRI as the store will have it: whatever is not plainly absolute is resolved by its own parser."""
         iri = token.text[1:-1]
         if "\\" in iri:
-            iri = unescaped(iri)
+            iri = unescape_codepoints(iri)
         if _is_plain(iri):
             return iri
         try:
@@ -171,7 +171,7 @@ class Cursor:
         if self.key == "<":
             self.fail_at(token, "begins no IRI: it has no end, or a blank, a quote or a bracket in it")
         if token.kind is Kind.WORD and self.key not in ("A", "TRUE", "FALSE") and self.key not in KEYWORDS:
-            near = like(self.key, KEYWORDS)
+            near = did_you_mean(self.key, KEYWORDS)
             self.fail_at(token, f"is no keyword of SPARQL{near}, where {expected} is expected")
         self.fail_at(token, f"stands where {expected} is expected")
 
@@ -179,11 +179,11 @@ class Cursor:
         """Raise that the next token, where a term was expected, is none."""
         if self.token.kind is Kind.WORD and self.key not in KEYWORDS:
             hint = "put it in quotes, or write it as a variable (?) or with a prefix"
-            self.fail_at(self.token, f"is no term{like(self.key, KEYWORDS)}: {hint}")
+            self.fail_at(self.token, f"is no term{did_you_mean(self.key, KEYWORDS)}: {hint}")
         self.fail_expecting(expected)
 
     def _where_is(self, span: Span) -> str:
-        return f"{_short(self._written[span.start : span.end])} at {place(self.text, span.start)}"
+        return f"{_short(self._written[span.start : span.end])} at {line_and_column(self.text, span.start)}"
 
     def _innermost_open(self) -> Token | None:
         opened: list[Token] = []
@@ -195,7 +195,7 @@ class Cursor:
         return opened[-1] if opened else None
 
 
-def like(text: str, known: Collection[str], mark: str = "") -> str:
+def did_you_mean(text: str, known: Collection[str], mark: str = "") -> str:
     """A guess at what was meant, in brackets after a blank; nothing where none is near."""
     found = get_close_matches(text, sorted(known), 1, 0.8) if len(text) <= _MAX_QUOTED else []
     return f" ({found[0]}{mark}?)" if found else ""

@@ -6,25 +6,25 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.syntax.cursor import like
-from rosld.server.sparql.syntax.lexer import Checked, Kind, Token, place
+from rosld.server.sparql.syntax.cursor import did_you_mean
+from rosld.server.sparql.syntax.lexer import CheckedText, Kind, Token, line_and_column
 from rosld.server.sparql.syntax.tree import (
     Call,
     Choices,
     Constant,
+    EvaluatedExpression,
     Exists,
     Expression,
+    ExpressionPurpose,
     Group,
     Iri,
     Operand,
     Part,
     Pattern,
-    Place,
-    Purpose,
     Reference,
     Term,
     Variable,
-    core,
+    strip_brackets,
 )
 from rosld.server.sparql.syntax.triples import TripleParser
 from rosld.server.sparql.syntax.words import AGGREGATES, ANY_NUMBER, ARGUMENTS
@@ -43,9 +43,11 @@ class ExpressionParser(TripleParser):
     `age` is the IRI of the function whose argument's values must be known: a call of it is a pattern about that.
     """
 
-    def __init__(self, checked: Checked, prefixes: Mapping[str, str], base: str, max_joins: int, age: str = "") -> None:
+    def __init__(
+        self, checked: CheckedText, prefixes: Mapping[str, str], base: str, max_joins: int, age: str = ""
+    ) -> None:
         super().__init__(checked, prefixes, base, max_joins)
-        self.places: list[Place] = []
+        self.expressions: list[EvaluatedExpression] = []
         self.functions: set[str] = set()
         self.constants: set[str] = set()
         self._age = age
@@ -106,7 +108,7 @@ class ExpressionParser(TripleParser):
 
     def _fail_ambiguous(self) -> None:
         """The store's parser reads `<` as "less than" wherever an operator may stand."""
-        where = place(self.text, self.token.start)
+        where = line_and_column(self.text, self.token.start)
         words = f"{self.token.text} at {where} can be read as an IRI or as comparisons: put a blank after the <."
         raise Problem(400, words)
 
@@ -162,7 +164,7 @@ class ExpressionParser(TripleParser):
             return self._aggregate(group)
         if name not in ARGUMENTS:
             if self.following.is_mark("("):
-                near = like(name, ARGUMENTS.keys() | AGGREGATES)
+                near = did_you_mean(name, ARGUMENTS.keys() | AGGREGATES)
                 self.fail_at(token, f"is no function of SPARQL{near}")
             self.fail_unknown(_EXPRESSION)
         self.advance()
@@ -173,13 +175,13 @@ class ExpressionParser(TripleParser):
         arguments = self._arguments(token, ANY_NUMBER, group)
         self.functions.add(iri)
         if iri == self._age:
-            about = core(arguments[0]) if len(arguments) == 1 else None
-            subject: Term = self.new()
+            about = strip_brackets(arguments[0]) if len(arguments) == 1 else None
+            subject: Term = self.new_blank_node()
             if isinstance(about, Reference):
                 subject = Variable(about.name[1:])
             elif isinstance(about, Constant):
                 subject = about.term
-            group.filters.append(Group(patterns=[Pattern(subject, frozenset({iri}), self.new())]))
+            group.filters.append(Group(patterns=[Pattern(subject, frozenset({iri}), self.new_blank_node())]))
         return Call(token.start, self.end, "", token.end, arguments)
 
     def _aggregate(self, group: Group) -> Call:
@@ -220,9 +222,11 @@ class ExpressionParser(TripleParser):
             self.fail_at(function, f"has {len(found)} arguments and takes {wanted}")
         return tuple(found)
 
-    def place(self, operand: Operand, purpose: Purpose, start: int = 0, direction: str = "ASC") -> None:
+    def add_expression(
+        self, operand: Operand, purpose: ExpressionPurpose, start: int = 0, direction: str = "ASC"
+    ) -> None:
         """Note an expression that is evaluated."""
-        self.places.append(Place(operand, purpose, start, direction))
+        self.expressions.append(EvaluatedExpression(operand, purpose, start, direction))
 
 
 def has_aggregate(operand: Operand) -> bool:

@@ -61,7 +61,7 @@ class Token(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
+class QueryBounds:
     """What a query or an update may be at most.
 
     `size` is in characters; `depth` counts open brackets; `steps` are keywords, operators and brackets (each can be
@@ -75,17 +75,17 @@ class Bounds:
     joins: int = 64
 
 
-BOUNDS = Bounds()
+DEFAULT_BOUNDS = QueryBounds()
 
 
 @dataclass(frozen=True, slots=True)
-class Reach:
+class ServiceAllowlist:
     """Where a text may have the server send requests to: URLs that SERVICE may name, letter by letter."""
 
     services: frozenset[str] = frozenset()
 
 
-NOWHERE = Reach()
+NO_SERVICES = ServiceAllowlist()
 
 _BASE = (
     "A-Za-z\u00c0-\u00d6\u00d8-\u00f6\u00f8-\u02ff\u0370-\u037d\u037f-\u1fff\u200c\u200d\u2070-\u218f\u2c00-\u2fef"
@@ -164,7 +164,7 @@ def _other(text: str, at: int) -> Token:
     return Token(_KINDS[match.lastgroup or ""], match[0], at)
 
 
-def unescaped(text: str) -> str:
+def unescape_codepoints(text: str) -> str:
     """Text with its codepoint escapes (SPARQL 1.1, 19.2) replaced. Raises Problem 400 for one that is no character."""
     return _ESCAPE.sub(_character, text)
 
@@ -176,7 +176,7 @@ def _character(match: re.Match[str]) -> str:
     return chr(code)
 
 
-class Checked(NamedTuple):
+class CheckedText(NamedTuple):
     """A text fit to be parsed: comments are blanked, positions as they were. `tokens` are those that mean something.
 
     `written` is the text as it came, `what` it is called in words for people.
@@ -188,7 +188,9 @@ class Checked(NamedTuple):
     what: str = "query"
 
 
-def check(text: str, bounds: Bounds = BOUNDS, *, what: str = "query", reach: Reach = NOWHERE) -> Checked:
+def check_text(
+    text: str, bounds: QueryBounds = DEFAULT_BOUNDS, *, what: str = "query", reach: ServiceAllowlist = NO_SERVICES
+) -> CheckedText:
     """The text, if it may be shown to the store's parser at all.
 
     Escapes in names are replaced, and prefixes in which that parser might find SERVICE have other names. Raises
@@ -198,7 +200,7 @@ def check(text: str, bounds: Bounds = BOUNDS, *, what: str = "query", reach: Rea
     if len(text) > bounds.size:
         raise Problem(413, f"The {what} has {len(text)} characters; at most {bounds.size} are read.")
     if "\\" in text:
-        text = names_unescaped(text)
+        text = unescape_names(text)
     comments: list[Token] = []
     meaning: list[Token] = []
     for token in tokens(text, spaces=False):
@@ -208,7 +210,7 @@ def check(text: str, bounds: Bounds = BOUNDS, *, what: str = "query", reach: Rea
     if _SERVICE.search(text):
         _check_services(found, text, reach)
     _check_shape(found, text, bounds, what)
-    return _rename(Checked(_blank(text, comments), found, text, what), _SERVICE)
+    return _rename(CheckedText(_blank(text, comments), found, text, what), _SERVICE)
 
 
 def _blank(text: str, comments: Sequence[Token]) -> str:
@@ -221,7 +223,7 @@ def _blank(text: str, comments: Sequence[Token]) -> str:
     return "".join((*pieces, text[at:]))
 
 
-def names_unescaped(text: str) -> str:
+def unescape_names(text: str) -> str:
     """The text without the escapes that stand outside of strings and IRIs (19.2), where characters of names may."""
     pieces: list[str] = []
     at = 0
@@ -246,7 +248,7 @@ def _blot(name: str, keywords: re.Pattern[str], letter: str) -> Iterator[str]:
     yield name[at:]
 
 
-def _rename(checked: Checked, keywords: re.Pattern[str]) -> Checked:
+def _rename(checked: CheckedText, keywords: re.Pattern[str]) -> CheckedText:
     """The same, with other names of the same length for prefixes that hold a keyword: it might be cut from them."""
     if not keywords.search(checked.text):
         return checked
@@ -280,8 +282,8 @@ def _check_targets(found: tuple[Token, ...], text: str, keyword: str, allowed: f
                 named = "nothing" if target is None else target.text
                 raise Problem(
                     400,
-                    f"{keyword} at {place(text, token.start)} names {named}: this server asks only what its settings "
-                    "list, by its whole URL.",
+                    f"{keyword} at {line_and_column(text, token.start)} names {named}: this server asks only what its "
+                    "settings list, by its whole URL.",
                 )
 
 
@@ -289,20 +291,22 @@ def _check_tokens(found: tuple[Token, ...], text: str) -> None:
     for token in found:
         if token.kind is Kind.MARK:
             if token.text in _NEW_MARKS:
-                where = place(text, token.start)
+                where = line_and_column(text, token.start)
                 raise Problem(400, f"{token.text} at {where}: triple terms and reifiers are not known here.")
         elif (token.kind is Kind.ERROR or "\\" in token.text) and (wrong := lexical_error(token, text)):
             raise Problem(400, wrong)
 
 
-def _check_services(found: tuple[Token, ...], text: str, reach: Reach) -> None:
+def _check_services(found: tuple[Token, ...], text: str, reach: ServiceAllowlist) -> None:
     for token in found:
         if (
             token.kind is Kind.WORD
             and _SERVICE.search(token.text)
             and not (reach.services and token.is_word("SERVICE"))
         ):
-            raise Problem(400, f"SERVICE at {place(text, token.start)} is refused: this server asks no other.")
+            raise Problem(
+                400, f"SERVICE at {line_and_column(text, token.start)} is refused: this server asks no other."
+            )
     _check_targets(found, text, "SERVICE", reach.services)
 
 
@@ -315,7 +319,7 @@ def lexical_error(token: Token, text: str) -> str | None:
         wrong = next((words for each in _ESCAPED.finditer(token.text) if (words := _wrong_escape(each))), None)
     elif "\\" in token.text and token.kind is Kind.IRI:
         wrong = _wrong_iri(token.text)
-    return wrong and wrong.format(where=place(text, token.start))
+    return wrong and wrong.format(where=line_and_column(text, token.start))
 
 
 def _unread(token: str) -> str:
@@ -341,7 +345,7 @@ def _wrong_iri(iri: str) -> str | None:
     return "The IRI at {where} has a backslash, which no IRI has." if "\\" in _ESCAPE.sub("", iri) else None
 
 
-def _check_shape(found: tuple[Token, ...], text: str, bounds: Bounds, what: str) -> None:
+def _check_shape(found: tuple[Token, ...], text: str, bounds: QueryBounds, what: str) -> None:
     """Check the bounds on depth and steps. Data may be long: what stands in a block after VALUES or DATA is no step."""
     depth = steps = 0
     data: int | None = None
@@ -350,7 +354,8 @@ def _check_shape(found: tuple[Token, ...], text: str, bounds: Bounds, what: str)
             depth += 1
             if depth > bounds.depth:
                 raise Problem(
-                    400, f"The {what} nests deeper than {bounds.depth} brackets at {place(text, token.start)}."
+                    400,
+                    f"The {what} nests deeper than {bounds.depth} brackets at {line_and_column(text, token.start)}.",
                 )
         elif token.kind is Kind.MARK and token.text in _CLOSE:
             depth -= 1
@@ -366,22 +371,22 @@ def _check_shape(found: tuple[Token, ...], text: str, bounds: Bounds, what: str)
         )
 
 
-def place(text: str, at: int) -> str:
+def line_and_column(text: str, at: int) -> str:
     """A position as the store's parser tells it: line:column, both from 1."""
     before = text[:at]
     return f"{before.count(chr(10)) + 1}:{at - (before.rfind(chr(10)) + 1) + 1}"
 
 
-def check_update_of_one_graph(text: str, bounds: Bounds = BOUNDS) -> Checked:
+def check_update_of_one_graph(text: str, bounds: QueryBounds = DEFAULT_BOUNDS) -> CheckedText:
     """The text, fit to be carried out, of a SPARQL Update of its default graph and nothing else.
 
     Raises Problems: as `check`, and 422 for what reaches beyond: GRAPH, WITH, USING, LOAD, FROM, and operations on
     whole graphs. The check is on letters, wherever a keyword could be cut from them.
     """
-    checked = _rename(check(text, bounds, what="update"), _KEYWORDS_BEYOND)
+    checked = _rename(check_text(text, bounds, what="update"), _KEYWORDS_BEYOND)
     for token in checked.tokens:
         if token.kind is Kind.WORD and (keyword := _beyond(token.text.upper())):
-            where = place(text, token.start)
+            where = line_and_column(text, token.start)
             raise Problem(422, f"{keyword} at {where}: an update here concerns this one resource only.")
     return checked
 

@@ -13,19 +13,19 @@ from typing import NamedTuple
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.cursor import Span
 from rosld.server.sparql.syntax.expressions import ExpressionParser, has_aggregate, ungrouped
-from rosld.server.sparql.syntax.lexer import Bounds, Checked, Kind, Token, place
+from rosld.server.sparql.syntax.lexer import CheckedText, Kind, QueryBounds, Token, line_and_column
 from rosld.server.sparql.syntax.tree import (
     Constant,
+    ExpressionPurpose,
     Group,
     Iri,
     Operand,
     Pattern,
-    Purpose,
     Query,
     Reference,
     Term,
     Variable,
-    core,
+    strip_brackets,
 )
 from rosld.server.sparql.syntax.words import FORMS, MEMBERS, MODIFIERS
 
@@ -34,7 +34,7 @@ _TRIPLE = "a triple pattern, a keyword such as FILTER or OPTIONAL, or }"
 _STARTS_OF_CONDITIONS = frozenset({Kind.VARIABLE, Kind.IRI, Kind.NAME, Kind.WORD})
 
 
-def parse_query(query: Checked, prefixes: Mapping[str, str], base: str, age: str, bounds: Bounds) -> Query:
+def parse_query(query: CheckedText, prefixes: Mapping[str, str], base: str, age: str, bounds: QueryBounds) -> Query:
     """Read a query; `prefixes` need not be declared. `age` is the IRI of ros:age.
 
     Raises Problem 400 for what is no query, saying where and what was expected, and for more joins than the bounds
@@ -91,7 +91,7 @@ class QueryParser(ExpressionParser):
             frozenset(self.functions),
             frozenset(self.constants),
             tuple(self.literals),
-            tuple(self.places),
+            tuple(self.expressions),
         )
 
     def _ask_construct_or_describe(self, form: str) -> tuple[tuple[str, ...], tuple[str, ...], Group]:
@@ -118,8 +118,8 @@ class QueryParser(ExpressionParser):
         if is_everything:
             described = [Variable(name) for name in sorted(where.visible)]
         for term in described:
-            self.join()
-            where.filters.append(Group(patterns=[Pattern(term, None, self.new())]))
+            self.count_join()
+            where.filters.append(Group(patterns=[Pattern(term, None, self.new_blank_node())]))
         return default, named, where
 
     def _describe(self) -> list[Term]:
@@ -137,7 +137,7 @@ class QueryParser(ExpressionParser):
         if self.key != "{":
             self.fail_expecting(_GROUP)
         self.advance()
-        self.triples_to_brace(partial(self.match, group) if is_matched else _ignore, what)
+        self.triples_to_brace(partial(self.add_path, group) if is_matched else _ignore, what)
         self.advance()
 
     def _dataset(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -161,7 +161,7 @@ class QueryParser(ExpressionParser):
                 items.append((self.advance(), None))
             elif self.take("("):
                 operand = self.expression(asked)
-                self.place(operand, Purpose.TERM)
+                self.add_expression(operand, ExpressionPurpose.TERM)
                 self.expect("AS", "and a variable")
                 items.append((self.expect_variable(), operand))
                 self.expect(")", "after the variable")
@@ -187,7 +187,7 @@ class QueryParser(ExpressionParser):
             grouped = frozenset()
         if items is None:
             if grouped is not None:
-                where = place(self.text, selection.select.start)
+                where = line_and_column(self.text, selection.select.start)
                 words = f"SELECT * at {where} cannot stand with GROUP BY or an aggregate: name what to select."
                 raise Problem(400, words)
             return visible
@@ -223,7 +223,7 @@ class QueryParser(ExpressionParser):
         if self.take("HAVING"):
             while True:
                 operands.append(self.constraint(asked))
-                self.place(operands[-1], Purpose.TEST)
+                self.add_expression(operands[-1], ExpressionPurpose.TEST)
                 if not self._is_at_condition:
                     break
         if self.take("ORDER"):
@@ -246,11 +246,11 @@ class QueryParser(ExpressionParser):
             if self.token.kind is Kind.VARIABLE:
                 names.append(self.advance().text[1:])
             elif self.take("("):
-                self.place(self.expression(asked), Purpose.TERM)
+                self.add_expression(self.expression(asked), ExpressionPurpose.TERM)
                 names.append(self.expect_variable().text[1:] if self.take("AS") else None)
                 self.expect(")", "after the expression")
             else:
-                self.place(self.call(asked, "a variable or an expression to group by"), Purpose.TERM)
+                self.add_expression(self.call(asked, "a variable or an expression to group by"), ExpressionPurpose.TERM)
             if not self._is_at_condition:
                 return names
 
@@ -268,7 +268,7 @@ class QueryParser(ExpressionParser):
             else:
                 operand = self.constraint(asked, "a variable, ASC(...), DESC(...) or an expression in brackets")
             operands.append(operand)
-            self.place(operand, Purpose.ORDER, start, direction)
+            self.add_expression(operand, ExpressionPurpose.ORDER, start, direction)
             if not self._is_at_condition:
                 return operands
 
@@ -303,7 +303,7 @@ class QueryParser(ExpressionParser):
         return Group(graph, children=[inner], visible=inner.visible)
 
     def _members(self, group: Group) -> None:
-        add = partial(self.match, group)
+        add = partial(self.add_path, group)
         while self.key != "}":
             if self.is_at_triples:
                 group.mixed = group.mixed or group.assigned
@@ -322,7 +322,7 @@ class QueryParser(ExpressionParser):
             self.fail_expecting(_TRIPLE)
         elif key == "FILTER":
             self.advance()
-            self.place(self.constraint(group), Purpose.TEST)
+            self.add_expression(self.constraint(group), ExpressionPurpose.TEST)
             return  # triples around it are one block
         else:
             self.advance()
@@ -331,10 +331,10 @@ class QueryParser(ExpressionParser):
             elif key == "SERVICE":
                 self._service(group)
             elif key == "VALUES":
-                self.join()
+                self.count_join()
                 self._values(group)
             else:
-                self.join()
+                self.count_join()
                 graph = self._graph(group) if key == "GRAPH" else group.graph
                 child = self.group(graph)
                 group.children.append(child)
@@ -366,18 +366,18 @@ class QueryParser(ExpressionParser):
         """What another endpoint is asked concerns nothing that is here, and is sent as it is written."""
         self.take("SILENT")
         self._graph(group, "an IRI")
-        self.join()
-        literals, places = len(self.literals), len(self.places)
+        self.count_join()
+        literals, places = len(self.literals), len(self.expressions)
         functions, constants = set(self.functions), set(self.constants)
         group.visible |= self.group(None).visible
         del self.literals[literals:]
-        del self.places[places:]
+        del self.expressions[places:]
         self.functions, self.constants = functions, constants
 
     def _bind(self, group: Group) -> None:
         self.expect("(", "after BIND")
         operand = self.expression(group)
-        self.place(operand, Purpose.TERM)
+        self.add_expression(operand, ExpressionPurpose.TERM)
         self.expect("AS", "and a variable")
         variable = self.expect_variable()
         name = variable.text[1:]
@@ -386,7 +386,7 @@ class QueryParser(ExpressionParser):
         self.expect(")", "after the variable of BIND")
         group.visible.add(name)
         group.assigned = True
-        group.mixed = group.mixed or isinstance(core(operand), Constant)
+        group.mixed = group.mixed or isinstance(strip_brackets(operand), Constant)
 
     def _values(self, group: Group) -> None:
         names: list[str] = []

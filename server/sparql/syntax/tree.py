@@ -89,7 +89,7 @@ def graphs_around(group: Group) -> frozenset[str] | None:
 # --- paths
 
 
-class Step(NamedTuple):
+class PathStep(NamedTuple):
     """A predicate in a path."""
 
     iri: str
@@ -120,16 +120,16 @@ class Repeat(NamedTuple):
     empty: bool
 
 
-Path: TypeAlias = "Step | Inverse | Chain | Choice | Repeat"
+Path: TypeAlias = "PathStep | Inverse | Chain | Choice | Repeat"
 
 
-def predicates(path: Path) -> frozenset[str] | None:
+def path_predicates(path: Path) -> frozenset[str] | None:
     """All predicates of a path, None where it may be any."""
-    if isinstance(path, Step):
+    if isinstance(path, PathStep):
         return frozenset({path.iri})
     if isinstance(path, Inverse | Repeat):
-        return predicates(path.path)
-    found = [predicates(part) for part in path.parts]
+        return path_predicates(path.path)
+    found = [path_predicates(part) for part in path.parts]
     if not found or None in found:
         return None
     return frozenset().union(*(one for one in found if one is not None))
@@ -203,7 +203,7 @@ Operand: TypeAlias = "Reference | Constant | Expression | Call | Choices | Exist
 Part: TypeAlias = "Operand | str"
 
 
-class Purpose(Enum):
+class ExpressionPurpose(Enum):
     """What an expression is for."""
 
     TERM = "a term, which is passed on"
@@ -211,16 +211,16 @@ class Purpose(Enum):
     ORDER = "a place among the solutions"
 
 
-class Place(NamedTuple):
+class EvaluatedExpression(NamedTuple):
     """An expression that is evaluated for solutions; one of ORDER BY begins at `start`, with its `direction`."""
 
     operand: Operand
-    purpose: Purpose
+    purpose: ExpressionPurpose
     start: int = 0
     direction: str = "ASC"
 
 
-def core(operand: Operand) -> Operand:
+def strip_brackets(operand: Operand) -> Operand:
     """What stands within brackets that hold nothing else."""
     while isinstance(operand, Expression) and len(operand.parts) == 1 and not isinstance(operand.parts[0], str):
         operand = operand.parts[0]
@@ -245,4 +245,4 @@ class Query:
     functions: frozenset[str]
     constants: frozenset[str]
     literals: tuple[Constant, ...]
-    places: tuple[Place, ...]
+    expressions: tuple[EvaluatedExpression, ...]

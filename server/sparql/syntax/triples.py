@@ -11,7 +11,7 @@ from pyoxigraph import Literal, NamedNode
 from rosld.ontology.vocab import rdf, xsd
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.cursor import Cursor
-from rosld.server.sparql.syntax.lexer import Checked, Kind, Token
+from rosld.server.sparql.syntax.lexer import CheckedText, Kind, Token
 from rosld.server.sparql.syntax.tree import (
     TYPE,
     Chain,
@@ -21,19 +21,19 @@ from rosld.server.sparql.syntax.tree import (
     Inverse,
     Iri,
     Path,
+    PathStep,
     Pattern,
     Repeat,
-    Step,
     Term,
     Value,
     Variable,
     may_be_empty,
-    predicates,
+    path_predicates,
 )
 from rosld.server.sparql.syntax.words import MEMBERS
 
 Verb: TypeAlias = "Path | Variable"
-Sink: TypeAlias = "Callable[[Term, Verb, Term], object]"
+AddPattern: TypeAlias = "Callable[[Term, Verb, Term], object]"
 """What takes triples as they are read."""
 
 _TERMS = frozenset({Kind.VARIABLE, Kind.IRI, Kind.NAME, Kind.BLANK, Kind.STRING, Kind.NUMBER})
@@ -44,7 +44,7 @@ _NODE = "a variable, an IRI, a blank node or a literal"
 _OBJECT = f"the object of a triple ({_NODE})"
 _MEMBER = f"{_NODE}, or )"
 _PREDICATE = "a predicate (an IRI, a variable, a or a path)"
-_FIRST, _REST, _NIL = Step(rdf.first.value), Step(rdf.rest.value), Iri(rdf.nil.value)
+_FIRST, _REST, _NIL = PathStep(rdf.first.value), PathStep(rdf.rest.value), Iri(rdf.nil.value)
 _ESCAPE = re.compile(r"\\(?:u([0-9A-Fa-f]{4})|U([0-9A-Fa-f]{8})|(.))", re.DOTALL)
 _CHARACTERS = {"t": "\t", "n": "\n", "r": "\r", "b": "\b", "f": "\f"}
 
@@ -55,7 +55,7 @@ class TripleParser(Cursor):
     `literals` are those of patterns, templates and data.
     """
 
-    def __init__(self, checked: Checked, prefixes: Mapping[str, str], base: str, max_joins: int) -> None:
+    def __init__(self, checked: CheckedText, prefixes: Mapping[str, str], base: str, max_joins: int) -> None:
         super().__init__(checked, prefixes, base)
         self.joins = 0
         self.literals: list[Constant] = []
@@ -65,12 +65,12 @@ class TripleParser(Cursor):
         self._fresh = 0
         self._labels: dict[str, int] = {}
 
-    def new(self) -> Variable:
+    def new_blank_node(self) -> Variable:
         """A blank node without a label."""
         self._fresh += 1
         return Variable(f"[{self._fresh}]")
 
-    def join(self) -> None:
+    def count_join(self) -> None:
         """Count one more to join; Problem 400 where it is one too many."""
         self.joins += 1
         if self.joins > self._max_joins:
@@ -83,14 +83,14 @@ class TripleParser(Cursor):
 
     # --- triples
 
-    def triples(self, add: Sink, *, is_pattern: bool) -> None:
+    def triples(self, add: AddPattern, *, is_pattern: bool) -> None:
         """Triples of one subject; in a pattern there may be paths, and labels hold for one block."""
         is_bare = self.key in ("[", "(") and not self.following.is_mark("]", ")")
         subject = self._node(add, "a subject", is_pattern)
         if not (is_bare and (self.key in (".", "}") or self.is_at_end)):
             self._properties(subject, add, is_pattern)
 
-    def triples_to_brace(self, add: Sink, what: str) -> None:
+    def triples_to_brace(self, add: AddPattern, what: str) -> None:
         """Triples and nothing else, up to the closing brace of a template, which stays."""
         while self.key != "}":
             if self.key == "{" or self.key in MEMBERS:
@@ -101,7 +101,7 @@ class TripleParser(Cursor):
             if self.key != "}":
                 self.expect(".", "or }")
 
-    def _properties(self, subject: Term, add: Sink, is_pattern: bool) -> None:
+    def _properties(self, subject: Term, add: AddPattern, is_pattern: bool) -> None:
         while True:
             verb = self._verb(is_pattern)
             while True:
@@ -120,11 +120,11 @@ class TripleParser(Cursor):
             return Variable(self.advance().text[1:])
         if is_pattern and not (self.token.kind in (Kind.IRI, Kind.NAME) and not self.following.is_mark(*_OF_PATHS)):
             return self._path()
-        return Step(self._type_or_iri("a predicate (an IRI, a variable or a)" if not is_pattern else _PREDICATE))
+        return PathStep(self._type_or_iri("a predicate (an IRI, a variable or a)" if not is_pattern else _PREDICATE))
 
-    def _node(self, add: Sink, expected: str, is_pattern: bool) -> Term:
+    def _node(self, add: AddPattern, expected: str, is_pattern: bool) -> Term:
         if self.take("["):
-            node = self.new()
+            node = self.new_blank_node()
             if not self.take("]"):
                 self._properties(node, add, is_pattern)
                 self.expect("]", "or ; and a predicate")
@@ -139,11 +139,11 @@ class TripleParser(Cursor):
             )
         return term
 
-    def _collection(self, add: Sink, is_pattern: bool) -> Term:
+    def _collection(self, add: AddPattern, is_pattern: bool) -> Term:
         head: Term = _NIL
         before: Term | None = None
         while not self.take(")"):
-            cell = self.new()
+            cell = self.new_blank_node()
             if before is None:
                 head = cell
             else:
@@ -238,7 +238,7 @@ class TripleParser(Cursor):
         if self.take("!"):
             self._negated()
             return Choice(())
-        return Step(self._type_or_iri(_PREDICATE))
+        return PathStep(self._type_or_iri(_PREDICATE))
 
     def _negated(self) -> None:
         """A negated property set, whose members say nothing of what may match."""
@@ -262,27 +262,27 @@ class TripleParser(Cursor):
 
     # --- patterns
 
-    def match(self, group: Group, subject: Term, path: Verb, object: Term) -> None:
+    def add_path(self, group: Group, subject: Term, path: Verb, object: Term) -> None:
         """Add the patterns of `subject path object` to a group: a chain is one a step, with fresh variables between."""
         if isinstance(path, Variable):
             self._add(group, path, Pattern(subject, None, object))
-        elif isinstance(path, Step):
+        elif isinstance(path, PathStep):
             self._add(group, None, Pattern(subject, frozenset({path.iri}), object))
         elif isinstance(path, Inverse):
-            self.match(group, object, path.path, subject)
+            self.add_path(group, object, path.path, subject)
         elif isinstance(path, Chain):
-            ends = [subject, *(self.new() for _ in path.parts[1:]), object]
+            ends = [subject, *(self.new_blank_node() for _ in path.parts[1:]), object]
             for at, part in enumerate(path.parts):
-                self.match(group, ends[at], part, ends[at + 1])
+                self.add_path(group, ends[at], part, ends[at + 1])
         else:
             is_simple = (
-                isinstance(path, Choice) and bool(path.parts) and all(isinstance(part, Step) for part in path.parts)
+                isinstance(path, Choice) and bool(path.parts) and all(isinstance(part, PathStep) for part in path.parts)
             )
-            pattern = Pattern(subject, predicates(path), object, not is_simple, may_be_empty(path))
+            pattern = Pattern(subject, path_predicates(path), object, not is_simple, may_be_empty(path))
             self._add(group, None, pattern)
 
     def _add(self, group: Group, verb: Variable | None, pattern: Pattern) -> None:
-        self.join()
+        self.count_join()
         group.patterns.append(pattern)
         for term in (pattern.subject, verb, pattern.object):
             if isinstance(term, Variable) and not term.is_blank:

@@ -12,7 +12,7 @@ from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.update.operations import Operation
 
 
-class Updates(Protocol):
+class UpdateRunner(Protocol):
     """Carries out updates."""
 
     async def answer(
@@ -30,6 +30,6 @@ class Updates(Protocol):
         """Carry out operations, as `answer` does those of an update."""
         ...
 
-    def keeps(self, graph: str) -> bool:
+    def is_stored(self, graph: str) -> bool:
         """Whether clients keep the graph of this name, or may."""
         ...

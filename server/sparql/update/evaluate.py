@@ -15,14 +15,14 @@ from rosld.server.dataset.base import Term
 from rosld.server.dataset.encoding import encode_literal
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.update.operations import (
-    Hole,
+    GraphGroup,
+    GraphVerb,
     Load,
-    Manage,
+    ManageGraph,
     Modify,
     Operation,
     QuadTemplate,
-    Several,
-    Verb,
+    TemplateVariable,
     Where,
 )
 
@@ -30,9 +30,9 @@ MAX_ROWS = 100_000
 """Solutions that one WHERE may have."""
 
 Row: TypeAlias = "tuple[Term | None, ...]"
-Ask: TypeAlias = Callable[[Where], Iterable[Row]]
+WhereEvaluator: TypeAlias = Callable[[Where], Iterable[Row]]
 """The solutions of a WHERE, its holes in their order; for one without holes a row of nothing, if it holds."""
-Look: TypeAlias = "Callable[[str], Sequence[Triple] | None]"
+GraphLookup: TypeAlias = "Callable[[str], Sequence[Triple] | None]"
 """The triples of a graph before all operations, None where there is no such graph."""
 
 
@@ -47,7 +47,7 @@ class GraphChange(NamedTuple):
 class StagingDataset:
     """Graphs being changed, as copies; and with them those of a `dataset` that is thrown away afterwards, if given."""
 
-    def __init__(self, look: Look, dataset: pyoxigraph.Store | None = None) -> None:
+    def __init__(self, look: GraphLookup, dataset: pyoxigraph.Store | None = None) -> None:
         self._look = look
         self._dataset = dataset
         self._before: dict[str, Sequence[Triple] | None] = {}
@@ -69,7 +69,7 @@ class StagingDataset:
     def insert(self, quads: Iterable[Quad]) -> None:
         """Add quads, and with them graphs that were not there."""
         for quad in quads:
-            self.make(_name(quad))[quad.triple] = None
+            self.create(_name(quad))[quad.triple] = None
             if self._dataset is not None:
                 self._dataset.add(_stored(quad))
 
@@ -78,7 +78,7 @@ class StagingDataset:
         name = NamedNode(graph)
         return [Quad(each.subject, each.predicate, each.object, name) for each in self._touched(graph) or ()]
 
-    def make(self, graph: str) -> dict[Triple, None]:
+    def create(self, graph: str) -> dict[Triple, None]:
         """The triples of a graph, which is there from now on."""
         triples = self._touched(graph)
         if triples is None:
@@ -120,7 +120,7 @@ def _name(quad: Quad) -> str:
     return quad.graph_name.value
 
 
-def draw(operations: Sequence[Operation], canvas: StagingDataset, ask: Ask) -> None:
+def evaluate(operations: Sequence[Operation], canvas: StagingDataset, ask: WhereEvaluator) -> None:
     """Carry operations out on a canvas. Raises Problems for what cannot be done as they say, whatever the graphs are.
 
     `ask` answers over the dataset as the canvas has it by then, which is the dataset as it was before the first
@@ -130,23 +130,23 @@ def draw(operations: Sequence[Operation], canvas: StagingDataset, ask: Ask) -> N
         match operation:
             case Modify():
                 _modify(operation, canvas, ask)
-            case Manage():
+            case ManageGraph():
                 _manage(operation, canvas)
             case Load():
                 raise ValueError(f"what {operation.document} says must be loaded before it is drawn")
 
 
-def asks_again(operations: Sequence[Operation]) -> bool:
+def has_dependent_where(operations: Sequence[Operation]) -> bool:
     """Whether a WHERE comes after another operation, so that it must see what that has done."""
     return any(isinstance(each, Modify) and each.where is not None for each in operations[1:])
 
 
-def copies(operations: Sequence[Operation]) -> bool:
+def has_copy(operations: Sequence[Operation]) -> bool:
     """Whether one graph is copied to another."""
-    return any(isinstance(each, Manage) and each.source is not None for each in operations)
+    return any(isinstance(each, ManageGraph) and each.source is not None for each in operations)
 
 
-def graphs_named(operations: Sequence[Operation]) -> frozenset[str]:
+def named_graphs(operations: Sequence[Operation]) -> frozenset[str]:
     """The graphs that operations change, or take triples from, by their names."""
     return frozenset(_named(operations))
 
@@ -158,7 +158,7 @@ def _named(operations: Sequence[Operation]) -> Iterator[str]:
                 for quad in (*deletes, *inserts):
                     if isinstance(quad.graph, NamedNode):
                         yield quad.graph.value
-            case Manage(target=target, source=source):
+            case ManageGraph(target=target, source=source):
                 yield from (each for each in (target, source) if isinstance(each, str))
             case Load(into=str() as into):
                 yield into
@@ -167,17 +167,17 @@ def _named(operations: Sequence[Operation]) -> Iterator[str]:
 # Modify
 
 
-def _modify(operation: Modify, canvas: StagingDataset, ask: Ask) -> None:
+def _modify(operation: Modify, canvas: StagingDataset, ask: WhereEvaluator) -> None:
     for quad in (*operation.deletes, *operation.inserts):
         if quad.graph is None:
             raise Problem(
                 422, "The default graph is the union of all graphs: name the graph of each triple, by GRAPH or WITH."
             )
     where = operation.where
-    holes = () if where is None else where.holes
+    holes = () if where is None else where.variables
     rows = [()] if where is None else list(_bounded(ask(where)))
-    removed = [quad for row in rows for quad in filled(operation.deletes, dict(zip(holes, row, strict=True)))]
-    added = [quad for row in rows for quad in filled(operation.inserts, dict(zip(holes, row, strict=True)))]
+    removed = [quad for row in rows for quad in fill_templates(operation.deletes, dict(zip(holes, row, strict=True)))]
+    added = [quad for row in rows for quad in fill_templates(operation.inserts, dict(zip(holes, row, strict=True)))]
     canvas.remove(dict.fromkeys(removed))
     canvas.insert(dict.fromkeys(added))
 
@@ -189,12 +189,12 @@ def _bounded(rows: Iterable[Row]) -> Iterator[Row]:
         yield row
 
 
-def filled(quads: Sequence[QuadTemplate], values: Mapping[str, Term | None]) -> Iterator[Quad]:
+def fill_templates(quads: Sequence[QuadTemplate], values: Mapping[str, Term | None]) -> Iterator[Quad]:
     """The quads of one solution; those with something unbound, or that cannot be, are left out (3.1.3)."""
     blank: dict[BlankNode, BlankNode] = {}
 
     def filled(slot: object) -> object:
-        if isinstance(slot, Hole):
+        if isinstance(slot, TemplateVariable):
             return values[slot.name]
         if isinstance(slot, BlankNode):
             return blank.setdefault(slot, BlankNode())
@@ -214,20 +214,20 @@ def filled(quads: Sequence[QuadTemplate], values: Mapping[str, Term | None]) -> 
 # Manage
 
 
-def _manage(operation: Manage, canvas: StagingDataset) -> None:
+def _manage(operation: ManageGraph, canvas: StagingDataset) -> None:
     verb, target, source = operation.verb, operation.target, operation.source
-    if isinstance(target, Several) or isinstance(source, Several):
+    if isinstance(target, GraphGroup) or isinstance(source, GraphGroup):
         if operation.silent:
             return
         raise _several(operation)
-    if verb is Verb.CREATE:
+    if verb is GraphVerb.CREATE:
         if canvas.is_there(target) and not operation.silent:
             raise Problem(409, f"CREATE: there is a graph {target} already.")
-        canvas.make(target)
+        canvas.create(target)
     elif source is None:
         if not canvas.is_there(target):
             _missing(operation, target)
-        elif verb is Verb.DROP:
+        elif verb is GraphVerb.DROP:
             canvas.drop(target)
         else:
             canvas.remove(canvas.quads(target))
@@ -237,28 +237,28 @@ def _manage(operation: Manage, canvas: StagingDataset) -> None:
         _copy(verb, source, target, canvas)
 
 
-def _copy(verb: Verb, source: str, target: str, canvas: StagingDataset) -> None:
+def _copy(verb: GraphVerb, source: str, target: str, canvas: StagingDataset) -> None:
     # What it needs has threads of its own, which the query process must not have: copies are drawn in forks of it.
     from rosld.server.sparql.update.copying import unmanaged_triples
 
     triples = unmanaged_triples(source, [quad.triple for quad in canvas.quads(source)])
-    if verb is not Verb.ADD:
+    if verb is not GraphVerb.ADD:
         canvas.remove(canvas.quads(target))
     name = NamedNode(target)
-    canvas.make(target)
+    canvas.create(target)
     canvas.insert(Quad(each.subject, each.predicate, each.object, name) for each in triples)
-    if verb is Verb.MOVE:
+    if verb is GraphVerb.MOVE:
         canvas.drop(source)
 
 
-def _missing(operation: Manage, graph: str) -> None:
+def _missing(operation: ManageGraph, graph: str) -> None:
     if not operation.silent:
         raise Problem(409, f"{operation.verb.value}: there is no graph {graph}.")
 
 
-def _several(operation: Manage) -> Problem:
-    several = next(each for each in (operation.target, operation.source) if isinstance(each, Several))
-    if several is Several.DEFAULT:
+def _several(operation: ManageGraph) -> Problem:
+    several = next(each for each in (operation.target, operation.source) if isinstance(each, GraphGroup))
+    if several is GraphGroup.DEFAULT:
         return Problem(422, f"{operation.verb.value} DEFAULT: the default graph is the union of all graphs; name one.")
     words = f"{operation.verb.value} {several.value} would take the robot's own graphs with it: name the graphs."
     return Problem(403, words)

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 from rosld.server.sparql.analysis import Analyser, Analysis
 from rosld.server.sparql.endpoint import QueryService
-from rosld.server.sparql.materializer import Seen
+from rosld.server.sparql.materializer import SeenVersions
 from rosld.server.sparql.needs import Demand, Needs
-from rosld.server.sparql.process.work import Ask, Work, read_changes, to_draw
-from rosld.server.sparql.update.evaluate import GraphChange, graphs_named
+from rosld.server.sparql.process.work import WhereWork, Work, evaluate_work, read_changes
+from rosld.server.sparql.update.evaluate import GraphChange, named_graphs
 from rosld.server.sparql.update.operations import Modify, Operation, Where
 
 _INLINE = 1000
@@ -29,7 +29,7 @@ class Delta(NamedTuple):
 
     changes: tuple[GraphChange, ...]
     seen: Mapping[str, Hashable]
-    kept: int
+    stored: int
     named: frozenset[str]
 
 
@@ -49,38 +49,40 @@ class UpdateEvaluator:
         self._service = service
         self._analyser = analyser
 
-    async def draw(self, operations: Sequence[Operation], more: frozenset[str] = frozenset()) -> Delta:
+    async def evaluate(self, operations: Sequence[Operation], more: frozenset[str] = frozenset()) -> Delta:
         """What operations come to now; `more` are graphs whose values are to be there beside those they name.
 
         Raises Problems as a query does, and those of `drawing.draw`.
         """
         asked = [self._asked(each) for each in _wheres(operations)]
-        graphs = graphs_named(operations) | more
+        graphs = named_graphs(operations) | more
         needs = _together(asked, graphs)
         templates = sum(len(each.inserts) + len(each.deletes) for each in operations if isinstance(each, Modify))
 
         async def prepare() -> Work:
             queries = [self._ask(one.where) for one in asked]
             if templates > _INLINE:
-                return await asyncio.to_thread(to_draw, operations, queries)
-            return to_draw(operations, queries)
+                return await asyncio.to_thread(evaluate_work, operations, queries)
+            return evaluate_work(operations, queries)
 
-        result, seen = await self._service.over(needs, _scope(asked, graphs), prepare)
+        result, seen = await self._service.run_on_snapshot(needs, _scope(asked, graphs), prepare)
         changes = (
             read_changes(result) if len(result) <= _INLINE_BYTES else await asyncio.to_thread(read_changes, result)
         )
-        return Delta(changes, _read(needs, seen), seen.kept, graphs | needs.documents)
+        return Delta(changes, _read(needs, seen), seen.stored, graphs | needs.documents)
 
     def _asked(self, where: Where) -> _Asked:
         analysis = self._analyser.analyse(where.query)
         graphs = where.default_graphs + where.named_graphs
-        needs = analysis.needs.within(graphs) if graphs else analysis.needs
-        scope = frozenset(graphs) if graphs else analysis.enclosed
-        return _Asked(where, analysis, needs, scope if where.home is None else None)
+        needs = analysis.needs.restrict_to(graphs) if graphs else analysis.needs
+        scope = frozenset(graphs) if graphs else analysis.is_enclosed
+        return _Asked(where, analysis, needs, scope if where.with_graph is None else None)
 
-    def _ask(self, where: Where) -> Ask:
-        query = self._service.prepared(where.query, where.default_graphs, where.named_graphs)
-        return Ask(where, query, None if where.home is None else self._service.prepared(where.home.query))
+    def _ask(self, where: Where) -> WhereWork:
+        query = self._service.prepare(where.query, where.default_graphs, where.named_graphs)
+        return WhereWork(
+            where, query, None if where.with_graph is None else self._service.prepare(where.with_graph.query)
+        )
 
 
 def _wheres(operations: Sequence[Operation]) -> Iterator[Where]:
@@ -101,7 +103,7 @@ def _together(asked: Sequence[_Asked], graphs: frozenset[str]) -> Needs:
     return Needs(tuple(dict.fromkeys(demands)), documents, frozenset().union(*(one.needs.terms for one in asked)))
 
 
-def _read(needs: Needs, seen: Seen) -> Mapping[str, Hashable]:
+def _read(needs: Needs, seen: SeenVersions) -> Mapping[str, Hashable]:
     """The tokens of the graphs that may have been read."""
     named = needs.graphs
     if named is None:

@@ -10,27 +10,27 @@ from typing import NamedTuple, TypeAlias
 from pyoxigraph import BlankNode, Literal, NamedNode
 
 
-class Hole(NamedTuple):
+class TemplateVariable(NamedTuple):
     """A variable of a template, without its mark: each solution puts a term in its place."""
 
     name: str
 
 
-Slot: TypeAlias = "NamedNode | BlankNode | Literal | Hole"
+TemplateTerm: TypeAlias = "NamedNode | BlankNode | Literal | TemplateVariable"
 
 
 class QuadTemplate(NamedTuple):
     """A quad with holes; `graph` is None for the default graph."""
 
-    subject: Slot
-    predicate: Slot
-    object: Slot
-    graph: NamedNode | Hole | None
+    subject: TemplateTerm
+    predicate: TemplateTerm
+    object: TemplateTerm
+    graph: NamedNode | TemplateVariable | None
 
 
-def holes_of(quads: Sequence[QuadTemplate]) -> tuple[str, ...]:
+def variables_of(quads: Sequence[QuadTemplate]) -> tuple[str, ...]:
     """The names of the holes, each once."""
-    return tuple(dict.fromkeys(slot.name for quad in quads for slot in quad if isinstance(slot, Hole)))
+    return tuple(dict.fromkeys(slot.name for quad in quads for slot in quad if isinstance(slot, TemplateVariable)))
 
 
 def has_blank_nodes(quads: Sequence[QuadTemplate]) -> bool:
@@ -38,7 +38,7 @@ def has_blank_nodes(quads: Sequence[QuadTemplate]) -> bool:
     return any(isinstance(slot, BlankNode) for quad in quads for slot in quad)
 
 
-class Home(NamedTuple):
+class WithGraph(NamedTuple):
     """The graph of WITH, and the query over a dataset whose default graph it is."""
 
     graph: str
@@ -54,10 +54,10 @@ class Where:
     """
 
     query: str
-    holes: tuple[str, ...]
+    variables: tuple[str, ...]
     default_graphs: tuple[str, ...] = ()
     named_graphs: tuple[str, ...] = ()
-    home: Home | None = None
+    with_graph: WithGraph | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class Modify:
     silent: bool = False
 
 
-class Verb(Enum):
+class GraphVerb(Enum):
     """What is done with whole graphs."""
 
     CLEAR = "CLEAR"
@@ -84,7 +84,7 @@ class Verb(Enum):
     COPY = "COPY"
 
 
-class Several(Enum):
+class GraphGroup(Enum):
     """Graphs that are meant without their names."""
 
     DEFAULT = "DEFAULT"
@@ -93,12 +93,12 @@ class Several(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Manage:
+class ManageGraph:
     """Something done with the graph `target`; `source` is what ADD, MOVE and COPY take it from."""
 
-    verb: Verb
-    target: str | Several
-    source: str | Several | None = None
+    verb: GraphVerb
+    target: str | GraphGroup
+    source: str | GraphGroup | None = None
     silent: bool = False
 
 
@@ -111,4 +111,4 @@ class Load:
     silent: bool = False
 
 
-Operation: TypeAlias = "Modify | Manage | Load"
+Operation: TypeAlias = "Modify | ManageGraph | Load"

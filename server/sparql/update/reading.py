@@ -11,24 +11,24 @@ from pyoxigraph import BlankNode, NamedNode
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.rewriting import rewrite
-from rosld.server.sparql.syntax.lexer import BOUNDS, Bounds, Checked, Kind, check, place
+from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS, CheckedText, Kind, QueryBounds, check_text, line_and_column
 from rosld.server.sparql.syntax.query import QueryParser
-from rosld.server.sparql.syntax.tree import Iri, Step, Term, Value, Variable
+from rosld.server.sparql.syntax.tree import Iri, PathStep, Term, Value, Variable
 from rosld.server.sparql.syntax.triples import Verb as Predicate
 from rosld.server.sparql.update.operations import (
-    Hole,
-    Home,
+    GraphGroup,
+    GraphVerb,
     Load,
-    Manage,
+    ManageGraph,
     Modify,
     Operation,
     QuadTemplate,
-    Several,
-    Slot,
-    Verb,
+    TemplateTerm,
+    TemplateVariable,
     Where,
+    WithGraph,
     has_blank_nodes,
-    holes_of,
+    variables_of,
 )
 
 _UNBOUND = f"unbound_{secrets.token_hex(8)}"
@@ -38,38 +38,38 @@ _BLOCK = "{ and quads"
 
 
 def read_update(
-    request: UpdateRequest, prefixes: Mapping[str, str], base: str, bounds: Bounds
+    request: UpdateRequest, prefixes: Mapping[str, str], base: str, bounds: QueryBounds
 ) -> tuple[Operation, ...]:
     """The operations of an update; `prefixes` hold where the text does not declare them itself.
 
     A graph of the request (`using-graph-uri`) is the dataset of each WHERE. Raises Problems: those of `check`, and 400
     for what is no update, or names a dataset in the request and in the text.
     """
-    checked = check(request.text, bounds, what="update")
+    checked = check_text(request.text, bounds, what="update")
     try:
         return UpdateParser(checked, prefixes, base, bounds.joins, request).operations()
     except RecursionError as error:
         raise Problem(400, "The update nests too deep: write it in parts.") from error
 
 
-def rewrite_update(checked: Checked, base: str) -> str:
+def rewrite_update(checked: CheckedText, base: str) -> str:
     """The text of an update of one graph for a store that keeps some literals as others (`rewriting.py`).
 
     Raises a 400 Problem for what is no update.
     """
-    parser = UpdateParser(checked, {}, base, BOUNDS.joins, UpdateRequest(""))
+    parser = UpdateParser(checked, {}, base, DEFAULT_BOUNDS.joins, UpdateRequest(""))
     try:
         parser.operations()
     except RecursionError as error:
         raise Problem(400, "The update nests too deep: write it in parts.") from error
-    return rewrite(checked.text, parser.literals, parser.places)
+    return rewrite(checked.text, parser.literals, parser.expressions)
 
 
 class UpdateParser(QueryParser):
     """Reads an update from its beginning to its end."""
 
     def __init__(
-        self, checked: Checked, prefixes: Mapping[str, str], base: str, max_joins: int, request: UpdateRequest
+        self, checked: CheckedText, prefixes: Mapping[str, str], base: str, max_joins: int, request: UpdateRequest
     ) -> None:
         super().__init__(checked, prefixes, base, max_joins)
         self._request = request
@@ -94,7 +94,7 @@ class UpdateParser(QueryParser):
     def _operation(self) -> Operation:
         if self.take("LOAD"):
             return self._load()
-        for verb in Verb:
+        for verb in GraphVerb:
             if self.take(verb.value):
                 return self._manage(verb)
         return self._modify(self.expect_iri("the IRI of a graph") if self.take("WITH") else None)
@@ -138,8 +138,8 @@ class UpdateParser(QueryParser):
         return Modify(inserts=inserts)
 
     def _refuse_holes(self, quads: tuple[QuadTemplate, ...], keyword: str, begin: int) -> None:
-        if holes := holes_of(quads):
-            where = place(self.text, begin)
+        if holes := variables_of(quads):
+            where = line_and_column(self.text, begin)
             raise Problem(400, f"?{holes[0]} stands in the {keyword} DATA at {where}: none can.")
 
     def _deletes(self, graph: str | None) -> tuple[QuadTemplate, ...]:
@@ -147,7 +147,7 @@ class UpdateParser(QueryParser):
         begin = self.token.start
         quads = self._quads(graph)
         if has_blank_nodes(quads):
-            where = place(self.text, begin)
+            where = line_and_column(self.text, begin)
             raise Problem(400, f"A blank node stands in the DELETE at {where}: write a variable (SPARQL 1.1, 19.8).")
         return quads
 
@@ -172,7 +172,7 @@ class UpdateParser(QueryParser):
 
     def _quads_of_graph(self, found: list[QuadTemplate]) -> None:
         if self.token.kind is Kind.VARIABLE:
-            name: NamedNode | Hole = Hole(self.advance().text[1:])
+            name: NamedNode | TemplateVariable = TemplateVariable(self.advance().text[1:])
         else:
             name = NamedNode(self.expect_iri("the IRI of a graph, or a variable"))
         if self.key != "{":
@@ -186,7 +186,7 @@ class UpdateParser(QueryParser):
                 self.expect(".", "or }")
         self.take(".")
 
-    def _triples_into(self, found: list[QuadTemplate], graph: NamedNode | Hole | None) -> None:
+    def _triples_into(self, found: list[QuadTemplate], graph: NamedNode | TemplateVariable | None) -> None:
         token = self.token
 
         def add(subject: Term, predicate: Predicate, object: Term) -> None:
@@ -199,19 +199,19 @@ class UpdateParser(QueryParser):
         except ValueError as error:
             self.fail_at(token, f"begins triples that cannot be said: {error}")
 
-    def _predicate(self, predicate: Predicate) -> Slot:
+    def _predicate(self, predicate: Predicate) -> TemplateTerm:
         if isinstance(predicate, Variable):
-            return Hole(predicate.name)
-        assert isinstance(predicate, Step)
+            return TemplateVariable(predicate.name)
+        assert isinstance(predicate, PathStep)
         return NamedNode(predicate.iri)
 
-    def _slot(self, term: Term) -> Slot:
+    def _slot(self, term: Term) -> TemplateTerm:
         if isinstance(term, Iri):
             return NamedNode(term.value)
         if not isinstance(term, Variable):
             return term.literal
         if not term.is_blank:
-            return Hole(term.name)
+            return TemplateVariable(term.name)
         if term.name not in self._blank_nodes:
             self._blank_nodes[term.name] = BlankNode()
         return self._blank_nodes[term.name]
@@ -220,7 +220,7 @@ class UpdateParser(QueryParser):
         """Refuse a label of a blank node that an earlier INSERT DATA has (SPARQL 1.1 Query, 19.6)."""
         found = {token.text: token for token in self.taken_since(first) if token.kind is Kind.BLANK}
         if again := next((token for label, token in found.items() if label in self._data_labels), None):
-            where = place(self.text, again.start)
+            where = line_and_column(self.text, again.start)
             words = f"{again.text} at {where} is a label in another INSERT DATA already: choose another"
             raise Problem(400, f"{words} (SPARQL 1.1, 19.6).")
         self._data_labels.update(found)
@@ -236,7 +236,7 @@ class UpdateParser(QueryParser):
         return tuple(default), tuple(named)
 
     def _where(self, group: str, quads: tuple[QuadTemplate, ...], graph: str | None) -> Where:
-        holes = holes_of(quads)
+        holes = variables_of(quads)
         if not holes and has_blank_nodes(quads):
             holes = (_UNBOUND,)  # each solution has blank nodes of its own (Update, 3.1.3), so they are counted
         form = f"SELECT {' '.join(f'?{name}' for name in holes)} WHERE" if holes else "ASK"
@@ -244,26 +244,26 @@ class UpdateParser(QueryParser):
         request = self._request
         if graph is None:
             return Where(query, holes, request.using_graphs, request.using_named_graphs)
-        return Where(f"{self._prologue}{form} {{GRAPH <{graph}> {group}}}", holes, home=Home(graph, query))
+        return Where(f"{self._prologue}{form} {{GRAPH <{graph}> {group}}}", holes, with_graph=WithGraph(graph, query))
 
     # Whole graphs
 
-    def _manage(self, verb: Verb) -> Manage:
+    def _manage(self, verb: GraphVerb) -> ManageGraph:
         silent = self.take("SILENT")
-        if verb in (Verb.ADD, Verb.MOVE, Verb.COPY):
+        if verb in (GraphVerb.ADD, GraphVerb.MOVE, GraphVerb.COPY):
             source = self._graph_or_default()
             self.expect("TO", "and a graph")
-            return Manage(verb, self._graph_or_default(), source, silent)
-        if verb is Verb.CREATE or self.key == "GRAPH":
-            return Manage(verb, self._named_graph(), None, silent)
-        several = next((each for each in Several if self.take(each.value)), None)
+            return ManageGraph(verb, self._graph_or_default(), source, silent)
+        if verb is GraphVerb.CREATE or self.key == "GRAPH":
+            return ManageGraph(verb, self._named_graph(), None, silent)
+        several = next((each for each in GraphGroup if self.take(each.value)), None)
         if several is None:
             self.fail_expecting("GRAPH and its IRI, DEFAULT, NAMED or ALL")
-        return Manage(verb, several, None, silent)
+        return ManageGraph(verb, several, None, silent)
 
-    def _graph_or_default(self) -> str | Several:
+    def _graph_or_default(self) -> str | GraphGroup:
         if self.take("DEFAULT"):
-            return Several.DEFAULT
+            return GraphGroup.DEFAULT
         self.take("GRAPH")
         return self.expect_iri("DEFAULT or the IRI of a graph")
 

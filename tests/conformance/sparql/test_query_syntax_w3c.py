@@ -14,7 +14,7 @@ import pytest
 
 from rosld.server.dataset import MemoryStore
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.functions import unknown
+from rosld.server.sparql.functions import unknown_functions
 
 if TYPE_CHECKING:
     from tests.conformance.sparql.conftest import Endpoint
@@ -31,7 +31,7 @@ def test_the_suite_is_there() -> None:
 @pytest.mark.parametrize("path", POSITIVE, ids=lambda path: path.stem)
 def test_what_is_a_query_is_taken(path: Path) -> None:
     analysis = Analyser("http://h/", "http://t/").analyse(path.read_text("utf-8"))
-    functions = unknown(analysis.functions)
+    functions = unknown_functions(analysis.functions)
     MemoryStore().query(analysis.text, base="http://h/", prefixes=analysis.prefixes, functions=functions)
 
 

@@ -12,28 +12,28 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from rosld.server.cli.data_folder import claim, hold, owner
+from rosld.server.cli.data_folder import bind_base, lock, read_base
 from rosld.server.cli.main import main
 
 BASE = "http://127.0.0.1:8080/"
 
 
 def test_a_folder_is_made_and_remembers_its_base(tmp_path: Path) -> None:
-    claim(tmp_path / "new" / "data", BASE)
-    claim(tmp_path / "new" / "data", BASE)
+    bind_base(tmp_path / "new" / "data", BASE)
+    bind_base(tmp_path / "new" / "data", BASE)
     assert [path.name for path in (tmp_path / "new" / "data").iterdir()] == ["base-url"]
 
 
 def test_another_base_is_refused_and_told_the_owner(tmp_path: Path) -> None:
-    claim(tmp_path, BASE)
+    bind_base(tmp_path, BASE)
     with pytest.raises(ValueError, match=f"--base-url {BASE}"):
-        claim(tmp_path, "http://127.0.0.1:8081/")
+        bind_base(tmp_path, "http://127.0.0.1:8081/")
 
 
 def test_a_file_is_no_folder(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(OSError, match="exists"):
-        claim(tmp_path / "file", BASE)
+        bind_base(tmp_path / "file", BASE)
 
 
 HOLDER = """
@@ -67,12 +67,12 @@ def holding(folder: Path, *more: str, pass_fds: tuple[int, ...] = ()) -> Iterato
 def test_a_folder_is_held_by_one_process_at_a_time(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     with (
-        hold(folder),
+        lock(folder),
         pytest.raises(ValueError, match=rf"another rosld \(process {os.getpid()}\).*--data"),
-        hold(folder),
+        lock(folder),
     ):
         pass
-    with hold(folder):
+    with lock(folder):
         pass
 
 
@@ -82,7 +82,7 @@ def test_a_second_server_on_a_folder_says_who_serves_it(tmp_path: Path) -> None:
         assert result.exit_code == 1
         assert result.stderr.startswith(f"rosld: {tmp_path} is served by another rosld (process {process.pid})")
         assert result.stderr.count("\n") == 1
-        assert owner(tmp_path) is None
+        assert read_base(tmp_path) is None
 
 
 def test_what_a_killed_process_left_behind_is_no_obstacle(tmp_path: Path) -> None:
@@ -90,7 +90,7 @@ def test_what_a_killed_process_left_behind_is_no_obstacle(tmp_path: Path) -> Non
         process.kill()
         process.wait()
         assert (tmp_path / "lock").read_text() == f"{process.pid}\n"
-        with hold(tmp_path):
+        with lock(tmp_path):
             pass
 
 
@@ -100,7 +100,7 @@ def test_a_child_that_outlives_a_killed_process_holds_nothing(tmp_path: Path) ->
         with holding(tmp_path, str(end), pass_fds=(end,)) as process:
             process.kill()
             process.wait()
-            with hold(tmp_path):
+            with lock(tmp_path):
                 pass
             os.write(begin, b"x")
     finally:

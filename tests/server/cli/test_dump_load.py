@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from rosld.server.cli.data_folder import claim, hold, owner
+from rosld.server.cli.data_folder import bind_base, lock, read_base
 from rosld.server.cli.main import main
 from rosld.server.storage import (
     Blob,
@@ -98,7 +98,7 @@ def folder(tmp_path: Path) -> Path:
         await fill(records)
         await records.close()
 
-    claim(tmp_path / "data", BASE)
+    bind_base(tmp_path / "data", BASE)
     asyncio.run(make())
     return tmp_path / "data"
 
@@ -118,7 +118,7 @@ def test_a_dump_brings_everything_back_into_a_new_folder(folder: Path, tmp_path:
     assert "7 resources, 1 of them files" in done("dump", folder, "-o", tmp_path / "d.tar.gz")
     done("load", tmp_path / "d.tar.gz", tmp_path / "new" / "data")
     assert contents(tmp_path / "new" / "data") == contents(folder)
-    assert owner(tmp_path / "new" / "data") == BASE
+    assert read_base(tmp_path / "new" / "data") == BASE
     assert contents(folder)["data/old"] == ()
 
 
@@ -149,7 +149,7 @@ def test_what_is_there_gives_way_and_what_was_deleted_since_comes_back(folder: P
 def test_a_running_server_is_dumped_as_it_was_at_one_moment(tmp_path: Path) -> None:
     async def serve() -> None:
         folder = tmp_path / "data"
-        claim(folder, BASE)
+        bind_base(folder, BASE)
         records = open_records(folder)
         await put_file(records, "data/file", b"0")
         stop = asyncio.Event()
@@ -191,8 +191,8 @@ def test_a_running_server_is_dumped_as_it_was_at_one_moment(tmp_path: Path) -> N
 def test_a_running_server_goes_on_with_what_is_loaded(tmp_path: Path) -> None:
     async def serve() -> None:
         folder = tmp_path / "data"
-        claim(folder, BASE)
-        with hold(folder):
+        bind_base(folder, BASE)
+        with lock(folder):
             records = open_records(folder)
             await fill(records)
             before = told(records)
@@ -231,7 +231,7 @@ def test_a_running_server_goes_on_with_what_is_loaded(tmp_path: Path) -> None:
 def test_a_load_at_full_speed_loses_no_acknowledged_write_after_it(tmp_path: Path) -> None:
     async def serve() -> None:
         folder = tmp_path / "data"
-        claim(folder, BASE)
+        bind_base(folder, BASE)
         records = open_records(folder)
         for batch in range(20):
             await records.write(*(Put(f"data/{batch}-{n}", Model.RDF_SOURCE, TRIPLES) for n in range(100)))
@@ -260,7 +260,7 @@ def test_a_load_at_full_speed_loses_no_acknowledged_write_after_it(tmp_path: Pat
 
 def test_a_dump_of_another_base_is_refused_or_rewritten(folder: Path, tmp_path: Path) -> None:
     done("dump", folder, "-o", tmp_path / "d.tar.gz")
-    claim(tmp_path / "other", OTHER)
+    bind_base(tmp_path / "other", OTHER)
     words = failure("load", tmp_path / "d.tar.gz", tmp_path / "other")
     assert f"belongs to {BASE}" in words
     assert f"--base-url {OTHER}" in words
@@ -276,7 +276,7 @@ def test_a_dump_of_another_base_is_refused_or_rewritten(folder: Path, tmp_path: 
 
 def test_folders_without_records_are_refused(tmp_path: Path) -> None:
     assert "is no folder that rosld keeps data in" in failure("dump", tmp_path, "-o", tmp_path / "d.tar.gz")
-    claim(tmp_path, BASE)
+    bind_base(tmp_path, BASE)
     assert "holds no records" in failure("dump", tmp_path, "-o", tmp_path / "d.tar.gz")
     assert not (tmp_path / "d.tar.gz").exists()
     assert run("dump", tmp_path / "nowhere", "-o", tmp_path / "d.tar.gz").exit_code == 2
@@ -359,7 +359,7 @@ def test_a_dump_that_is_not_sound_changes_nothing(folder: Path, tmp_path: Path, 
     assert contents(folder) == before
     assert len(list((folder / "blobs").iterdir())) == 1
     failure("load", tmp_path / "d.tar.gz", tmp_path / "new")
-    assert owner(tmp_path / "new") is None
+    assert read_base(tmp_path / "new") is None
 
 
 def test_a_sound_dump_can_be_made_up(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from rosld.ontology.serialize import Syntax, serialize_named
 from rosld.ontology.urls import Space
 from rosld.server.cli.lifting import Lifting
 from rosld.server.cli.main import main
-from rosld.server.cli.types import opened
+from rosld.server.cli.types import open_source
 from rosld.server.cli.writing import Template, writer
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
@@ -73,7 +73,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def lifting(bag: Path) -> Iterator[Lifting]:
-    with opened(f"recording:{bag}", AdapterOptions()) as adapter:
+    with open_source(f"recording:{bag}", AdapterOptions()) as adapter:
         (recording,) = adapter.recordings.values()
         yield Lifting(recording, Space(BASE), LiftSettings(), simulated_time=False)
 
@@ -148,10 +148,10 @@ def test_the_lines_of_a_message_are_those_of_its_document(lifting: Lifting) -> N
 def test_a_template_that_does_not_hold_is_not_used(lifting: Lifting) -> None:
     first, second = [told.recorded for told in lifting.messages()][:2]
     template = Template(b"always the same")
-    template.prove(first, b"always the same")
-    template.prove(second, b"something else")
-    assert not template.open
-    assert not template.proven
+    template.verify(first, b"always the same")
+    template.verify(second, b"something else")
+    assert not template.is_unverified
+    assert not template.is_verified
 
 
 def test_a_large_array_is_elided_above_the_limit_only(bag: Path, tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from rosld.server.http.body import read_body
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.serving import http_server
-from rosld.server.serving.connection import Bounds
+from rosld.server.serving.connection import ConnectionBounds
 from rosld.server.serving.transport import CoalescingTransport
 from tests.server.conftest import servers
 
@@ -36,7 +36,9 @@ async def echo(scope: Scope, receive: Receive, send: Send) -> None:
     await response(scope, receive, send)
 
 
-def with_server(work: Callable[[int], Awaitable[_V]], bounds: Bounds | None = None, app: ASGIApp = echo) -> _V:
+def with_server(
+    work: Callable[[int], Awaitable[_V]], bounds: ConnectionBounds | None = None, app: ASGIApp = echo
+) -> _V:
     """What `work` makes of a running server's port; the server has ended afterwards."""
 
     async def main() -> _V:
@@ -54,7 +56,7 @@ def with_server(work: Callable[[int], Awaitable[_V]], bounds: Bounds | None = No
     return asyncio.run(main())
 
 
-def answer(*chunks: bytes, bounds: Bounds | None = None) -> tuple[int, bytes, bytes]:
+def answer(*chunks: bytes, bounds: ConnectionBounds | None = None) -> tuple[int, bytes, bytes]:
     """Status, head and body of the answer to these bytes, read until the server closes the connection."""
 
     async def talk(port: int) -> bytes:
@@ -128,7 +130,7 @@ def test_another_version_than_http_1_is_505() -> None:
 
 def test_a_url_longer_than_can_be_read_is_431_also_where_heads_may_be_larger() -> None:
     line = b"GET /" + b"x" * 70_000 + b" HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n"
-    assert answer(line, bounds=Bounds(head_bytes=1 << 20))[0] == 431
+    assert answer(line, bounds=ConnectionBounds(head_bytes=1 << 20))[0] == 431
 
 
 CHUNK = b"PUT / HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n1\r\na\r\n"
@@ -260,7 +262,7 @@ def test_a_put_with_a_broken_chunk_over_http_changes_nothing_and_is_told() -> No
         assert served.http.get("/data/broken").status_code == 404
 
 
-SOON = Bounds(head_seconds=0.05)
+SOON = ConnectionBounds(head_seconds=0.05)
 
 
 def test_a_head_that_never_ends_is_408() -> None:
@@ -291,7 +293,7 @@ def test_a_client_that_reads_nothing_is_cut_off() -> None:
         writer.close()
         return b"all" if told >= 1000 * 65536 else b"cut off"
 
-    assert with_server(ask, Bounds(read_seconds=0.1), endless) == b"cut off"
+    assert with_server(ask, ConnectionBounds(read_seconds=0.1), endless) == b"cut off"
 
 
 def test_a_client_that_may_not_connect_is_told_why_and_its_end_is_noted() -> None:
@@ -312,7 +314,7 @@ def test_a_client_that_may_not_connect_is_told_why_and_its_end_is_noted() -> Non
             writer.close()
         return said
 
-    said = with_server(talk, Bounds(connect=connect))
+    said = with_server(talk, ConnectionBounds(connect=connect))
     assert said.startswith(b"HTTP/1.1 200")
     assert b"HTTP/1.1 429" in said
     assert b"retry-after: 5" in said

@@ -34,11 +34,11 @@ def ended(of: list[One]) -> list[int]:
 def test_the_connection_that_was_idle_longest_makes_room() -> None:
     of = Connections(3)
     held = opened(of, 3)
-    of.begin(held[0])
-    of.rest(held[1])
+    of.start_request(held[0])
+    of.end_request(held[1])
     more = opened(of, 1)
     assert ended(held) == [2]
-    of.rest(held[0])
+    of.end_request(held[0])
     opened(of, 2)
     assert (ended(held), ended(more)) == ([1, 2], [0])
     assert len(of) == 3
@@ -47,12 +47,12 @@ def test_the_connection_that_was_idle_longest_makes_room() -> None:
 def test_where_none_is_idle_there_is_a_reserve_which_idle_ones_do_not_fill() -> None:
     of = Connections(2, reserve=2)
     busy = opened(of, 2)
-    assert all(of.begin(one) for one in busy)
+    assert all(of.start_request(one) for one in busy)
     extra = opened(of, 3)
     assert ended(extra) == [0]
-    assert not any(of.begin(one) for one in extra[1:])
+    assert not any(of.start_request(one) for one in extra[1:])
     assert not of.open(One())
-    of.rest(extra[2])
+    of.end_request(extra[2])
     opened(of, 1)
     assert (ended(busy), ended(extra)) == ([], [0, 2])
 
@@ -61,8 +61,8 @@ def test_who_may_have_no_more_connections_has_one_in_the_reserve() -> None:
     of = Connections(2, reserve=1)
     greedy = One()
     assert of.open(greedy, is_extra=True)
-    assert not of.begin(greedy)
-    assert all(of.begin(one) for one in opened(of, 2))
+    assert not of.start_request(greedy)
+    assert all(of.start_request(one) for one in opened(of, 2))
 
 
 def test_a_websocket_that_was_sent_nothing_for_long_makes_room_when_no_connection_is_idle() -> None:
@@ -70,13 +70,13 @@ def test_a_websocket_that_was_sent_nothing_for_long_makes_room_when_no_connectio
     of = Connections(2, reserve=1, clock=clock)
     connections, websockets = opened(of, 2), [One(), One()]
     for each in zip(connections, websockets, strict=True):
-        of.replace(*each)
+        of.upgrade(*each)
     clock.now += SILENT_SECONDS / 2
-    of.touch(websockets[0])
+    of.note_activity(websockets[0])
     extra = opened(of, 1)
-    assert not of.begin(extra[0])
+    assert not of.start_request(extra[0])
     clock.now += SILENT_SECONDS / 2
-    assert of.begin(opened(of, 1)[0])
+    assert of.start_request(opened(of, 1)[0])
     assert ended(websockets) == [1]
 
 
@@ -85,7 +85,7 @@ def test_what_has_ended_is_forgotten() -> None:
     held = opened(of, 2)
     for one in held:
         of.close(one)
-        of.rest(one)
+        of.end_request(one)
     assert len(of) == 0
     opened(of, 2)
     assert ended(held) == []

@@ -17,7 +17,7 @@ from uvicorn.server import ServerState
 from rosld.server.http.origin import check_host, origin_policy
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
-from rosld.server.serving.connection import Bounded, Connection
+from rosld.server.serving.connection import BoundedConfig, Connection
 
 Seen: TypeAlias = list[tuple[bytes, bytes, bytes]]
 """Method, target and body of each whole request."""
@@ -74,7 +74,7 @@ async def read_by_rosld(pieces: list[bytes]) -> tuple[Seen, bool]:
         seen.append((scope["method"].encode(), scope["raw_path"] + (b"?" + query if query else b""), body))
         await Response("read")(scope, receive, send)
 
-    config = Bounded(app, http=Connection, ws="none", lifespan="off", log_config=None)
+    config = BoundedConfig(app, http=Connection, ws="none", lifespan="off", log_config=None)
     config.load()
     state, wire = ServerState(), Wire()
     connection = Connection(cast("uvicorn.Config", config), state, {})

@@ -14,7 +14,7 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from rosld.server.serving import http_server, tls
-from rosld.server.serving.connection import Bounds
+from rosld.server.serving.connection import ConnectionBounds
 from tests.server.auth.test_files import certificate
 
 Seen: TypeAlias = list[tuple[str, str, bytes]]
@@ -63,10 +63,10 @@ def with_listener(work: Callable[[Talk], Awaitable[None]], tls_files: tuple[Path
 
     async def main() -> None:
         listens = asyncio.Event()
-        server = http_server.Server(app, listens.set, Bounds())
+        server = http_server.Server(app, listens.set, ConnectionBounds())
         context = None
         if tls_files is not None:
-            tls.apply(server.config, *tls_files)
+            tls.configure_tls(server.config, *tls_files)
             context = ssl.create_default_context(cafile=str(tls_files[0]))
         sock = http_server.bind("127.0.0.1", 0)
         serving = asyncio.create_task(server.serve(sockets=[sock]))

@@ -16,7 +16,7 @@ from rosld.server.sparql.endpoint import QueryAnswer, QueryService, QuerySetting
 from rosld.server.sparql.materializer import GraphEntry, Synchroniser
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.process.client import QueryProcess
-from rosld.server.sparql.process.work import Dump, Graphs
+from rosld.server.sparql.process.work import DumpGraphs, ListGraphs
 from rosld.server.sparql.protocol import QueryRequest
 
 BASE = "http://robot/"
@@ -130,12 +130,14 @@ class Endpoint:
 
     async def graphs(self) -> list[str]:
         """The graphs that the process holds."""
-        names: list[str] = pickle.loads(await self.process.result(Graphs(), self.service.limits, time.monotonic() + 30))
+        names: list[str] = pickle.loads(
+            await self.process.result(ListGraphs(), self.service.limits, time.monotonic() + 30)
+        )
         return names
 
     async def graph(self, name: str) -> str:
         """What the process holds of a graph, as N-Triples."""
-        dump = await self.process.result(Dump((name,)), self.service.limits, time.monotonic() + 30)
+        dump = await self.process.result(DumpGraphs((name,)), self.service.limits, time.monotonic() + 30)
         texts: dict[str, str] = pickle.loads(dump)
         return texts[name]
 

@@ -12,12 +12,12 @@ from rosld.ontology.vocab import PREFIXES
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.mappings import relations
 from rosld.server.resources.context import Robot
-from rosld.server.resources.live_graphs import Dataset
+from rosld.server.resources.live_graphs import RobotGraphs
 from rosld.server.resources.namespaces import namespaces
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.change_source import Changes
 from rosld.server.sparql.materializer import Synchroniser
-from rosld.server.sparql.mentions import Mentions, Noting
+from rosld.server.sparql.mentions import MentionRecorder, Mentions
 from rosld.server.sparql.needs import Demand, Needs
 from tests.server.sparql.local import LocalStore
 
@@ -40,7 +40,7 @@ class Frozen:
     """
 
     robot: Robot
-    dataset: Dataset
+    dataset: RobotGraphs
     loop: asyncio.AbstractEventLoop
     described: Mapping[str, str]
     live: Mapping[str, str]
@@ -57,8 +57,8 @@ class Frozen:
 
 async def freeze(robot: Robot) -> Frozen:
     """All that a robot's dataset holds, every topic being subscribed to."""
-    dataset, space = Dataset(robot), robot.space
-    tree = await robot.offers.tree()
+    dataset, space = RobotGraphs(robot), robot.space
+    tree = await robot.affordances.tree()
     below = {url_of(path, space) for path in (*tree.paths, *tree.properties, *tree.actions)}
     recorded = {
         space.bag_message(name, index)
@@ -110,7 +110,10 @@ class Comparison:
         mentions = Mentions(space.base, space.types)
         self.analyser = Analyser(space.base, space.types, relations=lambda: relations(robot.mappings.mapping_set))
         self._synchroniser = Synchroniser(
-            LocalStore(), self.frozen.dataset, Noting(_Kept(self.kept), mentions), mentioned=mentions.of
+            LocalStore(),
+            self.frozen.dataset,
+            MentionRecorder(_Kept(self.kept), mentions),
+            mentioned=mentions.documents_of,
         )
 
     def needs(self, text: str) -> Needs:
@@ -118,8 +121,8 @@ class Comparison:
         analysis = self.analyser.analyse_once(text)
         assert analysis.form is not None, "the query is not understood"
         named = analysis.default_graphs + analysis.named_graphs
-        needs = analysis.needs.within(named) if named else analysis.needs
-        return self.frozen.loop.run_until_complete(self._synchroniser.resolved(needs))
+        needs = analysis.needs.restrict_to(named) if named else analysis.needs
+        return self.frozen.loop.run_until_complete(self._synchroniser.resolve_documents(needs))
 
     def wanted(self, needs: Needs) -> frozenset[str]:
         """The live graphs that the dataset brings for it."""

@@ -33,7 +33,7 @@ class LocalStore(MemoryStore):
     def change(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
         self.replace_valid(graphs, edits)
 
-    async def drained(self) -> None:
+    async def wait_drained(self) -> None:
         pass
 
 
@@ -44,13 +44,13 @@ class LocalProcess(QueryProcess):
         super().__init__(1, 1)
         self.store = LocalStore()
 
-    async def ready(self, until: float) -> None:
+    async def wait_ready(self, until: float) -> None:
         pass
 
     def change(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = (), dataset: int = 0) -> None:
         self.store.replace_valid(graphs, edits)
 
-    async def drained(self) -> None:
+    async def wait_drained(self) -> None:
         pass
 
     async def result(self, work: Work, limits: Limits, until: float, disconnected: Disconnected | None = None) -> bytes:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rosld.server.dataset import MemoryStore
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.process.work import Query
+from rosld.server.sparql.process.work import QueryWork
 
 TYPES = "https://w3id.org/rosld/types/"
 ROS = "https://w3id.org/rosld#"
@@ -56,7 +56,9 @@ def dataset() -> MemoryStore:
 def is_quick(query: str, store: MemoryStore | None = None) -> bool:
     """Whether it is said not to take long."""
     found = ANALYSER.analyse(query)
-    asked = Query(found.text, ANALYSER.base, found.prefixes, found.default_graphs, found.named_graphs, found.plan, None)
+    asked = QueryWork(
+        found.text, ANALYSER.base, found.prefixes, found.default_graphs, found.named_graphs, found.plan, None
+    )
     return not asked.may_take_long(store or dataset())
 
 

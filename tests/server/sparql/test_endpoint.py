@@ -14,9 +14,9 @@ from pyoxigraph import RdfFormat, parse
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.endpoint import QueryAnswer, QuerySettings
-from rosld.server.sparql.process.evaluation import HEAD, Aborted
+from rosld.server.sparql.process.evaluation import MAX_FIRST_BYTES, Aborted
 from rosld.server.sparql.protocol import QueryRequest
-from rosld.server.sparql.results import GRAPHS, SOLUTIONS, Table
+from rosld.server.sparql.results import GRAPHS, SOLUTIONS, ResultRows
 
 # The classes are those of conftest.py, which arrive as fixtures.
 Make = Any
@@ -158,7 +158,7 @@ def test_large_results_come_in_chunks_and_are_whole(make_source: Make, make_endp
         assert isinstance(answer.body, AsyncIterator)
         chunks = [chunk async for chunk in answer.body]
         assert len(chunks) > 3
-        assert max(map(len, chunks)) < HEAD + 64 * 1024
+        assert max(map(len, chunks)) < MAX_FIRST_BYTES + 64 * 1024
         rows = 1000 * (4 * 4 + 3 * 3)
         assert b"".join(chunks).count(b"\r\n") == rows + 1
 
@@ -233,7 +233,7 @@ def test_a_page_gets_the_first_rows_as_terms(make_source: Make, make_endpoint: M
         table = await endpoint.service.table(QueryRequest("SELECT ?n { ?t ros:name ?n } ORDER BY ?n"), 2)
         assert table.variables == ("n",)
         assert [row[0].value for row in table.rows] == ["/t0", "/t1"]
-        assert await endpoint.service.table(QueryRequest("ASK { }"), 2) == Table(boolean=True)
+        assert await endpoint.service.table(QueryRequest("ASK { }"), 2) == ResultRows(boolean=True)
         triples = await endpoint.service.table(QueryRequest("CONSTRUCT WHERE { ?s ros:name ?o }"), 5)
         assert triples.variables == ("subject", "predicate", "object")
         assert len(triples.rows) == 5

@@ -12,12 +12,12 @@ from pyoxigraph import Literal, NamedNode, Quad, Store
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.lexer import (
-    BOUNDS,
-    Bounds,
+    DEFAULT_BOUNDS,
     Kind,
-    check,
+    QueryBounds,
+    check_text,
     check_update_of_one_graph,
-    place,
+    line_and_column,
     tokens,
     update_keyword,
 )
@@ -29,9 +29,9 @@ def kinds(text: str) -> list[str]:
     return [f"{token.kind.name} {token.text}" for token in tokens(text) if token.kind is not Kind.SPACE]
 
 
-def refusal(text: str, bounds: Bounds = BOUNDS) -> Problem:
+def refusal(text: str, bounds: QueryBounds = DEFAULT_BOUNDS) -> Problem:
     with pytest.raises(Problem) as caught:
-        check(text, bounds)
+        check_text(text, bounds)
     return caught.value
 
 
@@ -137,17 +137,17 @@ def test_what_could_be_read_in_two_ways_or_not_at_all_is_400(text: str) -> None:
 
 
 def test_escapes_that_mean_letters_are_taken_in_strings_and_iris() -> None:
-    check('SELECT * { <http://h/\\u0061> ?p "\\u00e4 \\\\ \\" \\n", \'\\U0001F600\' }')
+    check_text('SELECT * { <http://h/\\u0061> ?p "\\u00e4 \\\\ \\" \\n", \'\\U0001F600\' }')
 
 
 def test_words_in_strings_iris_and_comments_are_no_keywords() -> None:
-    check('SELECT * { <http://SERVICE/> ex:SERVICE "SERVICE" # SERVICE\n }')
-    check("SELECT ?SERVICE { ?SERVICE ?p '''LOAD <x>''' }")
+    check_text('SELECT * { <http://SERVICE/> ex:SERVICE "SERVICE" # SERVICE\n }')
+    check_text("SELECT ?SERVICE { ?SERVICE ?p '''LOAD <x>''' }")
 
 
 def test_comments_are_blanked_and_positions_stay() -> None:
     text = "SELECT * # one\n{ ?s ?p <h:a#b> } # two"
-    checked = check(text)
+    checked = check_text(text)
     assert len(checked.text) == len(text)
     assert checked.text.split() == ["SELECT", "*", "{", "?s", "?p", "<h:a#b>", "}"]
 
@@ -156,7 +156,7 @@ def test_comments_are_blanked_and_positions_stay() -> None:
 def test_nesting_is_bounded_and_the_place_told(bracket: str) -> None:
     nested = bracket[0] * 200 + bracket[1] * 200
     assert refusal(f"SELECT *\n{nested}").detail.endswith("2:129.")
-    check("SELECT * " + bracket[0] * 128 + bracket[1] * 128)
+    check_text("SELECT * " + bracket[0] * 128 + bracket[1] * 128)
 
 
 CHAINS: list[Callable[[int], str]] = [
@@ -175,12 +175,12 @@ CHAINS: list[Callable[[int], str]] = [
 
 @pytest.mark.parametrize("chain", CHAINS)
 def test_long_chains_that_would_overflow_the_parsers_stack_are_refused(chain: Callable[[int], str]) -> None:
-    check(chain(100))
+    check_text(chain(100))
     assert "at most 1000" in refusal(chain(3000)).detail
 
 
 def test_inline_data_may_be_long() -> None:
-    check(f"SELECT * {{ VALUES (?a ?b) {{ {'(1 2)' * 5000} }} }}")
+    check_text(f"SELECT * {{ VALUES (?a ?b) {{ {'(1 2)' * 5000} }} }}")
     refusal(f"SELECT * {{ VALUES (?a ?b) {{ (1 2) }} FILTER({'!' * 3000}?a) }}")
 
 
@@ -189,21 +189,21 @@ def test_inline_data_may_be_long() -> None:
 )
 def test_data_of_an_update_may_be_long(triples: str) -> None:
     for operation in ("INSERT DATA", "DELETE DATA"):
-        check(f"{operation} {{ {triples * 1200} }}", what="update")
+        check_text(f"{operation} {{ {triples * 1200} }}", what="update")
         refusal(f"{operation} {{ {triples * 1200} }} ; DELETE WHERE {{ ?a {'!' * 3000}<p> ?b }}")
 
 
 def test_datatypes_are_no_steps() -> None:
-    check(f"""INSERT {{ <s> <p> {", ".join(['"1"^^<t>'] * 2000)} }} WHERE {{}}""", what="update")
+    check_text(f"""INSERT {{ <s> <p> {", ".join(['"1"^^<t>'] * 2000)} }} WHERE {{}}""", what="update")
 
 
 def test_size_is_bounded() -> None:
-    assert refusal("SELECT * { }" + " " * 100, Bounds(size=50)).status == 413
+    assert refusal("SELECT * { }" + " " * 100, QueryBounds(size=50)).status == 413
 
 
 def test_an_update_is_known_by_its_first_keyword() -> None:
     def keyword(text: str) -> str | None:
-        return update_keyword(check(text).tokens)
+        return update_keyword(check_text(text).tokens)
 
     assert keyword("PREFIX a: <h:> # x\nBASE <h:y> insert data { }") == "INSERT"
     assert keyword("LOAD <h:x>") == "LOAD"
@@ -211,8 +211,8 @@ def test_an_update_is_known_by_its_first_keyword() -> None:
 
 
 def test_places_are_lines_and_columns_from_one() -> None:
-    assert place("ab\ncd", 4) == "2:2"
-    assert place("", 0) == "1:1"
+    assert line_and_column("ab\ncd", 4) == "2:2"
+    assert line_and_column("", 0) == "1:1"
 
 
 @pytest.mark.parametrize(
@@ -259,7 +259,7 @@ def test_a_prefix_may_have_the_name_of_any_keyword(prefix: str) -> None:
     store.add(Quad(NamedNode("h:m"), NamedNode("h:p#x"), Literal(1)))
     store.update(check_update_of_one_graph(text).text)
     assert Quad(NamedNode("h:m"), NamedNode("h:p#x"), Literal(f"{prefix}:y")) in store
-    asked = check(f"PREFIX {prefix}: <h:p#> ASK {{ ?m {prefix}:x 1 {{}} ?m {prefix}:x ?b }}").text
+    asked = check_text(f"PREFIX {prefix}: <h:p#> ASK {{ ?m {prefix}:x 1 {{}} ?m {prefix}:x ?b }}").text
     assert store.query(asked)
     assert asked.index("ASK") == len(f"PREFIX {prefix}: <h:p#> ")
 
@@ -278,12 +278,15 @@ def test_a_prefix_may_have_the_name_of_any_keyword(prefix: str) -> None:
     ],
 )
 def test_a_string_may_have_every_escape(written: str, value: str) -> None:
-    [row] = Store().query(check(f"SELECT ({written} AS ?x) {{}}").text)
+    [row] = Store().query(check_text(f"SELECT ({written} AS ?x) {{}}").text)
     assert row[0].value == value
 
 
 def test_escapes_of_names_are_taken() -> None:
-    assert check(r"SELECT ?\u0061b { ?ab ex:caf\u00E9 ?c # \u000a").text.rstrip() == "SELECT ?ab { ?ab ex:caf\u00e9 ?c"
+    assert (
+        check_text(r"SELECT ?\u0061b { ?ab ex:caf\u00E9 ?c # \u000a").text.rstrip()
+        == "SELECT ?ab { ?ab ex:caf\u00e9 ?c"
+    )
     assert (
         refusal(r"SELECT ?x { ?x ?y \u0022a\u0022 }").detail
         == "The backslash at 1:19 escapes nothing that can stand there."
@@ -298,7 +301,7 @@ def test_an_update_of_one_graph_may_delete_and_insert() -> None:
 @given(st.text(alphabet="SERVICEservice <>{}?x'\"\\u0053#\n.:", max_size=60))
 def test_whatever_is_let_through_holds_no_service_outside_strings_iris_and_names(text: str) -> None:
     try:
-        checked = check(text)
+        checked = check_text(text)
     except Problem:
         return
     assert not any("SERVICE" in token.text.upper() for token in checked.tokens if token.kind is Kind.WORD)

@@ -37,7 +37,7 @@ def analyser() -> Analyser:
 def needs(query: str) -> Needs:
     analysed = analyser().analyse(PREFIXES + query)
     graphs = analysed.default_graphs + analysed.named_graphs
-    return analysed.needs.within(graphs) if graphs else analysed.needs
+    return analysed.needs.restrict_to(graphs) if graphs else analysed.needs
 
 
 def one(*types: str, graphs: tuple[str, ...] | None = None, messages: bool = True, parameters: bool = False) -> Demand:
@@ -124,7 +124,7 @@ def test_a_query_needs_what_its_patterns_name_together(query: str, demand: Deman
 )  # fmt: skip
 def test_classes_and_predicates_that_only_resources_have_name_them(query: str, terms: set[str]) -> None:
     analysed = Analyser(BASE, TYPES, relations=lambda: RELATIONS).analyse(query)
-    found = analysed.needs.within(analysed.default_graphs) if analysed.default_graphs else analysed.needs
+    found = analysed.needs.restrict_to(analysed.default_graphs) if analysed.default_graphs else analysed.needs
     names = {f"{prefix}:": iri for prefix, iri in analyser().prefixes.items() if prefix in ("ros", "rdf")}
     expected = {term.replace(name, iri) for term in terms for name, iri in names.items() if term.startswith(name)}
     assert found.terms == expected | {term for term in terms if term.startswith("http:")}
@@ -134,11 +134,11 @@ def test_a_relation_counts_from_when_a_mapping_has_it() -> None:
     known = [frozenset[str]()]
     told = Analyser(BASE, TYPES, relations=lambda: known[0])
     query = "SELECT * { ?plane <http://example.org/wing> ?w }"
-    assert told.analyse(query).needs.nothing
+    assert told.analyse(query).needs.is_nothing
     known[0] = RELATIONS
     assert told.analyse(query).needs.terms == RELATIONS
     known[0] = frozenset()
-    assert told.analyse(query).needs.nothing
+    assert told.analyse(query).needs.is_nothing
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_a_relation_counts_from_when_a_mapping_has_it() -> None:
 )
 def test_what_is_named_beside_the_patterns_is_looked_at_too_and_narrows_nothing(query: str, graphs: set[str]) -> None:
     demands = needs(f"SELECT * {{ {query} }}").demands
-    assert any(demand.anything for demand in demands)
+    assert any(demand.is_anything for demand in demands)
     assert {graph for demand in demands for graph in demand.graphs or ()} == graphs
 
 
@@ -179,7 +179,7 @@ def test_equal_values_do_not_put_two_messages_into_one_graph() -> None:
 
 def test_the_empty_list_that_all_share_does_not_put_two_messages_into_one_graph() -> None:
     found = needs("SELECT * { ?a tf:transforms ?l . ?b twist:linear ?l . ?l rdf:rest* rdf:nil }")
-    assert one(TF) in found.demands or found.everything
+    assert one(TF) in found.demands or found.is_everything
     assert not any(TF in demand.types and TWIST in demand.types for demand in found.demands)
 
 
@@ -412,5 +412,5 @@ def test_a_query_over_what_it_needs_answers_as_over_everything(query: str) -> No
 
 
 def test_the_graphs_that_a_request_names_beside_its_query_are_documents_that_it_needs() -> None:
-    found = needs("SELECT * { ?s ?p ?o }").within([BASE + "calls/one"])
+    found = needs("SELECT * { ?s ?p ?o }").restrict_to([BASE + "calls/one"])
     assert BASE + "calls/one" in found.documents

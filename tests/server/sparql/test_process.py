@@ -20,10 +20,10 @@ import uvloop
 from rosld.server.dataset import Edit, MemoryStore
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.limits import Limits
-from rosld.server.sparql.process.child import Child
+from rosld.server.sparql.process.child import ChildProcess
 from rosld.server.sparql.process.client import QueryProcess
-from rosld.server.sparql.process.frames import AtWork, Cancel, Kind, Reply, packed
-from rosld.server.sparql.process.work import Dump, Graphs
+from rosld.server.sparql.process.frames import Cancel, Kind, Reply, SharedStatus, pack
+from rosld.server.sparql.process.work import DumpGraphs, ListGraphs
 
 LIMITS = Limits(20.0, 256 * 1024 * 1024)
 G, P = "http://h/g", "<http://h/p>"
@@ -88,7 +88,7 @@ def running(scenario: Callable[[QueryProcess], Awaitable[None]]) -> Callable[[],
     return run
 
 
-async def done(process: QueryProcess, work: Do | Dump | Graphs, seconds: float = 20.0) -> bytes:
+async def done(process: QueryProcess, work: Do | DumpGraphs | ListGraphs, seconds: float = 20.0) -> bytes:
     limits = LIMITS._replace(seconds=seconds)
     return await process.result(work, limits, time.monotonic() + seconds)
 
@@ -116,15 +116,15 @@ async def test_a_change_larger_than_any_buffer_arrives_whole(process: QueryProce
     text = "".join(f'<http://h/s{number}> {P} "{"x" * 1000}" .\n' for number in range(8000))
     process.change({G: text, "http://h/h": f'_:b {P} "1" .\n'})
     assert (await done(process, Do(count))) == b"1000"
-    assert sorted(pickle.loads(await done(process, Graphs()))) == [G, "http://h/h"]
+    assert sorted(pickle.loads(await done(process, ListGraphs()))) == [G, "http://h/h"]
     process.change({G: None})
-    assert pickle.loads(await done(process, Dump((G, "http://h/h"))))[G] is None
+    assert pickle.loads(await done(process, DumpGraphs((G, "http://h/h"))))[G] is None
 
 
 @running
 async def test_a_graph_that_cannot_be_stored_hides_no_other(process: QueryProcess) -> None:
     process.change({"http://h/bad": "} ; DROP ALL", G: f'<http://h/s> {P} "1" .\n'}, [Edit(G, "no triple")])
-    assert pickle.loads(await done(process, Graphs())) == [G]
+    assert pickle.loads(await done(process, ListGraphs())) == [G]
 
 
 @running
@@ -167,7 +167,7 @@ def test_the_work_that_ends_the_process_is_answered_500_and_named_and_all_else_i
 
     @running
     async def scenario(process: QueryProcess) -> None:
-        process.watch_start(lambda: starts.append(process.generation))
+        process.on_start(lambda: starts.append(process.generation))
         process.change({G: f'<http://h/s> {P} "1" .\n'})
         assert await done(process, Do(count)) == b"1"
         others = [asyncio.ensure_future(done(process, Do(endless))) for _ in range(4)]
@@ -177,7 +177,7 @@ def test_the_work_that_ends_the_process_is_answered_500_and_named_and_all_else_i
         for other in await asyncio.gather(*others, return_exceptions=True):
             assert isinstance(other, Problem)
             assert (other.status, other.headers["Retry-After"]) == (503, "1")
-        await process.ready(time.monotonic() + 20)
+        await process.wait_ready(time.monotonic() + 20)
         assert await done(process, Do(count)) == b"0"
 
     with caplog.at_level(logging.ERROR, "rosld.sparql"):
@@ -189,7 +189,7 @@ def test_the_work_that_ends_the_process_is_answered_500_and_named_and_all_else_i
 @running
 async def test_work_that_was_thought_to_be_short_cannot_hold_the_process_for_long(process: QueryProcess) -> None:
     assert (await refused(process, Do(endless, may_fork=False))).status in (500, 503)
-    await process.ready(time.monotonic() + 20)
+    await process.wait_ready(time.monotonic() + 20)
     assert await done(process, Do(count)) == b"0"
 
 
@@ -200,7 +200,7 @@ def test_a_death_is_noticed_also_with_requests_unread_and_replies_on_their_way(
     seen: list[object] = []
     ours, theirs = socket.socketpair()
     ours.setblocking(False)
-    (tmp_path / "at-work").write_bytes(bytes(AtWork.SIZE))
+    (tmp_path / "at-work").write_bytes(bytes(SharedStatus.SIZE))
     loop, lost = new_loop(), asyncio.Event()
 
     def on_lost() -> None:
@@ -208,10 +208,10 @@ def test_a_death_is_noticed_also_with_requests_unread_and_replies_on_their_way(
         lost.set()
 
     with (tmp_path / "at-work").open("r+b") as file, subprocess.Popen(["true"]) as popen:
-        spawned = (popen, ours, AtWork(file.fileno()))
-        child = Child(spawned, loop, lambda reply, descriptors: seen.append(reply), on_lost)
-        child.send(packed(Cancel(1)))
-        theirs.sendall(packed(Reply(Kind.WAITING, 2)))
+        spawned = (popen, ours, SharedStatus(file.fileno()))
+        child = ChildProcess(spawned, loop, lambda reply, descriptors: seen.append(reply), on_lost)
+        child.send(pack(Cancel(1)))
+        theirs.sendall(pack(Reply(Kind.WAITING, 2)))
         theirs.close()
 
         try:

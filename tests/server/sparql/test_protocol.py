@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from rosld.server.http.problem import Problem
 from rosld.server.http.text import FORM
 from rosld.server.sparql.protocol import (
-    DIRECT,
-    UPDATE,
+    QUERY_MEDIA_TYPE,
+    UPDATE_MEDIA_TYPE,
     QueryRequest,
     UpdateRequest,
     query_request,
@@ -38,7 +38,7 @@ def test_a_query_comes_in_the_url_in_a_form_or_directly(content_type: str) -> No
     assert query_request("GET", b"query=" + ENCODED) == expected
     assert query_request("HEAD", b"x=1&query=" + ENCODED + b"&unknown=%41") == expected
     assert query_request("POST", b"", content_type, b"query=" + ENCODED) == expected
-    assert query_request("POST", b"", f"{DIRECT};charset=utf-8", Q.encode()) == expected
+    assert query_request("POST", b"", f"{QUERY_MEDIA_TYPE};charset=utf-8", Q.encode()) == expected
 
 
 def test_a_plus_is_a_blank_in_urls_and_forms() -> None:
@@ -49,7 +49,7 @@ def test_the_dataset_comes_beside_the_query_once_each() -> None:
     graphs = b"default-graph-uri=http://h/a&default-graph-uri=http://h/a&named-graph-uri=http://h/b%3Fc"
     expected = QueryRequest(Q, ("http://h/a",), ("http://h/b?c",))
     assert query_request("GET", b"query=" + ENCODED + b"&" + graphs) == expected
-    assert query_request("POST", graphs, DIRECT, Q.encode()) == expected
+    assert query_request("POST", graphs, QUERY_MEDIA_TYPE, Q.encode()) == expected
     assert query_request("POST", b"", FORM, b"query=" + ENCODED + b"&" + graphs) == expected
 
 
@@ -64,7 +64,7 @@ def test_the_dataset_comes_beside_the_query_once_each() -> None:
         (("GET", b"query=a&default-graph-uri=nowhere"), 400, "nowhere"),
         (("GET", b"query=a&named-graph-uri=http://h/%3E"), 400, "no absolute IRI"),
         (("GET", b"&".join([b"a=b"] * 2000)), 400, "1000 parameters"),
-        (("POST", b"query=a", DIRECT, b"b"), 400, "2 queries"),
+        (("POST", b"query=a", QUERY_MEDIA_TYPE, b"b"), 400, "2 queries"),
         (("POST", b"query=a", FORM, b"query=a"), 400, "one of them"),
         (("POST", b"query=a", FORM, b""), 400, "one of them"),
         (("POST", b"", FORM, b""), 400, "no query"),
@@ -73,10 +73,10 @@ def test_the_dataset_comes_beside_the_query_once_each() -> None:
         (("POST", b"", FORM, b"query=a&update=x"), 400, "a query and an update"),
         (("GET", b"query=a&update=b"), 400, "never in the URL"),
         (("GET", b"query=a&using-graph-uri=http://h/"), 400, "using-graph-uri"),
-        (("POST", b"", DIRECT, b"\xff\xfe"), 400, "UTF-8"),
-        (("POST", b"", f"{DIRECT}; charset=klingon", b"x"), 415, "UTF-8"),
-        (("POST", b"", "text/plain", b"x"), 415, DIRECT),
-        (("POST", b"", UPDATE, b"x"), 400, "only queries"),
+        (("POST", b"", QUERY_MEDIA_TYPE, b"\xff\xfe"), 400, "UTF-8"),
+        (("POST", b"", f"{QUERY_MEDIA_TYPE}; charset=klingon", b"x"), 415, "UTF-8"),
+        (("POST", b"", "text/plain", b"x"), 415, QUERY_MEDIA_TYPE),
+        (("POST", b"", UPDATE_MEDIA_TYPE, b"x"), 400, "only queries"),
         (("POST", b"", None, b"x"), 415, "Content-Type"),
         (("POST", b"", "nonsense", b"x"), 415, "nonsense"),
     ],
@@ -99,9 +99,9 @@ def update_refusal(query_string: bytes, content_type: str | None, body: bytes) -
 def test_an_update_comes_in_a_form_or_directly_with_its_dataset_beside_it() -> None:
     graphs = b"using-graph-uri=http://h/a&using-graph-uri=http://h/a&using-named-graph-uri=http://h/b"
     form = b"update=" + quote(U, safe="").encode()
-    assert update_request(b"", UPDATE, U.encode()) == update_request(b"", FORM, form) == UpdateRequest(U)
+    assert update_request(b"", UPDATE_MEDIA_TYPE, U.encode()) == update_request(b"", FORM, form) == UpdateRequest(U)
     expected = UpdateRequest(U, ("http://h/a",), ("http://h/b",))
-    assert update_request(graphs, f"{UPDATE}; charset=utf-8", U.encode()) == expected
+    assert update_request(graphs, f"{UPDATE_MEDIA_TYPE}; charset=utf-8", U.encode()) == expected
     assert update_request(b"", FORM, form + b"&" + graphs) == update_request(graphs, FORM, form) == expected
 
 
@@ -110,16 +110,16 @@ def test_an_update_comes_in_a_form_or_directly_with_its_dataset_beside_it() -> N
     [
         ((b"", FORM, b"update=a&update=b"), 400, "2 updates"),
         ((b"", FORM, b"update=a&query=b"), 400, "a query and an update"),
-        ((b"query=a", UPDATE, b"b"), 400, "a query and an update"),
-        ((b"update=a", UPDATE, b"b"), 400, "never in the URL"),
+        ((b"query=a", UPDATE_MEDIA_TYPE, b"b"), 400, "a query and an update"),
+        ((b"update=a", UPDATE_MEDIA_TYPE, b"b"), 400, "never in the URL"),
         ((b"", FORM, b"query=a"), 400, "only updates"),
-        ((b"", DIRECT, b"ASK {}"), 400, "only updates"),
-        ((b"", UPDATE, b"\xff\xfe"), 400, "UTF-8"),
-        ((b"", f"{UPDATE}; charset=utf-16", b"x"), 415, "UTF-8"),
-        ((b"", "text/plain", b"x"), 415, UPDATE),
+        ((b"", QUERY_MEDIA_TYPE, b"ASK {}"), 400, "only updates"),
+        ((b"", UPDATE_MEDIA_TYPE, b"\xff\xfe"), 400, "UTF-8"),
+        ((b"", f"{UPDATE_MEDIA_TYPE}; charset=utf-16", b"x"), 415, "UTF-8"),
+        ((b"", "text/plain", b"x"), 415, UPDATE_MEDIA_TYPE),
         ((b"", None, b"x"), 415, "Content-Type"),
-        ((b"using-graph-uri=nowhere", UPDATE, b"x"), 400, "nowhere"),
-        ((b"default-graph-uri=http://h/", UPDATE, b"x"), 400, "using-graph-uri"),
+        ((b"using-graph-uri=nowhere", UPDATE_MEDIA_TYPE, b"x"), 400, "nowhere"),
+        ((b"default-graph-uri=http://h/", UPDATE_MEDIA_TYPE, b"x"), 400, "using-graph-uri"),
     ],
 )
 def test_each_wrong_update_has_its_status_and_its_words(
@@ -133,26 +133,26 @@ def test_each_wrong_update_has_its_status_and_its_words(
 @pytest.mark.parametrize("clause", ["USING <http://h/b>", "using named <http://h/b>", "USINGNAMED<http://h/b>"])
 def test_graphs_are_named_in_an_update_or_beside_it(clause: str) -> None:
     text = f"DELETE {{ ?s ?p 1 }} {clause} WHERE {{ ?s ?p 1 }}"
-    assert update_request(b"", UPDATE, text.encode()).text == text
-    assert update_refusal(b"using-named-graph-uri=http://h/a", UPDATE, text.encode())[0] == 400
+    assert update_request(b"", UPDATE_MEDIA_TYPE, text.encode()).text == text
+    assert update_refusal(b"using-named-graph-uri=http://h/a", UPDATE_MEDIA_TYPE, text.encode())[0] == 400
 
 
 def test_with_is_a_dataset_too() -> None:
     text = "CLEAR GRAPH <http://h/c> ; WITH <http://h/b> DELETE { ?s ?p 1 } WHERE { ?s ?p 1 }"
-    status, detail = update_refusal(b"using-graph-uri=http://h/a", UPDATE, text.encode())
+    status, detail = update_refusal(b"using-graph-uri=http://h/a", UPDATE_MEDIA_TYPE, text.encode())
     assert status == 400
     assert "WITH at 1:28" in detail
 
 
 def test_words_in_strings_names_and_comments_are_no_dataset() -> None:
     text = "PREFIX with: <http://h/> # USING\nINSERT { ?using with:using 'WITH' } WHERE { ?s ?p ?using }"
-    assert update_request(b"using-graph-uri=http://h/a", UPDATE, text.encode()).text == text
+    assert update_request(b"using-graph-uri=http://h/a", UPDATE_MEDIA_TYPE, text.encode()).text == text
 
 
 @given(st.text(), st.lists(st.sampled_from(["query", "default-graph-uri", "update", "ü"])), st.binary())
 def test_nothing_that_arrives_makes_it_raise_anything_else(text: str, names: list[str], body: bytes) -> None:
     raw = "&".join(f"{quote(name)}={quote(text.encode('utf-8', 'replace'))}" for name in names).encode() + body
-    for content_type in (None, FORM, DIRECT, UPDATE, text):
+    for content_type in (None, FORM, QUERY_MEDIA_TYPE, UPDATE_MEDIA_TYPE, text):
         for method in ("GET", "POST"):
             with suppress(Problem):
                 query_request(method, raw, content_type, body)

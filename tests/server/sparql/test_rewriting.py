@@ -14,7 +14,7 @@ from rosld.server.dataset.encoding import NAMESPACE, decode_term
 from rosld.server.dataset.sort_keys import sort_key
 from rosld.server.sparql.functions import AGE
 from rosld.server.sparql.rewriting import rewrite
-from rosld.server.sparql.syntax.lexer import BOUNDS, Reach, check
+from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS, ServiceAllowlist, check_text
 from rosld.server.sparql.syntax.query import parse_query
 from rosld.server.sparql.update.reading import rewrite_update
 
@@ -23,9 +23,9 @@ PREFIXES = {"xsd": XSD}
 
 
 def rewritten(text: str) -> str:
-    query = check(text, reach=Reach(frozenset({"http://elsewhere/"})))
-    parsed = parse_query(query, PREFIXES, "http://robot/", AGE, BOUNDS)
-    return rewrite(query.text, parsed.literals, parsed.places)
+    query = check_text(text, reach=ServiceAllowlist(frozenset({"http://elsewhere/"})))
+    parsed = parse_query(query, PREFIXES, "http://robot/", AGE, DEFAULT_BOUNDS)
+    return rewrite(query.text, parsed.literals, parsed.expressions)
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_what_would_come_to_another_answer_is_changed(text: str) -> None:
 
 def test_updates_of_one_graph_are_rewritten_too() -> None:
     text = "DELETE DATA { <a> <b> 01 } ; DELETE { ?s ?p ?o } INSERT { ?s ?p 02 } WHERE { ?s ?p ?o FILTER(?o > 1) }"
-    assert rewrite_update(check(text), "http://robot/").count(NAMESPACE) >= 3
+    assert rewrite_update(check_text(text), "http://robot/").count(NAMESPACE) >= 3
 
 
 NAMES = ["integer", "byte", "unsignedInt", "decimal", "double", "float"]

@@ -11,7 +11,7 @@ from pyoxigraph import Literal, QueryResultsFormat, RdfFormat, Store
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.results import SOLUTIONS
-from rosld.server.sparql.rows import Count, limited
+from rosld.server.sparql.rows import RowCounter, limit_rows
 
 PIECES = ["{", "}", ",", '"', "\\", "\n", "\r", "{}", ",{", "},{", ",{}", "a", "<result>", '"bindings":[{', "\u00e9"]
 TEXTS = st.lists(st.sampled_from(PIECES), max_size=8).map("".join)
@@ -31,7 +31,7 @@ def written(found: list[tuple[str | None, str | None]], syntax: QueryResultsForm
 def passes(text: bytes, media_type: str, limit: int, size: int, *, graph: bool = False) -> bool:
     """Whether a text goes by, in chunks of a size, with nothing lost."""
     output = io.BytesIO()
-    counting = limited(output, media_type, graph, limit)
+    counting = limit_rows(output, media_type, graph, limit)
     try:
         for at in range(0, len(text), size):
             counting.write(text[at : at + size])
@@ -73,9 +73,9 @@ def test_triples_in_lines_are_counted(media_type: str) -> None:
 
 def test_what_is_made_one_by_one_is_counted_one_by_one() -> None:
     looks: list[int] = []
-    count = Count(lambda: looks.append(1), 2)
-    count.one()
-    count.one()
+    count = RowCounter(lambda: looks.append(1), 2)
+    count.count()
+    count.count()
     with pytest.raises(Problem):
-        count.one()
+        count.count()
     assert len(looks) == 3

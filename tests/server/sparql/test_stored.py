@@ -9,8 +9,14 @@ from pyoxigraph import Literal, NamedNode, QuerySolutions, Store
 
 from rosld.ontology.vocab import xsd
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.stored import Parameter, Type, bind, read, shipped
-from rosld.server.sparql.syntax.lexer import check
+from rosld.server.sparql.stored import (
+    ParameterType,
+    QueryParameterDeclaration,
+    bind_parameters,
+    read_stored_query,
+    shipped_queries,
+)
+from rosld.server.sparql.syntax.lexer import check_text
 
 BASE = "http://robot.example/below/"
 
@@ -33,8 +39,8 @@ def query_of(kind: str) -> str:
 
 def answered(text: str, **values: str) -> list[object]:
     """The one row that a stored query answers; what is asked is fit for the store by the server's own rules."""
-    bound = bind(read("q", text), values, BASE)
-    answer = Store().query(check(bound).text)
+    bound = bind_parameters(read_stored_query("q", text), values, BASE)
+    answer = Store().query(check_text(bound).text)
     assert isinstance(answer, QuerySolutions)
     [row] = answer
     return list(row)
@@ -147,7 +153,7 @@ def test_an_iri_may_be_given_as_a_path_of_the_server(given: str, meant: str) -> 
 )
 def test_what_is_no_value_of_its_type_is_refused(kind: str, value: str, words: str) -> None:
     with pytest.raises(Problem) as refused:
-        bind(read("q", query_of(kind)), {"p": value}, BASE)
+        bind_parameters(read_stored_query("q", query_of(kind)), {"p": value}, BASE)
     assert refused.value.status == 400
     assert words in refused.value.detail
     assert f"p ({kind})" in refused.value.detail
@@ -166,12 +172,12 @@ SELECT ?sum WHERE { BIND(STRLEN(?word) + ?first + ?second AS ?sum) }
 
 
 def test_a_comment_block_tells_purpose_and_parameters() -> None:
-    query = read("add", TWO)
+    query = read_stored_query("add", TWO)
     assert (query.name, query.purpose, query.text) == ("add", "Adds. In two lines.", TWO)
     assert query.parameters == (
-        Parameter("first", Type.INTEGER, None, "the one"),
-        Parameter("second", Type.INTEGER, "2", "the other -- by default 2"),
-        Parameter("word", Type.STRING, "", "nothing"),
+        QueryParameterDeclaration("first", ParameterType.INTEGER, None, "the one"),
+        QueryParameterDeclaration("second", ParameterType.INTEGER, "2", "the other -- by default 2"),
+        QueryParameterDeclaration("word", ParameterType.STRING, "", "nothing"),
     )
 
 
@@ -182,7 +188,7 @@ def test_what_is_not_given_is_as_by_default_and_an_empty_field_is_not_given() ->
 
 def test_all_that_is_wrong_is_told_at_once_with_what_there_is() -> None:
     with pytest.raises(Problem) as refused:
-        bind(read("add", TWO), {"second": "X", "third": "3"}, BASE)
+        bind_parameters(read_stored_query("add", TWO), {"second": "X", "third": "3"}, BASE)
     problem = refused.value
     assert problem.status == 400
     for words in ("add", "'third'", "first: must be given; it is the one", "second: 'X'", "word (string)"):
@@ -197,7 +203,7 @@ def test_all_that_is_wrong_is_told_at_once_with_what_there_is() -> None:
 
 def test_a_query_without_parameters_says_so() -> None:
     with pytest.raises(Problem, match="This query has no parameters"):
-        bind(read("q", "# All.\nSELECT * { ?s ?p ?o }"), {"x": "1"}, BASE)
+        bind_parameters(read_stored_query("q", "# All.\nSELECT * { ?s ?p ?o }"), {"x": "1"}, BASE)
 
 
 @pytest.mark.parametrize(
@@ -229,37 +235,39 @@ def test_a_query_without_parameters_says_so() -> None:
 )
 def test_what_is_wrong_in_a_stored_query_is_told_with_its_place(text: str, words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        read("q", text)
+        read_stored_query("q", text)
 
 
 def test_a_query_that_would_take_for_ever_is_read_and_not_evaluated() -> None:
     tables = " ".join(f"VALUES ?v{n} {{ {' '.join(map(str, range(100)))} }}" for n in range(9))
     for form in ("ASK", "SELECT (COUNT(*) AS ?c)", "SELECT *"):
         order = "ORDER BY ?v0" if form.endswith("*") else ""
-        assert read("q", f"# A.\n{form} {{ {tables} FILTER(?v0 < 0) }} {order}").purpose == "A."
+        assert read_stored_query("q", f"# A.\n{form} {{ {tables} FILTER(?v0 < 0) }} {order}").purpose == "A."
 
 
 def test_the_prefixes_of_the_server_hold_where_a_query_declares_none() -> None:
-    read("q", "# A.\nSELECT ?x { ?x a ros:Topic }")
+    read_stored_query("q", "# A.\nSELECT ?x { ?x a ros:Topic }")
 
 
 def test_a_value_that_stands_in_many_places_does_not_fill_the_memory() -> None:
-    query = read("q", "# A.\n# @param p string -- it\nASK { VALUES ?x { " + "?p " * 1000 + "} }".replace("?x", "?y"))
+    query = read_stored_query(
+        "q", "# A.\n# @param p string -- it\nASK { VALUES ?x { " + "?p " * 1000 + "} }".replace("?x", "?y")
+    )
     with pytest.raises(Problem) as refused:
-        bind(query, {"p": "x" * 100_000}, BASE)
+        bind_parameters(query, {"p": "x" * 100_000}, BASE)
     assert refused.value.status == 413
 
 
 def test_functions_of_the_server_are_no_hindrance() -> None:
-    read("q", "# A.\nSELECT ?x { BIND(<https://w3id.org/rosld#age>(<http://a/>) AS ?x) }")
+    read_stored_query("q", "# A.\nSELECT ?x { BIND(<https://w3id.org/rosld#age>(<http://a/>) AS ?x) }")
 
 
 def test_the_shipped_queries_are_in_order_and_say_what_they_are_for() -> None:
-    queries = shipped()
+    queries = shipped_queries()
     assert len(queries) >= 10
     assert list(queries) == sorted(queries)
     for name, query in queries.items():
         assert query.name == name
-        assert query == read(name, query.text), "judged as those of strangers are"
+        assert query == read_stored_query(name, query.text), "judged as those of strangers are"
         assert query.purpose.endswith(".")
         assert all(parameter.about for parameter in query.parameters)

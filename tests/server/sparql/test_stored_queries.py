@@ -36,12 +36,12 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import PREFIXES
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.functions import functions
-from rosld.server.sparql.stored import bind, shipped
+from rosld.server.sparql.stored import bind_parameters, shipped_queries
 
 BASE = "http://robot.example/below/"
 SPACE = Space(BASE)
 LIBRARY = TypeLibrary(ros_version=1)
-QUERIES = shipped()
+QUERIES = shipped_queries()
 TWIST, SCAN, STRING = "geometry_msgs/msg/Twist", "sensor_msgs/msg/LaserScan", "std_msgs/msg/String"
 TRIGGER = "std_srvs/srv/Trigger"
 SECOND = 1_000_000_000
@@ -179,7 +179,7 @@ def ask(store: Store) -> Callable[..., list[tuple[object, ...]]]:
 
     def asked(name: str, **given: str) -> list[tuple[object, ...]]:
         answer = store.query(
-            bind(QUERIES[name], given, BASE), use_default_graph_as_union=True, custom_functions=FUNCTIONS
+            bind_parameters(QUERIES[name], given, BASE), use_default_graph_as_union=True, custom_functions=FUNCTIONS
         )
         assert isinstance(answer, QuerySolutions)
         return [tuple(map(shown, row)) for row in answer]
@@ -350,7 +350,7 @@ def test_recordings_are_shown_with_their_topics(ask: Ask) -> None:
 
 
 def test_the_computation_graph_is_built_once_a_triple(store: Store) -> None:
-    answer = store.query(bind(QUERIES["graph"], {}, BASE), use_default_graph_as_union=True)
+    answer = store.query(bind_parameters(QUERIES["graph"], {}, BASE), use_default_graph_as_union=True)
     assert isinstance(answer, QueryTriples)
     triples = list(answer)
     assert len(triples) == len(set(triples)) == 10
@@ -366,16 +366,18 @@ SAMPLES = {"topic": "/topics/x", "node": "/nodes/x"}
 def test_a_shipped_query_is_understood_and_needs_no_more_than_it_asks_for(name: str) -> None:
     query = QUERIES[name]
     given = {one.name: SAMPLES[one.name] for one in query.parameters if one.default is None}
-    analysis = Analyser(BASE, SPACE.types).analyse(bind(query, given, BASE))
+    analysis = Analyser(BASE, SPACE.types).analyse(bind_parameters(query, given, BASE))
     assert analysis.form in ("SELECT", "CONSTRUCT")
     looks_at_all = {"silent-topics", "unseen-topics", "fastest-topics"}
-    assert analysis.needs.everything == (name in looks_at_all)
-    assert analysis.needs.messages == (name in {*looks_at_all, "latest-values", "nearest-obstacle"})
-    assert analysis.needs.parameters == (name in {"parameters", "latest-values"})
+    assert analysis.needs.is_everything == (name in looks_at_all)
+    assert analysis.needs.needs_messages == (name in {*looks_at_all, "latest-values", "nearest-obstacle"})
+    assert analysis.needs.needs_parameters == (name in {"parameters", "latest-values"})
 
 
 def test_the_newest_values_are_asked_of_their_topic_alone() -> None:
-    analysis = Analyser(BASE, SPACE.types).analyse(bind(QUERIES["latest-values"], {"topic": "/topics/x"}, BASE))
+    analysis = Analyser(BASE, SPACE.types).analyse(
+        bind_parameters(QUERIES["latest-values"], {"topic": "/topics/x"}, BASE)
+    )
     assert analysis.needs.graphs == frozenset({SPACE.topic("/x")})
 
 

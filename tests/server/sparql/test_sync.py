@@ -137,7 +137,7 @@ def test_a_look_at_messages_is_none_at_parameters(make_source: Make, make_endpoi
         endpoint = make_endpoint(source, interval=3600.0)
         await endpoint.text("SELECT * { ?t ros:rate ?r }")
         await endpoint.text(ALL)
-        assert [look.parameters for look in source.looks] == [False, True]
+        assert [look.needs_parameters for look in source.looks] == [False, True]
 
     run(scenario())
 
@@ -172,11 +172,11 @@ def test_another_query_does_not_take_away_what_one_has_named_and_not_yet_seen(
         named = endpoint.service.check(f"SELECT * {{ <{message}> ros:words ?w }}").needs
         other = endpoint.service.check(value(1)).needs
         deadline = asyncio.get_running_loop().time() + 10
-        async with endpoint.synchroniser.synced(named, deadline=deadline):
-            async with endpoint.synchroniser.synced(other, deadline=deadline):
+        async with endpoint.synchroniser.synchronised(named, deadline=deadline):
+            async with endpoint.synchroniser.synchronised(other, deadline=deadline):
                 assert message in await endpoint.graphs()
             assert message in await endpoint.graphs()
-        async with endpoint.synchroniser.synced(other, deadline=deadline):
+        async with endpoint.synchroniser.synchronised(other, deadline=deadline):
             assert message not in await endpoint.graphs()
 
     run(scenario())

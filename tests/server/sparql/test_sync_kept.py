@@ -65,7 +65,7 @@ class Index:
         self.synchroniser = Synchroniser(self.store, NoRobot(), RecordGraphs(self.records, BASE))
 
     async def query(self, text: str) -> QuerySolutions:
-        async with self.synchroniser.synced(EVERYTHING, deadline=asyncio.get_running_loop().time() + 30):
+        async with self.synchroniser.synchronised(EVERYTHING, deadline=asyncio.get_running_loop().time() + 30):
             found = self.store.query(text)
         assert isinstance(found, QuerySolutions)
         return found
@@ -285,7 +285,7 @@ class Watched:
 async def test_a_large_backlog_is_told_in_parts_and_holds_nobody_up(index: Index) -> None:
     await index.records.write(*(source(f"data/r{number}", "x" * 100) for number in range(10_000)))
     watched = Watched(RecordGraphs(index.records, BASE))
-    loaded = asyncio.ensure_future(Synchroniser(index.store, NoRobot(), watched).catch_up())
+    loaded = asyncio.ensure_future(Synchroniser(index.store, NoRobot(), watched).sync_stored())
     while not loaded.done():
         watched.turn += 1
         await asyncio.sleep(0)
@@ -299,7 +299,7 @@ async def test_a_large_backlog_is_told_in_parts_and_holds_nobody_up(index: Index
 
 @running
 async def test_much_that_was_written_is_in_the_store_before_anybody_asks(index: Index) -> None:
-    keeping = asyncio.ensure_future(index.synchroniser.keep_up())
+    keeping = asyncio.ensure_future(index.synchroniser.run())
     for start in (0, 2000):
         await index.records.write(*(source(f"data/r{number}", 0) for number in range(start, start + 2000)))
         while len(index.store.graphs()) <= start + 2000:  # noqa: ASYNC110 - nobody is told
@@ -325,7 +325,7 @@ async def test_one_write_among_many_costs_a_query_only_what_has_changed(index: I
     alone = await seconds("data/a")
     for start in range(0, 20_000, 1000):
         await index.records.write(*(source(f"data/big/r{number}", 0) for number in range(start, start + 1000)))
-    await index.synchroniser.catch_up()
+    await index.synchroniser.sync_stored()
     await index.query("SELECT * {}")
     assert await seconds("data/b") < 4 * alone + 0.002
 

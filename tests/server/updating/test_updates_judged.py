@@ -26,7 +26,7 @@ from rosld.server.sparql.endpoint import QueryService
 from rosld.server.sparql.materializer import GraphEntry, Synchroniser
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.protocol import UpdateRequest
-from rosld.server.sparql.syntax.lexer import BOUNDS
+from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS
 from rosld.server.sparql.update.evaluate import GraphChange
 from rosld.server.sparql.update.executor import UpdateEvaluator
 from rosld.server.sparql.update.operations import Modify
@@ -210,8 +210,8 @@ def drawn(text: str, live: bool) -> tuple[GraphChange, ...]:
     async def drawing() -> tuple[GraphChange, ...]:
         process, analyser = LocalProcess(), Analyser(BASE, "https://w3id.org/rosld/types/")
         service = QueryService(process, Synchroniser(process, Room(live)), analyser)
-        operations = read_update(UpdateRequest(text), {}, BASE, BOUNDS)
-        return (await UpdateEvaluator(service, analyser).draw(operations)).changes
+        operations = read_update(UpdateRequest(text), {}, BASE, DEFAULT_BOUNDS)
+        return (await UpdateEvaluator(service, analyser).evaluate(operations)).changes
 
     try:
         return asyncio.run(asyncio.wait_for(drawing(), 60))
@@ -267,7 +267,7 @@ def test_what_was_asked_first_has_no_part_in_what_is_asked_next() -> None:
     first = f"INSERT DATA {{ GRAPH <{GRAPHS[3]}> {{ <urn:a> <urn:p> 1 }} }}"
     second = f"INSERT {{ GRAPH <{GRAPHS[3]}> {{ ?s <urn:q> ?g }} }} WHERE {{ GRAPH ?g {{ ?s <urn:p> 1 }} }}"
     for text, number in ((f"{first} ; {second}", 4), (f"{second} ; {first}", 3)):
-        operations = read_update(UpdateRequest(text), {}, BASE, BOUNDS)
+        operations = read_update(UpdateRequest(text), {}, BASE, DEFAULT_BOUNDS)
         assert [isinstance(each, Modify) and each.where is not None for each in operations].count(True) == 1
         [change] = drawn(text, False)
         assert not change.was_there

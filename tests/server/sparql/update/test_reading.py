@@ -7,18 +7,18 @@ from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.protocol import UpdateRequest
-from rosld.server.sparql.syntax.lexer import BOUNDS, Bounds
+from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS, QueryBounds
 from rosld.server.sparql.update.operations import (
-    Hole,
-    Home,
+    GraphGroup,
+    GraphVerb,
     Load,
-    Manage,
+    ManageGraph,
     Modify,
     Operation,
     QuadTemplate,
-    Several,
-    Verb,
+    TemplateVariable,
     Where,
+    WithGraph,
 )
 from rosld.server.sparql.update.reading import read_update
 
@@ -28,7 +28,7 @@ RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 PREFIXES = {"ros": "https://w3id.org/rosld#"}
 
 
-def read(text: str, *using: str, bounds: Bounds = BOUNDS) -> tuple[Operation, ...]:
+def read(text: str, *using: str, bounds: QueryBounds = DEFAULT_BOUNDS) -> tuple[Operation, ...]:
     """The operations of a text, in a request that names these graphs."""
     return read_update(UpdateRequest(text, using), PREFIXES, BASE, bounds)
 
@@ -66,7 +66,7 @@ def group(where: Where | None) -> str:
     return " ".join(where.query.split())
 
 
-def refusal(text: str, *, bounds: Bounds = BOUNDS) -> str:
+def refusal(text: str, *, bounds: QueryBounds = DEFAULT_BOUNDS) -> str:
     """Why a text is refused."""
     with pytest.raises(Problem) as caught:
         read(text, bounds=bounds)
@@ -94,12 +94,12 @@ def test_insert_data_and_delete_data_are_quads_without_a_where() -> None:
 def test_the_pattern_of_delete_where_is_what_is_deleted() -> None:
     operation = only("DELETE WHERE { ?s <b> ?o . GRAPH ?g { ?s <b> <c> } }")
     assert operation.deletes == (
-        QuadTemplate(Hole("s"), B, Hole("o"), None),
-        QuadTemplate(Hole("s"), B, C, Hole("g")),
+        QuadTemplate(TemplateVariable("s"), B, TemplateVariable("o"), None),
+        QuadTemplate(TemplateVariable("s"), B, C, TemplateVariable("g")),
     )
     assert operation.inserts == ()
     assert operation.where is not None
-    assert operation.where.holes == ("s", "o", "g")
+    assert operation.where.variables == ("s", "o", "g")
     assert group(operation.where) == "SELECT ?s ?o ?g WHERE { ?s <b> ?o . GRAPH ?g { ?s <b> <c> } }"
 
 
@@ -107,10 +107,10 @@ def test_delete_and_insert_share_a_where() -> None:
     operation = only(
         "DELETE { <a> <b> ?o } INSERT { GRAPH <g> { <a> <b> ?n } } WHERE { <a> <b> ?o BIND(?o + 1 AS ?n) }"
     )
-    assert operation.deletes == (QuadTemplate(A, B, Hole("o"), None),)
-    assert operation.inserts == (QuadTemplate(A, B, Hole("n"), G),)
+    assert operation.deletes == (QuadTemplate(A, B, TemplateVariable("o"), None),)
+    assert operation.inserts == (QuadTemplate(A, B, TemplateVariable("n"), G),)
     assert operation.where is not None
-    assert operation.where.holes == ("o", "n")
+    assert operation.where.variables == ("o", "n")
 
 
 def test_insert_may_stand_alone_and_templates_without_variables_ask_whether_the_where_holds() -> None:
@@ -126,7 +126,7 @@ def test_with_is_the_graph_of_what_names_none() -> None:
     assert [quad.graph for quad in operation.inserts] == [G, A]
     assert group(operation.where) == f"SELECT ?s ?o WHERE {{GRAPH <{BASE}g> {{ ?s <b> ?o }}}}"
     assert operation.where is not None
-    assert operation.where.home == Home(f"{BASE}g", "SELECT ?s ?o WHERE { ?s <b> ?o }")
+    assert operation.where.with_graph == WithGraph(f"{BASE}g", "SELECT ?s ?o WHERE { ?s <b> ?o }")
 
 
 def test_using_is_the_dataset_of_the_where_whatever_with_says() -> None:
@@ -134,7 +134,7 @@ def test_using_is_the_dataset_of_the_where_whatever_with_says() -> None:
     assert operation.deletes[0].graph == G
     assert operation.where is not None
     assert (operation.where.default_graphs, operation.where.named_graphs) == ((f"{BASE}a", f"{BASE}b"), (f"{BASE}c",))
-    assert operation.where.home is None
+    assert operation.where.with_graph is None
     assert "GRAPH" not in operation.where.query
 
 
@@ -148,16 +148,16 @@ def test_using_may_stand_in_the_request() -> None:
 @pytest.mark.parametrize(
     ("text", "operation"),
     [
-        ("CLEAR GRAPH <g>", Manage(Verb.CLEAR, f"{BASE}g")),
-        ("clear silent graph ros:g", Manage(Verb.CLEAR, "https://w3id.org/rosld#g", None, True)),
-        ("CLEAR DEFAULT", Manage(Verb.CLEAR, Several.DEFAULT)),
-        ("Drop Silent Named", Manage(Verb.DROP, Several.NAMED, None, True)),
-        ("DROP ALL", Manage(Verb.DROP, Several.ALL)),
-        ("CREATE GRAPH <g>", Manage(Verb.CREATE, f"{BASE}g")),
-        ("CREATE SILENT GRAPH <g>", Manage(Verb.CREATE, f"{BASE}g", None, True)),
-        ("COPY <g> TO DEFAULT", Manage(Verb.COPY, Several.DEFAULT, f"{BASE}g")),
-        ("MOVE SILENT DEFAULT TO GRAPH <g>", Manage(Verb.MOVE, f"{BASE}g", Several.DEFAULT, True)),
-        ("ADD GRAPH <a> TO <g>", Manage(Verb.ADD, f"{BASE}g", f"{BASE}a")),
+        ("CLEAR GRAPH <g>", ManageGraph(GraphVerb.CLEAR, f"{BASE}g")),
+        ("clear silent graph ros:g", ManageGraph(GraphVerb.CLEAR, "https://w3id.org/rosld#g", None, True)),
+        ("CLEAR DEFAULT", ManageGraph(GraphVerb.CLEAR, GraphGroup.DEFAULT)),
+        ("Drop Silent Named", ManageGraph(GraphVerb.DROP, GraphGroup.NAMED, None, True)),
+        ("DROP ALL", ManageGraph(GraphVerb.DROP, GraphGroup.ALL)),
+        ("CREATE GRAPH <g>", ManageGraph(GraphVerb.CREATE, f"{BASE}g")),
+        ("CREATE SILENT GRAPH <g>", ManageGraph(GraphVerb.CREATE, f"{BASE}g", None, True)),
+        ("COPY <g> TO DEFAULT", ManageGraph(GraphVerb.COPY, GraphGroup.DEFAULT, f"{BASE}g")),
+        ("MOVE SILENT DEFAULT TO GRAPH <g>", ManageGraph(GraphVerb.MOVE, f"{BASE}g", GraphGroup.DEFAULT, True)),
+        ("ADD GRAPH <a> TO <g>", ManageGraph(GraphVerb.ADD, f"{BASE}g", f"{BASE}a")),
         ("LOAD <a>", Load(f"{BASE}a", None)),
         ("LOAD SILENT <a> INTO GRAPH <g>", Load(f"{BASE}a", f"{BASE}g", True)),
     ],
@@ -211,7 +211,7 @@ def test_the_base_changes_where_another_is_declared_and_may_itself_be_relative()
     assert isinstance(first, Modify)
     assert isinstance(second, Modify)
     assert (first.inserts[0].subject, second.inserts[0].subject) == (A, NamedNode("http://other/x/a"))
-    assert third == Manage(Verb.CLEAR, "http://other/y/g")
+    assert third == ManageGraph(GraphVerb.CLEAR, "http://other/y/g")
 
 
 def test_a_where_has_the_prologue_that_holds_where_it_stands() -> None:
@@ -296,14 +296,17 @@ def test_lists_property_lists_and_labels_are_blank_nodes() -> None:
 def test_variables_may_stand_wherever_a_term_may_and_have_two_marks() -> None:
     operation = only("INSERT { ?s $p ( ?a [ ?q ?b ] ) . GRAPH ?g { ?s?p?o } } WHERE { ?s ?p ?o }")
     assert operation.where is not None
-    assert set(operation.where.holes) == {"s", "p", "a", "q", "b", "g", "o"}
-    assert QuadTemplate(Hole("s"), Hole("p"), Hole("o"), Hole("g")) in operation.inserts
+    assert set(operation.where.variables) == {"s", "p", "a", "q", "b", "g", "o"}
+    assert (
+        QuadTemplate(TemplateVariable("s"), TemplateVariable("p"), TemplateVariable("o"), TemplateVariable("g"))
+        in operation.inserts
+    )
 
 
 def test_the_name_of_a_variable_may_begin_with_an_underscore_or_a_digit() -> None:
     operation = only("DELETE { ?_g0 <p> ?0 } INSERT { ?_ <p> ?__ } WHERE { ?_ <p> ?_g0, ?0, ?__ }")
     assert operation.where is not None
-    assert set(operation.where.holes) == {"_g0", "0", "_", "__"}
+    assert set(operation.where.variables) == {"_g0", "0", "_", "__"}
 
 
 def test_what_looks_like_the_mark_of_a_variable_is_none() -> None:
@@ -408,5 +411,5 @@ def test_nesting_and_length_are_bounded() -> None:
     many = ";".join(["INSERT DATA { }"] * 2000)
     assert "at most 1000 are taken" in refusal(many)
     with pytest.raises(Problem) as caught:
-        read(f"INSERT DATA {{ {ABC} }}", bounds=Bounds(size=10))
+        read(f"INSERT DATA {{ {ABC} }}", bounds=QueryBounds(size=10))
     assert caught.value.status == 413

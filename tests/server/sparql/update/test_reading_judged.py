@@ -15,8 +15,17 @@ from pyoxigraph import Literal, NamedNode
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.protocol import UpdateRequest
-from rosld.server.sparql.syntax.lexer import BOUNDS, Kind, tokens
-from rosld.server.sparql.update.operations import Hole, Manage, Modify, Operation, QuadTemplate, Several, Slot, Verb
+from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS, Kind, tokens
+from rosld.server.sparql.update.operations import (
+    GraphGroup,
+    GraphVerb,
+    ManageGraph,
+    Modify,
+    Operation,
+    QuadTemplate,
+    TemplateTerm,
+    TemplateVariable,
+)
 from rosld.server.sparql.update.reading import read_update
 
 BASE = "http://robot/"
@@ -28,7 +37,7 @@ RDF_TYPE = NamedNode("http://www.w3.org/1999/02/22-rdf-syntax-ns#type")
 
 def read(text: str) -> tuple[Operation, ...]:
     """The operations of a text."""
-    return read_update(UpdateRequest(text), {}, BASE, BOUNDS)
+    return read_update(UpdateRequest(text), {}, BASE, DEFAULT_BOUNDS)
 
 
 def refusal(text: str) -> Problem | None:
@@ -100,17 +109,17 @@ def literals(draw: DrawFn) -> tuple[Literal, str]:
     )
 
 
-def holes() -> SearchStrategy[tuple[Hole, str]]:
+def holes() -> SearchStrategy[tuple[TemplateVariable, str]]:
     """A variable with either mark."""
-    return st.builds(lambda name, mark: (Hole(name), f"{mark}{name}"), NAMES, st.sampled_from("?$"))
+    return st.builds(lambda name, mark: (TemplateVariable(name), f"{mark}{name}"), NAMES, st.sampled_from("?$"))
 
 
 @st.composite
 def blocks(draw: DrawFn, variables: bool) -> tuple[list[QuadTemplate], str]:
     """Quads between braces: what they are, and a text for them."""
     held = holes() if variables else st.nothing()
-    nodes: SearchStrategy[tuple[Slot, str]] = iris() | held
-    graphs: SearchStrategy[tuple[Slot, str] | None] = st.none() | iris() | held
+    nodes: SearchStrategy[tuple[TemplateTerm, str]] = iris() | held
+    graphs: SearchStrategy[tuple[TemplateTerm, str] | None] = st.none() | iris() | held
     dispatcher = nodes | st.just((RDF_TYPE, "a"))
     quads: list[QuadTemplate] = []
     text = ""
@@ -122,17 +131,17 @@ def blocks(draw: DrawFn, variables: bool) -> tuple[list[QuadTemplate], str]:
         else:
             text += f"{gap}{draw(cased('GRAPH'))} {graph[1]}{gap}{{{told}}}" + draw(st.sampled_from(["", " ."]))
         name = None if graph is None else graph[0]
-        assert name is None or isinstance(name, NamedNode | Hole)
+        assert name is None or isinstance(name, NamedNode | TemplateVariable)
         quads += [QuadTemplate(*each, name) for each in triples]
     return quads, f"{{{text}{draw(GAPS)}}}"
 
 
 @st.composite
 def _triples(
-    draw: DrawFn, nodes: SearchStrategy[tuple[Slot, str]], dispatcher: SearchStrategy[tuple[Slot, str]]
-) -> tuple[list[tuple[Slot, Slot, Slot]], str]:
+    draw: DrawFn, nodes: SearchStrategy[tuple[TemplateTerm, str]], dispatcher: SearchStrategy[tuple[TemplateTerm, str]]
+) -> tuple[list[tuple[TemplateTerm, TemplateTerm, TemplateTerm]], str]:
     """Triples, subjects and predicates said once for what they share."""
-    found: list[tuple[Slot, Slot, Slot]] = []
+    found: list[tuple[TemplateTerm, TemplateTerm, TemplateTerm]] = []
     text = ""
     for subject, subject_text in draw(st.lists(nodes, min_size=1, max_size=2)):
         text += (" . " if text else "") + subject_text
@@ -170,18 +179,18 @@ def modifications(draw: DrawFn) -> tuple[Modify, str]:
 
 
 @st.composite
-def managements(draw: DrawFn) -> tuple[Manage, str]:
+def managements(draw: DrawFn) -> tuple[ManageGraph, str]:
     """An operation on whole graphs."""
-    verb, silent = draw(st.sampled_from(list(Verb))), draw(st.booleans())
+    verb, silent = draw(st.sampled_from(list(GraphVerb))), draw(st.booleans())
     (target, text), (source, source_text) = draw(iris()), draw(iris())
     head = draw(cased(verb.value)) + draw(GAPS) + (draw(cased("SILENT")) + draw(GAPS) if silent else "")
-    if verb in (Verb.ADD, Verb.MOVE, Verb.COPY):
+    if verb in (GraphVerb.ADD, GraphVerb.MOVE, GraphVerb.COPY):
         told = f"{head}{draw(st.sampled_from(['', 'GRAPH ']))}{source_text} {draw(cased('TO'))} {text}"
-        return Manage(verb, target.value, source.value, silent), told
-    if verb is not Verb.CREATE and draw(st.booleans()):
-        several = draw(st.sampled_from(list(Several)))
-        return Manage(verb, several, None, silent), head + draw(cased(several.value))
-    return Manage(verb, target.value, None, silent), f"{head}{draw(cased('GRAPH'))} {text}"
+        return ManageGraph(verb, target.value, source.value, silent), told
+    if verb is not GraphVerb.CREATE and draw(st.booleans()):
+        several = draw(st.sampled_from(list(GraphGroup)))
+        return ManageGraph(verb, several, None, silent), head + draw(cased(several.value))
+    return ManageGraph(verb, target.value, None, silent), f"{head}{draw(cased('GRAPH'))} {text}"
 
 
 def known(operation: Operation) -> object:

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import pytest
+
 HERE = Path(__file__).parent
 EXACT = re.compile(r"\d+(\.\d+)+")
 
@@ -24,8 +26,9 @@ def test_the_lock_names_contents_and_no_registry() -> None:
     assert not [each for each in packages if "resolved" in each]
 
 
-def test_libraries_for_java_are_of_exact_versions() -> None:
-    pom = ElementTree.parse(HERE / "java" / "pom.xml")
+@pytest.mark.parametrize("folder", ["java", "ontology"])
+def test_libraries_for_java_are_of_exact_versions(folder: str) -> None:
+    pom = ElementTree.parse(HERE / folder / "pom.xml")
     versions = [each.text or "" for each in pom.iterfind(".//{*}dependency/{*}version")]
     assert len(versions) == len([*pom.iterfind(".//{*}dependency")])
     assert all(EXACT.fullmatch(version) for version in versions), versions

@@ -14,29 +14,37 @@ from tests.interop.stamps import made_once
 
 HERE = Path(__file__).parent
 POM, SOURCES = HERE / "pom.xml", sorted((HERE / "src").glob("*.java"))
-LIBRARIES, CLASSES = HERE / "target" / "lib", HERE / "target" / "classes"
-CLASS_PATH = f"{LIBRARIES}/*"
+CLASSES = HERE / "target" / "classes"
+CLASS_PATH = f"{HERE / 'target' / 'lib'}/*"
 COPY = "org.apache.maven.plugins:maven-dependency-plugin:3.8.1:copy-dependencies"
 PATIENCE = 300.0
 
 
 def java(*arguments: str) -> Sequence[str]:
     """The command that runs one of the compiled classes, which are made first where they lack."""
-    require("java", "javac", "mvn")
-    with made_once(LIBRARIES, [POM]) as are_here:
-        if not are_here:
-            _fetch()
+    require("javac")
+    libraries(POM)
     with made_once(CLASSES, [POM, *SOURCES]) as are_here:
         if not are_here:
             _compile()
     return ["java", "-XX:+UseSerialGC", "-cp", f"{CLASS_PATH}:{CLASSES}", *arguments]
 
 
-def _fetch() -> None:
-    command = ("mvn", "--batch-mode", "--quiet", COPY, "-DincludeTypes=jar", f"-DoutputDirectory={LIBRARIES}")
-    done = subprocess.run(command, cwd=HERE, capture_output=True, text=True, timeout=PATIENCE, check=False)
+def libraries(pom: Path) -> Path:
+    """The folder of the libraries that a pom names, which are fetched first where they lack."""
+    require("java", "mvn")
+    folder = pom.parent / "target" / "lib"
+    with made_once(folder, [pom]) as are_here:
+        if not are_here:
+            _fetch(pom, folder)
+    return folder
+
+
+def _fetch(pom: Path, folder: Path) -> None:
+    command = ("mvn", "--batch-mode", "--quiet", COPY, "-DincludeTypes=jar", f"-DoutputDirectory={folder}")
+    done = subprocess.run(command, cwd=pom.parent, capture_output=True, text=True, timeout=PATIENCE, check=False)
     if done.returncode != 0:
-        missing(f"the libraries of {POM} could not be fetched: {done.stdout[-1500:]}{done.stderr[-500:]}")
+        missing(f"the libraries of {pom} could not be fetched: {done.stdout[-1500:]}{done.stderr[-500:]}")
 
 
 def _compile() -> None:

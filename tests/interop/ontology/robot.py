@@ -1,0 +1,85 @@
+"""ROBOT, the tool of the OBO Foundry on the OWL API, as a command: what it prints, and what it returns."""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from rdflib import OWL, RDF, Graph, Literal, URIRef
+
+from rosld.ontology.modules import MODULES, module_iri
+from tests.interop.java.maven import libraries
+from tests.ontology.reasoning import VOCABULARIES
+
+POM = Path(__file__).parent / "pom.xml"
+PATIENCE = 600.0
+_FILES = Path(__file__).parents[3] / "ontology"
+_IMPORTED = {
+    "http://www.w3.org/ns/prov-o#": "prov",
+    "http://www.w3.org/ns/sosa/": "sosa",
+    "http://www.w3.org/ns/ssn/": "ssn",
+    "http://www.w3.org/ns/ldp": "ldp",
+    "https://www.w3.org/2019/wot/td": "td",
+    "http://www.ease-crc.org/ont/ROS.owl": "ease",
+}
+"""The ontologies that are imported and are here, by what their files are called."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command of ROBOT came to."""
+
+    code: int
+    output: str
+
+
+def robot(*arguments: str | Path) -> Outcome:
+    """Run a command of ROBOT."""
+    command = ["java", "-XX:+UseSerialGC", "-Xmx2g", "-cp", f"{libraries(POM)}/*"]
+    command += ["org.obolibrary.robot.CommandLineInterface", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    return Outcome(done.returncode, done.stdout + done.stderr)
+
+
+def write_alone(name: str, folder: Path) -> Path:
+    """A module by itself: without what it imports."""
+    graph = Graph().parse(_FILES / f"{name}.ttl")
+    graph.remove((None, OWL.imports, None))
+    return _write(graph, folder / f"{name}.ttl")
+
+
+def write_merged(graph: Graph, folder: Path) -> Path:
+    """Ontologies and data as one ontology, with no literal of a datatype that OWL 2 does not have."""
+    merged = Graph()
+    for subject, predicate, value in graph:
+        if predicate in (OWL.imports, OWL.versionIRI) or value == OWL.Ontology:
+            continue
+        is_foreign = isinstance(value, Literal) and value.datatype in (RDF.JSON, RDF.HTML)
+        merged.add((subject, predicate, Literal(str(value)) if is_foreign else value))
+    merged.add((URIRef("urn:merged"), RDF.type, OWL.Ontology))
+    return _write(merged, folder / "merged.ttl")
+
+
+def catalog(folder: Path) -> Path:
+    """Where imports are found without a network: an XML catalog (OASIS) of the modules and of what they import."""
+    here = {module_iri(name): _FILES / f"{name}.ttl" for name in MODULES}
+    here |= {iri: VOCABULARIES / f"{name}.ttl" for iri, name in _IMPORTED.items()}
+    for number, iri in enumerate(sorted(_imports_of_others() - here.keys())):
+        here[iri] = folder / f"empty-{number}.ttl"
+        here[iri].write_text(f"<{iri}> a <{OWL.Ontology}> .")
+    lines = [f'<uri name="{iri}" uri="{path.as_uri()}"/>' for iri, path in here.items()]
+    path = folder / "catalog.xml"
+    path.write_text(f'<catalog xmlns="urn:oasis:names:tc:entity:xmlns:xml:catalog">{"".join(lines)}</catalog>')
+    return path
+
+
+def _imports_of_others() -> set[str]:
+    """What the vocabularies import themselves; of that only what is here is read."""
+    graphs = (Graph().parse(path) for path in VOCABULARIES.glob("*.ttl"))
+    return {str(each) for graph in graphs for each in graph.objects(None, OWL.imports)}
+
+
+def _write(graph: Graph, path: Path) -> Path:
+    path.write_bytes(graph.serialize(format="turtle", encoding="utf-8"))
+    return path

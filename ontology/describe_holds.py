@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
+from types import MappingProxyType
 
 from pyoxigraph import Literal, NamedNode, Triple
 
@@ -14,7 +15,7 @@ from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.triples import RDF_SOURCE, about, boolean, double, each, integer, moment, text
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import js, prov, rdf, rdfs, ros, td
+from rosld.ontology.vocab import dcterms, js, prov, rdf, rdfs, ros, td
 
 MAX_RATE = 50.0
 """Hz: how often a hold may publish."""
@@ -22,6 +23,20 @@ MAX_LEASE = 5.0
 """Seconds that a hold may go on without being renewed."""
 MIN_OF_HOLDS = 1e-6
 """The least rate in Hz, and the least lease in seconds."""
+RATE = 10.0
+"""Hz: how often a command of a velocity is published where nothing is said."""
+LEASE = 1.0
+"""Seconds that a hold goes on without being renewed, where nothing is said."""
+_NO_DEFAULTS: Mapping[str, float] = MappingProxyType({})
+_HOLD = (
+    "The message is published again and again until the lease ends. PATCH of the hold that is made (Location) renews "
+    "it, also with another message; DELETE ends it. Then what `then` says is published: zero for a velocity."
+)
+_MEANINGS = {
+    "rate": "How many times a second the message is published.",
+    "lease": "The seconds that the hold goes on unrenewed.",
+    "then": "What is published when the hold ends: zero, none, or the URL of a message.",
+}
 _SETTINGS = LiftSettings()
 _PARAMETERS = "{?rate,lease,then}"
 """Those of a hold, as in a URI template (RFC 6570)."""
@@ -83,15 +98,27 @@ def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTIN
     return Document(url, tuple(triples), tuple(messages))
 
 
-def holdable(topic: str) -> list[Triple]:
-    """What says that the topic at this URL can be held: an action with its parameters."""
+def holdable(topic: str, shape: str | None = None, *, commands_velocity: bool = False) -> list[Triple]:
+    """What says that the topic at this URL can be held: an action, what to send, and its parameters.
+
+    `shape` is the URL of the shape of the message. Where it `commands_velocity` no parameter has to be given.
+    """
     subject = NamedNode(topic)
+    about_it = _HOLD if commands_velocity else f"{_HOLD} Say how often: rate."
     return [
-        *affordance(subject, "hold", td.hasActionAffordance, td.ActionAffordance),
+        *affordance(
+            subject,
+            "hold",
+            td.hasActionAffordance,
+            td.ActionAffordance,
+            (dcterms.title, Literal("Hold the topic")),
+            (dcterms.description, Literal(about_it)),
+            (ros.requestShape, None if shape is None else NamedNode(shape)),
+        ),
         *forms(
             NamedNode(f"{topic}#hold"), "post", "POST", td.invokeAction, topic, BODIES, template=f"{topic}{_PARAMETERS}"
         ),
-        *_variables(subject, "hold"),
+        *_variables(subject, "hold", {"lease": LEASE, **({"rate": RATE} if commands_velocity else {})}),
     ]
 
 
@@ -160,7 +187,7 @@ def _step_node(url: str, step: StepView) -> NamedNode:
     return NamedNode(f"{url}#step-{sha256(step.does.encode()).hexdigest()[:12]}")
 
 
-def _variables(subject: NamedNode, affordance: str) -> list[Triple]:
+def _variables(subject: NamedNode, affordance: str, defaults: Mapping[str, float] = _NO_DEFAULTS) -> list[Triple]:
     """The parameters of a hold: its rate in Hz, its lease in seconds, and what is published when it ends."""
     node = NamedNode(f"{subject.value}#{affordance}")
     said: Iterable[tuple[str, NamedNode, float | None]] = (
@@ -176,6 +203,8 @@ def _variables(subject: NamedNode, affordance: str) -> list[Triple]:
             variable,
             (rdf.type, kind),
             (js.propertyName, Literal(name)),
+            (dcterms.description, Literal(_MEANINGS[name])),
+            (js.default, double(defaults[name]) if name in defaults else None),
             (js.exclusiveMinimum, None if limit is None else double(0)),
             (js.maximum, None if limit is None else double(limit)),
         )

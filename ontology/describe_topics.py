@@ -13,6 +13,7 @@ from rosld.adapters.model import Endpoint, Graph, Qos, Topic, TypeRef, mismatch_
 from rosld.ontology.describe_holds import holdable as holdable_at
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.namespaces import is_namespace
+from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.triples import RDF_SOURCE, Statement, about, boolean, double, each, integer, text
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros
@@ -53,12 +54,17 @@ def topic_document(
             (ros.heldBy, NamedNode(space.hold(hold)) if hold else None),
             *(each(ros.latestFrom, nodes) if several else ()),
         ),
-        *(_holdable(url) if holdable else ()),
+        *(_described_hold(topic, space) if holdable else ()),
     ]
     return Document(url, tuple(triples), named, graph.simulated_time)
 
 
-_holdable = lru_cache(maxsize=4096)(holdable_at)
+@lru_cache(maxsize=4096)
+def _described_hold(topic: Topic, space: Space) -> tuple[Triple, ...]:
+    """How the topic is held."""
+    name = None if topic.type is None else topic.type.name
+    shape = None if name is None else space.shape(name)
+    return tuple(holdable_at(space.topic(topic.name), shape, commands_velocity=name in COMMANDS))
 
 
 def _named(messages: Sequence[LiftedMessage], space: Space) -> tuple[LiftedMessage, ...]:

@@ -546,6 +546,7 @@ class js(Namespace, iri="https://www.w3.org/2019/wot/json-schema#"):
     NumberSchema: NamedNode
     StringSchema: NamedNode
     propertyName: NamedNode
+    default: NamedNode
     exclusiveMinimum: NamedNode
     maximum: NamedNode
 

@@ -122,6 +122,13 @@ class Limits:
         """
         return _bounds(self, schema) if self.by_class else {}
 
+    def bounds_of_value(self, url: str, predicate: NamedNode, schema: MessageSchema) -> Mapping[str, Bounds]:
+        """What is demanded of single scalars of the message that is a resource's value of a predicate."""
+        shape, space = self.by_url.get(url), Space("http://0/", self.types)
+        found = {} if shape is None else {way[1:]: each for way, each in shape.within.items() if way[0] == predicate}
+        paths = {way: _dotted(schema, schema.ref.name, way, space) for way in found if way}
+        return {path: found[way] for way, path in paths.items() if path is not None}
+
 
 def _targets(graph: Sequence[Triple], shapes: ShapesGraph) -> Iterator[tuple[NamedNode | BlankNode, NamedNode, Term]]:
     """Each target, those of shapes that are classes too (SHACL 2.1.3.3)."""

@@ -2,8 +2,8 @@
 
 Nothing here knows a robot or a store: a `Page` (or one of its kin) goes in, bytes come out. Whatever came from a robot
 is text to these pages, never markup, and `HEADERS` tells the browser to run nothing but `live.js`, which keeps a page
-up to date while it is looked at, `filter.js`, which finds things on long ones, and `find.js`, which shows what is found
-while words are typed. Without them every page is as whole.
+up to date while it is looked at, `filter.js`, which finds things on long ones, `find.js`, which shows what is found
+while words are typed, and `drive.js`, which drives a robot. Without them every page is as whole.
 """
 
 from rosld.server.html.affordances import action_form, forms_of, property_form
@@ -13,11 +13,13 @@ from rosld.server.html.form_parser import (
     parse_parameter,
     parse_value,
     split_hidden,
+    split_query,
 )
 from rosld.server.html.forms import (
     ChoiceForm,
     DeleteForm,
     Form,
+    HoldForm,
     MessageForm,
     ParameterForm,
     ValueForm,
@@ -44,6 +46,7 @@ from rosld.server.html.page import (
 )
 from rosld.server.html.render import (
     CONTENT_SECURITY_POLICY,
+    DRIVE_SCRIPT,
     FILTER_SCRIPT,
     FIND_SCRIPT,
     HEADERS,
@@ -63,6 +66,7 @@ from rosld.server.html.site import Site
 __all__ = [
     "ALTERNATES",
     "CONTENT_SECURITY_POLICY",
+    "DRIVE_SCRIPT",
     "FILTER_SCRIPT",
     "FIND_SCRIPT",
     "HEADERS",
@@ -76,6 +80,7 @@ __all__ = [
     "EntryCount",
     "EntryPage",
     "Form",
+    "HoldForm",
     "MemberColumns",
     "MessageForm",
     "Notice",
@@ -108,4 +113,5 @@ __all__ = [
     "render_search",
     "render_sparql",
     "split_hidden",
+    "split_query",
 ]

@@ -36,6 +36,18 @@ def split_hidden(pairs: Iterable[tuple[str, str]]) -> tuple[str | None, str | No
     return hidden.get(CSRF_FIELD), hidden.get(METHOD_FIELD), rest
 
 
+def split_query(pairs: Iterable[tuple[str, str]]) -> tuple[dict[str, str], list[tuple[str, str]]]:
+    """What a form says in the query (`?rate`: no field of a message begins so), and its other pairs."""
+    query: dict[str, str] = {}
+    rest: list[tuple[str, str]] = []
+    for name, value in pairs:
+        if name.startswith("?"):
+            query.setdefault(name[1:], value)
+        else:
+            rest.append((name, value))
+    return query, rest
+
+
 def parse_form(schema: MessageSchema, pairs: Iterable[tuple[str, str]]) -> JsonValue:
     """The plain JSON of the message that a form was filled with, for `lowerer(schema).from_json`.
 

@@ -8,12 +8,13 @@ field (`linear.x`), so that a message may well have a field called `method`: onl
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal, TypeAlias
 
 from rosld.adapters.model import MessageSchema
 from rosld.ontology.violations import Violation
 from rosld.server.html.bounds import describe_bounds
+from rosld.server.html.drive_pad import DrivePad
 from rosld.server.html.inputs import (
     MAX_TEXT,
     Control,
@@ -71,6 +72,61 @@ class MessageForm:
     def controls(self) -> tuple[Control, ...]:
         """Its inputs."""
         return controls(self.schema, self.value, _filling(self.submitted, self.violations))
+
+
+@dataclass(frozen=True, slots=True)
+class HoldTerms:
+    """How a hold goes on unless asked otherwise: rate in Hz, lease in seconds, the most of both, and what follows."""
+
+    rate: float
+    max_rate: float
+    lease: float
+    max_lease: float
+    then: str
+
+
+@dataclass(frozen=True, slots=True)
+class HoldForm:
+    """A form that holds a topic: the message, and in the query how often it is published and what becomes of that.
+
+    `pad` is there where the topic commands a velocity. `bounds` are those of fields by their paths. The other fields
+    are as those of a `MessageForm`.
+    """
+
+    template: ClassVar[str] = "hold"
+    schema: MessageSchema
+    terms: HoldTerms
+    method: Method = "POST"
+    title: str = "Hold the topic"
+    button: str = "Hold"
+    value: Json = None
+    action: str = ""
+    about: str = ""
+    submitted: Pairs | None = None
+    violations: tuple[Violation, ...] = ()
+    bounds: Mapping[str, Bounds] = field(default_factory=dict)
+    pad: DrivePad | None = None
+
+    def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> HoldForm:
+        """The same form as it was sent, with what does not fit beside its fields."""
+        return replace(self, submitted=tuple(pairs), violations=tuple(violations))
+
+    @property
+    def controls(self) -> tuple[Control, ...]:
+        """Its inputs: the message's, and those of the query, whose names begin with a question mark."""
+        filling, terms = replace(_filling(self.submitted, self.violations), bounds=self.bounds), self.terms
+        return (
+            *controls(self.schema, self.value, filling),
+            _query_number("?rate", "rate", terms.rate, terms.max_rate, "Hz", filling),
+            _query_number("?lease", "lease", terms.lease, terms.max_lease, "s", filling),
+            Input("?then", "at the end", "select", filling.text("?then", terms.then), options=("zero", "none")),
+        )
+
+
+def _query_number(name: str, label: str, value: float, most: float, unit: str, filling: InputValues) -> Input:
+    """The input for a number of the query, of at most so many."""
+    text = filling.text(name, f"{value:g}")
+    return Input(name, label, "number", escape_controls(text), min="0.1", max=f"{most:g}", step="0.1", unit=unit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +242,7 @@ class ChoiceForm:
     violations: ClassVar[tuple[Violation, ...]] = ()
 
 
-Form: TypeAlias = MessageForm | ParameterForm | ValueForm | DeleteForm | ChoiceForm
+Form: TypeAlias = MessageForm | HoldForm | ParameterForm | ValueForm | DeleteForm | ChoiceForm
 
 
 def _filling(typed: Pairs | None, violations: Iterable[Violation]) -> InputValues:

@@ -93,7 +93,7 @@ Without this file, or with scripts off, the page is what it was when it was load
       renew(old, now);
     } else {
       mergeAttributes(old, now);
-      mergeChildren(old, now);
+      if (!matches(old, "[data-drive]")) mergeChildren(old, now); // what stands in a pad is its script's
     }
   }
 

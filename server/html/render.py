@@ -13,11 +13,13 @@ from jinja2 import DictLoader, Environment, StrictUndefined
 from pyoxigraph import NamedNode
 
 from rosld.ontology.describe_search import SearchResult
+from rosld.ontology.document import Document
+from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.vocab import ldp, ros, td
 from rosld.server.html.auto_refresh import MAX_RATE, is_refreshed
 from rosld.server.html.breadcrumb import breadcrumb
 from rosld.server.html.brief import brief_text
-from rosld.server.html.description import describe, first_text
+from rosld.server.html.description import describe, first_text, objects_of
 from rosld.server.html.endpoints import endpoint_table
 from rosld.server.html.folding import group_sections
 from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD, Form, ValueForm
@@ -75,7 +77,10 @@ FILTER_SCRIPT = (_HERE / "filter.js").read_bytes()
 """Served at `filter.js` below the base: finds things on a page that folds very many."""
 FIND_SCRIPT = (_HERE / "find.js").read_bytes()
 """Served at `find.js` below the base: shows what is found while words are typed into the box of every page."""
-_VERSION = hashlib.blake2b(STYLESHEET + ICON + SCRIPT + FILTER_SCRIPT + FIND_SCRIPT, digest_size=4).hexdigest()
+DRIVE_SCRIPT = (_HERE / "drive.js").read_bytes()
+"""Served at `drive.js` below the base: the pad on the page of a topic that commands a velocity."""
+_FILES = STYLESHEET + ICON + SCRIPT + FILTER_SCRIPT + FIND_SCRIPT + DRIVE_SCRIPT
+_VERSION = hashlib.blake2b(_FILES, digest_size=4).hexdigest()
 
 _NOTICED = (
     (ros.unreachable, "Unreachable"),
@@ -140,6 +145,10 @@ class _Frame:
     def can_find(self) -> bool:
         """Whether the reader may search."""
         return self.site.may("GET", f"{self.site.base}find")
+
+    @property
+    def drive_script(self) -> str:
+        return f"{self.site.root}drive.js?v={_VERSION}"
 
     @property
     def icon(self) -> str:
@@ -208,6 +217,7 @@ def render_page(page: Page) -> bytes:
         "page.html",
         _frame(page.site, page.title, page.document.url, page.notices + _own_notices(page), is_refreshed(page)),
         page=page,
+        drives=_commands_velocity(page.document, page.site),
         forms=[each for each in posted if not (isinstance(page.offer, ComplexView) and each.form.action)],
         formats=[
             replace(each, query=page.query)
@@ -217,6 +227,12 @@ def render_page(page: Page) -> bytes:
         curl=_curl(page.document.url.partition("?")[0] + (f"?{page.query}" if page.query else ""), "text/turtle"),
         **_body(page, posted),
     )
+
+
+def _commands_velocity(document: Document, site: Site) -> bool:
+    """Whether the resource is a topic that commands a velocity: its page may come to have a pad while it is open."""
+    types = (term.value for term in objects_of(document, ros.hasMessageType) if isinstance(term, NamedNode))
+    return any(type.removeprefix(site.types) in COMMANDS for type in types)
 
 
 def _fitting(page: Page) -> Iterator[Form]:

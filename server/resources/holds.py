@@ -7,6 +7,7 @@ import socket
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import cast
 from urllib.parse import urljoin, urlsplit
 
 import orjson
@@ -16,13 +17,24 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Message, MessageSchema, RosError
 from rosld.ontology.body import body_of
-from rosld.ontology.describe_holds import MAX_LEASE, MAX_RATE, MIN_OF_HOLDS, HoldView, hold_document
+from rosld.ontology.describe_holds import (
+    LEASE,
+    MAX_LEASE,
+    MAX_RATE,
+    MIN_OF_HOLDS,
+    RATE,
+    HoldView,
+    hold_document,
+)
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import LoweringError, find_message, lowerer, parse_json
-from rosld.ontology.neutral_message import TWISTS, zeroed
+from rosld.ontology.neutral_message import COMMANDS, TWISTS, zeroed
 from rosld.server.auth.errors import not_found
-from rosld.server.html import DeleteForm, Form
+from rosld.server.html import DeleteForm, Form, HoldForm
+from rosld.server.html.drive_pad import drive_pad
+from rosld.server.html.forms import HoldTerms
+from rosld.server.html.inputs import Json
 from rosld.server.http import header_syntax
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, nullable
@@ -39,10 +51,9 @@ from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteM
 from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.holds import HeldMessage, Hold, HoldEnded, held_message, new_hold
-from rosld.server.robot.velocity import passes_stop
+from rosld.server.robot.velocity import passes_stop, zero_message
+from rosld.shapes.value import Bounds
 
-LEASE = 1.0
-"""Seconds, where none are asked for."""
 ZERO, NONE = "zero", "none"
 
 Find = Callable[[str], Resource]
@@ -51,11 +62,11 @@ Find = Callable[[str], Resource]
 
 async def create_hold(exchange: Exchange, robot: Robot, name: str, find: Find | None) -> Answer:
     """Carry out a POST of a message to a topic: hold it. Raises whatever there is to refuse."""
-    rate = _rate(exchange, robot)
-    if rate is None:
-        raise Problem(400, f"Say how often the message is to be published: ?rate=10 for ten times a second ({_RATES}).")
-    lease = _lease(exchange) or LEASE
+    rate, lease = _rate(exchange, robot), _lease(exchange) or LEASE
     publishing = Publisher(robot, name)
+    if rate is None and not publishing.commands_velocity:
+        raise Problem(400, f"Say how often the message is to be published: ?rate=10 for ten times a second ({_RATES}).")
+    rate = rate or min(RATE, robot.limiter.rate)
     schema, message = await publishing.read_message(exchange)
     await publishing.require_within_limits(schema, message)
     asked = _command(robot, publishing.name, schema, message, restamp=False)
@@ -89,6 +100,23 @@ def hold_schema(schemas: MessageSchemas, schema: MessageSchema | None) -> DataSc
     message = ANYTHING if schema is None else schemas.read(schema)
     rest: DataSchema = {"kept": {"type": "boolean"}, "trouble": nullable(TEXT), "message": message}
     return {"type": "object", "properties": {**words, **rest}}
+
+
+def hold_form(robot: Robot, topic: str, schema: MessageSchema, latest: Json, bounds: Mapping[str, Bounds]) -> HoldForm:
+    """The form that holds a topic, with a pad where that commands a velocity."""
+    lifted = lifter(schema, robot.lifting).json(zero_message(schema, robot.lifting), robot.space.topic(topic))
+    zero = cast(Json, parse_json(lifted))
+    is_velocity = schema.ref.name in TWISTS
+    most = min(MAX_RATE, robot.limiter.rate)
+    return HoldForm(
+        schema,
+        HoldTerms(min(RATE, most), most, MAX_LEASE, MAX_LEASE, ZERO if is_velocity else NONE),
+        title=f"Drive by {topic}" if schema.ref.name in COMMANDS else "Hold the topic",
+        about="It is published at that rate until the lease is over, or the hold is ended on its own page.",
+        value=zero if is_velocity else latest,
+        bounds=bounds,
+        pad=drive_pad(topic, schema, bounds, zero, robot.limiter.rate),
+    )
 
 
 class HoldResource(Resource):
@@ -188,8 +216,14 @@ class HoldResource(Resource):
         return orjson.dumps(told)[:-1] + b',"message":' + message + b"}"
 
     async def forms(self) -> Sequence[Form]:
-        about = f"What it was told to say last is then published on {self.hold.topic}."
-        return (DeleteForm("End the hold", "End", about),) if "DELETE" in self.methods() else ()
+        if "DELETE" not in self.methods():
+            return ()
+        last = f"What it was told to say last is then published on {self.hold.topic}."
+        renewed = f"It goes on for {self.hold.lease:g} s from then."
+        return (
+            DeleteForm("End the hold", "End", last),
+            DeleteForm("Renew the hold", "Renew", renewed, method="PATCH"),
+        )
 
     def keep_alive(self, exchange: Exchange) -> contextlib.AbstractContextManager[float | None]:
         """`?keep=true`: the stream keeps the hold, and says twice a lease that it is alive."""

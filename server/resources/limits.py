@@ -6,6 +6,8 @@ that URL belongs to. What a node declares of a parameter is one.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from pyoxigraph import NamedNode, Triple
 
 from rosld.adapters.model import Kind, Message, MessageSchema, ParameterValue
@@ -15,7 +17,9 @@ from rosld.ontology.vocab import rdf, ros
 from rosld.server.hypermedia.conditions import url_of, value_triples
 from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Value
 from rosld.server.resources.context import Robot
+from rosld.shapes.bounds import merged
 from rosld.shapes.parameter import violations
+from rosld.shapes.value import Bounds
 
 _LINKS = {"#message": ros.latest, "#request": ros.request, "#goal": ros.goalMessage}
 
@@ -37,6 +41,23 @@ async def require_message(
     broken += await _of_property(robot, kind, name, own)
     if broken:
         raise LoweringError(*broken)
+
+
+async def topic_bounds(robot: Robot, name: str, schema: MessageSchema) -> Mapping[str, Bounds]:
+    """What the limits demand of single fields of a message that is published on a topic, by their paths."""
+    limits = robot.limits
+    if not limits:
+        return {}
+    found = [
+        limits.bounds_of_message(schema),
+        limits.bounds_of_value(robot.space.topic(name), _LINKS["#message"], schema),
+    ]
+    tree = await robot.affordances.tree()
+    own = tree.catalogue.by_topic.get(name)
+    for shown, field in () if own is None else tree.names_of(own):
+        if field is None:
+            found.append(limits.bounds_of_value(url_of(shown, robot.space), rdf.value, schema))
+    return merged(*found)
 
 
 async def require_parameter(robot: Robot, name: str, value: ParameterValue) -> None:

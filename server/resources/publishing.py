@@ -12,6 +12,7 @@ from rosld.adapters.model import Kind, Message, MessageSchema, Topic, TypeRef, U
 from rosld.ontology.body import RdfBody, body_of, parse_body
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import find_message, lowerer, parse_json
+from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
@@ -46,6 +47,12 @@ class Publisher:
     def topic(self) -> Topic | None:
         """The topic in the computation graph, None where there is none of that name."""
         return self.robot.graph.topics.get(self.name)
+
+    @property
+    def commands_velocity(self) -> bool:
+        """Whether its messages are commands of velocities."""
+        topic = self.topic
+        return topic is not None and topic.type is not None and topic.type.name in COMMANDS
 
     async def plan(self, exchange: Exchange) -> PlannedPublish:
         """What a PUT asks to be published. Raises whatever there is to refuse."""

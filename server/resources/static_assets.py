@@ -83,6 +83,13 @@ def find_script(robot: Robot) -> FileResource:
     )
 
 
+def drive_script(robot: Robot) -> FileResource:
+    """`/drive.js`."""
+    return FileResource(
+        robot, "drive.js", html.DRIVE_SCRIPT, "text/javascript; charset=utf-8", "The script of the pad that drives"
+    )
+
+
 def icon(robot: Robot) -> FileResource:
     """`/icon.svg`."""
     return FileResource(robot, "icon.svg", html.ICON, "image/svg+xml", "The icon of pages")
@@ -99,6 +106,7 @@ FILES: dict[str, Callable[[Robot], FileResource]] = {
     "live.js": script,
     "filter.js": filter_script,
     "find.js": find_script,
+    "drive.js": drive_script,
     "icon.svg": icon,
     "favicon.ico": favicon,
 }

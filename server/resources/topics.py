@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import cast
@@ -24,7 +25,8 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.schema import message_schema
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.holds import create_hold, hold_parameters, hold_schema
+from rosld.server.resources.holds import create_hold, hold_form, hold_parameters, hold_schema
+from rosld.server.resources.limits import topic_bounds
 from rosld.server.resources.messages import DecodedSample, decode, field_response, lift_sample
 from rosld.server.resources.namespaces import redirect_to_namespace
 from rosld.server.resources.publishing import Publisher
@@ -91,7 +93,7 @@ class TopicResource(CommandResource):
                 sent,
                 done=(201,),
                 shows=hold_schema(schemas, schema),
-                query=(STRICT, *hold_parameters(required="rate")),
+                query=(STRICT, *hold_parameters(required="" if self._publishing.commands_velocity else "rate")),
             ),
             "DELETE": WriteMethod(
                 "Stops to advertise the topic; 405 while this server does not advertise it.", done=(204,)
@@ -237,21 +239,21 @@ class TopicResource(CommandResource):
         methods, topic = self.methods(), self.topic
         forms: list[Form] = []
         if "PUT" in methods and topic is not None and topic.type is not None:
-            try:
-                schema = await self.robot.schemas.message(topic.type)
-                forms.append(self._zero_form(schema) if self.robot.is_stopped else await self._message_form(schema))
-            except RosError:
-                pass
+            with contextlib.suppress(RosError):
+                forms += await self._message_forms(await self.robot.schemas.message(topic.type))
         if "DELETE" in methods:
             forms.append(DeleteForm("Stop advertising", "Stop advertising", f"rosld no longer publishes {self.name}."))
         return forms
 
-    async def _message_form(self, schema: MessageSchema) -> MessageForm:
-        return MessageForm(schema, value=await self._latest_json())
-
-    def _zero_form(self, schema: MessageSchema) -> MessageForm:
-        """What is left to publish while the robot is stopped."""
-        return MessageForm(schema, title="Publish zero", about="The robot is stopped: nothing else passes.")
+    async def _message_forms(self, schema: MessageSchema) -> Sequence[Form]:
+        """The forms that publish and hold, that with a pad first; while the robot is stopped what publishes zero."""
+        robot = self.robot
+        if robot.is_stopped:
+            return (MessageForm(schema, title="Publish zero", about="The robot is stopped: nothing else passes."),)
+        latest = await self._latest_json()
+        hold = hold_form(robot, self.name, schema, latest, await topic_bounds(robot, self.name, schema))
+        publish = MessageForm(schema, value=latest)
+        return (publish, hold) if hold.pad is None else (hold, publish)
 
     async def _latest_json(self) -> Json:
         """The latest message as plain JSON, None where there is none that can be read."""

@@ -22,6 +22,8 @@ from rosld.server.http.problem import Problem
 from rosld.server.receipts.account import AuditContext
 from rosld.server.runtime.memory import PER_BYTE, PROCESS_MEMORY
 
+_NOTHING: Mapping[str, str] = MappingProxyType({})
+
 
 class Exchange:
     """A request: `method` (after a form said which), `query` (the first value of each name), headers, body."""
@@ -121,8 +123,10 @@ class Exchange:
         """Whether it has If-Match or If-None-Match (RFC 9110 13.1)."""
         return "if-match" in self.headers or "if-none-match" in self.headers
 
-    def override(self, method: str, media_type: str, body: bytes) -> None:
-        """Turn into the request that a form meant."""
+    def override(self, method: str, media_type: str, body: bytes, query: Mapping[str, str] = _NOTHING) -> None:
+        """Turn into the request that a form meant; `query` is what it says there beside what is there."""
+        if query:
+            self.__dict__["query"] = MappingProxyType({**self.query, **query})
         self.method = method
         self.headers = {**self.headers, "content-type": media_type}
         self._body = body

@@ -20,6 +20,7 @@ from rosld.server.html import (
     Csrf,
     DeleteForm,
     Form,
+    HoldForm,
     Notice,
     NoticeLink,
     ParameterForm,
@@ -162,11 +163,13 @@ class PageRenderer:
         form = next((form for form in forms if form.method == method and not form.action), None)
         if form is None:
             raise Problem(405, resource.deny_reason(method or "POST"), headers={"Allow": allow_field(resource)})
+        query, fields = html.split_query(typed) if isinstance(form, HoldForm) else ({}, typed)
         try:
-            value = _value(form, typed)
+            value = _value(form, fields)
         except LoweringError as error:
             raise InvalidForm(form, typed, problem_of_body(error)) from error
-        exchange.override(form.method, "application/json", b"" if value is None else json.dumps(value).encode())
+        body = b"" if value is None else json.dumps(value).encode()
+        exchange.override(form.method, "application/json", body, query)
         exchange.typed = typed
         return form
 

@@ -293,8 +293,13 @@ def test_a_writable_topic_says_how_it_is_held_and_a_sensor_does_not(http: httpx.
     assert set(says(http, f"/topics{DRIVE}", "https://w3id.org/rosld#uriTemplate")) == {
         f'"{http.base_url}topics/drive{{?rate,lease,then}}"'
     }
+    [shape] = says(http, f"/topics{DRIVE}", f"{ROS}requestShape")
+    assert shape == f"<{http.base_url}shapes/geometry_msgs/msg/Twist>"
+    assert any("DELETE ends it" in one for one in says(http, f"/topics{DRIVE}", "http://purl.org/dc/terms/description"))
     paths = http.get("/openapi.json").json()["paths"]
     rate = next(one for one in paths["/topics/drive"]["post"]["parameters"] if one.get("name") == "rate")
+    assert (rate.get("required", False), rate["schema"]["maximum"]) == (False, 50.0)
+    rate = next(one for one in paths[f"/topics{NAMED}"]["post"]["parameters"] if one.get("name") == "rate")
     assert (rate["required"], rate["schema"]["maximum"]) == (True, 50.0)
     assert {"get", "patch", "delete"} <= paths["/holds/{id}"].keys()
 
@@ -307,7 +312,7 @@ def test_a_writable_topic_says_how_it_is_held_and_a_sensor_does_not(http: httpx.
     [
         ({"rate": 0}, 400), ({"rate": -1}, 400), ({"rate": 50.1}, 400), ({"rate": "NaN"}, 400), ({"rate": "inf"}, 400),
         ({"rate": "fast"}, 400), ({"rate": "1e-300"}, 400), ({"rate": 10, "lease": 0}, 400),
-        ({"rate": 10, "lease": 5.1}, 400), ({"rate": 10, "lease": "NaN"}, 400), ({}, 400),
+        ({"rate": 10, "lease": 5.1}, 400), ({"rate": 10, "lease": "NaN"}, 400),
     ],
 )  # fmt: skip
 def test_rates_and_leases_out_of_range_are_refused(
@@ -315,9 +320,20 @@ def test_rates_and_leases_out_of_range_are_refused(
 ) -> None:
     assert http.post(f"/topics{DRIVE}", params=query, json=ahead(1.0)).status_code == status
     hold = begun(http, NAMED, {"data": "go"})
-    if query:
-        assert http.patch(hold, params=query).status_code == status
+    assert http.patch(hold, params=query).status_code == status
     assert not driven.on(DRIVE)
+
+
+def test_a_velocity_is_held_ten_times_a_second_unless_asked_otherwise_and_all_else_has_to_say(
+    driven: Driven, http: httpx.Client
+) -> None:
+    answer = http.post(f"/topics{DRIVE}", json=ahead(1.0), headers=JSON)
+    assert answer.status_code == 201, answer.text
+    assert (answer.json()["rate"], answer.json()["lease"], answer.json()["then"]) == (10.0, 1.0, "zero")
+    refused = http.post(f"/topics{NAMED}", json={"data": "go"})
+    assert refused.status_code == 400
+    assert "?rate=10" in refused.json()["detail"]
+    assert not driven.on(NAMED)
 
 
 def test_what_does_not_fit_is_refused_and_the_hold_goes_on_as_it_was(driven: Driven, http: httpx.Client) -> None:

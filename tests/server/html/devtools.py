@@ -74,6 +74,10 @@ class Tab:
         for kind in ("mousePressed", "mouseReleased"):
             self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
+    def crash(self) -> None:
+        """End the process that shows the page, as a fault would; nothing can be asked of the page any more."""
+        self._window.post("Page.crash", self._session)
+
     def photograph(self, target: Path, width: int, height: int, **features: str) -> None:
         """The page as a PNG file; `features` are of the media, such as prefers_color_scheme."""
         media = [{"name": name.replace("_", "-"), "value": value} for name, value in features.items()]
@@ -105,12 +109,16 @@ class Window:
 
     def send(self, method: str, session: str | None = None, **params: object) -> Any:
         """One command; its result."""
+        return self.post(method, session, **params).result(SECONDS * 2)
+
+    def post(self, method: str, session: str | None = None, **params: object) -> Future[Any]:
+        """One command; its result, once there is one."""
         self._count += 1
         number, reply = self._count, Future[Any]()
         self._replies[number] = reply
         message = {"id": number, "method": method, "params": params} | ({"sessionId": session} if session else {})
         os.write(self._write, json.dumps(message).encode() + b"\0")
-        return reply.result(SECONDS * 2)
+        return reply
 
     def _listen(self, read: int) -> None:
         waiting = b""

@@ -1,0 +1,121 @@
+"""The pad that drives a robot: what its script needs to know. Pure."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from decimal import Decimal
+
+import numpy as np
+from pyoxigraph import Literal
+
+from rosld.adapters.model import MessageSchema, Primitive
+from rosld.ontology.neutral_message import COMMANDS
+from rosld.server.html.bounds import parse_number
+from rosld.server.html.inputs import Json
+from rosld.shapes.value import UNBOUNDED, Bounds
+
+RATE = 20.0
+"""Hz: how often a command is published while the pad is pressed."""
+LEASE = 0.6
+"""Seconds after which the robot stands where the page, or the way to it, is lost."""
+_WITHIN = Decimal("0.999")
+"""What of an exclusive bound is driven at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One direction of the pad: the path of the field that it sets, what that is, and its range."""
+
+    path: str
+    label: str
+    unit: str
+    least: float
+    greatest: float
+
+
+@dataclass(frozen=True, slots=True)
+class DrivePad:
+    """A pad for a topic: how fast ahead, how much to the left, the message that stands still, how it is held."""
+
+    topic: str
+    ahead: Axis
+    left: Axis
+    zero: Json
+    rate: float
+    lease: float
+
+    @property
+    def json(self) -> str:
+        """All of it, for the script."""
+        return json.dumps(asdict(self))
+
+
+_SPEED = Axis("linear.x", "Speed", "m/s", -1.0, 1.0)
+_TURN = Axis("angular.z", "Turn", "rad/s", -2.0, 2.0)
+_CAR_SPEED = Axis("speed", "Speed", "m/s", -1.0, 1.0)
+_STEERING = Axis("steering_angle", "Steering", "rad", -0.6, 0.6)
+_AXES: Mapping[str, tuple[str, Axis, Axis]] = {
+    "geometry_msgs/msg/Twist": ("", _SPEED, _TURN),
+    "geometry_msgs/msg/TwistStamped": ("twist.", _SPEED, _TURN),
+    "ackermann_msgs/msg/AckermannDrive": ("", _CAR_SPEED, _STEERING),
+    "ackermann_msgs/msg/AckermannDriveStamped": ("drive.", _CAR_SPEED, _STEERING),
+}
+"""By type: what precedes the paths, and the axes with the range where no limit says another."""
+assert _AXES.keys() == COMMANDS
+
+
+def drive_pad(
+    topic: str, schema: MessageSchema, bounds: Mapping[str, Bounds], zero: Json, max_rate: float
+) -> DrivePad | None:
+    """The pad for a topic of a type, within the bounds of fields by their paths; None for other types."""
+    found = _AXES.get(schema.ref.name)
+    if found is None:
+        return None
+    prefix, ahead, left = found
+    first, second = (_bounded(axis, prefix, schema, bounds) for axis in (ahead, left))
+    return DrivePad(topic, first, second, zero, min(RATE, max_rate), LEASE)
+
+
+def _bounded(axis: Axis, prefix: str, schema: MessageSchema, bounds: Mapping[str, Bounds]) -> Axis:
+    path = prefix + axis.path
+    demanded, is_single = bounds.get(path, UNBOUNDED), _is_single(schema, path)
+    lower = [bound for bound in (_value(demanded.least), _within(demanded.above)) if bound is not None]
+    upper = [bound for bound in (_value(demanded.greatest), _within(demanded.below)) if bound is not None]
+    least = max(lower, default=Decimal(str(axis.least)))
+    greatest = min(upper, default=Decimal(str(axis.greatest)))
+    return Axis(
+        path,
+        axis.label,
+        axis.unit,
+        _inside(least, math.inf, is_single=is_single),
+        _inside(greatest, -math.inf, is_single=is_single),
+    )
+
+
+def _value(bound: Literal | None) -> Decimal | None:
+    return None if bound is None else parse_number(bound.value)
+
+
+def _within(bound: Literal | None) -> Decimal | None:
+    found = _value(bound)
+    return None if found is None else found * _WITHIN
+
+
+def _is_single(schema: MessageSchema, path: str) -> bool:
+    """Whether a field is a float32."""
+    name, kind = schema.ref.name, None
+    for part in path.split("."):
+        kind = next(each.type for each in schema.types[name].fields if each.name == part)
+        name = getattr(kind, "name", "")
+    return kind == Primitive("float32")
+
+
+def _inside(bound: Decimal, inward: float, *, is_single: bool) -> float:
+    """The number of the field's type that is next to a bound, within it: `0.1` is no number of either type."""
+    kind = np.float32 if is_single else np.float64
+    nearest = kind(bound)
+    is_outside = Decimal(float(nearest)) < bound if inward > 0 else Decimal(float(nearest)) > bound
+    return float(np.nextafter(nearest, kind(inward)) if is_outside else nearest)

@@ -7,7 +7,7 @@
     ├── TimedOut       it was asked and did not answer before the deadline
     └── UnknownType    nobody could tell the definition of a type
 
-None of them knows HTTP: `server/rest/errors.py` holds the one table that gives each its status.
+None of them knows HTTP: `server/rest/ros_problems.py` holds the one table that gives each its status.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from rosld.server.http.tokens import PREFIX
+from rosld.server.http.token_redaction import PREFIX
 
 DIGEST = re.compile(r"sha256:[0-9a-f]{64}")
 _TOKEN68 = re.compile(r"[A-Za-z0-9\-._~+/]+=*")

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rosld.server.storage.blobs import sync_folder
-from rosld.server.storage.lock import FileLock
+from rosld.server.storage.file_lock import FileLock
 
 NAME = "base-url"
 LOCK = "lock"

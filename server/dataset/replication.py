@@ -2,8 +2,9 @@
 
 The dataset here stays what queries are answered from; the other store follows at a rate, and may hold the graphs of
 other servers too: which graphs are ours their IRIs tell, and no other is ever touched. What is to be told is kept as
-names (`pending.py`) and read from the dataset when it is told, and of a small graph only what differs is (`told.py`):
-stores age by what is replaced in them. While the other store cannot be reached nothing else waits for it.
+names (`pending_changes.py`) and read from the dataset when it is told, and of a small graph only what differs is
+(`replica_state.py`): stores age by what is replaced in them. While the other store cannot be reached nothing else waits
+for it.
 
 A graph of its own there, the seal, says which run of which server told what is there, and when it did so last. A store
 that lost something, or was put back to an earlier day, does not hold the seal as it was left: it is told all anew.
@@ -26,10 +27,10 @@ from pyoxigraph import Literal, NamedNode, QuerySolutions
 from rosld.ontology.triples import moment as instant
 from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.dataset.base import Edit
-from rosld.server.dataset.endpoint import StoreError, StoreRefused
+from rosld.server.dataset.endpoint_client import StoreError, StoreRefused
 from rosld.server.dataset.ntriples import split_parts
-from rosld.server.dataset.pending import PendingBatch, PendingChanges
-from rosld.server.dataset.remote import RemoteStore
+from rosld.server.dataset.pending_changes import PendingBatch, PendingChanges
+from rosld.server.dataset.remote_store import RemoteStore
 from rosld.server.dataset.replica_state import ReplicaState
 
 _log = logging.getLogger("rosld.store")

@@ -16,8 +16,8 @@ from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
 from rosld.server.auth.rate_limit import client_name
 from rosld.server.http.problem import Problem
-from rosld.server.rest.errors import problem_of
 from rosld.server.rest.resource import Resource
+from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 from rosld.server.runtime.signals import Signal, call_every
 

@@ -18,7 +18,7 @@ from rosld.server.auth.authenticator import UNRESTRICTED, AuthContext
 from rosld.server.auth.permissions import Permissions
 from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Observation
-from rosld.server.events.subscriptions import ChannelRequest
+from rosld.server.events.channel_request import ChannelRequest
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State

@@ -21,7 +21,6 @@ from rosld.server.html.breadcrumb import breadcrumb
 from rosld.server.html.brief import brief_text
 from rosld.server.html.description import describe, first_text, objects_of
 from rosld.server.html.endpoints import endpoint_table
-from rosld.server.html.folding import group_sections
 from rosld.server.html.forms import CSRF_FIELD, METHOD_FIELD, Form, ValueForm
 from rosld.server.html.labels import capitalize
 from rosld.server.html.listing import container_table
@@ -39,6 +38,7 @@ from rosld.server.html.page import (
     SearchPage,
     SparqlPage,
 )
+from rosld.server.html.section_groups import group_sections
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.stop_steps import stop_steps
 from rosld.server.html.tables import results_table

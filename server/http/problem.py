@@ -11,7 +11,7 @@ from dataclasses import replace
 from http import HTTPStatus
 from typing import TYPE_CHECKING
 
-from rosld.server.http.tokens import redact_tokens, redact_tokens_in
+from rosld.server.http.token_redaction import redact_tokens, redact_tokens_in
 
 if TYPE_CHECKING:  # what a problem needs is little, so that the query process can raise one
     from rosld.ontology.violations import Violation

@@ -23,8 +23,8 @@ from rosld.server.hypermedia.conditions import ConditionResults, url_of
 from rosld.server.hypermedia.conventions import CONVENTIONS, Conventions, catalogue, needed_types
 from rosld.server.hypermedia.mapping import Condition, MappingSet
 from rosld.server.hypermedia.mappings import Mappings
+from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.property_writer import current_writer
-from rosld.server.hypermedia.readings import PropertyReader
 from rosld.server.hypermedia.resource_tree import (
     ActionPlan,
     ComplexPlan,
@@ -32,8 +32,8 @@ from rosld.server.hypermedia.resource_tree import (
     PropertyPlan,
     ResourceTree,
 )
-from rosld.server.hypermedia.shape import field_shape, value_shape, with_descriptor
 from rosld.server.hypermedia.value import Reading
+from rosld.server.hypermedia.value_shape import field_shape, value_shape, with_descriptor
 from rosld.server.hypermedia.views import (
     ActionAffordance,
     ActionView,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TypeAlias, cast
 
-from rosld.server.hypermedia.schema import DataSchema, Json
+from rosld.server.hypermedia.data_schema import DataSchema, Json
 
 Schema: TypeAlias = DataSchema
 

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 from rosld.adapters.model import MessageSchema
 from rosld.server.hypermedia.brief_value import brief_json
-from rosld.server.hypermedia.sources import decode_value
+from rosld.server.hypermedia.source_reader import decode_value
+from rosld.server.robot.live_topics import LiveTopics
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topic_view import TopicView
-from rosld.server.robot.topics import LiveTopics
 
 
 class LatestValue(NamedTuple):

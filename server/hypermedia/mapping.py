@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from pyoxigraph import NamedNode
 
-from rosld.server.robot.stop import StopCommand
+from rosld.server.robot.software_stop import StopCommand
 from rosld.shapes.constraints import NodeShape
 from rosld.shapes.value import NO_MEASURE, Measure
 

@@ -32,7 +32,7 @@ from rosld.server.hypermedia.mapping import (
     MappedLink,
     MappedProperty,
 )
-from rosld.server.robot.stop import StopCommand
+from rosld.server.robot.software_stop import StopCommand
 from rosld.shapes.constraints import compiled
 from rosld.shapes.mapping import misfits
 from rosld.shapes.reading import ShapesGraph

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from rosld.adapters.model import ActionSchema, MessageSchema, Schema, ServiceSchema, TypeRef
 from rosld.ontology.lift import LiftSettings
 from rosld.server.hypermedia import json_schema
+from rosld.server.hypermedia.data_schema import DataSchema, message_schema
 from rosld.server.hypermedia.json_schema import OBJECT
-from rosld.server.hypermedia.schema import DataSchema, message_schema
 
 _NOT_IN_A_KEY = re.compile(r"[^A-Za-z0-9._-]")
 

@@ -16,7 +16,7 @@ from pyoxigraph import NamedNode
 
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.vocab import mapping, qudt, ros
-from rosld.server.hypermedia.schema import DataSchema, message_schema, value_schema
+from rosld.server.hypermedia.data_schema import DataSchema, message_schema, value_schema
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.shapes.value import NO_MEASURE, OpenShape, ScalarShape
 

@@ -8,7 +8,7 @@ from pyoxigraph import NamedNode, Quad, Store, Triple
 
 from rosld.ontology.body import RdfBody, indexed
 from rosld.server.dataset.encoding import decode_triple, encode_triple
-from rosld.server.dataset.functions import FUNCTIONS
+from rosld.server.dataset.private_functions import FUNCTIONS
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.lexer import check_update_of_one_graph, tokens
 from rosld.server.sparql.update.reading import rewrite_update

@@ -17,13 +17,13 @@ from rosld.server.auth.rate_limit import RETRY_SECONDS, RateLimitExceeded
 from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
-from rosld.server.http.tokens import redact_tokens
+from rosld.server.http.token_redaction import redact_tokens
 from rosld.server.middleware.handler import Handler
 from rosld.server.middleware.rate_limits import Admission
-from rosld.server.rest.errors import problem_of, problem_of_body, problem_of_out_of_memory
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.pages import PageRenderer
-from rosld.server.runtime.memory import is_out_of_memory
+from rosld.server.rest.ros_problems import problem_of, problem_of_body, problem_of_out_of_memory
+from rosld.server.runtime.process_memory import is_out_of_memory
 from rosld.server.sparql.protocol import UPDATE_MEDIA_TYPE
 from rosld.server.storage.record import StorageError
 

@@ -11,7 +11,7 @@ from starlette.types import Scope
 
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import prov
-from rosld.server.receipts.entry import AuditEntry, excerpt
+from rosld.server.receipts.audit_entry import AuditEntry, excerpt
 from rosld.server.receipts.journal import Journal
 from rosld.server.rest.exchange import Exchange
 

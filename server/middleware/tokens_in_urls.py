@@ -9,7 +9,7 @@ from starlette.responses import Response
 from rosld.ontology.urls import Space
 from rosld.server.auth import enforcement
 from rosld.server.http.problem import Problem
-from rosld.server.http.tokens import LENGTH, PREFIX, contains_token
+from rosld.server.http.token_redaction import LENGTH, PREFIX, contains_token
 from rosld.server.middleware.handler import Handler
 from rosld.server.rest.exchange import Exchange
 

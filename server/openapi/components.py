@@ -13,8 +13,8 @@ from rosld.server.events.query_params import (
     MAX_TIMEOUT,
     MIN_RATE,
 )
+from rosld.server.hypermedia.data_schema import Json
 from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, TEXT, Schema
-from rosld.server.hypermedia.schema import Json
 from rosld.server.rest.formats import HTML, OFFERS, RDF_BODIES
 
 PROBLEM = "application/problem+json"

@@ -10,8 +10,8 @@ from http import HTTPStatus
 import orjson
 
 from rosld.server.events.query_params import EVENT_STREAM
+from rosld.server.hypermedia.data_schema import Json
 from rosld.server.hypermedia.json_schema import ANYTHING, Schema
-from rosld.server.hypermedia.schema import Json
 from rosld.server.openapi.components import (
     READING,
     WRITING,

@@ -29,7 +29,7 @@ from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.namespaces import listing_parameters
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
-from rosld.server.rest.prepared import bytes_response
+from rosld.server.rest.raw_response import bytes_response
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
 from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.robot.session import used_types

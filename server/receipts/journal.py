@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from rosld.ontology.describe_activities import Receipt
-from rosld.server.receipts.entry import AuditEntry, receipt_of
+from rosld.server.receipts.audit_entry import AuditEntry, receipt_of
 from rosld.server.receipts.sqlite_log import SqliteLog
 from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.signals import Signal

@@ -30,20 +30,20 @@ from rosld.ontology.lift import lifter
 from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.http.link import to_uri
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
 from rosld.server.resources.service_request import read_message
 from rosld.server.resources.strictness import STRICT
-from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
+from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import Gone, IdempotencyKeyReused
 from rosld.server.robot.goal_store import Goal

@@ -17,7 +17,6 @@ from rosld.ontology.vocab import rdf
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.catalogue import Property, TopicSource
-from rosld.server.hypermedia.describe import fragment_of
 from rosld.server.hypermedia.property_writer import PlannedWrite, WriteOutcome, carry_out
 from rosld.server.hypermedia.resource_tree import ComplexPlan, MemberPlan
 from rosld.server.hypermedia.value import (
@@ -30,12 +29,13 @@ from rosld.server.hypermedia.value import (
     value_literal,
 )
 from rosld.server.hypermedia.value_body import content_from_rdf
+from rosld.server.hypermedia.view_documents import fragment_of
 from rosld.server.hypermedia.views import ComplexView, Member
 from rosld.server.ldp.patch import merge_patch
 from rosld.server.resources.context import Robot
 from rosld.server.resources.preconditions import condition_conflict
 from rosld.server.resources.writes import plan_property_write
-from rosld.server.rest.errors import problem_of
+from rosld.server.rest.ros_problems import problem_of
 
 
 @dataclass(frozen=True, slots=True)

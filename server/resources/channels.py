@@ -29,9 +29,9 @@ from rosld.server.auth import enforcement
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.events.broadcaster import Broadcasters
+from rosld.server.events.channel_request import JSON_LD, MAX_BYTES, MEDIA_TYPES, check_profile, read_subscription
+from rosld.server.events.channel_stream import LINES, ChannelStream, headers_of
 from rosld.server.events.channels import Channel, Channels
-from rosld.server.events.source import LINES, ChannelStream, headers_of
-from rosld.server.events.subscriptions import JSON_LD, MAX_BYTES, MEDIA_TYPES, check_profile, read_subscription
 from rosld.server.events.websocket import WebSocketReceiver
 from rosld.server.http import negotiation
 from rosld.server.http.body import read_body
@@ -39,15 +39,14 @@ from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.link import Link
 from rosld.server.http.origin import OriginPolicy, normalize_authority
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import OBJECT, TEXT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.resources.context import Robot
-from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, OFFERS
 from rosld.server.rest.path_item import PathItem, WriteMethod
-from rosld.server.rest.prepared import RawResponse, bytes_response
+from rosld.server.rest.raw_response import RawResponse, bytes_response
 from rosld.server.rest.resource import (
     BASIC_CONTAINER,
     RDF_SOURCE,
@@ -59,6 +58,7 @@ from rosld.server.rest.resource import (
     permanent_redirect,
 )
 from rosld.server.rest.resource_headers import resource_headers
+from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 
 WEBSOCKET, STREAMING_HTTP = CHANNEL_TYPES

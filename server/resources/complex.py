@@ -20,12 +20,12 @@ from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.describe import complex_document, complex_json
+from rosld.server.hypermedia.data_schema import DataSchema, Json, value_schema
 from rosld.server.hypermedia.json_schema import nullable, patch_schema, read_schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
-from rosld.server.hypermedia.schema import DataSchema, Json, value_schema
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE
+from rosld.server.hypermedia.view_documents import complex_document, complex_json
 from rosld.server.hypermedia.views import ComplexView
 from rosld.server.ldp.patch import apply_update
 from rosld.server.resources.bulk_write import (

@@ -10,15 +10,15 @@ from rosld.adapters.base import Adapter
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.latest_values import LatestValues
 from rosld.server.hypermedia.mappings import Mappings
-from rosld.server.hypermedia.readings import PropertyReader
-from rosld.server.policies import limits, mappings, queries
-from rosld.server.policies.limits import ActiveLimits, initial_limits
-from rosld.server.policies.mappings import initial_mappings, load_stored_mappings
+from rosld.server.hypermedia.property_reader import PropertyReader
+from rosld.server.policies import active_limits, stored_mappings, stored_queries
+from rosld.server.policies.active_limits import ActiveLimits, initial_limits
+from rosld.server.policies.stored_mappings import initial_mappings, load_stored_mappings
 from rosld.server.receipts.journal import Journal
 from rosld.server.rest.state import State
-from rosld.server.robot.holds import Holds
+from rosld.server.robot.hold_store import Holds
 from rosld.server.robot.session import Session
-from rosld.server.robot.stop import SoftwareStop
+from rosld.server.robot.software_stop import SoftwareStop
 from rosld.server.runtime.offload import WorkerPool
 from rosld.server.runtime.signals import Signal
 from rosld.server.runtime.version_cache import VersionCache
@@ -38,7 +38,9 @@ class Robot(Session):
         self.states: VersionCache[State] = VersionCache()
         self.workers = WorkerPool()
         self.active_limits = ActiveLimits(tuple(initial_limits(settings, adapter, self.space)), self.space)
-        self.records = open_records(settings.data, roots=(mappings.ROUTE, queries.ROUTE, limits.ROUTE))
+        self.records = open_records(
+            settings.data, roots=(stored_mappings.ROUTE, stored_queries.ROUTE, active_limits.ROUTE)
+        )
         self.receipts = Journal(
             settings.data,
             limit=settings.receipts_kept,
@@ -46,7 +48,9 @@ class Robot(Session):
             excerpt_bytes=settings.receipt_excerpt,
         )
         self.record_changes = Signal()
-        self.queries = queries.StoredQueries(self.records, self.space, QueryBounds(size=settings.query_size_limit))
+        self.queries = stored_queries.StoredQueries(
+            self.records, self.space, QueryBounds(size=settings.query_size_limit)
+        )
         self.mappings = Mappings(initial_mappings(settings, adapter, self.space))
         self.property_reader = PropertyReader(
             adapter,

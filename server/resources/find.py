@@ -19,9 +19,9 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.brief_value import brief_json
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, TopicSource
+from rosld.server.hypermedia.data_schema import DataSchema, Json
 from rosld.server.hypermedia.latest_values import LatestValue
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.hypermedia.schema import DataSchema, Json
 from rosld.server.hypermedia.value import Reading
 from rosld.server.resources.context import Robot
 from rosld.server.resources.finder import Finder

@@ -37,20 +37,20 @@ from rosld.server.html.forms import HoldTerms
 from rosld.server.html.inputs import Json
 from rosld.server.http import header_syntax
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.ldp.patch import merge_patch
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.publishing import Publisher
 from rosld.server.resources.strictness import STRICT
-from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
+from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
-from rosld.server.robot.holds import HeldMessage, Hold, HoldEnded, held_message, new_hold
+from rosld.server.robot.hold_store import HeldMessage, Hold, HoldEnded, held_message, new_hold
 from rosld.server.robot.velocity import passes_stop, zero_message
 from rosld.shapes.value import Bounds
 

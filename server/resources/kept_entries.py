@@ -7,7 +7,7 @@ import re
 
 from rosld.ontology.urls import locate
 from rosld.ontology.vocab import dcterms, rdfs, schema_org
-from rosld.server.policies import mappings
+from rosld.server.policies import stored_mappings
 from rosld.server.resources.context import Robot
 from rosld.server.search.entry import Entry, EntryKind
 from rosld.server.storage import Record
@@ -21,7 +21,7 @@ _AT_ONCE = 25
 """Documents that are read before the loop has its turn."""
 _NAMING = "|".join(map(re.escape, (dcterms.title.value, rdfs.label.value, schema_org.name.value)))
 _TITLES = re.compile(rf'<(?:{_NAMING})> "((?:[^"\\]|\\.)*)"'.encode())
-_ROOTS = (mappings.ROUTE, "data/")
+_ROOTS = (stored_mappings.ROUTE, "data/")
 
 
 async def kept_entries(robot: Robot) -> list[Entry]:
@@ -46,7 +46,7 @@ async def kept_entries(robot: Robot) -> list[Entry]:
 
 
 def _entry(robot: Robot, record: Record) -> Entry:
-    kind = EntryKind.MAPPING if record.path.startswith(mappings.ROUTE) else EntryKind.DOCUMENT
+    kind = EntryKind.MAPPING if record.path.startswith(stored_mappings.ROUTE) else EntryKind.DOCUMENT
     return Entry(kind, _name(record.path), robot.space.base + record.path, (), tuple(titles_in(record.triples)))
 
 

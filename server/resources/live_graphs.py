@@ -43,7 +43,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.mappings import related
 from rosld.server.hypermedia.resource_tree import path_of
-from rosld.server.policies import limits, queries
+from rosld.server.policies import active_limits, stored_queries
 from rosld.server.resources import types
 from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.bags import BagMessage
@@ -78,7 +78,7 @@ from rosld.shapes.parameter import declared_triples
 
 _KEPT = 256
 """Needs whose resources are remembered."""
-OTHER_ROUTES = frozenset({queries.ROUTE, limits.ROUTE})
+OTHER_ROUTES = frozenset({stored_queries.ROUTE, active_limits.ROUTE})
 """The containers of what clients keep in which something else lies too: they are described here, whole."""
 _AT_ONCE = 64
 """Looks that are begun before the loop has its turn."""

@@ -21,14 +21,14 @@ from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.describe import action_document, property_document, property_json
+from rosld.server.hypermedia.data_schema import value_schema
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, nullable, patch_schema, read_schema, write_schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.property_writer import PlannedWrite, WriteOutcome, carry_out, not_writable_reason
 from rosld.server.hypermedia.resource_tree import ActionPlan, PropertyPlan, ResourceTree, parent_of
-from rosld.server.hypermedia.schema import value_schema
 from rosld.server.hypermedia.value import MessageValue
 from rosld.server.hypermedia.value_body import content_from_rdf
+from rosld.server.hypermedia.view_documents import action_document, property_document, property_json
 from rosld.server.hypermedia.views import PropertyView
 from rosld.server.ldp.patch import apply_update, merge_patch
 from rosld.server.resources.actions import ActionResource

@@ -11,8 +11,8 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from rosld.server.dataset import Edit
-from rosld.server.dataset.endpoint import Endpoint, StoreError
-from rosld.server.dataset.remote import RemoteStore
+from rosld.server.dataset.endpoint_client import Endpoint, StoreError
+from rosld.server.dataset.remote_store import RemoteStore
 from rosld.server.dataset.replication import Mirror
 from rosld.server.http.origin import is_loopback
 from rosld.server.http.problem import Problem

@@ -39,10 +39,10 @@ from rosld.server.http import negotiation
 from rosld.server.http.conditional import digest
 from rosld.server.http.link import render
 from rosld.server.http.problem import Problem
-from rosld.server.http.tokens import redact_tokens
+from rosld.server.http.token_redaction import redact_tokens
+from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.ldp.patch import apply_update, merge_patch
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import Robot

@@ -26,10 +26,10 @@ from rosld.server.http import negotiation
 from rosld.server.http.body import parse_content_length
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.hypermedia.schema import DataSchema
-from rosld.server.policies.queries import ROUTE, query_triples
+from rosld.server.policies.stored_queries import ROUTE, query_triples
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.kept.base import EXTRA_STATUSES
 from rosld.server.resources.kept.bodies import require_small
@@ -54,7 +54,7 @@ from rosld.server.resources.sparql import (
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.pages import PageRenderer
 from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, QueryParameter
-from rosld.server.rest.prepared import RawResponse
+from rosld.server.rest.raw_response import RawResponse
 from rosld.server.rest.resource import READ, Resource
 from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
@@ -69,7 +69,7 @@ from rosld.server.sparql.stored import (
     bind_parameters,
 )
 from rosld.server.storage import Put, Record
-from rosld.server.storage.describe import record_document
+from rosld.server.storage.record_documents import record_document
 
 _DESCRIPTIONS = frozenset(syntax.media_type for syntax in Syntax)
 _ANYTHING = {"iri": "/", "string": "", "integer": "0", "double": "0"}

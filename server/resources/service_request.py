@@ -9,9 +9,9 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.value import refusal_text
 from rosld.server.resources.context import Robot
 from rosld.server.resources.strictness import is_strict
-from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
+from rosld.server.rest.ros_problems import problem_of
 from rosld.server.robot.calls import CallOutcome, IdempotencyKeyReused
 
 

@@ -16,17 +16,17 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import Notice, PageResults, SparqlPage, StoredQueryLink
 from rosld.server.html.page import NoticeLevel
 from rosld.server.http import negotiation
+from rosld.server.http.charset import FORM
 from rosld.server.http.problem import Problem
-from rosld.server.http.text import FORM
+from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import HTML, RDF_BODIES
 from rosld.server.rest.pages import PageRenderer
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteMethod
-from rosld.server.rest.prepared import RawResponse
+from rosld.server.rest.raw_response import RawResponse
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.sparql import disconnect

@@ -12,9 +12,9 @@ from rosld.ontology.triples import RDF_SOURCE, about, double, moment, text
 from rosld.ontology.urls import Location
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.resources.context import Robot
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import Resource

@@ -16,10 +16,10 @@ from rosld.ontology.vocab import ros
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http.problem import Problem
-from rosld.server.http.tokens import redact_tokens
+from rosld.server.http.token_redaction import redact_tokens
+from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.hypermedia.schema import DataSchema
 from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON

@@ -22,7 +22,7 @@ from rosld.server.resources.context import Robot
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.rest.path_item import PathItem
-from rosld.server.rest.prepared import bytes_response
+from rosld.server.rest.raw_response import bytes_response
 from rosld.server.rest.resource import RESOURCE, Resource
 
 FORMAT = "td"

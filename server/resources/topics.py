@@ -20,9 +20,9 @@ from rosld.server.html import DeleteForm, Form, MessageForm
 from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import digest, require_if_match
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.data_schema import message_schema
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, nullable, patch_schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.hypermedia.schema import message_schema
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.holds import create_hold, hold_form, hold_parameters, hold_schema

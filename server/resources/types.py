@@ -19,7 +19,7 @@ from rosld.ontology.vocab import dcterms, rdf
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.policies import limits
+from rosld.server.policies import active_limits
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.kept.base import EXTRA_STATUSES
 from rosld.server.resources.kept.bodies import require_small
@@ -32,7 +32,7 @@ from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Re
 from rosld.server.rest.state import State
 from rosld.server.robot.session import used_types
 from rosld.server.storage import Put, Record
-from rosld.server.storage.describe import record_document
+from rosld.server.storage.record_documents import record_document
 from rosld.shapes.data import data_shape, query_shape
 from rosld.shapes.mapping import mapping_shape
 from rosld.shapes.message import shape_document
@@ -205,7 +205,7 @@ def type_route(robot: Robot, location: Location) -> Resource:
 def shape_route(robot: Robot, location: Location) -> Resource:
     """`/shapes/` and below: shapes of types, and beside their packages the limits that clients keep."""
     if location.is_container and not location.segments:
-        return LimitsContainer(robot, limits.ROUTE)
+        return LimitsContainer(robot, active_limits.ROUTE)
     if len(location.segments) == 1:
         name = location.segments[0]
         if name in SHAPES_GRAPHS and not location.is_container:
@@ -288,7 +288,7 @@ def _generate(robot: Robot) -> Document:
 
 def shapes_document(robot: Robot) -> Document:
     """What `/shapes/` says with all that is in it, as it is now."""
-    record = robot.records.get(limits.ROUTE)
+    record = robot.records.get(active_limits.ROUTE)
     assert record is not None
     members = [robot.space.base + member.path for member in all_members(robot, record)]
     kept = record_document(record, robot.space.container("shapes"), members, ())

@@ -16,11 +16,11 @@ from rosld.server.auth.authenticator import UNRESTRICTED
 from rosld.server.auth.enforcement import Protected
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.rate_limit import Client
-from rosld.server.http import media, prefer, text
+from rosld.server.http import charset, media, prefer
 from rosld.server.http.body import TIMEOUT, read_body, read_chunks
 from rosld.server.http.problem import Problem
-from rosld.server.receipts.account import AuditContext
-from rosld.server.runtime.memory import PER_BYTE, PROCESS_MEMORY
+from rosld.server.receipts.audit_context import AuditContext
+from rosld.server.runtime.process_memory import PER_BYTE, PROCESS_MEMORY
 
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 
@@ -95,14 +95,14 @@ class Exchange:
         found = self._content_type
         if found is None:
             raise Problem(415, "The request has a body of unknown type: send Content-Type.")
-        text.codec_for(found)
+        charset.codec_for(found)
         return found.essence
 
     @property
     def codec(self) -> str:
         """The Python codec of the charset that the body states, UTF-8 where it states none. Raises a 415 Problem."""
         found = self._content_type
-        return UTF_8 if found is None else text.codec_for(found)
+        return UTF_8 if found is None else charset.codec_for(found)
 
     @property
     def essence(self) -> str | None:
@@ -153,7 +153,7 @@ class Exchange:
     def to_utf8(self, data: bytes) -> bytes:
         """What was read of the body in UTF-8. Raises a 415 and a 400 Problem as `body`."""
         found = self._content_type
-        return data if found is None else text.to_utf8(data, found)
+        return data if found is None else charset.to_utf8(data, found)
 
     @property
     def consumed_body(self) -> bytes | None:

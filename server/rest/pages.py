@@ -33,13 +33,13 @@ from rosld.server.html.site import SECTIONS
 from rosld.server.http import negotiation
 from rosld.server.http.csrf import FormKey
 from rosld.server.http.problem import Problem
-from rosld.server.rest.errors import problem_of_body
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.large import LargeDocuments, excerpt_state
 from rosld.server.rest.resource import Resource, allow_field
+from rosld.server.rest.ros_problems import problem_of_body
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
-from rosld.server.robot.stop import SoftwareStop
+from rosld.server.robot.software_stop import SoftwareStop
 
 _PROBLEM_OFFERS = ("application/problem+json", "application/json", "text/turtle", "application/ld+json", "text/html")
 _MAX_FIELDS = 10_000

@@ -21,10 +21,10 @@ from rosld.server.html import Csrf, Form, MemberColumns, Notice, Page, SequenceL
 from rosld.server.http.link import Link, to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.rest.errors import problem_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.plan import Plan
+from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 
 READ = frozenset({"GET", "HEAD", "OPTIONS"})

@@ -8,7 +8,7 @@ import unicodedata
 from collections.abc import Callable, Iterator
 from urllib.parse import unquote_to_bytes
 
-from rosld.server.http.tokens import redact_tokens
+from rosld.server.http.token_redaction import redact_tokens
 
 MAX_LENGTH = 100
 """Characters of a name."""

@@ -12,7 +12,7 @@ from rosld.ontology.serialize import Syntax, serialize
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction.documents import redact_document
 from rosld.server.http.conditional import digest
-from rosld.server.runtime.memory import PER_CHARACTER, PROCESS_MEMORY
+from rosld.server.runtime.process_memory import PER_CHARACTER, PROCESS_MEMORY
 
 if TYPE_CHECKING:
     from rosld.server.hypermedia.views import View

@@ -25,7 +25,7 @@ from rosld.adapters.model import (
     RosError,
 )
 from rosld.server.robot.calls import IdempotencyKeyReused
-from rosld.server.robot.goal_following import GoalFollower
+from rosld.server.robot.goal_follower import GoalFollower
 from rosld.server.robot.goal_store import MAX_REMEMBERED, Feedback, Goal, GoalStore
 from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.signals import Signal

@@ -15,9 +15,9 @@ from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.calls import Calls
 from rosld.server.robot.goals import Goals
 from rosld.server.robot.interlock import WriteInterlock
+from rosld.server.robot.live_topics import LiveSettings, LiveTopics
 from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.robot.schemas import Schemas
-from rosld.server.robot.topics import LiveSettings, LiveTopics
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.runtime.signals import Signal
 from rosld.server.settings import Settings

@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass
 
 from rosld.adapters.model import Kind, RosError, Topic, Unreachable
-from rosld.server.robot.holds import HeldMessage, held_message
+from rosld.server.robot.hold_store import HeldMessage, held_message
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import subscribers_of, zero_message
 from rosld.server.robot.write_policy import type_conflict

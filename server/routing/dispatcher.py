@@ -20,22 +20,22 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Broadcasters
+from rosld.server.events.event_stream import HEADERS, EventStream, StreamFormat
 from rosld.server.events.long_poll import wait_for_change
-from rosld.server.events.stream import HEADERS, EventStream, StreamFormat
 from rosld.server.http import link, negotiation
+from rosld.server.http.charset import FORM
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.problem import Problem
-from rosld.server.http.text import FORM
-from rosld.server.rest.errors import problem_of, problem_of_body
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.files import file_stream
+from rosld.server.rest.file_response import file_stream
 from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS, VARIANTS
 from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.large import LargeDocuments
 from rosld.server.rest.pages import InvalidForm, PageRenderer
-from rosld.server.rest.prepared import RawResponse
+from rosld.server.rest.raw_response import RawResponse
 from rosld.server.rest.resource import LDP, Answer, CreatedAnswer, Resource, ShownAnswer, allow_field
 from rosld.server.rest.resource_headers import ACCEPT_FIELDS, rendered, resource_headers
+from rosld.server.rest.ros_problems import problem_of, problem_of_body
 from rosld.server.rest.state import Rendering, State
 from rosld.server.storage import StorageError
 

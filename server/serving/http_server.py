@@ -13,7 +13,7 @@ from typing import Any
 import uvicorn
 from starlette.types import ASGIApp
 
-from rosld.server.http.tokens import redact_tokens
+from rosld.server.http.token_redaction import redact_tokens
 from rosld.server.serving.connection import BoundedConfig, Connection, ConnectionBounds
 from rosld.server.serving.connections import Connections
 from rosld.server.serving.websocket_connection import WebSocketConnection

@@ -23,7 +23,7 @@ from pyoxigraph import Triple
 
 from rosld.server.dataset import Edit
 from rosld.server.http.problem import Problem
-from rosld.server.runtime.memory import PROCESS_MEMORY, SENT_PER_CHARACTER
+from rosld.server.runtime.process_memory import PROCESS_MEMORY, SENT_PER_CHARACTER
 from rosld.server.sparql.change_source import NOTHING, Changes, ChangeSource
 from rosld.server.sparql.limits import process_restarting
 from rosld.server.sparql.needs import Needs

@@ -12,9 +12,9 @@ from pyoxigraph import NamedNode
 
 from rosld.ontology.charsets import UTF_8
 from rosld.server.http import header_syntax, media
+from rosld.server.http.charset import FORM, codec_for, to_utf8
 from rosld.server.http.media import MediaType
 from rosld.server.http.problem import Problem
-from rosld.server.http.text import FORM, codec_for, to_utf8
 from rosld.server.sparql.syntax.lexer import Kind, line_and_column, tokens
 
 QUERY_MEDIA_TYPE = "application/sparql-query"

@@ -1,7 +1,7 @@
 """Records: what clients have put, kept whole and durably. The RDF dataset is its index, never its only copy."""
 
 from rosld.server.storage.base import Records
-from rosld.server.storage.differences import RecordWrite
+from rosld.server.storage.recent_writes import RecordWrite
 from rosld.server.storage.record import (
     NO_MEMBER,
     Blob,

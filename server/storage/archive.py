@@ -30,9 +30,9 @@ import pyoxigraph
 
 from rosld.server.storage import packing
 from rosld.server.storage.blobs import ID, Blobs
-from rosld.server.storage.ledger import DatabaseBusy, NumberedRecord, RecordTable, storage_error
-from rosld.server.storage.paths import check_write, container_of
 from rosld.server.storage.record import NO_MEMBER, Blob, Membership, Model, Put, Record, StorageError
+from rosld.server.storage.record_paths import check_write, container_of
+from rosld.server.storage.record_table import DatabaseBusy, NumberedRecord, RecordTable, storage_error
 from rosld.server.storage.sqlite import BLOBS, DATABASE, connect
 
 FORMAT = 1

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from rosld.server.storage.differences import RecordWrite
+from rosld.server.storage.recent_writes import RecordWrite
 from rosld.server.storage.record import Blob, Member, Record, RecordChange, Write
 
 

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from rosld.server.storage.lock import FileLock
+from rosld.server.storage.file_lock import FileLock
 from rosld.server.storage.record import StorageError
 
 ID = re.compile(r"[0-9a-f]{32}")

@@ -16,11 +16,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rosld.server.storage.blobs import Blobs, storage_error
-from rosld.server.storage.ledger import is_full
-from rosld.server.storage.log import checkpoint, close_without_checkpoint
+from rosld.server.storage.disk_reserve import DiskReserve
 from rosld.server.storage.record import StorageError
-from rosld.server.storage.reserve import DiskReserve
+from rosld.server.storage.record_table import is_full
 from rosld.server.storage.synced_log import SyncedLog
+from rosld.server.storage.write_ahead_log import checkpoint, close_without_checkpoint
 
 _log = logging.getLogger("rosld")
 

@@ -2,7 +2,7 @@
 
 Everything is read and written on the loop, which takes tens of microseconds. In a folder SQLite writes to its log
 without waiting for the disk; a thread does that wait (`durability.py`), for all writes that come meanwhile at once
-(`group.py`), and they are acknowledged after it.
+(`group_commit.py`), and they are acknowledged after it.
 """
 
 from __future__ import annotations
@@ -15,14 +15,11 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 
 from rosld.server.storage.blobs import Blobs, sync_folder
-from rosld.server.storage.cache import RecordCache
-from rosld.server.storage.differences import RecentWrites, RecordWrite
+from rosld.server.storage.disk_reserve import LOW, DiskReserve, free_bytes
 from rosld.server.storage.durability import Durability, checkpoint_with_reserve
-from rosld.server.storage.group import GroupCommit, WriteBatch
-from rosld.server.storage.ledger import DatabaseBusy, Effects, RecordTable, is_full, with_list
-from rosld.server.storage.log import close_without_checkpoint
-from rosld.server.storage.paths import check_write
-from rosld.server.storage.received import ReceivedBlobs
+from rosld.server.storage.group_commit import GroupCommit, WriteBatch
+from rosld.server.storage.received_blobs import ReceivedBlobs
+from rosld.server.storage.recent_writes import RecentWrites, RecordWrite
 from rosld.server.storage.record import (
     Blob,
     Conflict,
@@ -34,8 +31,11 @@ from rosld.server.storage.record import (
     StorageError,
     Write,
 )
-from rosld.server.storage.reserve import LOW, DiskReserve, free_bytes
-from rosld.server.storage.schema import prepare_tables, read_pragma
+from rosld.server.storage.record_cache import RecordCache
+from rosld.server.storage.record_paths import check_write
+from rosld.server.storage.record_table import DatabaseBusy, Effects, RecordTable, is_full, with_list
+from rosld.server.storage.tables import prepare_tables, read_pragma
+from rosld.server.storage.write_ahead_log import close_without_checkpoint
 
 _log = logging.getLogger("rosld")
 

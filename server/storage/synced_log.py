@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from rosld.server.storage.log import LogExtent, WriteAheadLog, truncate
+from rosld.server.storage.write_ahead_log import LogExtent, WriteAheadLog, truncate
 
 _sync = getattr(os, "fdatasync", os.fsync)
 

@@ -19,7 +19,7 @@ from rosld.adapters.model import Sample
 from rosld.adapters.slots import Slot
 from rosld.ontology.document import Document
 from rosld.server.resources import topics as topic_resources
-from rosld.server.robot.topics import LiveTopics
+from rosld.server.robot.live_topics import LiveTopics
 from tests.server.robots.made_up import MadeUp, Serving
 
 TYPES = "https://w3id.org/rosld/types/"

@@ -155,7 +155,7 @@ def test_a_query_that_ends_the_process_is_500_and_named_in_the_log_and_nothing_e
     (tmp_path / "sitecustomize.py").write_text(
         "import os, sys\n"
         "if 'sparql.process' in ' '.join(sys.orig_argv):\n"
-        "    from rosld.server.dataset.functions import FUNCTIONS\n"
+        "    from rosld.server.dataset.private_functions import FUNCTIONS\n"
         "    FUNCTIONS['http://h/abort'] = lambda *terms: os.abort()\n"
     )
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from rosld.server.auth import rate_limit
 from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits, client_name
-from rosld.server.events.stream import BURST
+from rosld.server.events.event_stream import BURST
 from rosld.server.http.problem import Problem
 from rosld.server.robot.publish_rate import PublishLimiter
 from rosld.server.runtime.token_bucket import TokenBucket

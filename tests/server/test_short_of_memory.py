@@ -22,7 +22,7 @@ from pyoxigraph import RdfFormat
 
 from rosld.server.dataset import MemoryStore
 from rosld.server.http.problem import Problem
-from rosld.server.runtime.memory import (
+from rosld.server.runtime.process_memory import (
     CACHE_SECONDS,
     MARGIN,
     Memory,

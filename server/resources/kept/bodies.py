@@ -28,11 +28,11 @@ from rosld.server.resources.kept.stated import (
     statements_of,
 )
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.files import exact_media_type
+from rosld.server.rest.file_response import exact_media_type
 from rosld.server.rest.interaction import membership_triples, requested_model
 from rosld.server.storage import Blob, Model, Record
-from rosld.server.storage.describe import to_ntriples
 from rosld.server.storage.models import rdf_types
+from rosld.server.storage.record_documents import to_ntriples
 
 
 def model_of_request(exchange: Exchange, url: str, *, container: bool) -> Model:

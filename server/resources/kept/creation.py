@@ -18,7 +18,7 @@ from rosld.server.resources.kept.transaction import write_together
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.interaction import parse_membership
 from rosld.server.storage import Blob, Model, Put, Record
-from rosld.server.storage.paths import container_of
+from rosld.server.storage.record_paths import container_of
 
 
 async def create_record(

@@ -10,7 +10,7 @@ from rosld.ontology.document import Document
 from rosld.server.rest.interaction import member_derived_uris, membership_declaration, membership_triples
 from rosld.server.rest.prefer_container import ContainerParts
 from rosld.server.storage import Member, Record
-from rosld.server.storage.describe import record_document, without_statements
+from rosld.server.storage.record_documents import record_document, without_statements
 
 
 def stored_document(

@@ -12,10 +12,10 @@ from starlette.responses import Response
 
 from rosld.ontology.lower import parse_json
 from rosld.server.http import media
+from rosld.server.http.charset import codec_for, to_utf8
 from rosld.server.http.conditional import ETag, check_preconditions
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
-from rosld.server.http.text import codec_for, to_utf8
 from rosld.server.ldp.patch import merge_patch
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import ANYTHING, StoredResource
@@ -23,14 +23,14 @@ from rosld.server.resources.kept.bodies import receive_blob, require_model, sing
 from rosld.server.resources.kept.representation import state_of
 from rosld.server.resources.kept.stated import SMALL_BYTES
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.files import file_response
+from rosld.server.rest.file_response import file_response
 from rosld.server.rest.formats import JSON, MERGE_PATCH
 from rosld.server.rest.interaction import model_links
 from rosld.server.rest.resource import Answer
 from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
 from rosld.server.storage import Blob, Conflict, ConflictCause, Model, Put, Record, Write
-from rosld.server.storage.describe import META
+from rosld.server.storage.record_documents import META
 
 
 class StoredFile(StoredResource):

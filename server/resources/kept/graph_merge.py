@@ -8,15 +8,15 @@ from pyoxigraph import Triple
 
 from rosld.ontology.body import parse_triples
 from rosld.server.http import media
+from rosld.server.http.charset import to_utf8
 from rosld.server.http.multipart import MULTIPART, Part, split_parts
 from rosld.server.http.problem import Problem
-from rosld.server.http.text import to_utf8
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.stated import Statements, is_small, parse_statements, rename_blank_nodes
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES
-from rosld.server.storage.describe import to_ntriples
 from rosld.server.storage.packing import size_of, unpack
+from rosld.server.storage.record_documents import to_ntriples
 
 _N_TRIPLES = "application/n-triples"
 _MAX_UNITED = 4 * 1024 * 1024

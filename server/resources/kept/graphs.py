@@ -19,9 +19,15 @@ from rosld.server.dataset import Edit
 from rosld.server.rest.interaction import member_derived_uris, membership_declaration
 from rosld.server.sparql.change_source import Changes
 from rosld.server.storage import Member, Membership, Model, Record, RecordChange, Records, RecordWrite
-from rosld.server.storage.describe import META, client_ntriples, managed_triples, record_document, without_statements
 from rosld.server.storage.packing import size_of
-from rosld.server.storage.paths import container_of
+from rosld.server.storage.record_documents import (
+    META,
+    client_ntriples,
+    managed_triples,
+    record_document,
+    without_statements,
+)
+from rosld.server.storage.record_paths import container_of
 
 _PAGE = 200
 """Changed records looked at before the loop gets its turn: some milliseconds."""

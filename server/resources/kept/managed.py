@@ -11,7 +11,8 @@ from rosld.ontology.vocab import dcterms, ldp, rdf
 from rosld.server.http.problem import Problem
 from rosld.server.rest.interaction import membership_declaration
 from rosld.server.storage import Membership, Model, Record
-from rosld.server.storage.describe import (
+from rosld.server.storage.models import rdf_types
+from rosld.server.storage.record_documents import (
     MAX_TIME_BYTES,
     MEMBERSHIP,
     TIMES,
@@ -21,7 +22,6 @@ from rosld.server.storage.describe import (
     parse_ntriples,
     to_ntriples,
 )
-from rosld.server.storage.models import rdf_types
 
 _MILLISECOND = 1_000_000
 """Nanoseconds: many clients know times no better, JavaScript's do not."""

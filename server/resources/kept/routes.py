@@ -34,7 +34,7 @@ from rosld.server.rest.resource import ABSENT, READ, Answer, CreatedAnswer, Reso
 from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
 from rosld.server.storage import Blob, Conflict, ConflictCause, Model
-from rosld.server.storage.describe import META
+from rosld.server.storage.record_documents import META
 
 _PATCHES = (SPARQL_UPDATE, N3_PATCH)
 

@@ -38,12 +38,12 @@ from rosld.server.resources.kept.stated import (
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.plan import StorageWrite
-from rosld.server.rest.prepared import no_content
+from rosld.server.rest.raw_response import no_content
 from rosld.server.rest.resource import Answer
 from rosld.server.rest.state import State, require_memory
 from rosld.server.storage import NO_MEMBER, Model, Put, Record, Remove, Write
-from rosld.server.storage.describe import META, client_times
-from rosld.server.storage.paths import container_of
+from rosld.server.storage.record_documents import META, client_times
+from rosld.server.storage.record_paths import container_of
 
 __all__ = ["N3_PATCH", "DescriptionResource", "RdfSourceResource"]
 

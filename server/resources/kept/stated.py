@@ -20,9 +20,9 @@ from rosld.server.ldp.n3patch import apply_patch, read_patch
 from rosld.server.ldp.patch import apply_update
 from rosld.server.rest.interaction import member_derived_uri
 from rosld.server.storage import Difference, Membership, Model, Record
-from rosld.server.storage.describe import is_managed, may_be_managed, remove_managed, to_ntriples
-from rosld.server.storage.differences import MAX_BYTES as DIFFERENT
 from rosld.server.storage.packing import is_packed, pack, unpack
+from rosld.server.storage.recent_writes import MAX_BYTES as DIFFERENT
+from rosld.server.storage.record_documents import is_managed, may_be_managed, remove_managed, to_ntriples
 
 N3_PATCH = "text/n3"
 SMALL_BYTES = 32 * 1024

@@ -10,10 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from rosld.server.http.problem import Problem
-from rosld.server.policies.limits import ROUTE as SHAPES
-from rosld.server.policies.mappings import ROUTE as MAPPINGS
-from rosld.server.policies.mappings import stored_mapping
-from rosld.server.policies.queries import ROUTE as QUERIES
+from rosld.server.policies.active_limits import ROUTE as SHAPES
+from rosld.server.policies.stored_mappings import ROUTE as MAPPINGS
+from rosld.server.policies.stored_mappings import stored_mapping
+from rosld.server.policies.stored_queries import ROUTE as QUERIES
 from rosld.server.resources.context import Robot
 from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.sparql.protocol import QUERY_MEDIA_TYPE

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.body import MEDIA_TYPES, parse_triples
-from rosld.server.dataset.endpoint import Endpoint, StoreError
+from rosld.server.dataset.endpoint_client import Endpoint, StoreError
 from rosld.server.http import media
+from rosld.server.http.charset import to_utf8
 from rosld.server.http.problem import Problem
-from rosld.server.http.text import to_utf8
 from rosld.server.sparql.update.operations import Load, Modify, Operation, QuadTemplate
 
 

@@ -15,7 +15,7 @@ from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import members
-from rosld.server.rest.errors import problem_of, problem_of_body
+from rosld.server.rest.ros_problems import problem_of, problem_of_body
 
 
 class Outcome(Enum):

@@ -15,7 +15,7 @@ from rosld.ontology.body import BodyError
 from rosld.ontology.lower import LoweringError
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.http.problem import Problem
-from rosld.server.receipts.account import record_step
+from rosld.server.receipts.audit_context import record_step
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.kept.base import StoredResource, conflict_problem

@@ -15,7 +15,7 @@ from itertools import count, islice
 from typing import cast
 
 from rosld.server.dataset.encoding import NAMESPACE, VARIABLE
-from rosld.server.runtime.memory import Memory, NotEnoughMemory, available_bytes
+from rosld.server.runtime.process_memory import Memory, NotEnoughMemory, available_bytes
 from rosld.server.sparql.limits import process_restarting
 from rosld.server.sparql.process.frames import FrameBuffer, ReduceMemory, Reply, SharedStatus, pack
 

@@ -17,7 +17,7 @@ from typing import cast
 
 from rosld.server.dataset.base import Edit
 from rosld.server.http.problem import Problem
-from rosld.server.runtime.memory import DATASET_PER_CHARACTER, DATASET_PER_TRIPLE
+from rosld.server.runtime.process_memory import DATASET_PER_CHARACTER, DATASET_PER_TRIPLE
 from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.limits import Limits, process_restarting
 from rosld.server.sparql.process.child import ChildProcess, spawn

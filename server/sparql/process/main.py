@@ -15,8 +15,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO, cast
 
-from rosld.server.dataset.memory import MemoryStore
-from rosld.server.runtime.memory import PROCESS_MEMORY, trim
+from rosld.server.dataset.memory_store import MemoryStore
+from rosld.server.runtime.process_memory import PROCESS_MEMORY, trim
 from rosld.server.sparql.limits import too_many_queries
 from rosld.server.sparql.process.fork import Fork, pickle_error
 from rosld.server.sparql.process.frames import (

@@ -24,7 +24,7 @@ from pyoxigraph import (
 
 from rosld.server.dataset.base import Function, Results
 from rosld.server.dataset.encoding import decode_term
-from rosld.server.dataset.memory import MemoryStore
+from rosld.server.dataset.memory_store import MemoryStore
 from rosld.server.http.problem import Problem
 from rosld.server.sparql import results, rows
 from rosld.server.sparql.functions import functions, unknown_functions

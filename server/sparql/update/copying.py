@@ -8,8 +8,8 @@ from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.vocab import ldp, rdf
 from rosld.server.storage import Model
-from rosld.server.storage.describe import META, remove_managed
 from rosld.server.storage.models import rdf_types
+from rosld.server.storage.record_documents import META, remove_managed
 
 
 def unmanaged_triples(graph: str, triples: Sequence[Triple]) -> list[Triple]:

@@ -15,7 +15,7 @@ from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.vocab import ldp
 from rosld.server.storage import Model, Put, Record, Remove, Write
-from rosld.server.storage.ledger import NumberedRecord, RecordTable
+from rosld.server.storage.record_table import NumberedRecord, RecordTable
 from rosld.server.storage.sqlite import connect
 
 if TYPE_CHECKING:

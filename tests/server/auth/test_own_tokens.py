@@ -15,7 +15,7 @@ import httpx
 import pytest
 
 from rosld.server.auth.tokens import generate_token
-from rosld.server.http.tokens import PLACEHOLDER, contains_token
+from rosld.server.http.token_redaction import PLACEHOLDER, contains_token
 
 TOKEN = "rosld_S18GwepwBtiQPG1TbT9Ds-VaGrpqB_7tcmN9QmWM7yE"
 """As `rosld token add` makes them."""

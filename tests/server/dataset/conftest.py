@@ -16,8 +16,8 @@ from typing import TypeAlias
 import httpx
 import pytest
 
-from rosld.server.dataset.endpoint import Endpoint
-from rosld.server.dataset.remote import RemoteStore
+from rosld.server.dataset.endpoint_client import Endpoint
+from rosld.server.dataset.remote_store import RemoteStore
 
 Behaviour: TypeAlias = "Callable[[Failing, socket.socket, bytes], bool]"
 

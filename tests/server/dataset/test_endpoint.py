@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import pytest
 
-from rosld.server.dataset.endpoint import Endpoint, StoreError, StoreRefused, StoreUnreachable
-from rosld.server.dataset.remote import RemoteStore
+from rosld.server.dataset.endpoint_client import Endpoint, StoreError, StoreRefused, StoreUnreachable
+from rosld.server.dataset.remote_store import RemoteStore
 
 if TYPE_CHECKING:
     from tests.server.dataset.conftest import Behaviour, Failing

@@ -16,8 +16,8 @@ from urllib.parse import parse_qs
 import pytest
 
 from rosld.server.dataset import Edit
-from rosld.server.dataset.endpoint import Endpoint
-from rosld.server.dataset.remote import RemoteStore
+from rosld.server.dataset.endpoint_client import Endpoint
+from rosld.server.dataset.remote_store import RemoteStore
 from rosld.server.dataset.replication import Mirror
 from tests.server.sparql.local import LocalStore
 

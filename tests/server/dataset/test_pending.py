@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.server.dataset import Edit
-from rosld.server.dataset.pending import PendingChanges
+from rosld.server.dataset.pending_changes import PendingChanges
 
 GRAPHS = ("http://h/a", "http://h/b")
 LINES = tuple(f'<http://h/s> <http://h/p> "{number}" .\n' for number in range(3))

@@ -17,9 +17,9 @@ from rosld.ontology.describe_containers import container_document
 from rosld.ontology.notifications import activity, notify
 from rosld.server.events import channels as kept
 from rosld.server.events.broadcaster import Broadcasters
+from rosld.server.events.channel_request import ChannelRequest
 from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.delivery import Delivery
-from rosld.server.events.subscriptions import ChannelRequest
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import BASIC_CONTAINER, Resource
 from rosld.server.rest.state import State

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rosld.ontology.body import BodyError
 from rosld.ontology.notifications import CONTEXT, DEFINITIONS, duration
-from rosld.server.events.subscriptions import (
+from rosld.server.events.channel_request import (
     MAX_INTERVAL,
     MIN_INTERVAL,
     ChannelRequest,

@@ -13,7 +13,7 @@ import pytest
 from rosld.adapters.base import Watch
 from rosld.adapters.model import TypeRef, Unreachable
 from rosld.ontology.document import Document
-from rosld.server.events import broadcaster, frame, stream
+from rosld.server.events import broadcaster, event_stream, frame
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
@@ -164,7 +164,7 @@ def test_one_reader_too_many_is_told_to_come_back(opened: Any, reader: Any, monk
 def test_a_stream_in_which_nothing_happens_is_kept_alive(
     opened: Any, reader: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stream, "KEEP_ALIVE_SECONDS", 0.05)
+    monkeypatch.setattr(event_stream, "KEEP_ALIVE_SECONDS", 0.05)
 
     async def main() -> None:
         async with opened() as app:

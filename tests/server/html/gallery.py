@@ -58,8 +58,8 @@ from rosld.server.html import (
     render_sparql,
 )
 from rosld.server.html.page import NoticeLevel, Offer
-from rosld.server.hypermedia.describe import action_document, complex_document, property_document
 from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue, Value
+from rosld.server.hypermedia.view_documents import action_document, complex_document, property_document
 from rosld.server.hypermedia.views import (
     ActionAffordance,
     ActionView,

@@ -31,7 +31,8 @@ from rosld.ontology.lower import lowerer
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import PREFIXES, av, dcterms, hctl, htv, ldp, qudt, rdf, rdfs, ros, td, xsd
-from rosld.server.hypermedia.describe import (
+from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue
+from rosld.server.hypermedia.view_documents import (
     action_document,
     complex_document,
     complex_json,
@@ -39,7 +40,6 @@ from rosld.server.hypermedia.describe import (
     property_document,
     property_json,
 )
-from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue
 from rosld.server.hypermedia.views import (
     ActionAffordance,
     ActionView,

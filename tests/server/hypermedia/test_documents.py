@@ -30,7 +30,7 @@ from rosld.server.hypermedia.mapping_parser import (
     mapping_of,
     read_mapping,
 )
-from rosld.server.robot.stop import StopCommand
+from rosld.server.robot.software_stop import StopCommand
 from rosld.shapes.value import Measure
 
 SPACE = Space("http://127.0.0.1:8080/")

@@ -37,11 +37,11 @@ from rosld.ontology.lower import lowerer
 from rosld.ontology.urls import Space
 from rosld.server.hypermedia.catalogue import Catalogue, Getter, OpenKind, ParameterSource, Property, TopicSource
 from rosld.server.hypermedia.conventions import catalogue
-from rosld.server.hypermedia.readings import PropertyReader
+from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.type_inference import value_fields
 from rosld.server.hypermedia.value import Reading, plain_json
+from rosld.server.robot.live_topics import LiveSettings, LiveTopics
 from rosld.server.robot.schemas import Schemas
-from rosld.server.robot.topics import LiveSettings, LiveTopics
 
 T = TypeVar("T")
 

@@ -28,7 +28,7 @@ from rosld.ontology.coercion import RANGES
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.literals import DTYPES, STRINGS
 from rosld.ontology.vocab import av, xsd
-from rosld.server.hypermedia.schema import DataSchema, message_schema, value_schema
+from rosld.server.hypermedia.data_schema import DataSchema, message_schema, value_schema
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE, ThingLink, thing_description
 from rosld.server.hypermedia.value import MessageValue, plain_json
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance

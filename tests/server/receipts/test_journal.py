@@ -15,7 +15,7 @@ import pytest
 from rosld.ontology.describe_activities import Receipt
 from rosld.ontology.urls import Space
 from rosld.server.auth.agent import Agent
-from rosld.server.receipts.entry import AuditEntry, excerpt
+from rosld.server.receipts.audit_entry import AuditEntry, excerpt
 from rosld.server.receipts.journal import Journal, NoSuchReceipt
 from rosld.server.receipts.sqlite_log import DATABASE
 from rosld.server.sparql.receipt_graphs import ReceiptGraphs

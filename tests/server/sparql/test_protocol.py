@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rosld.server.http.charset import FORM
 from rosld.server.http.problem import Problem
-from rosld.server.http.text import FORM
 from rosld.server.sparql.protocol import (
     QUERY_MEDIA_TYPE,
     UPDATE_MEDIA_TYPE,

@@ -31,7 +31,7 @@ from rosld.server.storage import (
     SqliteRecords,
     open_records,
 )
-from rosld.server.storage.describe import META, record_document
+from rosld.server.storage.record_documents import META, record_document
 from tests.server.sparql.local import LocalStore
 
 BASE = "http://robot/"

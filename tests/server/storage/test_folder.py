@@ -20,7 +20,7 @@ from rosld.server.storage import (
     SqliteRecords,
     StorageError,
     durability,
-    group,
+    group_commit,
     open_records,
     synced_log,
 )
@@ -106,7 +106,9 @@ def test_writes_that_come_while_the_disk_is_at_work_wait_for_it_once_together(
         async with kept() as records:
             first = asyncio.create_task(records.write(Put("data/a", RDF)))
             await asyncio.to_thread(disk.asked.acquire)
-            others = [asyncio.create_task(records.write(Put(f"data/{n}", RDF))) for n in range(group.MAX_BATCHES)]
+            others = [
+                asyncio.create_task(records.write(Put(f"data/{n}", RDF))) for n in range(group_commit.MAX_BATCHES)
+            ]
             await asyncio.sleep(0)
             disk.let.set()
             await asyncio.gather(first, *others)

@@ -14,8 +14,8 @@ from rosld.server.hypermedia.mapping_parser import MappingDocument, load_mapping
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.settings import Settings
 from rosld.server.storage import Model, Put, Records
-from rosld.server.storage.describe import to_ntriples
 from rosld.server.storage.packing import unpack
+from rosld.server.storage.record_documents import to_ntriples
 
 ROUTE = "mappings/"
 _log = logging.getLogger("rosld")

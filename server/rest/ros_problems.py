@@ -8,7 +8,7 @@ from rosld.ontology.lower import LoweringError
 from rosld.ontology.triples import moment
 from rosld.server.http.problem import Problem
 from rosld.server.robot.interlock import Stopped, TopicHeld
-from rosld.server.runtime.memory import NotEnoughMemory
+from rosld.server.runtime.process_memory import NotEnoughMemory
 
 RETRY_AFTER_SECONDS = 2
 

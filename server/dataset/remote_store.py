@@ -10,9 +10,9 @@ from urllib.parse import urlencode
 import pyoxigraph
 
 from rosld.server.dataset.base import Edit, Function, QueryError, Results
-from rosld.server.dataset.endpoint import Endpoint, Response, StoreError, StoreRefused, StoreUnreachable
+from rosld.server.dataset.endpoint_client import Endpoint, Response, StoreError, StoreRefused, StoreUnreachable
 from rosld.server.dataset.ntriples import check_changes
-from rosld.server.dataset.update import update_text
+from rosld.server.dataset.update_text import update_text
 
 _JSON = "application/sparql-results+json"
 _GRAPH = "application/n-triples"

@@ -16,11 +16,18 @@ from rosld.adapters.model import MessageSchema, names
 from rosld.ontology.urls import Space
 from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource
 from rosld.server.hypermedia.single_flight_cache import Fetch, SingleFlightCache, Slot
-from rosld.server.hypermedia.sources import NO_VALUE, ReadResult, SourceReader, TopicLook, decode_value, timeout_message
+from rosld.server.hypermedia.source_reader import (
+    NO_VALUE,
+    ReadResult,
+    SourceReader,
+    TopicLook,
+    decode_value,
+    timeout_message,
+)
 from rosld.server.hypermedia.value import Reading
+from rosld.server.robot.live_topics import LiveTopics
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topic_view import TopicView
-from rosld.server.robot.topics import LiveTopics
 
 _CALLS = 2
 """The most calls of one getter at a time: the second is for who needs an answer newer than the first's."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from rosld.ontology.describe_activities import Receipt
 from rosld.server.auth.agent import Agent
-from rosld.server.http.tokens import PREFIX, redact_tokens
+from rosld.server.http.token_redaction import PREFIX, redact_tokens
 from rosld.server.receipts.secrets import SCANNED, holds_credentials
 
 _MAX_STEPS = 100

@@ -11,8 +11,8 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Protocol
 
-from rosld.server.storage.ledger import DatabaseBusy, Effects
 from rosld.server.storage.record import Conflict, Put, StorageError, Write
+from rosld.server.storage.record_table import DatabaseBusy, Effects
 
 MAX_BATCHES = 128
 """Jobs in one transaction, which the loop does at a stretch."""

@@ -20,7 +20,7 @@ from starlette.types import Receive, Scope, Send
 
 from rosld.server.http import header_syntax, media, ranges
 from rosld.server.http.problem import Problem
-from rosld.server.rest.prepared import RawResponse
+from rosld.server.rest.raw_response import RawResponse
 
 CHUNK = 128 * 1024
 """Bytes read at a time; answers of no more are read at once."""

@@ -13,7 +13,7 @@ from rosld.adapters.model import Action, Message, MessageSchema, RosError, Topic
 from rosld.ontology.lower import LoweringError, lowerer, parse_json
 from rosld.server.auth.agent import Agent
 from rosld.server.robot.goal_store import Goal
-from rosld.server.robot.holds import Hold, Holds
+from rosld.server.robot.hold_store import Hold, Holds
 from rosld.server.robot.interlock import StopState
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import commanded_topics, subscribers_of

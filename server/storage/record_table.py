@@ -11,7 +11,6 @@ import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from rosld.server.storage.paths import container_of
 from rosld.server.storage.record import (
     Blob,
     Conflict,
@@ -26,6 +25,7 @@ from rosld.server.storage.record import (
     StorageError,
     Write,
 )
+from rosld.server.storage.record_paths import container_of
 
 OPENING = 1 << 20
 """Versions begin anew at a multiple of this when records are opened: what was seen before a power failure, but was not

@@ -13,9 +13,9 @@ from rosld.adapters.model import Message, MessageSchema, ParameterValue, Refused
 from rosld.ontology.parameters import parameter_json
 from rosld.server.hypermedia.catalogue import Getter
 from rosld.server.hypermedia.value import MessageValue, StoredValue, Value, refusal_text
+from rosld.server.robot.live_topics import LiveTopics
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topic_view import TopicView
-from rosld.server.robot.topics import LiveTopics
 
 _log = logging.getLogger("rosld.hypermedia")
 

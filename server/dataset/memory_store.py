@@ -12,10 +12,10 @@ from typing import NamedTuple, cast
 from pyoxigraph import Literal, NamedNode, Quad, RdfFormat, Store, Triple, parse
 
 from rosld.server.dataset.base import Edit, Function, QueryError, Results, Term
-from rosld.server.dataset.compaction import GarbageEstimate
 from rosld.server.dataset.encoding import decode_ntriples, decode_triple, encode_ntriples
-from rosld.server.dataset.functions import FUNCTIONS
-from rosld.server.runtime.memory import trim
+from rosld.server.dataset.garbage_estimate import GarbageEstimate
+from rosld.server.dataset.private_functions import FUNCTIONS
+from rosld.server.runtime.process_memory import trim
 
 _LARGE = 1024 * 1024
 """Characters from which on a text is read twice rather than held as quads, which take ten times its memory."""

@@ -32,14 +32,14 @@ from rosld.server.middleware.websockets import WebSockets
 from rosld.server.resources.acl import acl_route
 from rosld.server.resources.channels import Notifications, fixed_resources, routes
 from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.kept.graphs import RecordGraphs
+from rosld.server.resources.ldp.graphs import RecordGraphs
 from rosld.server.resources.live_graphs import OTHER_ROUTES, RobotGraphs
 from rosld.server.resources.mirror import replication_route
 from rosld.server.resources.mirroring import create_mirror
 from rosld.server.resources.near import near_urls
 from rosld.server.resources.resource_types import types_at
+from rosld.server.resources.sparql_update.service import UpdateService
 from rosld.server.resources.status import status_route
-from rosld.server.resources.updating.service import UpdateService
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.large import LargeDocuments

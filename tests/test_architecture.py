@@ -150,7 +150,7 @@ LAYERS = [
     "resources",
     "events",
     "policies",
-    "ldp",
+    "patches",
     "sparql",
     "rest",
     "html",

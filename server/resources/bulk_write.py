@@ -31,7 +31,7 @@ from rosld.server.hypermedia.value import (
 from rosld.server.hypermedia.value_body import content_from_rdf
 from rosld.server.hypermedia.view_documents import fragment_of
 from rosld.server.hypermedia.views import ComplexView, Member
-from rosld.server.ldp.patch import merge_patch
+from rosld.server.patches.patch import merge_patch
 from rosld.server.resources.context import Robot
 from rosld.server.resources.preconditions import condition_conflict
 from rosld.server.resources.writes import plan_property_write

@@ -27,7 +27,7 @@ from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE
 from rosld.server.hypermedia.view_documents import complex_document, complex_json
 from rosld.server.hypermedia.views import ComplexView
-from rosld.server.ldp.patch import apply_update
+from rosld.server.patches.patch import apply_update
 from rosld.server.resources.bulk_write import (
     MemberChange,
     carry_out_all,

@@ -40,7 +40,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.ldp.patch import merge_patch
+from rosld.server.patches.patch import merge_patch
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.publishing import Publisher
 from rosld.server.resources.strictness import STRICT

@@ -30,7 +30,7 @@ from rosld.server.hypermedia.value import MessageValue
 from rosld.server.hypermedia.value_body import content_from_rdf
 from rosld.server.hypermedia.view_documents import action_document, property_document, property_json
 from rosld.server.hypermedia.views import PropertyView
-from rosld.server.ldp.patch import apply_update, merge_patch
+from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.actions import ActionResource
 from rosld.server.resources.bulk_write import with_field
 from rosld.server.resources.command import CommandResource

@@ -43,7 +43,7 @@ from rosld.server.http.token_redaction import redact_tokens
 from rosld.server.hypermedia.data_schema import DataSchema
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.ldp.patch import apply_update, merge_patch
+from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_parameter

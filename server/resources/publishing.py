@@ -16,7 +16,7 @@ from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
-from rosld.server.ldp.patch import apply_update, merge_patch
+from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.context import Robot
 from rosld.server.resources.limits import require_message
 from rosld.server.resources.messages import decode

@@ -31,13 +31,13 @@ from rosld.server.hypermedia.json_schema import ANYTHING, TEXT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.policies.stored_queries import ROUTE, query_triples
 from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.kept.base import EXTRA_STATUSES
-from rosld.server.resources.kept.bodies import require_small
-from rosld.server.resources.kept.containers import ContainerResource
-from rosld.server.resources.kept.files import StoredFile
-from rosld.server.resources.kept.representation import all_members, page_at, state_of
-from rosld.server.resources.kept.routes import AbsentResource, stored_route
-from rosld.server.resources.kept.sources import DescriptionResource
+from rosld.server.resources.ldp.base import EXTRA_STATUSES
+from rosld.server.resources.ldp.bodies import require_small
+from rosld.server.resources.ldp.containers import ContainerResource
+from rosld.server.resources.ldp.files import StoredFile
+from rosld.server.resources.ldp.representation import all_members, page_at, state_of
+from rosld.server.resources.ldp.routes import AbsentResource, stored_route
+from rosld.server.resources.ldp.sources import DescriptionResource
 from rosld.server.resources.sparql import (
     FORMATS,
     GRAPH_FORMS,

@@ -21,11 +21,11 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.policies import active_limits
 from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.kept.base import EXTRA_STATUSES
-from rosld.server.resources.kept.bodies import require_small
-from rosld.server.resources.kept.containers import ContainerResource
-from rosld.server.resources.kept.representation import all_members
-from rosld.server.resources.kept.routes import stored_route
+from rosld.server.resources.ldp.base import EXTRA_STATUSES
+from rosld.server.resources.ldp.bodies import require_small
+from rosld.server.resources.ldp.containers import ContainerResource
+from rosld.server.resources.ldp.representation import all_members
+from rosld.server.resources.ldp.routes import stored_route
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, QueryParameter
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, permanent_redirect

@@ -24,7 +24,7 @@ from rosld.server.resources.find import FindResource
 from rosld.server.resources.finder import Finder
 from rosld.server.resources.graphs import GraphStore
 from rosld.server.resources.holds import HoldResource
-from rosld.server.resources.kept.routes import stored_route
+from rosld.server.resources.ldp.routes import stored_route
 from rosld.server.resources.members import MemberResource
 from rosld.server.resources.namespaces import NamespaceContainer
 from rosld.server.resources.nodes import NodeResource

@@ -11,7 +11,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
 
 from rosld.ontology.vocab import xsd
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.n3patch import MAX_BYTES, MAX_PATTERNS, N3Patch, apply_patch, read_patch
+from rosld.server.patches.n3patch import MAX_BYTES, MAX_PATTERNS, N3Patch, apply_patch, read_patch
 
 BASE = "http://host/data/kitchen"
 PREFIXES = "@prefix solid: <http://www.w3.org/ns/solid/terms#> . @prefix ex: <http://example.org/> . "

@@ -16,8 +16,8 @@ from rosld.ontology.body import RdfBody, Term, body_of, read_ntriples
 from rosld.ontology.document import Document
 from rosld.ontology.vocab import ldp
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.n3patch import apply_patch, read_patch
-from rosld.server.ldp.patch import apply_update
+from rosld.server.patches.n3patch import apply_patch, read_patch
+from rosld.server.patches.patch import apply_update
 from rosld.server.rest.interaction import member_derived_uri
 from rosld.server.storage import Difference, Membership, Model, Record
 from rosld.server.storage.packing import is_packed, pack, unpack

@@ -18,11 +18,11 @@ from rosld.server.http.problem import Problem
 from rosld.server.receipts.audit_context import record_step
 from rosld.server.resources.complex import ComplexResource
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import StoredResource, conflict_problem
-from rosld.server.resources.kept.transaction import write_together
+from rosld.server.resources.ldp.base import StoredResource, conflict_problem
+from rosld.server.resources.ldp.transaction import write_together
 from rosld.server.resources.members import MemberResource
-from rosld.server.resources.updating.loading import load_documents
-from rosld.server.resources.updating.report import (
+from rosld.server.resources.sparql_update.loading import load_documents
+from rosld.server.resources.sparql_update.report import (
     Outcome,
     RefusedGraphs,
     ReportEntry,
@@ -31,8 +31,8 @@ from rosld.server.resources.updating.report import (
     reason,
     report_response,
 )
-from rosld.server.resources.updating.rights import require_change, require_rights
-from rosld.server.resources.updating.silent import without_silent_failures, without_silent_on
+from rosld.server.resources.sparql_update.rights import require_change, require_rights
+from rosld.server.resources.sparql_update.silent import without_silent_failures, without_silent_on
 from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.plan import Plan, RobotWrite, StorageWrite
 from rosld.server.rest.resource import READ, Resource

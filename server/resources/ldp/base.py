@@ -12,8 +12,8 @@ from rosld.adapters.base import Watch
 from rosld.server.http.conditional import require_if_match
 from rosld.server.http.problem import Problem
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.transaction import write_together
-from rosld.server.resources.kept.validation import validator_of
+from rosld.server.resources.ldp.transaction import write_together
+from rosld.server.resources.ldp.validation import validator_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.rest.resource import READ, Answer, Resource, permanent_redirect

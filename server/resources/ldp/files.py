@@ -16,12 +16,12 @@ from rosld.server.http.charset import codec_for, to_utf8
 from rosld.server.http.conditional import ETag, check_preconditions
 from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.patch import merge_patch
+from rosld.server.patches.patch import merge_patch
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import ANYTHING, StoredResource
-from rosld.server.resources.kept.bodies import receive_blob, require_model, single_chunk
-from rosld.server.resources.kept.representation import state_of
-from rosld.server.resources.kept.stated import SMALL_BYTES
+from rosld.server.resources.ldp.base import ANYTHING, StoredResource
+from rosld.server.resources.ldp.bodies import receive_blob, require_model, single_chunk
+from rosld.server.resources.ldp.representation import state_of
+from rosld.server.resources.ldp.stated import SMALL_BYTES
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.file_response import file_response
 from rosld.server.rest.formats import JSON, MERGE_PATCH

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from rosld.server.receipts.audit_context import record_step
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.validation import validator_of
+from rosld.server.resources.ldp.validation import validator_of
 from rosld.server.storage import Put, Record, Write
 
 

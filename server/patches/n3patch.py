@@ -11,7 +11,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.ontology.body import BodyError
 from rosld.ontology.vocab import rdf
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.n3 import Formula, Node, Statement, Variable, read_n3
+from rosld.server.patches.n3 import Formula, Node, Statement, Variable, read_n3
 from rosld.server.rest.ros_problems import problem_of_body
 
 MEDIA_TYPE = "text/n3"

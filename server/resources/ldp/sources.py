@@ -12,20 +12,20 @@ from pyoxigraph import Triple
 from rosld.server.html import DeleteForm, Form
 from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
-from rosld.server.ldp.patch import TooManyTriples
+from rosld.server.patches.patch import TooManyTriples
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import StoredResource
-from rosld.server.resources.kept.bodies import (
+from rosld.server.resources.ldp.base import StoredResource
+from rosld.server.resources.ldp.bodies import (
     as_statements,
     client_statements,
     read_statements,
     require_model,
     require_same_containment,
 )
-from rosld.server.resources.kept.graph_merge import merged_statements
-from rosld.server.resources.kept.managed import managed_triples_in, require_membership, require_unchanged
-from rosld.server.resources.kept.representation import state_of
-from rosld.server.resources.kept.stated import (
+from rosld.server.resources.ldp.graph_merge import merged_statements
+from rosld.server.resources.ldp.managed import managed_triples_in, require_membership, require_unchanged
+from rosld.server.resources.ldp.representation import state_of
+from rosld.server.resources.ldp.stated import (
     MAX_PATCHED,
     N3_PATCH,
     Statements,

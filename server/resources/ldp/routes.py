@@ -14,18 +14,18 @@ from rosld.server.http.multipart import MULTIPART
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.hypermedia.message_schemas import MessageSchemas
-from rosld.server.ldp.patch import has_deletes
+from rosld.server.patches.patch import has_deletes
 from rosld.server.resources.context import Robot
-from rosld.server.resources.kept.base import EXTRA_STATUSES, StoredResource, conflict_problem, missing_problem
-from rosld.server.resources.kept.bodies import model_of_request, receive_blob, require_model
-from rosld.server.resources.kept.containers import create_resource, resource_of
-from rosld.server.resources.kept.creation import creation_writes, require_free
-from rosld.server.resources.kept.files import StoredFile
-from rosld.server.resources.kept.graph_merge import merge_parts
-from rosld.server.resources.kept.representation import state_of
-from rosld.server.resources.kept.sources import DescriptionResource
-from rosld.server.resources.kept.stated import N3_PATCH, is_small, patch_statements
-from rosld.server.resources.kept.transaction import write_together
+from rosld.server.resources.ldp.base import EXTRA_STATUSES, StoredResource, conflict_problem, missing_problem
+from rosld.server.resources.ldp.bodies import model_of_request, receive_blob, require_model
+from rosld.server.resources.ldp.containers import create_resource, resource_of
+from rosld.server.resources.ldp.creation import creation_writes, require_free
+from rosld.server.resources.ldp.files import StoredFile
+from rosld.server.resources.ldp.graph_merge import merge_parts
+from rosld.server.resources.ldp.representation import state_of
+from rosld.server.resources.ldp.sources import DescriptionResource
+from rosld.server.resources.ldp.stated import N3_PATCH, is_small, patch_statements
+from rosld.server.resources.ldp.transaction import write_together
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import ANY_TYPE, PathItem, WriteMethod

@@ -257,6 +257,8 @@ class HoldResource(Resource):
             release_message=then,
             release_requested=then_asked,
         )
+        if asked is hold.message and not exchange.query:
+            exchange.audit.mark_read_only()  # a sign of life, several a second: the receipt of the hold tells the rest
         what = f"hold {hold.topic} at {changed.rate:g} Hz, unrenewed for {changed.lease:g} s"
         exchange.audit.add_step(what, robot.space.topic(hold.topic))
         robot.holds.renew(self.id, changed)

@@ -324,6 +324,14 @@ def test_rates_and_leases_out_of_range_are_refused(
     assert not driven.on(DRIVE)
 
 
+def test_a_renewal_that_changes_nothing_leaves_no_receipt_and_a_new_command_does(http: httpx.Client) -> None:
+    hold = begun(http, lease=5)
+    renewed, changed = http.patch(hold), http.patch(hold, json=ahead(2.0))
+    assert (renewed.status_code, changed.status_code) == (204, 204)
+    assert "has_provenance" not in renewed.headers.get("link", "")
+    assert "has_provenance" in changed.headers["link"]
+
+
 def test_a_velocity_is_held_ten_times_a_second_unless_asked_otherwise_and_all_else_has_to_say(
     driven: Driven, http: httpx.Client
 ) -> None:

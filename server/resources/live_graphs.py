@@ -320,7 +320,7 @@ class RobotGraphs:
         robot, space, graph = self._robot, self._robot.space, self._robot.graph
         system = robot.adapter.capabilities.system
         problems = robot.storage_problems
-        entry = partial(entry_document, listed_graph(robot), space, system, problems)
+        entry = partial(entry_document, listed_graph(robot), space, system, problems, name=robot.name)
         yield _described(space.base, (graph.revision, problems), entry)
         simulated = graph.simulated_time
         for name, known in node_views(graph).items():

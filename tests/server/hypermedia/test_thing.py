@@ -202,8 +202,7 @@ def test_an_action_says_what_to_send_unless_that_is_nothing() -> None:
     }
     assert lights["input"] == {
         "type": "object",
-        "properties": {"data": {"type": "boolean"}},
-        "required": ["data"],
+        "properties": {"data": {"type": "boolean", "default": False}},
     }
 
 

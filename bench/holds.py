@@ -108,7 +108,7 @@ async def on_the_aircraft(seconds: float) -> float:
     from rosld.adapters.registry import adapter_for
     from rosld.server.app import create_app
     from rosld.server.serving import http_server
-    from rosld.server.serving.lifespan import lifespan
+    from rosld.server.serving.run_lifespan import lifespan
     from rosld.server.settings import Settings, address
 
     adapter = adapter_for("aircraft", AdapterOptions())

@@ -17,9 +17,9 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.rules import Mode, Policy, Rule
 from rosld.server.dataset import MemoryStore
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import AnswerWork, QueryWork
+from rosld.server.sparql.query_limits import Limits
 from rosld.server.sparql.restricted import RestrictedDatasets
 
 SPACE = Space("http://robot.example/")

@@ -34,11 +34,11 @@ from rosld.ontology.document import Envelope
 from rosld.ontology.lift import TYPES, lifter
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.endpoint import QueryService, QuerySettings
 from rosld.server.sparql.materializer import GraphEntry, Synchroniser
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.protocol import query_request
+from rosld.server.sparql.query_service import QueryService, QuerySettings
 
 BASE = "http://127.0.0.1:8080/"
 TOPICS = 1000

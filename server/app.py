@@ -12,7 +12,7 @@ from rosld.adapters.base import Adapter
 from rosld.server.auth.authenticator import Authenticator
 from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits
 from rosld.server.events.broadcaster import Broadcasters
-from rosld.server.events.channels import Channels
+from rosld.server.events.notification_channels import Channels
 from rosld.server.html import prepare_pages
 from rosld.server.http import link
 from rosld.server.http.origin import OriginPolicy, origin_policy
@@ -21,7 +21,7 @@ from rosld.server.middleware.audit import Audit
 from rosld.server.middleware.authentication import AccessHeaders, Authentication
 from rosld.server.middleware.cors import CrossOriginHeaders, Preflight, TrustedHosts
 from rosld.server.middleware.dispatch import Dispatch, ServerOptions
-from rosld.server.middleware.errors import ErrorResponses
+from rosld.server.middleware.error_responses import ErrorResponses
 from rosld.server.middleware.handler import Handler
 from rosld.server.middleware.lifespan import Job, Lifespan
 from rosld.server.middleware.rate_limits import Admission, RateLimits
@@ -32,10 +32,10 @@ from rosld.server.middleware.websockets import WebSockets
 from rosld.server.resources.acl import acl_route
 from rosld.server.resources.channels import Notifications, fixed_resources, routes
 from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.ldp.graphs import RecordGraphs
+from rosld.server.resources.ldp.record_graphs import RecordGraphs
 from rosld.server.resources.live_graphs import OTHER_ROUTES, RobotGraphs
 from rosld.server.resources.mirror import replication_route
-from rosld.server.resources.mirroring import create_mirror
+from rosld.server.resources.mirror_setup import create_mirror
 from rosld.server.resources.near import near_urls
 from rosld.server.resources.resource_types import types_at
 from rosld.server.resources.sparql_update.service import UpdateService
@@ -49,10 +49,10 @@ from rosld.server.routing.router import ROUTES, Router
 from rosld.server.runtime.watchdog import Watchdog
 from rosld.server.settings import Settings
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.endpoint import QueryService, QuerySettings, UnreadGraphs
 from rosld.server.sparql.materializer import Synchroniser
 from rosld.server.sparql.mentions import MentionRecorder, Mentions
 from rosld.server.sparql.process.client import QueryProcess
+from rosld.server.sparql.query_service import QueryService, QuerySettings, UnreadGraphs
 from rosld.server.sparql.receipt_graphs import ReceiptGraphs
 from rosld.server.sparql.restricted import RestrictedDatasets
 from rosld.server.sparql.syntax.lexer import QueryBounds, ServiceAllowlist

@@ -21,10 +21,10 @@ from rosld.ontology.lift import LiftSettings
 from rosld.ontology.serialize import Syntax
 from rosld.ontology.urls import Space
 from rosld.server.cli.failure import Failure, user_errors
-from rosld.server.cli.lifting import Lifting
-from rosld.server.cli.types import open_source
-from rosld.server.cli.writing import writer
-from rosld.server.serving.signals import end_signals
+from rosld.server.cli.list_types import open_source
+from rosld.server.cli.rdf_writer import writer
+from rosld.server.cli.recording_documents import Lifting
+from rosld.server.serving.end_signals import end_signals
 
 SYNTAXES: Mapping[str, Syntax] = {
     ".nq": Syntax.N_QUADS,

@@ -198,7 +198,7 @@ def types(source: str, types: tuple[Path, ...]) -> None:
       rosld types run.bag
       rosld types ros1://localhost:11311
     """
-    from rosld.server.cli.types import types as run
+    from rosld.server.cli.list_types import types as run
 
     run(source, AdapterOptions(types=types))
 
@@ -234,7 +234,7 @@ def token_add(name: str, modes: tuple[str, ...], globs: tuple[str, ...], file: P
 
     Without --mode and --glob the rules stay as they are.
     """
-    from rosld.server.cli.tokens import add
+    from rosld.server.cli.manage_tokens import add
 
     add(file, name, modes, globs)
 
@@ -243,7 +243,7 @@ def token_add(name: str, modes: tuple[str, ...], globs: tuple[str, ...], file: P
 @_AUTH
 def token_list(file: Path) -> None:
     """List who has tokens: name, tab, how many."""
-    from rosld.server.cli.tokens import count_tokens
+    from rosld.server.cli.manage_tokens import count_tokens
 
     count_tokens(file)
 
@@ -253,7 +253,7 @@ def token_list(file: Path) -> None:
 @_AUTH
 def token_remove(name: str, file: Path) -> None:
     """Take all tokens of NAME away. A server that runs on FILE refuses them within a second or two."""
-    from rosld.server.cli.tokens import remove
+    from rosld.server.cli.manage_tokens import remove
 
     remove(file, name)
 

@@ -19,8 +19,8 @@ from rosld.server.cli import data_folder
 from rosld.server.cli.failure import user_errors
 from rosld.server.serving import http_server, tls
 from rosld.server.serving.connection import ConnectionBounds
-from rosld.server.serving.lifespan import lifespan
-from rosld.server.serving.signals import end_signals
+from rosld.server.serving.end_signals import end_signals
+from rosld.server.serving.run_lifespan import lifespan
 from rosld.server.settings import Settings
 
 if TYPE_CHECKING:

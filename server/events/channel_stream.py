@@ -6,8 +6,8 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from rosld.server.events.broadcaster import Broadcasters
-from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.delivery import Delivery
+from rosld.server.events.notification_channels import Channel, Channels
 
 LINES = "application/x-ndjson"
 """JSON-LD notifications are a line each; those in Turtle and N-Triples are parts of one document."""

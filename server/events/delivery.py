@@ -16,7 +16,7 @@ import orjson
 from rosld.ontology.notifications import ACTIVITY_CONTEXT, CONTEXT, Activity, with_context
 from rosld.ontology.serialize import Syntax, serialize
 from rosld.server.events.broadcaster import Broadcaster, Broadcasters, Observation, Waiter
-from rosld.server.events.channels import Channel, Channels
+from rosld.server.events.notification_channels import Channel, Channels
 
 Send: TypeAlias = Callable[[bytes], Awaitable[None]]
 KEEP_ALIVE_SECONDS = 15.0

@@ -12,8 +12,8 @@ from starlette.types import Message, Receive, Scope, Send
 
 from rosld.ontology.notifications import channel_type
 from rosld.server.events.broadcaster import Broadcasters
-from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.delivery import Delivery
+from rosld.server.events.notification_channels import Channel, Channels
 from rosld.server.http.origin import OriginPolicy, check_host
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render

@@ -24,7 +24,7 @@ from rosld.server.openapi.components import (
     representation,
     schema_of,
 )
-from rosld.server.openapi.path import DescribedPath
+from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.rest.path_item import QueryParameter
 
 VERSION = "3.1.1"

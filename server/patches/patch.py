@@ -11,7 +11,7 @@ from rosld.server.dataset.encoding import decode_triple, encode_triple
 from rosld.server.dataset.private_functions import FUNCTIONS
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.lexer import check_update_of_one_graph, tokens
-from rosld.server.sparql.update.reading import rewrite_update
+from rosld.server.sparql.update.parser import rewrite_update
 
 
 def merge_patch(target: object, patch: object) -> object:

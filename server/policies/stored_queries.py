@@ -15,7 +15,7 @@ from rosld.ontology.urls import Space, decode_segment
 from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.http import media
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.stored import StoredQuery, outline, read_stored_query, shipped_queries
+from rosld.server.sparql.stored_query import StoredQuery, outline, read_stored_query, shipped_queries
 from rosld.server.sparql.syntax.lexer import QueryBounds
 from rosld.server.storage import Blob, Model, Record, RecordChange, Records
 

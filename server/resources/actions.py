@@ -35,7 +35,7 @@ from rosld.server.hypermedia.json_schema import TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.limits import require_message
+from rosld.server.resources.limit_checks import require_message
 from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
 from rosld.server.resources.service_request import read_message
 from rosld.server.resources.strictness import STRICT

@@ -34,7 +34,7 @@ from rosld.server.hypermedia.views import ComplexView, Member
 from rosld.server.patches.patch import merge_patch
 from rosld.server.resources.context import Robot
 from rosld.server.resources.preconditions import condition_conflict
-from rosld.server.resources.writes import plan_property_write
+from rosld.server.resources.property_writes import plan_property_write
 from rosld.server.rest.ros_problems import problem_of
 
 

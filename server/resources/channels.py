@@ -31,7 +31,7 @@ from rosld.server.auth.redaction.problems import redact_problem
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channel_request import JSON_LD, MAX_BYTES, MEDIA_TYPES, check_profile, read_subscription
 from rosld.server.events.channel_stream import LINES, ChannelStream, headers_of
-from rosld.server.events.channels import Channel, Channels
+from rosld.server.events.notification_channels import Channel, Channels
 from rosld.server.events.websocket import WebSocketReceiver
 from rosld.server.http import negotiation
 from rosld.server.http.body import read_body

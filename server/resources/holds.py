@@ -42,7 +42,7 @@ from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.patches.patch import merge_patch
 from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.publishing import Publisher
+from rosld.server.resources.publisher import Publisher
 from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES

@@ -47,14 +47,14 @@ from rosld.server.policies import active_limits, stored_queries
 from rosld.server.resources import types
 from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.bags import BagMessage
-from rosld.server.resources.complex import ComplexResource
+from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.holds import HoldResource
-from rosld.server.resources.members import MemberResource
 from rosld.server.resources.namespaces import listed_graph, listed_members, listing_document, namespaces, things_of
 from rosld.server.resources.nodes import NodeResource
 from rosld.server.resources.ontology import OntologyResource
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
+from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.queries import queries_document, shipped_document
 from rosld.server.resources.services import CallResource
 from rosld.server.resources.stop import StopResource
@@ -72,7 +72,7 @@ from rosld.server.rest.state import State
 from rosld.server.runtime.loop_time import loop_time
 from rosld.server.sparql.materializer import GraphEntry
 from rosld.server.sparql.needs import Needs
-from rosld.server.sparql.terms import ACTIONS, COMPLEX, PROPERTIES
+from rosld.server.sparql.vocabulary_view import ACTIONS, COMPLEX, PROPERTIES
 from rosld.shapes.message import shape_document
 from rosld.shapes.parameter import declared_triples
 

@@ -15,7 +15,7 @@ from rosld.server.dataset.replication import Mirror, ReplicationStatus
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
-from rosld.server.resources.mirroring import ROUTE
+from rosld.server.resources.mirror_setup import ROUTE
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State

@@ -21,7 +21,7 @@ from rosld.server.hypermedia.json_schema import TEXT
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import Robot
-from rosld.server.resources.limits import require_message
+from rosld.server.resources.limit_checks import require_message
 from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES

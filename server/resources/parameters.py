@@ -46,7 +46,7 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import Robot
-from rosld.server.resources.limits import require_parameter
+from rosld.server.resources.limit_checks import require_parameter
 from rosld.server.resources.namespaces import (
     HIDDEN,
     count_members,

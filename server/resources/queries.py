@@ -34,11 +34,11 @@ from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.ldp.base import EXTRA_STATUSES
 from rosld.server.resources.ldp.bodies import require_small
 from rosld.server.resources.ldp.containers import ContainerResource
-from rosld.server.resources.ldp.files import StoredFile
+from rosld.server.resources.ldp.rdf_sources import DescriptionResource
 from rosld.server.resources.ldp.representation import all_members, page_at, state_of
 from rosld.server.resources.ldp.routes import AbsentResource, stored_route
-from rosld.server.resources.ldp.sources import DescriptionResource
-from rosld.server.resources.sparql import (
+from rosld.server.resources.ldp.stored_files import StoredFile
+from rosld.server.resources.sparql_endpoint import (
     FORMATS,
     GRAPH_FORMS,
     OFFERS,
@@ -59,9 +59,9 @@ from rosld.server.rest.resource import READ, Resource
 from rosld.server.rest.resource_headers import resource_headers
 from rosld.server.rest.state import State
 from rosld.server.sparql import disconnect
-from rosld.server.sparql.endpoint import QueryService
 from rosld.server.sparql.protocol import QUERY_MEDIA_TYPE, QueryRequest, requested_timeout
-from rosld.server.sparql.stored import (
+from rosld.server.sparql.query_service import QueryService
+from rosld.server.sparql.stored_query import (
     OTHER_SETTINGS,
     ParameterType,
     QueryParameterDeclaration,

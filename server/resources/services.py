@@ -17,7 +17,7 @@ from rosld.server.hypermedia.json_schema import ANYTHING, nullable
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
-from rosld.server.resources.limits import require_message
+from rosld.server.resources.limit_checks import require_message
 from rosld.server.resources.namespaces import is_absent, redirect_to_namespace
 from rosld.server.resources.service_request import call_problem, call_service, read_request
 from rosld.server.resources.strictness import STRICT

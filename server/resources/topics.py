@@ -26,10 +26,10 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.command import CommandResource
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.holds import create_hold, hold_form, hold_parameters, hold_schema
-from rosld.server.resources.limits import topic_bounds
+from rosld.server.resources.limit_checks import topic_bounds
 from rosld.server.resources.messages import DecodedSample, decode, field_response, lift_sample
 from rosld.server.resources.namespaces import redirect_to_namespace
-from rosld.server.resources.publishing import Publisher
+from rosld.server.resources.publisher import Publisher
 from rosld.server.resources.strictness import STRICT
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE

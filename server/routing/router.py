@@ -12,27 +12,27 @@ from rosld.ontology.urls import Location, locate
 from rosld.server.html import StoredQueryLink
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.resource_tree import path_of
-from rosld.server.openapi.resource import OpenApiResource
+from rosld.server.openapi.openapi_resource import OpenApiResource
 from rosld.server.resources import listings
 from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.activities import ActivityContainer, ActivityResource
 from rosld.server.resources.bags import bag_route
-from rosld.server.resources.complex import ComplexResource
+from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.context import Robot
-from rosld.server.resources.entry import EntryResource
+from rosld.server.resources.entry_point import EntryResource
 from rosld.server.resources.find import FindResource
 from rosld.server.resources.finder import Finder
-from rosld.server.resources.graphs import GraphStore
+from rosld.server.resources.graph_store import GraphStore
 from rosld.server.resources.holds import HoldResource
 from rosld.server.resources.ldp.routes import stored_route
-from rosld.server.resources.members import MemberResource
 from rosld.server.resources.namespaces import NamespaceContainer
 from rosld.server.resources.nodes import NodeResource
 from rosld.server.resources.ontology import ontology_room
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
+from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.queries import QueryRunner, query_route
 from rosld.server.resources.services import CallResource, ServiceResource
-from rosld.server.resources.sparql import SparqlResource
+from rosld.server.resources.sparql_endpoint import SparqlResource
 from rosld.server.resources.static_assets import FILES
 from rosld.server.resources.stop import StopResource
 from rosld.server.resources.things import RobotThing
@@ -40,7 +40,7 @@ from rosld.server.resources.topics import TopicResource
 from rosld.server.resources.types import shape_route, type_route
 from rosld.server.rest.pages import PageRenderer
 from rosld.server.rest.resource import Resource, permanent_redirect
-from rosld.server.sparql.endpoint import QueryService
+from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.update.base import UpdateRunner
 
 Route: TypeAlias = Callable[[Robot, Location], Resource]

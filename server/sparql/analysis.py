@@ -11,11 +11,11 @@ from rosld.ontology.vocab import PREFIXES
 from rosld.server.dataset import QueryError
 from rosld.server.dataset.encoding import NAMESPACE
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.functions import AGE
 from rosld.server.sparql.narrowing import needs_of
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.process.cost import JoinPlan, join_plan
 from rosld.server.sparql.rewriting import rewrite
+from rosld.server.sparql.ros_functions import AGE
 from rosld.server.sparql.syntax.lexer import (
     DEFAULT_BOUNDS,
     NO_SERVICES,
@@ -28,7 +28,7 @@ from rosld.server.sparql.syntax.lexer import (
 )
 from rosld.server.sparql.syntax.query import parse_query
 from rosld.server.sparql.syntax.tree import Group, Query, Variable, graphs_around
-from rosld.server.sparql.terms import VocabularyView
+from rosld.server.sparql.vocabulary_view import VocabularyView
 
 _KEPT = 512
 _NO_RELATIONS = frozenset[str]()

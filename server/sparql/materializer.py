@@ -25,8 +25,8 @@ from rosld.server.dataset import Edit
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.process_memory import PROCESS_MEMORY, SENT_PER_CHARACTER
 from rosld.server.sparql.change_source import NOTHING, Changes, ChangeSource
-from rosld.server.sparql.limits import process_restarting
 from rosld.server.sparql.needs import Needs
+from rosld.server.sparql.query_limits import process_restarting
 
 _log = logging.getLogger("rosld.sparql")
 

@@ -9,7 +9,7 @@ from pyoxigraph import NamedNode, RdfFormat, parse
 
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.sparql.change_source import Changes, ChangeSource
-from rosld.server.sparql.terms import document_of
+from rosld.server.sparql.vocabulary_view import document_of
 
 _LIVE = ("topics/", "parameters/", "resources/", "bags/")
 _LISTS = frozenset({rdf.first.value, rdf.rest.value})

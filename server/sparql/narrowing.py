@@ -38,7 +38,7 @@ from functools import reduce
 from rosld.ontology.vocab import rdf
 from rosld.server.sparql.needs import Demand, Needs, remove_covered
 from rosld.server.sparql.syntax.tree import Group, Iri, Pattern, Query, Term, Variable
-from rosld.server.sparql.terms import (
+from rosld.server.sparql.vocabulary_view import (
     ANY,
     COMPLEX,
     NEITHER,

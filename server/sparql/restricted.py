@@ -20,9 +20,9 @@ from rosld.ontology.document import Document
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction.documents import redact_document
 from rosld.server.dataset import Edit
-from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import DumpGraphs, ListGraphs
+from rosld.server.sparql.query_limits import Limits
 
 _MAX_DATASETS = 8
 """Restricted datasets at a time; the one that was asked longest ago goes first."""

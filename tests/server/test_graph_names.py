@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.server.http.problem import Problem
-from rosld.server.resources.graphs import GraphSelection, parse_graph_selection
+from rosld.server.resources.graph_store import GraphSelection, parse_graph_selection
 
 STORE = "http://robot:8080/under/graphs"
 

@@ -14,8 +14,8 @@ from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
 from rosld.server.app import create_app
 from rosld.server.hypermedia import json_schema
+from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.openapi.description import description
-from rosld.server.openapi.path import DescribedPath
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import READ
 from rosld.server.settings import Settings

@@ -31,9 +31,9 @@ from rosld.server.runtime.process_memory import (
     cgroup_available_bytes,
     is_out_of_memory,
 )
-from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import ListGraphs
+from rosld.server.sparql.query_limits import Limits
 from tests.server.disks.server import Server, server_on
 from tests.server.sparql.processes import query_processes
 

@@ -15,7 +15,7 @@ from rosld.server.http.link import parse as parse_links
 from rosld.server.http.problem import Problem
 from rosld.server.resources.context import Robot
 from rosld.server.resources.ldp.representation import all_members, member_uris
-from rosld.server.resources.ldp.stated import (
+from rosld.server.resources.ldp.statements import (
     CONTAINMENT,
     MAX_PATCHED,
     NO_STATEMENTS,

@@ -12,9 +12,9 @@ from rosld.server.resources.context import Robot
 from rosld.server.resources.ldp.base import EXTRA_STATUSES, StoredResource, conflict_problem
 from rosld.server.resources.ldp.bodies import model_of_request, receive_blob
 from rosld.server.resources.ldp.creation import create_record
-from rosld.server.resources.ldp.files import StoredFile
+from rosld.server.resources.ldp.rdf_sources import N3_PATCH, RdfSourceResource
 from rosld.server.resources.ldp.representation import page_at, page_state, state_of
-from rosld.server.resources.ldp.sources import N3_PATCH, RdfSourceResource
+from rosld.server.resources.ldp.stored_files import StoredFile
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.interaction import model_links

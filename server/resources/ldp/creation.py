@@ -12,8 +12,14 @@ from rosld.server.http.problem import Problem
 from rosld.server.resources.context import Robot
 from rosld.server.resources.ldp.base import StoredResource
 from rosld.server.resources.ldp.bodies import as_statements, read_statements
-from rosld.server.resources.ldp.managed import initial_times, managed_triples_in, require_classes
-from rosld.server.resources.ldp.stated import NO_STATEMENTS, Statements, client_triples, contained_members, member_uri
+from rosld.server.resources.ldp.managed_triples import initial_times, managed_triples_in, require_classes
+from rosld.server.resources.ldp.statements import (
+    NO_STATEMENTS,
+    Statements,
+    client_triples,
+    contained_members,
+    member_uri,
+)
 from rosld.server.resources.ldp.transaction import write_together
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.interaction import parse_membership

@@ -12,7 +12,7 @@ from rosld.server.http.charset import to_utf8
 from rosld.server.http.multipart import MULTIPART, Part, split_parts
 from rosld.server.http.problem import Problem
 from rosld.server.resources.context import Robot
-from rosld.server.resources.ldp.stated import Statements, is_small, parse_statements, rename_blank_nodes
+from rosld.server.resources.ldp.statements import Statements, is_small, parse_statements, rename_blank_nodes
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.storage.packing import size_of, unpack

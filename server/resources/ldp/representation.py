@@ -10,7 +10,7 @@ from pyoxigraph import Triple
 
 from rosld.server.http.link import render
 from rosld.server.resources.context import Robot
-from rosld.server.resources.ldp.document import member_derived_uris_of, stored_document
+from rosld.server.resources.ldp.stored_document import member_derived_uris_of, stored_document
 from rosld.server.rest.interaction import model_links
 from rosld.server.rest.paging import MAX_PAGE_SIZE, LdpPage, PagePosition, last_page_size, last_position, page_of
 from rosld.server.rest.prefer_container import ALL_PARTS, ContainerParts

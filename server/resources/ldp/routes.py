@@ -20,11 +20,11 @@ from rosld.server.resources.ldp.base import EXTRA_STATUSES, StoredResource, conf
 from rosld.server.resources.ldp.bodies import model_of_request, receive_blob, require_model
 from rosld.server.resources.ldp.containers import create_resource, resource_of
 from rosld.server.resources.ldp.creation import creation_writes, require_free
-from rosld.server.resources.ldp.files import StoredFile
 from rosld.server.resources.ldp.graph_merge import merge_parts
+from rosld.server.resources.ldp.rdf_sources import DescriptionResource
 from rosld.server.resources.ldp.representation import state_of
-from rosld.server.resources.ldp.sources import DescriptionResource
-from rosld.server.resources.ldp.stated import N3_PATCH, is_small, patch_statements
+from rosld.server.resources.ldp.statements import N3_PATCH, is_small, patch_statements
+from rosld.server.resources.ldp.stored_files import StoredFile
 from rosld.server.resources.ldp.transaction import write_together
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE

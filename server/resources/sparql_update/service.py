@@ -16,11 +16,11 @@ from rosld.ontology.lower import LoweringError
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.http.problem import Problem
 from rosld.server.receipts.audit_context import record_step
-from rosld.server.resources.complex import ComplexResource
+from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.context import Robot
 from rosld.server.resources.ldp.base import StoredResource, conflict_problem
 from rosld.server.resources.ldp.transaction import write_together
-from rosld.server.resources.members import MemberResource
+from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.sparql_update.loading import load_documents
 from rosld.server.resources.sparql_update.report import (
     Outcome,
@@ -31,8 +31,8 @@ from rosld.server.resources.sparql_update.report import (
     reason,
     report_response,
 )
-from rosld.server.resources.sparql_update.rights import require_change, require_rights
 from rosld.server.resources.sparql_update.silent import without_silent_failures, without_silent_on
+from rosld.server.resources.sparql_update.update_rights import require_change, require_rights
 from rosld.server.rest.keyed_lock import KeyedLock
 from rosld.server.rest.plan import Plan, RobotWrite, StorageWrite
 from rosld.server.rest.resource import READ, Resource
@@ -42,7 +42,7 @@ from rosld.server.sparql.syntax.lexer import QueryBounds
 from rosld.server.sparql.update.evaluate import GraphChange, named_graphs
 from rosld.server.sparql.update.executor import Delta, UpdateEvaluator
 from rosld.server.sparql.update.operations import GraphVerb, ManageGraph, Operation
-from rosld.server.sparql.update.reading import read_update
+from rosld.server.sparql.update.parser import read_update
 from rosld.server.storage import Conflict, ConflictCause, Write
 
 ATTEMPTS = 4

@@ -16,8 +16,8 @@ from typing import cast
 
 from rosld.server.dataset.encoding import NAMESPACE, VARIABLE
 from rosld.server.runtime.process_memory import Memory, NotEnoughMemory, available_bytes
-from rosld.server.sparql.limits import process_restarting
 from rosld.server.sparql.process.frames import FrameBuffer, ReduceMemory, Reply, SharedStatus, pack
+from rosld.server.sparql.query_limits import process_restarting
 
 _RECEIVED = 256 * 1024
 _AHEAD = 4 * 1024 * 1024

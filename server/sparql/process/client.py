@@ -19,12 +19,12 @@ from rosld.server.dataset.base import Edit
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.process_memory import DATASET_PER_CHARACTER, DATASET_PER_TRIPLE
 from rosld.server.sparql.disconnect import Disconnected
-from rosld.server.sparql.limits import Limits, process_restarting
 from rosld.server.sparql.process.child import ChildProcess, spawn
 from rosld.server.sparql.process.evaluation import Aborted, Evaluation, PendingJob, crash_reason
 from rosld.server.sparql.process.fork import ExitStatus
 from rosld.server.sparql.process.frames import Cancel, Change, Drop, Job, Kind, Reply, pack
 from rosld.server.sparql.process.work import Work
+from rosld.server.sparql.query_limits import Limits, process_restarting
 
 _log = logging.getLogger("rosld.sparql")
 

@@ -12,10 +12,10 @@ from typing import Protocol
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.disconnect import Disconnected
-from rosld.server.sparql.limits import Limits, out_of_memory, out_of_time, process_crashed, too_many_queries
 from rosld.server.sparql.process.fork import FRAME_HEADER as FRAME
 from rosld.server.sparql.process.fork import OUT_OF_MEMORY, ExitStatus, FrameKind
 from rosld.server.sparql.process.work import Work
+from rosld.server.sparql.query_limits import Limits, out_of_memory, out_of_time, process_crashed, too_many_queries
 
 MAX_FIRST_BYTES = 1024 * 1024
 """Bytes that are gathered before the first is sent: up to these, an answer is sent whole or refused."""

@@ -17,7 +17,6 @@ from typing import BinaryIO, cast
 
 from rosld.server.dataset.memory_store import MemoryStore
 from rosld.server.runtime.process_memory import PROCESS_MEMORY, trim
-from rosld.server.sparql.limits import too_many_queries
 from rosld.server.sparql.process.fork import Fork, pickle_error
 from rosld.server.sparql.process.frames import (
     Cancel,
@@ -31,6 +30,7 @@ from rosld.server.sparql.process.frames import (
     SharedStatus,
     pack,
 )
+from rosld.server.sparql.query_limits import too_many_queries
 
 _MAX_BYTES = 1024 * 1024
 """Bytes of a result that is not made in a fork."""

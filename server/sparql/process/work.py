@@ -26,9 +26,9 @@ from rosld.server.dataset.base import Function, Results
 from rosld.server.dataset.encoding import decode_term
 from rosld.server.dataset.memory_store import MemoryStore
 from rosld.server.http.problem import Problem
-from rosld.server.sparql import results, rows
-from rosld.server.sparql.functions import functions, unknown_functions
+from rosld.server.sparql import results, row_limit
 from rosld.server.sparql.process.cost import JoinPlan, may_take_long
+from rosld.server.sparql.ros_functions import functions, unknown_functions
 from rosld.server.sparql.update.evaluate import (
     GraphChange,
     Row,
@@ -116,8 +116,8 @@ class AnswerWork(NamedTuple):
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
         with _reaching_others():
             found = self.query.results(store)
-            limited = rows.limit_rows(output, self.media_type, isinstance(found, QueryTriples), self.limit)
-            counted = _unlimited if limited is not output else rows.RowCounter(_unlimited, self.limit).count
+            limited = row_limit.limit_rows(output, self.media_type, isinstance(found, QueryTriples), self.limit)
+            counted = _unlimited if limited is not output else row_limit.RowCounter(_unlimited, self.limit).count
             results.write_results(found, self.media_type, limited, counted, self.query.base)
 
 

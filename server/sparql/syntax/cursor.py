@@ -9,9 +9,9 @@ from typing import NoReturn, Protocol
 from pyoxigraph import NamedNode, RdfFormat, parse
 
 from rosld.server.http.problem import Problem
+from rosld.server.sparql.syntax.keywords import KEYWORDS
 from rosld.server.sparql.syntax.lexer import CheckedText, Kind, Token, line_and_column, unescape_codepoints
 from rosld.server.sparql.syntax.tree import TYPE
-from rosld.server.sparql.syntax.words import KEYWORDS
 
 _MAX_QUOTED = 40
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.cursor import did_you_mean
+from rosld.server.sparql.syntax.keywords import AGGREGATES, ANY_NUMBER, ARGUMENTS
 from rosld.server.sparql.syntax.lexer import CheckedText, Kind, Token, line_and_column
 from rosld.server.sparql.syntax.tree import (
     Call,
@@ -27,7 +28,6 @@ from rosld.server.sparql.syntax.tree import (
     strip_brackets,
 )
 from rosld.server.sparql.syntax.triples import TripleParser
-from rosld.server.sparql.syntax.words import AGGREGATES, ANY_NUMBER, ARGUMENTS
 
 _COMPARISONS = frozenset({"=", "!=", "<", ">", "<=", ">=", "IN", "NOT"})
 _ARITHMETIC = frozenset({"+", "-", "*", "/"})

@@ -13,6 +13,7 @@ from typing import NamedTuple
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.cursor import Span
 from rosld.server.sparql.syntax.expressions import ExpressionParser, has_aggregate, ungrouped
+from rosld.server.sparql.syntax.keywords import FORMS, MEMBERS, MODIFIERS
 from rosld.server.sparql.syntax.lexer import CheckedText, Kind, QueryBounds, Token, line_and_column
 from rosld.server.sparql.syntax.tree import (
     Constant,
@@ -27,7 +28,6 @@ from rosld.server.sparql.syntax.tree import (
     Variable,
     strip_brackets,
 )
-from rosld.server.sparql.syntax.words import FORMS, MEMBERS, MODIFIERS
 
 _GROUP = "{ and a group of patterns"
 _TRIPLE = "a triple pattern, a keyword such as FILTER or OPTIONAL, or }"

@@ -11,6 +11,7 @@ from pyoxigraph import Literal, NamedNode
 from rosld.ontology.vocab import rdf, xsd
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.cursor import Cursor
+from rosld.server.sparql.syntax.keywords import MEMBERS
 from rosld.server.sparql.syntax.lexer import CheckedText, Kind, Token
 from rosld.server.sparql.syntax.tree import (
     TYPE,
@@ -30,7 +31,6 @@ from rosld.server.sparql.syntax.tree import (
     may_be_empty,
     path_predicates,
 )
-from rosld.server.sparql.syntax.words import MEMBERS
 
 Verb: TypeAlias = "Path | Variable"
 AddPattern: TypeAlias = "Callable[[Term, Verb, Term], object]"

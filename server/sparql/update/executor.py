@@ -7,10 +7,10 @@ from collections.abc import Hashable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from rosld.server.sparql.analysis import Analyser, Analysis
-from rosld.server.sparql.endpoint import QueryService
 from rosld.server.sparql.materializer import SeenVersions
 from rosld.server.sparql.needs import Demand, Needs
 from rosld.server.sparql.process.work import WhereWork, Work, evaluate_work, read_changes
+from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.update.evaluate import GraphChange, named_graphs
 from rosld.server.sparql.update.operations import Modify, Operation, Where
 

@@ -14,7 +14,7 @@ import pytest
 
 from rosld.server.dataset import MemoryStore
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.functions import unknown_functions
+from rosld.server.sparql.ros_functions import unknown_functions
 
 if TYPE_CHECKING:
     from tests.conformance.sparql.conftest import Endpoint

@@ -15,11 +15,11 @@ from pyoxigraph import NamedNode, RdfFormat, parse
 from rosld.adapters.base import Watch
 from rosld.ontology.describe_containers import container_document
 from rosld.ontology.notifications import activity, notify
-from rosld.server.events import channels as kept
+from rosld.server.events import notification_channels
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channel_request import ChannelRequest
-from rosld.server.events.channels import Channel, Channels
 from rosld.server.events.delivery import Delivery
+from rosld.server.events.notification_channels import Channel, Channels
 from rosld.server.http.problem import Problem
 from rosld.server.rest.resource import BASIC_CONTAINER, Resource
 from rosld.server.rest.state import State
@@ -314,7 +314,7 @@ def test_channels_nobody_receives_from_are_forgotten() -> None:
         one = Set()
         channel = await one.open()
         assert one.channels.find(channel.token) is channel
-        channel.since -= kept.IDLE_SECONDS
+        channel.since -= notification_channels.IDLE_SECONDS
         with pytest.raises(Problem, match="subscribe again"):
             one.channels.find(channel.token)
         over = await one.open()

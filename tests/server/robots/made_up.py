@@ -51,7 +51,7 @@ from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.lower import lowerer
 from rosld.server.app import create_app
 from rosld.server.serving import http_server
-from rosld.server.serving.lifespan import lifespan
+from rosld.server.serving.run_lifespan import lifespan
 from rosld.server.settings import Settings, address
 
 T = TypeVar("T")

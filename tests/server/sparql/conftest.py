@@ -12,12 +12,12 @@ import pytest
 from hypothesis import settings
 
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.endpoint import QueryAnswer, QueryService, QuerySettings
 from rosld.server.sparql.materializer import GraphEntry, Synchroniser
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import DumpGraphs, ListGraphs
 from rosld.server.sparql.protocol import QueryRequest
+from rosld.server.sparql.query_service import QueryAnswer, QueryService, QuerySettings
 
 BASE = "http://robot/"
 TYPES = "https://w3id.org/rosld/types/"

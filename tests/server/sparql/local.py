@@ -8,9 +8,9 @@ from typing import BinaryIO, cast
 
 from rosld.server.dataset import Edit, MemoryStore
 from rosld.server.sparql.disconnect import Disconnected
-from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import Work
+from rosld.server.sparql.query_limits import Limits
 
 
 class LocalStore(MemoryStore):

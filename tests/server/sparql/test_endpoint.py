@@ -13,9 +13,9 @@ import pytest
 from pyoxigraph import RdfFormat, parse
 
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.endpoint import QueryAnswer, QuerySettings
 from rosld.server.sparql.process.evaluation import MAX_FIRST_BYTES, Aborted
 from rosld.server.sparql.protocol import QueryRequest
+from rosld.server.sparql.query_service import QueryAnswer, QuerySettings
 from rosld.server.sparql.results import GRAPHS, SOLUTIONS, ResultRows
 
 # The classes are those of conftest.py, which arrive as fixtures.

@@ -11,7 +11,7 @@ from pyoxigraph import Literal, NamedNode, QuerySolutions
 
 from rosld.ontology.vocab import rdf, ros, xsd
 from rosld.server.dataset import MemoryStore
-from rosld.server.sparql.functions import functions
+from rosld.server.sparql.ros_functions import functions
 
 TOPIC = "http://robot/topics/a"
 FUNCTIONS = functions(lambda url: 2.5 if url == TOPIC else None)

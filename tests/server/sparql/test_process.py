@@ -19,11 +19,11 @@ import uvloop
 
 from rosld.server.dataset import Edit, MemoryStore
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.limits import Limits
 from rosld.server.sparql.process.child import ChildProcess
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.frames import Cancel, Kind, Reply, SharedStatus, pack
 from rosld.server.sparql.process.work import DumpGraphs, ListGraphs
+from rosld.server.sparql.query_limits import Limits
 
 LIMITS = Limits(20.0, 256 * 1024 * 1024)
 G, P = "http://h/g", "<http://h/p>"

@@ -12,11 +12,11 @@ from rosld.server.dataset import MemoryStore
 from rosld.server.dataset.base import Term
 from rosld.server.dataset.encoding import NAMESPACE, decode_term
 from rosld.server.dataset.sort_keys import sort_key
-from rosld.server.sparql.functions import AGE
 from rosld.server.sparql.rewriting import rewrite
+from rosld.server.sparql.ros_functions import AGE
 from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS, ServiceAllowlist, check_text
 from rosld.server.sparql.syntax.query import parse_query
-from rosld.server.sparql.update.reading import rewrite_update
+from rosld.server.sparql.update.parser import rewrite_update
 
 XSD = "http://www.w3.org/2001/XMLSchema#"
 PREFIXES = {"xsd": XSD}

@@ -11,7 +11,7 @@ from pyoxigraph import Literal, QueryResultsFormat, RdfFormat, Store
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.results import SOLUTIONS
-from rosld.server.sparql.rows import RowCounter, limit_rows
+from rosld.server.sparql.row_limit import RowCounter, limit_rows
 
 PIECES = ["{", "}", ",", '"', "\\", "\n", "\r", "{}", ",{", "},{", ",{}", "a", "<result>", '"bindings":[{', "\u00e9"]
 TEXTS = st.lists(st.sampled_from(PIECES), max_size=8).map("".join)

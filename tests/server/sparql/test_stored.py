@@ -9,7 +9,7 @@ from pyoxigraph import Literal, NamedNode, QuerySolutions, Store
 
 from rosld.ontology.vocab import xsd
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.stored import (
+from rosld.server.sparql.stored_query import (
     ParameterType,
     QueryParameterDeclaration,
     bind_parameters,

@@ -35,8 +35,8 @@ from rosld.ontology.serialize import Syntax, serialize
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import PREFIXES
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.functions import functions
-from rosld.server.sparql.stored import bind_parameters, shipped_queries
+from rosld.server.sparql.ros_functions import functions
+from rosld.server.sparql.stored_query import bind_parameters, shipped_queries
 
 BASE = "http://robot.example/below/"
 SPACE = Space(BASE)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pyoxigraph import CanonicalizationAlgorithm, Dataset, NamedNode, Quad, QuerySolutions, RdfFormat, Triple, parse
 
 from rosld.ontology.vocab import ldp
-from rosld.server.resources.ldp.graphs import RecordGraphs
+from rosld.server.resources.ldp.record_graphs import RecordGraphs
 from rosld.server.rest.interaction import membership_declaration, membership_triples
 from rosld.server.sparql.change_source import Changes
 from rosld.server.sparql.materializer import GraphEntry, Synchroniser

@@ -22,15 +22,15 @@ from pyoxigraph import BlankNode, CanonicalizationAlgorithm, Dataset, DefaultGra
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser
-from rosld.server.sparql.endpoint import QueryService
 from rosld.server.sparql.materializer import GraphEntry, Synchroniser
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.protocol import UpdateRequest
+from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS
 from rosld.server.sparql.update.evaluate import GraphChange
 from rosld.server.sparql.update.executor import UpdateEvaluator
 from rosld.server.sparql.update.operations import Modify
-from rosld.server.sparql.update.reading import read_update
+from rosld.server.sparql.update.parser import read_update
 from tests.server.sparql.local import LocalProcess
 
 BASE = "http://robot/"

@@ -20,7 +20,7 @@ from rosld.server.sparql.update.operations import (
     Where,
     WithGraph,
 )
-from rosld.server.sparql.update.reading import read_update
+from rosld.server.sparql.update.parser import read_update
 
 BASE = "http://robot/"
 XSD = "http://www.w3.org/2001/XMLSchema#"

@@ -26,7 +26,7 @@ from rosld.server.sparql.update.operations import (
     TemplateTerm,
     TemplateVariable,
 )
-from rosld.server.sparql.update.reading import read_update
+from rosld.server.sparql.update.parser import read_update
 
 BASE = "http://robot/"
 EXAMPLE = "urn:e:"

@@ -10,7 +10,7 @@ from rosld.server.hypermedia.catalogue import Property, Setter
 from rosld.server.hypermedia.property_writer import PlannedWrite, WriteOutcome, plan_write
 from rosld.server.hypermedia.value import MessageValue
 from rosld.server.resources.context import Robot
-from rosld.server.resources.limits import require_message, require_parameter
+from rosld.server.resources.limit_checks import require_message, require_parameter
 from rosld.server.robot.publication import no_subscriber_problem
 
 

@@ -21,10 +21,10 @@ from rosld.server.http.link import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import OBJECT, Schema
 from rosld.server.hypermedia.message_schemas import MessageSchemas
+from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.openapi.description import description
-from rosld.server.openapi.path import DescribedPath
-from rosld.server.openapi.paths import PathCollector
-from rosld.server.openapi.rights import add_security, permitted_paths
+from rosld.server.openapi.path_collector import PathCollector
+from rosld.server.openapi.permitted_paths import add_security, permitted_paths
 from rosld.server.resources.context import IdentityKey, Robot
 from rosld.server.resources.namespaces import listing_parameters
 from rosld.server.rest.exchange import Exchange

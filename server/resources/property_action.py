@@ -34,13 +34,13 @@ from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.actions import ActionResource
 from rosld.server.resources.bulk_write import with_field
 from rosld.server.resources.command import CommandResource
-from rosld.server.resources.complex import ComplexResource
+from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.context import Robot
-from rosld.server.resources.limits import require_message
+from rosld.server.resources.limit_checks import require_message
 from rosld.server.resources.preconditions import read_fresh_state, require_offered, require_writable
+from rosld.server.resources.property_writes import plan_property_write, write_response
 from rosld.server.resources.service_request import call_problem, call_service, read_request, refusal_problem
 from rosld.server.resources.strictness import STRICT, is_strict
-from rosld.server.resources.writes import plan_property_write, write_response
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, WriteMethod

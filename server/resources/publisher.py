@@ -18,7 +18,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.context import Robot
-from rosld.server.resources.limits import require_message
+from rosld.server.resources.limit_checks import require_message
 from rosld.server.resources.messages import decode
 from rosld.server.resources.strictness import is_strict
 from rosld.server.rest.exchange import Exchange

@@ -11,7 +11,7 @@ from rosld.adapters.model import TypeRef
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.ontology.serialize import Syntax, serialize_named
-from rosld.server.cli.lifting import DescribedMessage, Lifting
+from rosld.server.cli.recording_documents import DescribedMessage, Lifting
 
 _HEADER = re.compile(rb"(?:@(?:base|prefix) [^\n]*\n)+")
 _PLACE = 8_172_635_445_362_718

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import BinaryIO, cast
 
-from rosld.server.sparql.limits import too_many_rows
+from rosld.server.sparql.query_limits import too_many_rows
 from rosld.server.sparql.results import Check
 
 _UNSEEN = 4 * 1024 * 1024

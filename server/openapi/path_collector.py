@@ -16,7 +16,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.hypermedia.resource_tree import ResourceTree
-from rosld.server.openapi.path import DescribedPath
+from rosld.server.openapi.described_path import DescribedPath
 from rosld.server.resources.channels import channel_item, source_item
 from rosld.server.resources.context import Robot
 from rosld.server.resources.namespaces import listed_graph, namespaces

@@ -31,9 +31,6 @@ from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.sparql import disconnect
 from rosld.server.sparql.disconnect import Disconnected
-from rosld.server.sparql.endpoint import QueryAnswer, QueryService
-from rosld.server.sparql.functions import functions
-from rosld.server.sparql.limits import describe_limits
 from rosld.server.sparql.protocol import (
     QUERY_MEDIA_TYPE,
     UPDATE_MEDIA_TYPE,
@@ -42,7 +39,10 @@ from rosld.server.sparql.protocol import (
     posted_request,
     query_request,
 )
+from rosld.server.sparql.query_limits import describe_limits
+from rosld.server.sparql.query_service import QueryAnswer, QueryService
 from rosld.server.sparql.results import GRAPHS, SOLUTIONS, media_types_of, without_xml
+from rosld.server.sparql.ros_functions import functions
 from rosld.server.sparql.update.base import UpdateRunner
 from rosld.server.sparql.xml_output import REASON
 

@@ -29,17 +29,17 @@ from rosld.server.hypermedia.message_schemas import MessageSchemas
 from rosld.server.resources.context import Robot
 from rosld.server.resources.ldp.base import EXTRA_STATUSES, StoredResource
 from rosld.server.resources.ldp.containers import ContainerResource
+from rosld.server.resources.ldp.rdf_sources import N3_PATCH
 from rosld.server.resources.ldp.routes import AbsentResource
-from rosld.server.resources.ldp.sources import N3_PATCH
-from rosld.server.resources.sparql import accept_of, answer_query, available_formats
+from rosld.server.resources.sparql_endpoint import accept_of, answer_query, available_formats
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import ANY_TYPE, FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
 from rosld.server.sparql import results
-from rosld.server.sparql.endpoint import QueryService
 from rosld.server.sparql.protocol import QueryRequest, requested_timeout
+from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.update.base import UpdateRunner
 from rosld.server.sparql.update.copying import unmanaged_triples
 from rosld.server.sparql.update.operations import GraphVerb, ManageGraph, Modify, Operation, QuadTemplate

@@ -21,7 +21,7 @@ from rosld.server.resources.context import Robot
 from rosld.server.resources.ldp.base import ANYTHING, StoredResource
 from rosld.server.resources.ldp.bodies import receive_blob, require_model, single_chunk
 from rosld.server.resources.ldp.representation import state_of
-from rosld.server.resources.ldp.stated import SMALL_BYTES
+from rosld.server.resources.ldp.statements import SMALL_BYTES
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.file_response import file_response
 from rosld.server.rest.formats import JSON, MERGE_PATCH

@@ -18,13 +18,13 @@ from rosld.server.runtime.loop_time import loop_time
 from rosld.server.sparql import results
 from rosld.server.sparql.analysis import Analyser, Analysis, parse_problem
 from rosld.server.sparql.disconnect import Disconnected
-from rosld.server.sparql.limits import Limits, out_of_time, too_many_queries
 from rosld.server.sparql.materializer import SeenVersions, Synchroniser
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import AnswerWork, QueryWork, Work
 from rosld.server.sparql.process.work import TableWork as FirstRows
 from rosld.server.sparql.protocol import QueryRequest
+from rosld.server.sparql.query_limits import Limits, out_of_time, too_many_queries
 from rosld.server.sparql.restricted import RestrictedDatasets
 from rosld.server.sparql.results import ResultRows
 

@@ -23,9 +23,9 @@ from rosld.server.resources.ldp.bodies import (
     require_same_containment,
 )
 from rosld.server.resources.ldp.graph_merge import merged_statements
-from rosld.server.resources.ldp.managed import managed_triples_in, require_membership, require_unchanged
+from rosld.server.resources.ldp.managed_triples import managed_triples_in, require_membership, require_unchanged
 from rosld.server.resources.ldp.representation import state_of
-from rosld.server.resources.ldp.stated import (
+from rosld.server.resources.ldp.statements import (
     MAX_PATCHED,
     N3_PATCH,
     Statements,

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import orjson
 
 from rosld.server.hypermedia.json_schema import Schema
-from rosld.server.openapi.path import DescribedPath
+from rosld.server.openapi.described_path import DescribedPath
 
 _Json: TypeAlias = "dict[str, object]"
 May: TypeAlias = Callable[[str, str], bool]

@@ -1,4 +1,4 @@
-"""Forms: what a person may send to a resource, drawn from the shape of what it takes. `reading.py` reads them back.
+"""Forms: what a person may send to a resource, drawn from the shape of what it takes. `form_parser.py` reads them back.
 
 A form posts as `application/x-www-form-urlencoded` to the resource at `action`, or where that is empty to its page's
 own. Its first two fields are hidden: `csrf`, and `method`, the verb meant. All others are named by the path of their
